@@ -1,0 +1,1 @@
+"""Cable-reinforced membrane structures with foldable finite elements on FEniCSx."""
