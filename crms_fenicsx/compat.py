@@ -1,0 +1,65 @@
+"""The calls that differ between DOLFINx 0.9, 0.10 and 0.11, each in one place.
+
+Features are asked for, not version numbers, so that development versions work as well.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import basix.ufl
+import dolfinx.mesh
+import numpy as np
+import ufl
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+
+def create_mesh(
+    comm: MPI.Intracomm, cells: NDArray[np.int64], points: NDArray[np.float64]
+) -> dolfinx.mesh.Mesh:
+    """Distribute a triangulated surface in space, without ghost cells.
+
+    Parameters
+    ----------
+    comm
+        Communicator of the mesh; the call is collective.
+    cells
+        This rank's share of the cells, shape (m, 3): indices into the concatenation of all
+        ranks' points. The order of a cell's vertices survives.
+    points
+        This rank's share of the coordinates, shape (n, 3), in units of length.
+
+    Returns
+    -------
+    dolfinx.mesh.Mesh
+        A mesh of topological dimension 2 and geometric dimension 3 with P1 geometry.
+    """
+    element = basix.ufl.element("Lagrange", "triangle", 1, shape=(3,), dtype=np.float64)
+    # 0.9 takes (comm, cells, x, e), later versions (comm, cells, e, x); the names stayed.
+    return dolfinx.mesh.create_mesh(comm, cells=cells, x=points, e=element)
+
+
+def geometry_dofmap(mesh: dolfinx.mesh.Mesh) -> NDArray[np.int32]:
+    """Return the geometry nodes of each local cell, shape (cells on this rank, 3)."""
+    geometry: Any = mesh.geometry
+    dofmap: NDArray[np.int32] = (
+        geometry.dofmaps[0] if hasattr(geometry, "dofmaps") else geometry.dofmap
+    )
+    return dofmap
+
+
+def geometric_dimension(domain: ufl.AbstractDomain) -> int:
+    """Return the geometric dimension of a UFL domain: a method until 0.10, then a property."""
+    dimension: Any = domain.geometric_dimension
+    return int(dimension() if callable(dimension) else dimension)
+
+
+def interpolation_points(element: Any) -> NDArray[np.floating]:
+    """Return the reference points of a DOLFINx element, shape (points, topological dimension).
+
+    A method in 0.9, a property since 0.10. Pass the result to `dolfinx.fem.Expression`.
+    """
+    points: Any = element.interpolation_points
+    points = points() if callable(points) else points
+    return np.asarray(points)

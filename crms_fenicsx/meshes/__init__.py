@@ -1,0 +1,23 @@
+"""Meshes of membranes: generators, files, and arrays, all checked, oriented and distributed."""
+
+from crms_fenicsx.meshes.domes import air_hall, spherical_cap
+from crms_fenicsx.meshes.files import from_file, from_gmsh
+from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, from_arrays
+from crms_fenicsx.meshes.orientation import AwayFrom
+from crms_fenicsx.meshes.plane import circle, ellipse, polygon, rectangle
+from crms_fenicsx.meshes.refinement import Refinement
+
+__all__ = [
+    "AwayFrom",
+    "MembraneMesh",
+    "Refinement",
+    "air_hall",
+    "circle",
+    "ellipse",
+    "from_arrays",
+    "from_file",
+    "from_gmsh",
+    "polygon",
+    "rectangle",
+    "spherical_cap",
+]

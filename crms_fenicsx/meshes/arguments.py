@@ -1,0 +1,78 @@
+"""Checks of the arguments that the mesh generators share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from crms_fenicsx.errors import InputError, MeshError
+
+_MOST_CELLS = 2e7
+
+
+def check_positive(what: str, **numbers: float) -> None:
+    """Refuse numbers that are not positive and finite, by their names.
+
+    Raises
+    ------
+    InputError
+        Naming the first such number.
+    """
+    for name, value in numbers.items():
+        try:
+            good = math.isfinite(value) and value > 0
+        except TypeError:
+            good = False
+        if not good:
+            raise InputError(f"{what} has {name} = {value!r}: give a positive, finite number")
+
+
+def check_size(what: str, size: float, shortest: float, area: float) -> None:
+    """Refuse a mesh size that is too large for a shape, or would need far too many cells.
+
+    Parameters
+    ----------
+    what
+        The shape's name.
+    size
+        Wanted edge length (length).
+    shortest
+        Smallest extent of the shape (length).
+    area
+        Its area or an estimate of it (length^2).
+
+    Raises
+    ------
+    MeshError
+        Naming the size and its limit.
+    """
+    check_positive(what, size=size)
+    if size > shortest:
+        raise MeshError(
+            f"{what} has size = {size}, more than its smallest extent {shortest:.6g}: "
+            "choose a smaller size"
+        )
+    cells = area / (math.sqrt(3.0) / 4.0 * size**2)
+    if cells > _MOST_CELLS:
+        raise MeshError(
+            f"{what} with size = {size} would need about {cells:.1e} cells, more than "
+            f"{_MOST_CELLS:.0e}: choose a larger size"
+        )
+
+
+def check_point(what: str, point: Sequence[float]) -> tuple[float, float]:
+    """Return the two coordinates of a point in the plan.
+
+    Raises
+    ------
+    InputError
+        If there are not two finite numbers.
+    """
+    try:
+        x, y = (float(value) for value in point)
+        good = math.isfinite(x) and math.isfinite(y)
+    except (TypeError, ValueError):
+        good = False
+    if not good:
+        raise InputError(f"{what} is {point!r}: give two finite coordinates (x, y)")
+    return x, y

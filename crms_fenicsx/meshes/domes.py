@@ -1,0 +1,207 @@
+"""Membranes that are curved in their stress-free shape: spherical cap and air hall."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from crms_fenicsx.meshes.arguments import check_point, check_positive, check_size
+from crms_fenicsx.meshes.gmsh_model import mesh_with_sizes, own_model, read_model
+from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, distributed
+from crms_fenicsx.meshes.plane import RECTANGLE_CORNERS, RECTANGLE_SIDES, ellipse_arrays
+from crms_fenicsx.meshes.refinement import Refinement, TargetSize
+from crms_fenicsx.meshes.surface import SurfaceArrays
+
+
+def spherical_cap(
+    comm: MPI.Intracomm,
+    radius: float,
+    height: float,
+    size: float,
+    *,
+    center: Sequence[float] = (0.0, 0.0),
+    refinements: Sequence[Refinement] = (),
+) -> MembraneMesh:
+    """Mesh a spherical cap with its rim in the plane z = 0.
+
+    A flat circle is meshed and mapped to the sphere by stereographic projection, which keeps
+    angles, so that the triangles stay as good as flat ones and there is no seam.
+
+    Parameters
+    ----------
+    comm
+        Communicator of the mesh; the call is collective.
+    radius
+        Radius of the rim, not of the sphere (length).
+    height
+        Height of the top above the rim (length); more than `radius` for more than a
+        hemisphere.
+    size
+        Edge length of the triangles (length).
+    center
+        Coordinates (x, y) of the rim's centre.
+    refinements
+        Where to make the mesh finer.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if an argument is not finite or positive, or `size` is more than
+        `radius`.
+    """
+
+    def build() -> SurfaceArrays:
+        check_positive("the spherical cap", radius=radius, height=height)
+        check_size("the spherical cap", size, radius, math.pi * (radius**2 + height**2))
+        x, y = check_point("the spherical cap's centre", center)
+        origin = np.array([x, y, 0.0])
+        diameter = (radius**2 + height**2) / height  # of the sphere
+        target = TargetSize(size, refinements)
+
+        def lifted(flat: NDArray[np.float64]) -> NDArray[np.float64]:
+            """Project points of the plane that touches the top from the sphere's bottom."""
+            shrink = 1.0 / (1.0 + (flat[..., :1] ** 2 + flat[..., 1:2] ** 2) / diameter**2)
+            rise = height - diameter * (1.0 - shrink)
+            up: NDArray[np.float64] = np.concatenate([flat[..., :2] * shrink, rise], axis=-1)
+            return origin + up
+
+        def flat_size(flat: NDArray[np.float64]) -> float:
+            return target(lifted(flat)) * (1.0 + float(flat[:2] @ flat[:2]) / diameter**2)
+
+        rim = diameter * height / radius
+        arrays = ellipse_arrays(0.0, 0.0, rim, rim, flat_size)
+        points = lifted(np.asarray(arrays.points))
+        points[np.abs(points[:, 2]) < 1e-10 * diameter, 2] = 0.0
+        return SurfaceArrays(points, arrays.cells)
+
+    return distributed(comm, build)
+
+
+def air_hall(
+    comm: MPI.Intracomm,
+    width: float,
+    depth: float,
+    height: float,
+    size: float,
+    *,
+    corner: Sequence[float] = (0.0, 0.0),
+    refinements: Sequence[Refinement] = (),
+) -> MembraneMesh:
+    """Mesh an air hall: a half-cylinder with rounded ends over a rectangle in z = 0.
+
+    With c = min(width, depth) / 2, and u, v the distances of a point of the plan from the nearer
+    side in x and in y, the surface is ::
+
+        z = height f(u) f(v),    f(s) = sqrt(1 - (1 - s / c)^2) for s < c,  1 for s >= c.
+
+    Its sections are half ellipses (half circles where height = c) that rise vertically from
+    the ground; the corners of the plan are rounded more and more with the height, as the corners
+    of air-supported sports halls are. At the four corners the surface is a cone; the
+    curvature jumps where the ends meet the half-cylinder; elsewhere it is smooth.
+
+    Edge and point groups are those of `rectangle`.
+
+    Parameters
+    ----------
+    comm
+        Communicator of the mesh; the call is collective.
+    width, depth
+        Extents of the plan in x and y (length).
+    height
+        Height of the top (length).
+    size
+        Edge length of the triangles (length).
+    corner
+        Coordinates (x, y) of the corner of the plan with the least x and y.
+    refinements
+        Where to make the mesh finer.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if an argument is not finite or positive, or `size` is more than a side.
+    """
+
+    def build() -> SurfaceArrays:
+        check_positive("the air hall", width=width, depth=depth, height=height)
+        area = width * depth + 2.0 * height * (width + depth)
+        check_size("the air hall", size, min(width, depth), area)
+        x, y = check_point("the air hall's corner", corner)
+        with own_model() as gmsh:
+            _add_hall(gmsh, x, y, width, depth, height)
+            mesh_with_sizes(gmsh, TargetSize(size, refinements))
+            arrays = read_model(gmsh)
+        points = np.array(arrays.points)
+        # the kernel's parametric curves miss the plan's lines by rounding
+        for name, axis, value in (
+            ("left", 0, x),
+            ("right", 0, x + width),
+            ("front", 1, y),
+            ("back", 1, y + depth),
+        ):
+            line = np.unique(np.asarray(arrays.edges[name]))
+            points[line, axis] = value
+            points[line, 2] = 0.0
+        return SurfaceArrays(points, arrays.cells, arrays.edges, {}, arrays.point_groups)
+
+    return distributed(comm, build)
+
+
+def _add_hall(gmsh: Any, x: float, y: float, width: float, depth: float, height: float) -> None:
+    """Add the hall as one rational B-spline surface, which is exact, with its groups.
+
+    The surface is a product of two profiles of quarter ellipses and straight lines, so its
+    control points and weights are products of theirs.
+    """
+    end = min(width, depth) / 2
+    along_x, rise_x, weight_x, knots_x, multiplicity_x = _profile(width, end)
+    along_y, rise_y, weight_y, knots_y, multiplicity_y = _profile(depth, end)
+    kernel = gmsh.model.occ
+    control = [
+        kernel.addPoint(x + u, y + v, height * p * q)
+        for v, q in zip(along_y, rise_y, strict=True)
+        for u, p in zip(along_x, rise_x, strict=True)
+    ]
+    surface = kernel.addBSplineSurface(
+        control,
+        len(along_x),
+        degreeU=2,
+        degreeV=2,
+        weights=np.outer(weight_y, weight_x).ravel().tolist(),
+        knotsU=knots_x,
+        knotsV=knots_y,
+        multiplicitiesU=multiplicity_x,
+        multiplicitiesV=multiplicity_y,
+    )
+    kernel.remove([(0, point) for point in control])
+    kernel.synchronize()
+    corners = np.array([(x, y), (x + width, y), (x + width, y + depth), (x, y + depth)])
+    middles = (corners + np.roll(corners, -1, axis=0)) / 2
+    for dim, places, names in ((1, middles, RECTANGLE_SIDES), (0, corners, RECTANGLE_CORNERS)):
+        for _, tag in gmsh.model.getBoundary([(2, surface)], recursive=dim == 0):
+            low, high = np.array(gmsh.model.getBoundingBox(dim, abs(tag))).reshape(2, 3)
+            offset = places - (low + high)[:2] / 2
+            nearest = int(np.argmin(np.einsum("ij,ij->i", offset, offset)))
+            gmsh.model.addPhysicalGroup(dim, [abs(tag)], name=names[nearest])
+
+
+def _profile(
+    length: float, end: float
+) -> tuple[list[float], list[float], list[float], list[int], list[int]]:
+    """Return a profile of height 1: places, heights, weights, knots and their multiplicities.
+
+    Quarter ellipses at both ends, with a straight line between them if `length` > 2 `end`.
+    """
+    w = math.sqrt(0.5)
+    if length - 2 * end <= 1e-9 * length:
+        middle = length / 2
+        along = [0.0, 0.0, middle, length, length]
+        return along, [0.0, 1.0, 1.0, 1.0, 0.0], [1.0, w, 1.0, w, 1.0], [0, 1, 2], [3, 2, 3]
+    along = [0.0, 0.0, end, length / 2, length - end, length, length]
+    rise = [0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0]
+    return along, rise, [1.0, w, 1.0, 1.0, 1.0, w, 1.0], [0, 1, 2, 3], [3, 2, 2, 3]

@@ -1,0 +1,178 @@
+"""The mesh of a membrane, distributed over the ranks, with its named groups."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import dolfinx.mesh
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import ArrayLike, NDArray
+
+from crms_fenicsx.compat import create_mesh, geometry_dofmap
+from crms_fenicsx.errors import raised_together
+from crms_fenicsx.meshes.edge_table import edge_keys
+from crms_fenicsx.meshes.orientation import Outside
+from crms_fenicsx.meshes.surface import Surface, SurfaceArrays, checked_surface
+
+UPWARD = (0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class MembraneMesh:
+    """A triangulated membrane in its stress-free shape.
+
+    Group members are local indices, owned ones and ghosts, sorted. Every rank has every
+    group's name, where it has no member of it with an empty array. The arrays are read-only.
+
+    Attributes
+    ----------
+    mesh
+        Triangles in space (topological dimension 2, geometric dimension 3), all normals on
+        the outer side of the membrane. There are no ghost cells. Edges and the
+        connectivities 1-2, 2-1 and 0-2 are there.
+    edges
+        Groups of edges. "boundary", all edges with one cell, is always there.
+    parts
+        Groups of cells.
+    points
+        Groups of vertices.
+    """
+
+    mesh: dolfinx.mesh.Mesh
+    edges: Mapping[str, NDArray[np.int32]]
+    parts: Mapping[str, NDArray[np.int32]]
+    points: Mapping[str, NDArray[np.int32]]
+
+    @property
+    def comm(self) -> MPI.Intracomm:
+        """Communicator of the mesh."""
+        comm: MPI.Intracomm = self.mesh.comm
+        return comm
+
+
+def from_arrays(
+    comm: MPI.Intracomm,
+    points: ArrayLike | None,
+    cells: ArrayLike | None,
+    *,
+    edges: Mapping[str, ArrayLike] | None = None,
+    parts: Mapping[str, ArrayLike] | None = None,
+    point_groups: Mapping[str, ArrayLike] | None = None,
+    outside: Outside = UPWARD,
+) -> MembraneMesh:
+    """Make a membrane from arrays.
+
+    All arguments but `comm` are used on rank 0 only; the others may pass None.
+
+    The surface may have several pieces and holes and may be closed. Vertices at the
+    same place are not merged, so that pieces may lie side by side without being joined.
+
+    Parameters
+    ----------
+    comm
+        Communicator of the mesh; the call is collective.
+    points
+        Coordinates (length) of the stress-free shape, shape (n, 3), or (n, 2) for z = 0.
+    cells
+        Vertices of the triangles, shape (m, 3), in any order: the cells are turned so that all
+        normals of a piece point to the same side.
+    edges
+        Named edges, each group by the vertex pairs of its edges, shape (k, 2).
+        "boundary" is reserved for all edges with one cell.
+    parts
+        Named parts of the membrane, each by the indices of its cells, shape (k,).
+    point_groups
+        Named vertices, shape (k,).
+    outside
+        The side that pressure acts towards: a direction with which each piece's normals make
+        an acute angle on the whole, or `AwayFrom` a point inside.
+
+    Returns
+    -------
+    MembraneMesh
+        The distributed mesh with its groups.
+
+    Raises
+    ------
+    MeshError
+        On all ranks, if an array has a wrong shape or type, a coordinate is not finite, a
+        cell is degenerate (area below 1e-10 times its longest edge squared) or there twice,
+        a vertex is the corner of no cell, an edge has more than two cells, separate parts touch in
+        nothing but a vertex, a piece has only one side, `outside` does not tell its
+        sides apart, or a group is empty or names what is not there.
+    """
+
+    def arrays() -> SurfaceArrays:
+        return SurfaceArrays(
+            () if points is None else points,
+            () if cells is None else cells,
+            edges or {},
+            parts or {},
+            point_groups or {},
+        )
+
+    return distributed(comm, arrays, outside)
+
+
+def distributed(
+    comm: MPI.Intracomm, build: Callable[[], SurfaceArrays], outside: Outside = UPWARD
+) -> MembraneMesh:
+    """Let rank 0 build a surface, check and orient it, then distribute it.
+
+    `build` is called on rank 0 only and must not communicate; what it raises is raised on all
+    ranks.
+    """
+    surface: Surface | None = None
+    with raised_together(comm):
+        if comm.rank == 0:
+            surface = checked_surface(build(), outside)
+    if surface is None:
+        surface = Surface(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64), {}, {}, {})
+    mesh = create_mesh(comm, surface.cells, surface.points)
+    topology = mesh.topology
+    topology.create_entities(1)
+    for a, b in ((1, 2), (2, 1), (0, 2)):
+        topology.create_connectivity(a, b)
+    vertices = mesh.geometry.input_global_indices[vertex_nodes(mesh)]
+    pairs = vertices[topology.connectivity(1, 0).array.reshape(-1, 2)]
+    return MembraneMesh(
+        mesh,
+        _local_groups(comm, edge_keys(pairs), surface.edges),
+        _local_groups(comm, topology.original_cell_index, surface.parts),
+        _local_groups(comm, vertices, surface.point_groups),
+    )
+
+
+def vertex_nodes(mesh: dolfinx.mesh.Mesh) -> NDArray[np.int32]:
+    """Return the geometry node of each local vertex, shape (vertices on this rank,)."""
+    vertex_map = mesh.topology.index_map(0)
+    nodes = np.empty(vertex_map.size_local + vertex_map.num_ghosts, dtype=np.int32)
+    nodes[mesh.topology.connectivity(2, 0).array] = geometry_dofmap(mesh).ravel()
+    return nodes
+
+
+def _local_groups(
+    comm: MPI.Intracomm, keys: NDArray[np.int64], groups: Mapping[str, NDArray[np.int64]]
+) -> Mapping[str, NDArray[np.int32]]:
+    """Find each rank's members of the groups that rank 0 knows, by the keys of its entities.
+
+    Rank 0 looks up the keys of one rank after the other, so that no other rank ever holds
+    a whole group, and ghosts need no further communication.
+    """
+    asked = comm.gather(keys, root=0)
+    answers = None
+    if asked is not None:
+        answers = [
+            {
+                name: np.flatnonzero(np.isin(theirs, members)).astype(np.int32)
+                for name, members in groups.items()
+            }
+            for theirs in asked
+        ]
+    local: dict[str, NDArray[np.int32]] = comm.scatter(answers, root=0)
+    for indices in local.values():
+        indices.setflags(write=False)
+    return MappingProxyType(local)

@@ -1,0 +1,141 @@
+"""Give all cells of each connected piece of a surface the same side up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from crms_fenicsx.errors import MeshError
+from crms_fenicsx.meshes.edge_table import EdgeTable
+
+_VANISHING = 1e-6  # share of a piece's area below which `outside` does not tell its sides apart
+
+
+@dataclass(frozen=True)
+class AwayFrom:
+    """Outside is the side of the membrane that faces away from a point.
+
+    For closed or steep surfaces, where no single direction tells inside from outside.
+
+    Parameters
+    ----------
+    point
+        Coordinates (3 numbers, length) of a point inside.
+    """
+
+    point: Sequence[float]
+
+
+Outside = Sequence[float] | AwayFrom
+"""A direction in space (3 numbers, any length but 0), or `AwayFrom` a point."""
+
+
+def connected_labels(size: int, a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Label the connected components of the graph with links a[k]-b[k] between `size` nodes."""
+    links = coo_array((np.ones(len(a), dtype=bool), (a, b)), shape=(size, size))
+    labels: NDArray[np.int64] = connected_components(links, directed=False)[1].astype(np.int64)
+    return labels
+
+
+def oriented(
+    points: NDArray[np.float64], cells: NDArray[np.int64], table: EdgeTable, outside: Outside
+) -> NDArray[np.int64]:
+    """Turn cells so that all normals point outside.
+
+    Each cell is two nodes of a graph, "as given" (index c) and "turned" (index m + c). An inner
+    edge links the nodes of its two cells that agree. A piece that can be oriented
+    falls into two components, one for each of its sides.
+
+    Parameters
+    ----------
+    points
+        Coordinates, shape (n, 3).
+    cells
+        Vertices of the cells, shape (m, 3), free of non-manifold edges.
+    table
+        The edges of `cells`.
+    outside
+        What the normals have to point along, or away from; decided piece by piece.
+
+    Returns
+    -------
+    ndarray
+        The cells, shape (m, 3); the second and third vertex of turned ones are swapped.
+
+    Raises
+    ------
+    MeshError
+        If a piece is one-sided, `outside` is no direction or point, or does not tell the
+        two sides of a piece apart.
+    """
+    first, second = table.inner_sides()
+    turned = len(cells) * (table.ascending[first] == table.ascending[second])
+    a, b = first // 3, second // 3
+    labels = connected_labels(
+        2 * len(cells),
+        np.concatenate([a, a + len(cells)]),
+        np.concatenate([b + turned, b + len(cells) - turned]),
+    ).reshape(2, len(cells))
+    one_sided = np.flatnonzero(labels[0] == labels[1])
+    if len(one_sided):
+        raise MeshError(
+            f"the piece of the surface with cell {one_sided[0]} has only one side, like a "
+            "Moebius strip: cut it open or remove the twist"
+        )
+    turn = labels[0] > labels[1]
+    piece = np.unique(np.minimum(labels[0], labels[1]), return_inverse=True)[1]
+    turn ^= _pieces_inside_out(points, _turned(cells, turn), piece, outside)[piece]
+    return _turned(cells, turn)
+
+
+def _turned(cells: NDArray[np.int64], turn: NDArray[np.bool_]) -> NDArray[np.int64]:
+    return np.where(turn[:, None], cells[:, [0, 2, 1]], cells)
+
+
+def _pieces_inside_out(
+    points: NDArray[np.float64],
+    cells: NDArray[np.int64],
+    piece: NDArray[np.intp],
+    outside: Outside,
+) -> NDArray[np.bool_]:
+    """Tell for each piece whether its normals point inside on the whole."""
+    corners = points[cells]
+    area = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    if isinstance(outside, AwayFrom):
+        origin = _three_numbers(outside.point, "the inner point of `outside`")
+        rays = corners.mean(axis=1) - origin
+        flux = np.einsum("ij,ij->i", area, rays)
+        scale = np.linalg.norm(area, axis=1) * np.linalg.norm(rays, axis=1)
+        remedy = "give a point well inside: outside=AwayFrom(point)"
+    else:
+        direction = _three_numbers(outside, "the direction `outside`")
+        length = np.linalg.norm(direction)
+        if length == 0:
+            raise MeshError("the direction `outside` is (0, 0, 0): give a non-zero vector")
+        flux = area @ (direction / length)
+        scale = np.linalg.norm(area, axis=1)
+        remedy = "give another direction, or a point inside: outside=AwayFrom(point)"
+    total = np.bincount(piece, weights=flux)
+    unclear = np.flatnonzero(np.abs(total) <= _VANISHING * np.bincount(piece, weights=scale))
+    if len(unclear):
+        cell = int(np.flatnonzero(piece == unclear[0])[0])
+        raise MeshError(
+            f"outside={outside} does not tell the two sides of the piece with cell {cell} "
+            f"apart, as on a closed or vertical surface: {remedy}"
+        )
+    return total < 0
+
+
+def _three_numbers(values: Sequence[float], what: str) -> NDArray[np.float64]:
+    try:
+        vector = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        vector = np.empty(0)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise MeshError(f"{what} is {values!r}: give three finite numbers (x, y, z)")
+    return vector

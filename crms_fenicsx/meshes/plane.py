@@ -1,0 +1,268 @@
+"""Flat membranes: rectangle, ellipse, circle, polygon."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from crms_fenicsx.errors import InputError
+from crms_fenicsx.meshes.arguments import check_point, check_positive, check_size
+from crms_fenicsx.meshes.gmsh_model import mesh_with_sizes, own_model, read_model
+from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, distributed
+from crms_fenicsx.meshes.outline import simple_outline
+from crms_fenicsx.meshes.refinement import Refinement, TargetSize
+from crms_fenicsx.meshes.surface import SurfaceArrays
+
+RECTANGLE_SIDES = ("front", "right", "back", "left")
+RECTANGLE_CORNERS = ("front left", "front right", "back right", "back left")
+
+
+def rectangle(
+    comm: MPI.Intracomm,
+    width: float,
+    depth: float,
+    size: float,
+    *,
+    corner: Sequence[float] = (0.0, 0.0),
+    structured: bool = False,
+    refinements: Sequence[Refinement] = (),
+) -> MembraneMesh:
+    """Mesh a rectangle in the plane z = 0.
+
+    Its sides are the edge groups "left" and "right" (least and greatest x), "front" and
+    "back" (least and greatest y); its corners are the point groups "front left" and so on.
+
+    Parameters
+    ----------
+    comm
+        Communicator of the mesh; the call is collective.
+    width, depth
+        Extents in x and y (length).
+    size
+        Edge length of the triangles (length).
+    corner
+        Coordinates (x, y) of the corner with the least x and y.
+    structured
+        Cut round(width / size) x round(depth / size) equal rectangles, each by its diagonal
+        from lower left to upper right, instead of meshing freely.
+    refinements
+        Where to make a free mesh finer.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if an argument is not finite or positive, `size` is more than a side, or
+        a structured mesh is to be refined.
+    """
+
+    def build() -> SurfaceArrays:
+        check_positive("the rectangle", width=width, depth=depth)
+        check_size("the rectangle", size, min(width, depth), width * depth)
+        x, y = check_point("the rectangle's corner", corner)
+        if structured:
+            if refinements:
+                raise InputError(
+                    f"a structured rectangle cannot take {len(refinements)} refinement(s): "
+                    "use structured=False"
+                )
+            return _structured(x, y, width, depth, size)
+        corners = np.array([(x, y), (x + width, y), (x + width, y + depth), (x, y + depth)])
+        target = TargetSize(size, refinements)
+        return _polygon_arrays(corners, target, RECTANGLE_SIDES, RECTANGLE_CORNERS)
+
+    return distributed(comm, build)
+
+
+def ellipse(
+    comm: MPI.Intracomm,
+    a: float,
+    b: float,
+    size: float,
+    *,
+    center: Sequence[float] = (0.0, 0.0),
+    refinements: Sequence[Refinement] = (),
+) -> MembraneMesh:
+    """Mesh an ellipse in the plane z = 0; the ends of its axes are vertices.
+
+    Parameters
+    ----------
+    comm
+        Communicator of the mesh; the call is collective.
+    a, b
+        Semi-axes along x and y (length).
+    size
+        Edge length of the triangles (length).
+    center
+        Coordinates (x, y) of its centre.
+    refinements
+        Where to make the mesh finer.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if an argument is not finite or positive, or `size` is more than a
+        semi-axis.
+    """
+
+    def build() -> SurfaceArrays:
+        check_positive("the ellipse", a=a, b=b)
+        check_size("the ellipse", size, min(a, b), math.pi * a * b)
+        x, y = check_point("the ellipse's centre", center)
+        return ellipse_arrays(x, y, a, b, TargetSize(size, refinements))
+
+    return distributed(comm, build)
+
+
+def circle(
+    comm: MPI.Intracomm,
+    radius: float,
+    size: float,
+    *,
+    center: Sequence[float] = (0.0, 0.0),
+    refinements: Sequence[Refinement] = (),
+) -> MembraneMesh:
+    """Mesh a circle in the plane z = 0; its points on the axes are vertices.
+
+    Parameters
+    ----------
+    comm
+        Communicator of the mesh; the call is collective.
+    radius
+        Its radius (length).
+    size
+        Edge length of the triangles (length).
+    center
+        Coordinates (x, y) of its centre.
+    refinements
+        Where to make the mesh finer.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if an argument is not finite or positive, or `size` is more than the
+        radius.
+    """
+
+    def build() -> SurfaceArrays:
+        check_positive("the circle", radius=radius)
+        check_size("the circle", size, radius, math.pi * radius**2)
+        x, y = check_point("the circle's centre", center)
+        return ellipse_arrays(x, y, radius, radius, TargetSize(size, refinements))
+
+    return distributed(comm, build)
+
+
+def polygon(
+    comm: MPI.Intracomm,
+    corners: Sequence[Sequence[float]],
+    size: float,
+    *,
+    names: Sequence[str] | None = None,
+    refinements: Sequence[Refinement] = (),
+) -> MembraneMesh:
+    """Mesh a polygon in the plane z = 0.
+
+    Its corners are the point groups "corner 1", "corner 2", and so on.
+
+    Parameters
+    ----------
+    comm
+        Communicator of the mesh; the call is collective.
+    corners
+        Coordinates (x, y) of the corners in their order, either way around.
+    size
+        Edge length of the triangles (length).
+    names
+        Names of the sides' edge groups, the first for the side from corner 1 to corner 2. A
+        name may be used again; "side 1", "side 2", and so on if not given.
+    refinements
+        Where to make the mesh finer.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if there are fewer than three corners, a side has no length, sides
+        intersect or touch, the names are not as many as the sides, or `size` is not
+        positive or more than the polygon's extent.
+    """
+
+    def build() -> SurfaceArrays:
+        outline = simple_outline(corners)
+        sides = [f"side {k}" for k in range(1, len(outline) + 1)] if names is None else list(names)
+        if len(sides) != len(outline):
+            raise InputError(
+                f"there are {len(sides)} names for the {len(outline)} sides of the polygon: give "
+                "one for each"
+            )
+        for name in sides:
+            if not isinstance(name, str) or not name.strip():
+                raise InputError(f"a side of the polygon has the name {name!r}: give a string")
+        x, y = outline.T
+        area = 0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+        check_size("the polygon", size, float(np.ptp(outline, axis=0).min()), area)
+        corner_names = [f"corner {k}" for k in range(1, len(outline) + 1)]
+        return _polygon_arrays(outline, TargetSize(size, refinements), sides, corner_names)
+
+    return distributed(comm, build)
+
+
+def ellipse_arrays(
+    x: float, y: float, a: float, b: float, target: Callable[[NDArray[np.float64]], float]
+) -> SurfaceArrays:
+    """Mesh an ellipse about (x, y) with gmsh; `target` as for `mesh_with_sizes`."""
+    with own_model() as gmsh:
+        geometry = gmsh.model.geo
+        middle = geometry.addPoint(x, y, 0.0)
+        ends = [
+            geometry.addPoint(x + u * a, y + v * b, 0.0)
+            for u, v in ((1, 0), (0, 1), (-1, 0), (0, -1))
+        ]
+        major = ends[0] if a >= b else ends[1]
+        arcs = [geometry.addEllipseArc(ends[k], middle, major, ends[(k + 1) % 4]) for k in range(4)]
+        geometry.addPlaneSurface([geometry.addCurveLoop(arcs)])
+        geometry.synchronize()
+        mesh_with_sizes(gmsh, target)
+        return read_model(gmsh)
+
+
+def _structured(x: float, y: float, width: float, depth: float, size: float) -> SurfaceArrays:
+    nx, ny = max(round(width / size), 1), max(round(depth / size), 1)
+    points = np.stack(
+        np.meshgrid(np.linspace(x, x + width, nx + 1), np.linspace(y, y + depth, ny + 1)), axis=-1
+    ).reshape(-1, 2)
+    grid = np.arange(len(points)).reshape(ny + 1, nx + 1)
+    a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
+    cells = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
+    lines = dict(zip(RECTANGLE_SIDES, (grid[0], grid[:, -1], grid[-1], grid[:, 0]), strict=True))
+    edges = {name: np.column_stack([line[:-1], line[1:]]) for name, line in lines.items()}
+    corners = zip(RECTANGLE_CORNERS, grid[[0, 0, -1, -1], [0, -1, -1, 0]], strict=True)
+    return SurfaceArrays(
+        points, cells, edges, point_groups={name: np.array([k]) for name, k in corners}
+    )
+
+
+def _polygon_arrays(
+    outline: NDArray[np.float64],
+    target: TargetSize,
+    sides: Sequence[str],
+    corner_names: Sequence[str],
+) -> SurfaceArrays:
+    with own_model() as gmsh:
+        geometry = gmsh.model.geo
+        corners = [geometry.addPoint(x, y, 0.0) for x, y in outline]
+        lines = [
+            geometry.addLine(a, b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)
+        ]
+        geometry.addPlaneSurface([geometry.addCurveLoop(lines)])
+        geometry.synchronize()
+        for name in dict.fromkeys(sides):
+            members = [line for line, side in zip(lines, sides, strict=True) if side == name]
+            gmsh.model.addPhysicalGroup(1, members, name=name)
+        for name, point in zip(corner_names, corners, strict=True):
+            gmsh.model.addPhysicalGroup(0, [point], name=name)
+        mesh_with_sizes(gmsh, target)
+        return read_model(gmsh)

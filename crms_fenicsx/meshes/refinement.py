@@ -1,0 +1,108 @@
+"""Sizes of triangles: one general size, and smaller ones near given lines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crms_fenicsx.errors import InputError
+from crms_fenicsx.meshes.arguments import check_positive
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """Smaller triangles near a line, for instance below a cable.
+
+    Parameters
+    ----------
+    line
+        Points (at least one) of a polyline. With two coordinates each, distances to it
+        are measured in the plan; with three, in space. One refinement has one kind.
+    size
+        Edge length of the triangles on the line (length).
+    distance
+        Distance from the line (length) over which the edge length grows linearly to the general
+        one.
+
+    Raises
+    ------
+    InputError
+        If the line is no list of points, or a size is not positive and finite.
+    """
+
+    line: Sequence[Sequence[float]]
+    size: float
+    distance: float
+
+    def __post_init__(self) -> None:
+        try:
+            line = np.asarray(self.line, dtype=np.float64)
+        except (TypeError, ValueError):
+            line = np.empty(0)
+        if line.ndim != 2 or line.shape[0] < 1 or line.shape[1] not in (2, 3):
+            raise InputError(
+                f"the refinement's line is {self.line!r}: give points (x, y), or all (x, y, z)"
+            )
+        if not np.isfinite(line).all():
+            raise InputError(f"the refinement's line {self.line!r} has a coordinate not finite")
+        check_positive("a refinement", size=self.size, distance=self.distance)
+
+
+class TargetSize:
+    """Wanted edge length anywhere in space.
+
+    Parameters
+    ----------
+    general
+        Edge length far from all refinements (length).
+    refinements
+        Where it is smaller.
+
+    Raises
+    ------
+    InputError
+        If a refinement asks for more than the general size.
+    """
+
+    def __init__(self, general: float, refinements: Sequence[Refinement]) -> None:
+        for refinement in refinements:
+            if refinement.size > general:
+                raise InputError(
+                    f"a refinement has size {refinement.size}, more than the mesh's "
+                    f"{general}: refine to a smaller size"
+                )
+        starts, ends, weights, sizes, slopes = [], [], [], [], []
+        for refinement in refinements:
+            line = np.asarray(refinement.line, dtype=np.float64)
+            in_space = line.shape[1] == 3
+            if not in_space:
+                line = np.column_stack([line, np.zeros(len(line))])
+            starts.append(line[:-1] if len(line) > 1 else line)
+            ends.append(line[1:] if len(line) > 1 else line)
+            count = len(starts[-1])
+            weights.append(np.tile([1.0, 1.0, float(in_space)], (count, 1)))
+            sizes.append(np.full(count, refinement.size))
+            slopes.append(np.full(count, (general - refinement.size) / refinement.distance))
+        self.general = general
+        self.refined = len(refinements) > 0
+        if self.refined:
+            self._start = np.concatenate(starts)
+            self._along = np.concatenate(ends) - self._start
+            self._weight = np.concatenate(weights)
+            self._size = np.concatenate(sizes)
+            self._slope = np.concatenate(slopes)
+            squared = np.einsum("ij,ij->i", self._along, self._along)
+            self._squared = np.where(squared > 0, squared, 1.0)
+
+    def __call__(self, point: NDArray[np.float64]) -> float:
+        """Return the wanted edge length at a point, shape (3,)."""
+        if not self.refined:
+            return self.general
+        offset = (point - self._start) * self._weight
+        share = (np.einsum("ij,ij->i", offset, self._along) / self._squared).clip(0.0, 1.0)
+        gap = offset - share[:, None] * self._along
+        distance = np.sqrt(np.einsum("ij,ij->i", gap, gap))
+        return min(self.general, float((self._size + self._slope * distance).min()))

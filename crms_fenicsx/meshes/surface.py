@@ -1,0 +1,248 @@
+"""Check that arrays describe an orientable triangulated surface, before it is distributed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from crms_fenicsx.errors import MeshError
+from crms_fenicsx.meshes.edge_table import EdgeTable, edge_keys
+from crms_fenicsx.meshes.orientation import Outside, connected_labels, oriented
+
+BOUNDARY = "boundary"
+"""Reserved name of the group of all edges with one cell."""
+
+_DEGENERATE = 1e-10  # area / (longest edge)^2; a sliver of aspect ratio 1e4 has 5e-5
+
+
+@dataclass(frozen=True)
+class SurfaceArrays:
+    """What a generator or a reader hands over: arrays as `from_arrays` takes them."""
+
+    points: ArrayLike
+    cells: ArrayLike
+    edges: Mapping[str, ArrayLike] = field(default_factory=dict)
+    parts: Mapping[str, ArrayLike] = field(default_factory=dict)
+    point_groups: Mapping[str, ArrayLike] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A checked and oriented surface, all of it on one rank.
+
+    Attributes
+    ----------
+    points
+        Coordinates, shape (n, 3).
+    cells
+        Vertices of the cells, shape (m, 3); all normals of a piece on its outer side.
+    edges
+        `edge_keys` of the edges of each group, "boundary" among them.
+    parts, point_groups
+        Cell and vertex indices of each group.
+    """
+
+    points: NDArray[np.float64]
+    cells: NDArray[np.int64]
+    edges: dict[str, NDArray[np.int64]]
+    parts: dict[str, NDArray[np.int64]]
+    point_groups: dict[str, NDArray[np.int64]]
+
+
+def checked_surface(arrays: SurfaceArrays, outside: Outside) -> Surface:
+    """Check arrays and orient their cells.
+
+    Raises
+    ------
+    MeshError
+        Naming the first thing that is wrong; `from_arrays` lists what is checked.
+    """
+    points = _coordinates(arrays.points)
+    cells = _cells(arrays.cells, points)
+    _check_shapes(points, cells)
+    table = EdgeTable.of(cells)
+    _check_sheet(points, cells, table)
+    return Surface(
+        points,
+        oriented(points, cells, table, outside),
+        _edge_groups(arrays.edges, points, table),
+        _index_groups(arrays.parts, "part", "cells", len(cells)),
+        _index_groups(arrays.point_groups, "point group", "vertices", len(points)),
+    )
+
+
+def _place(points: NDArray[np.float64], vertex: int) -> str:
+    x, y, z = points[vertex]
+    return f"vertex {vertex} at ({x:.6g}, {y:.6g}, {z:.6g})"
+
+
+def _places(points: NDArray[np.float64], vertices: NDArray[np.int64]) -> str:
+    return ", ".join(_place(points, int(vertex)) for vertex in vertices)
+
+
+def _coordinates(given: ArrayLike) -> NDArray[np.float64]:
+    try:
+        points = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise MeshError(f"the points are no array of numbers ({error})") from error
+    if points.ndim != 2 or points.shape[1] not in (2, 3):
+        raise MeshError(f"the points have shape {points.shape}: give (n, 3) or (n, 2) coordinates")
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if len(bad):
+        raise MeshError(
+            f"vertex {bad[0]} has the coordinates {tuple(points[bad[0]].tolist())}: "
+            "all coordinates must be finite"
+        )
+    if points.shape[1] == 2:
+        points = np.column_stack([points, np.zeros(len(points))])
+    return np.ascontiguousarray(points)
+
+
+def _integers(given: ArrayLike, what: str) -> NDArray[np.int64]:
+    try:
+        array: NDArray[Any] = np.asarray(given)
+    except ValueError as error:  # rows of different lengths
+        raise MeshError(f"{what} are no array ({error})") from error
+    if array.size and array.dtype.kind not in "iu":
+        raise MeshError(f"{what} have the type {array.dtype}: give integer indices, from 0")
+    return array.astype(np.int64)
+
+
+def _cells(given: ArrayLike, points: NDArray[np.float64]) -> NDArray[np.int64]:
+    cells = _integers(given, "the cells")
+    if cells.size == 0:
+        raise MeshError("the mesh has no cells: give at least one triangle")
+    if cells.ndim != 2 or cells.shape[1] != 3:
+        raise MeshError(
+            f"the cells have shape {cells.shape}: give triangles, shape (m, 3), and cut other "
+            "polygons into triangles"
+        )
+    bad = np.flatnonzero(((cells < 0) | (cells >= len(points))).any(axis=1))
+    if len(bad):
+        raise MeshError(
+            f"cell {bad[0]} has the vertices {cells[bad[0]].tolist()}, but there are only "
+            f"vertices 0 to {len(points) - 1}"
+        )
+    return cells
+
+
+def _check_shapes(points: NDArray[np.float64], cells: NDArray[np.int64]) -> None:
+    """Refuse degenerate cells, duplicate cells and loose vertices."""
+    corners = points[cells]
+    sides = corners[:, [1, 2, 0]] - corners
+    area = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    longest = np.einsum("ijk,ijk->ij", sides, sides).max(axis=1)
+    bad = np.flatnonzero(area <= _DEGENERATE * longest)
+    if len(bad):
+        raise MeshError(
+            f"cell {bad[0]} has no area; its vertices are {_places(points, cells[bad[0]])}: "
+            "remove it or move a vertex"
+        )
+    triples = np.sort(cells, axis=1)
+    order = np.lexsort(triples.T)
+    same = np.flatnonzero((np.diff(triples[order], axis=0) == 0).all(axis=1))
+    if len(same):
+        one, two = sorted(order[same[0] : same[0] + 2].tolist())
+        raise MeshError(
+            f"cells {one} and {two} have the same vertices, {_places(points, triples[one])}: "
+            "remove one of them"
+        )
+    loose = np.setdiff1d(np.arange(len(points)), cells)
+    if len(loose):
+        raise MeshError(
+            f"{_place(points, loose[0])} is the corner of no cell ({len(loose)} such vertices): "
+            "remove it and renumber the others"
+        )
+
+
+def _check_sheet(points: NDArray[np.float64], cells: NDArray[np.int64], table: EdgeTable) -> None:
+    """Refuse edges with three cells or more, and vertices where separate fans only touch."""
+    bad = np.flatnonzero(table.counts > 2)
+    if len(bad):
+        around = sorted(int(side) // 3 for side in table.sides_of(int(bad[0])))
+        raise MeshError(
+            f"the edge between {_places(points, table.vertices[bad[0]])} belongs to "
+            f"{len(around)} cells, {around}: a membrane has at most two at an edge; join "
+            "further sheets by vertices of their own"
+        )
+    first, second = table.inner_sides()
+    next_corner = np.arange(cells.size).reshape(-1, 3)[:, [1, 2, 0]].ravel()
+    alike = table.ascending[first] == table.ascending[second]
+    starts = np.where(alike, second, next_corner[second])
+    ends = np.where(alike, next_corner[second], second)
+    fan = connected_labels(
+        cells.size,
+        np.concatenate([first, next_corner[first]]),
+        np.concatenate([starts, ends]),
+    )
+    corner_of_fan = np.unique(fan, return_index=True)[1]
+    fans = np.bincount(cells.ravel()[corner_of_fan])
+    bad = np.flatnonzero(fans > 1)
+    if len(bad):
+        raise MeshError(
+            f"at {_place(points, int(bad[0]))} {fans[bad[0]]} separate parts of the membrane "
+            "touch in nothing but this vertex: give each of them a vertex of its own, or join "
+            "them along an edge"
+        )
+
+
+def _check_name(name: str, kind: str) -> None:
+    if not isinstance(name, str) or not name.strip():
+        raise MeshError(f"the {kind} {name!r} has no name: give a non-empty string")
+
+
+def _edge_groups(
+    groups: Mapping[str, ArrayLike], points: NDArray[np.float64], table: EdgeTable
+) -> dict[str, NDArray[np.int64]]:
+    checked = {BOUNDARY: edge_keys(table.boundary())}
+    for name, given in groups.items():
+        _check_name(name, "edge group")
+        pairs = _integers(given, f"the edges of group '{name}'")
+        if pairs.size == 0:
+            raise MeshError(f"edge group '{name}' is empty: leave it out or give it an edge")
+        if pairs.ndim != 2 or pairs.shape[1] != 2:
+            raise MeshError(
+                f"edge group '{name}' has shape {pairs.shape}: give pairs of vertices, (k, 2)"
+            )
+        _check_range(pairs, f"edge group '{name}'", "vertices", len(points))
+        keys = np.unique(edge_keys(pairs))
+        missing = keys[~np.isin(keys, table.keys, assume_unique=True)]
+        if len(missing):
+            pair = np.array([missing[0] >> 32, missing[0] & 0xFFFFFFFF])
+            raise MeshError(
+                f"edge group '{name}' has a pair that is no edge of the mesh: "
+                f"{_places(points, pair)}: name only sides of triangles"
+            )
+        if name == BOUNDARY and not np.array_equal(keys, np.sort(checked[BOUNDARY])):
+            raise MeshError(
+                f"edge group '{BOUNDARY}' has {len(keys)} edges, but that name is reserved for "
+                f"all {len(checked[BOUNDARY])} edges with one cell: choose another name"
+            )
+        checked[name] = keys
+    return checked
+
+
+def _index_groups(
+    groups: Mapping[str, ArrayLike], kind: str, items: str, count: int
+) -> dict[str, NDArray[np.int64]]:
+    checked = {}
+    for name, given in groups.items():
+        _check_name(name, kind)
+        indices = _integers(given, f"the {items} of {kind} '{name}'")
+        if indices.size == 0:
+            raise MeshError(f"{kind} '{name}' is empty: leave it out or give it {items}")
+        if indices.ndim != 1:
+            raise MeshError(f"{kind} '{name}' has shape {indices.shape}: give a list of {items}")
+        _check_range(indices, f"{kind} '{name}'", items, count)
+        checked[name] = np.unique(indices)
+    return checked
+
+
+def _check_range(indices: NDArray[np.int64], what: str, items: str, count: int) -> None:
+    bad = indices[(indices < 0) | (indices >= count)]
+    if len(bad):
+        raise MeshError(f"{what} names {bad[0]}, but there are only {items} 0 to {count - 1}")
