@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 def edge_keys(pairs: NDArray[np.integer]) -> NDArray[np.int64]:
     """Give each vertex pair, shape (k, 2), an integer that does not depend on its order."""
     pairs = np.sort(pairs.astype(np.int64).reshape(-1, 2), axis=1)
-    keys: NDArray[np.int64] = (pairs[:, 0] << 32) | pairs[:, 1]
-    return keys
+    return (pairs[:, 0] << 32) | pairs[:, 1]
 
 
 @dataclass(frozen=True)
@@ -52,7 +51,7 @@ class EdgeTable:
     def sides_of(self, edge: int) -> NDArray[np.intp]:
         """Return the sides that lie on one edge."""
         start = int(self.counts[:edge].sum())
-        return self.order[start : start + self.counts[edge]]
+        return self.order[start : start + int(self.counts[edge])]
 
     def inner_sides(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return the two sides of every edge between two cells."""
@@ -62,4 +61,5 @@ class EdgeTable:
 
     def boundary(self) -> NDArray[np.int64]:
         """Return the vertex pairs of the edges with one cell, shape (k, 2)."""
-        return self.vertices[self.counts == 1]
+        pairs: NDArray[np.int64] = self.vertices[self.counts == 1]
+        return pairs

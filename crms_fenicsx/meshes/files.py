@@ -129,8 +129,13 @@ def _read_by_meshio(file: Path) -> SurfaceArrays:
 
     said = io.StringIO()
     try:
-        # meshio prints, and ends the program, where a file is not what its suffix says
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        # meshio prints, and ends the program, where a file is not what its suffix says; its
+        # test for binary .stl files overflows on those that are text
+        with (
+            contextlib.redirect_stdout(said),
+            contextlib.redirect_stderr(said),
+            np.errstate(over="ignore"),
+        ):
             content = meshio.read(file)
     except (Exception, SystemExit) as error:
         raise MeshError(

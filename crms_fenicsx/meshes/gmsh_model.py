@@ -90,6 +90,8 @@ def read_model(gmsh: Any) -> SurfaceArrays:
     """Read the triangles and the physical groups of the current model.
 
     Nodes that are the corner of no triangle, such as the centres of circles, are left out.
+    A triangle that is there several times is taken once: .msh files of version 2 repeat it for
+    each of its physical groups.
 
     Raises
     ------
@@ -115,7 +117,8 @@ def read_model(gmsh: Any) -> SurfaceArrays:
     node_tags, coordinates, _ = gmsh.model.mesh.getNodes()
     order = np.argsort(node_tags)
     rows = order[np.searchsorted(node_tags, used, sorter=order)]
-    cell_order = np.argsort(tags)
+    tag_order = np.argsort(tags)
+    cells, cell_of_element = _without_repetitions(cells.reshape(-1, 3))
     edges: dict[str, list[NDArray[np.int64]]] = {}
     parts: dict[str, list[NDArray[np.int64]]] = {}
     points: dict[str, list[NDArray[np.int64]]] = {}
@@ -124,8 +127,8 @@ def read_model(gmsh: Any) -> SurfaceArrays:
         for entity in gmsh.model.getEntitiesForPhysicalGroup(dim, tag):
             if dim == 2:
                 members = gmsh.model.mesh.getElementsByType(_TRIANGLE, entity)[0]
-                found = np.searchsorted(tags, members, sorter=cell_order)
-                parts.setdefault(name, []).append(cell_order[found])
+                found = np.searchsorted(tags, members, sorter=tag_order)
+                parts.setdefault(name, []).append(cell_of_element[tag_order[found]])
             elif dim == 1:
                 members = gmsh.model.mesh.getElementsByType(_LINE, entity)[1]
                 edges.setdefault(name, []).append(_renumbered(used, members, name).reshape(-1, 2))
@@ -134,11 +137,27 @@ def read_model(gmsh: Any) -> SurfaceArrays:
                 points.setdefault(name, []).append(_renumbered(used, members, name))
     return SurfaceArrays(
         coordinates.reshape(-1, 3)[rows],
-        cells.reshape(-1, 3),
+        cells,
         {name: np.concatenate(group) for name, group in edges.items()},
         {name: np.concatenate(group) for name, group in parts.items()},
         {name: np.concatenate(group) for name, group in points.items()},
     )
+
+
+def _without_repetitions(
+    triangles: NDArray[np.int64],
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the different triangles, in the order given, and the place of each one there."""
+    corners = np.sort(triangles, axis=1)
+    order = np.lexsort(corners.T)
+    is_new = np.ones(len(triangles), dtype=bool)
+    is_new[1:] = (np.diff(corners[order], axis=0) != 0).any(axis=1)
+    # the sort is stable: of equal triangles the first one given comes first
+    first_given = order[is_new][np.cumsum(is_new) - 1]
+    representative = np.empty(len(triangles), dtype=np.int64)
+    representative[order] = first_given
+    kept, place = np.unique(representative, return_inverse=True)
+    return triangles[kept], place.astype(np.int64)
 
 
 def _renumbered(

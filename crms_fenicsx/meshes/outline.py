@@ -56,7 +56,8 @@ def _cross(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64
 
 
 def _folds_back(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.bool_]:
-    return (_cross(u, v) == 0) & (np.einsum("ij,ij->i", u, v) < 0)
+    back = (_cross(u, v) == 0) & (np.einsum("ij,ij->i", u, v) < 0)
+    return np.asarray(back, dtype=np.bool_)
 
 
 def _meet(
@@ -69,5 +70,4 @@ def _meet(
     apart = (np.maximum(a, b) < np.minimum(c, d)) | (np.maximum(c, d) < np.minimum(a, b))
     c_d_sides = _cross(b - a, c - a) * _cross(b - a, d - a)
     a_b_sides = _cross(d - c, a - c) * _cross(d - c, b - c)
-    meet: NDArray[np.bool_] = ~apart.any(axis=1) & (c_d_sides <= 0) & (a_b_sides <= 0)
-    return meet
+    return ~apart.any(axis=1) & (c_d_sides <= 0) & (a_b_sides <= 0)
