@@ -1,1 +1,37 @@
-"""Cable-reinforced membrane structures with foldable finite elements on FEniCSx."""
+"""Cable-reinforced membrane structures with foldable finite elements on FEniCSx.
+
+A load step runs through the modules in one direction: `scene` (what there is) -> `system` and
+`potential` (its energy) -> `solver` and `minimizer` (its equilibrium) -> `state` -> `output`.
+"""
+
+from crms_fenicsx import meshes
+from crms_fenicsx.cables.cable import Cable, LaidCable
+from crms_fenicsx.errors import (
+    ConvergenceError,
+    InputError,
+    MeshError,
+    PathError,
+    PathWarning,
+    PenaltyWarning,
+)
+from crms_fenicsx.materials import IsotropicMembrane, OrthotropicMembrane
+from crms_fenicsx.scene import Scene
+from crms_fenicsx.solver import Solver, Step
+
+__version__ = "0.1.0"
+__all__ = [
+    "Cable",
+    "ConvergenceError",
+    "InputError",
+    "IsotropicMembrane",
+    "LaidCable",
+    "MeshError",
+    "OrthotropicMembrane",
+    "PathError",
+    "PathWarning",
+    "PenaltyWarning",
+    "Scene",
+    "Solver",
+    "Step",
+    "meshes",
+]

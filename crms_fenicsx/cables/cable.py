@@ -1,0 +1,139 @@
+"""A cable's data, and a cable that has been laid on a membrane."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from crms_fenicsx.cables.path import EdgePoint, Path, SurfacePoint, VertexPoint
+from crms_fenicsx.errors import InputError
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Cable:
+    """A linearly elastic cable (section 2.2).
+
+    Parameters
+    ----------
+    EA
+        Axial stiffness (force).
+    law
+        "total": tension ``EA (L - L0)/L0`` where positive, L0 the unstressed length. "step": the
+        paper's (2.2-2), tension that grows by ``EA/l_n`` times the elongation in the step, l_n
+        the length at the step's start.
+    """
+
+    EA: float
+    law: Literal["total", "step"] = "total"
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.EA) and self.EA > 0):
+            raise InputError(f"Cable: EA = {self.EA} is not a positive, finite stiffness.")
+        if self.law not in ("total", "step"):
+            raise InputError(f"Cable: law = {self.law!r} is not known; use 'total' or 'step'.")
+
+
+@dataclass(frozen=True)
+class CableNode:
+    """A point of a cable's polyline.
+
+    Attributes
+    ----------
+    kind
+        "vertex": a mesh vertex. "fold": slides freely on an edge, which folds there. "rider": is
+        tied to a place of the membrane. "anchor": held in space.
+    point
+        Its place on the mesh; None for an anchor.
+    """
+
+    kind: Literal["vertex", "fold", "rider", "anchor"]
+    point: SurfacePoint | None = None
+
+    def masters(self, fraction: float | None = None) -> tuple[tuple[int, ...], tuple[float, ...]]:
+        """Vertices (ids) and weights that give the place on the unfolded mesh."""
+        point = self.point
+        if isinstance(point, VertexPoint):
+            return (point.vertex,), (1.0,)
+        if isinstance(point, EdgePoint):
+            s = point.fraction if fraction is None else fraction
+            return point.edge, (1 - s, s)
+        assert point is not None, "an anchor has no place on the mesh"
+        return point.cell, point.weights
+
+
+@dataclass(frozen=True)
+class CableEnd:
+    """One end of a laid cable, as a key for movements: ``solver.advance(move={cable.start: v})``."""
+
+    cable: LaidCable = field(repr=False)
+    which: Literal["start", "end"]
+
+
+@dataclass(eq=False)
+class LaidCable:
+    """A cable on its path over the membrane. Made by `Scene.lay_cable`.
+
+    Attributes
+    ----------
+    name
+        Name in tables and pictures.
+    cable
+        Its data.
+    path
+        Typed points on the mesh.
+    nodes
+        Points of the polyline, anchors included.
+    positions : (n, 3)
+        Current positions of the nodes, on all ranks.
+    fractions : (n,)
+        Current places of fold points on their unfolded edges; NaN for other nodes.
+    L0
+        Unstressed length (length).
+    length, tension
+        Current length and tension (force).
+    taut
+        Whether it has tension; the fold points of a slack cable take no part.
+    blocked
+        Nodes that have run into a mesh vertex.
+    """
+
+    name: str
+    cable: Cable
+    path: Path
+    nodes: tuple[CableNode, ...]
+    positions: Array
+    fractions: Array
+    L0: float
+    length: float
+    tension: float
+    step_energy: float = 0.0
+    taut: bool = False
+    blocked: tuple[int, ...] = ()
+
+    @property
+    def start(self) -> CableEnd:
+        """Its first end."""
+        return CableEnd(self, "start")
+
+    @property
+    def end(self) -> CableEnd:
+        """Its last end."""
+        return CableEnd(self, "end")
+
+    def node_of(self, which: Literal["start", "end"]) -> int:
+        """Index of an end among the nodes."""
+        return 0 if which == "start" else len(self.nodes) - 1
+
+    def __repr__(self) -> str:
+        state = f"tension {self.tension:.6g}" if self.taut else "slack"
+        return f"LaidCable({self.name!r}, {len(self.nodes)} points, {state})"
+
+
+def polyline_length(positions: Array) -> float:
+    """Length of a polyline (n, 3)."""
+    return float(np.sum(np.linalg.norm(np.diff(positions, axis=0), axis=1)))

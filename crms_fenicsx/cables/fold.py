@@ -1,0 +1,237 @@
+"""Foldable elements: strain energy of the cells that cables cross (sections 2.1 and 2.3).
+
+A folded cell unfolds into a triangle whose sides are the lengths of its folded edges, each through
+all fold points on it. The Green-Lagrange strain is linear in the squares of the three sides, so
+the energy depends on the unknowns only through lengths of segments between points:
+
+    points -> segments -> sides -> strain -> energy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from petsc4py import PETSc
+
+from crms_fenicsx.cables import law as laws
+from crms_fenicsx.cables.blocks import ElementPattern, SegmentPattern
+from crms_fenicsx.cables.length import (
+    add_segment_forces,
+    difference,
+    segment_lengths,
+    segment_stiffness,
+    slope_over_distance,
+)
+from crms_fenicsx.membrane import TANGENT_FLOOR
+from crms_fenicsx.unknowns import Unknowns
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class FoldedCells:
+    """This rank's folded cells, as tables. Side k of a cell joins its corners k and k + 1.
+
+    Attributes
+    ----------
+    cells : (n,)
+        Local cell numbers.
+    segments : (m, 2)
+        Blocks of the segments' ends.
+    eps : (m,)
+        Smoothing of the segments' lengths.
+    side_pointers, side_segments
+        Segments of each side in CSR form.
+    sides : (n, 3)
+        The three sides of each cell.
+    side_vectors : (n, 3, 2)
+        Stress-free sides in the material axes.
+    laws : (n,), parameters : (n, 17)
+        Stress law and its parameters.
+    """
+
+    cells: Indices
+    segments: Indices
+    eps: Array
+    side_pointers: Indices
+    side_segments: Indices
+    sides: Indices
+    side_vectors: Array
+    laws: Indices
+    parameters: Array
+
+    @property
+    def areas(self) -> Array:
+        """Stress-free areas, (n,)."""
+        a, b = self.side_vectors[:, 0], self.side_vectors[:, 1]
+        return 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+
+    @property
+    def strain_maps(self) -> Array:
+        """Matrices (n, 3, 3) from changes of the squared sides to (E11, E22, 2 E12)."""
+        d1, d2 = self.side_vectors[..., 0], self.side_vectors[..., 1]
+        return np.linalg.inv(np.stack([2 * d1**2, 2 * d2**2, 2 * d1 * d2], axis=-1))
+
+    @property
+    def squared_sides(self) -> Array:
+        """Squares of the stress-free sides, (n, 3)."""
+        return np.sum(self.side_vectors**2, axis=-1)
+
+    @property
+    def element_blocks(self) -> tuple[Indices, Indices]:
+        """Distinct blocks of each cell in CSR form: pointers, blocks."""
+        pointers, blocks = [0], [np.zeros(0, dtype=np.int32)]
+        for sides in self.sides:
+            own = np.concatenate([self._segments_of(side).ravel() for side in sides])
+            blocks.append(np.unique(own))
+            pointers.append(pointers[-1] + len(blocks[-1]))
+        return np.array(pointers, dtype=np.int32), np.concatenate(blocks).astype(np.int32)
+
+    def _segments_of(self, side: int) -> Indices:
+        start, end = self.side_pointers[side : side + 2]
+        return self.segments[self.side_segments[start:end]]
+
+
+@numba.njit(cache=True)
+def cell_forces(lengths, pointers, side_segments, sides, maps, squares, areas, law, p, forces, out):  # type: ignore[no-untyped-def]  # fmt: skip
+    """Energy of the cells; forces in the segments (m,); strain, stress, state into `out` (n, 7)."""
+    forces[:] = 0.0
+    energy = 0.0
+    e, s, r = np.empty(3), np.empty(3), np.empty(3)
+    for c in range(sides.shape[0]):
+        e[:] = 0.0
+        for k in range(3):
+            r[k] = 0.0
+            for q in range(pointers[sides[c, k]], pointers[sides[c, k] + 1]):
+                r[k] += lengths[side_segments[q]]
+            for i in range(3):
+                e[i] += maps[c, i, k] * (r[k] * r[k] - squares[c, k])
+        density, state = laws.stress(law[c], p[c], e, s)
+        energy += areas[c] * density
+        for k in range(3):
+            force = 0.0
+            for i in range(3):
+                force += s[i] * maps[c, i, k]
+            force *= 2 * r[k] * areas[c]
+            for q in range(pointers[sides[c, k]], pointers[sides[c, k] + 1]):
+                forces[side_segments[q]] += force
+        for i in range(3):
+            out[c, i], out[c, 3 + i] = e[i], s[i]
+        out[c, 6] = state
+    return energy
+
+
+@numba.njit(cache=True)
+def cell_stiffness(X, x, segments, eps, lengths, pointers, side_segments, sides, maps, areas, law, p, out, floor, element_pointers, element_blocks, offsets, values):  # type: ignore[no-untyped-def]  # fmt: skip
+    """Stiffness ``sum K_kl grad(r_k) grad(r_l)^T`` per cell, r its sides.
+
+    K = 4 r_k r_l A (M^T C M)_kl, and on the diagonal force / side where that is tensile.
+    """
+    C, K = np.empty((3, 3)), np.empty((3, 3))
+    for c in range(sides.shape[0]):
+        start = element_pointers[c]
+        size = element_pointers[c + 1] - start
+        own = element_blocks[start : start + size]
+        laws.tangent(law[c], p[c], out[c, :3], floor, C)
+        B, r = np.zeros((3, size, 3)), np.zeros(3)
+        for k in range(3):
+            for q in range(pointers[sides[c, k]], pointers[sides[c, k] + 1]):
+                segment = side_segments[q]
+                a, b = segments[segment, 0], segments[segment, 1]
+                r0, r1, r2, d = difference(X, x, a, b)
+                slope = slope_over_distance(d, eps[segment])
+                r[k] += lengths[segment]
+                i, j = np.searchsorted(own, a), np.searchsorted(own, b)
+                for m, component in enumerate((r0, r1, r2)):
+                    B[k, i, m] -= slope * component
+                    B[k, j, m] += slope * component
+        for k in range(3):
+            for n in range(3):
+                K[k, n] = 0.0
+                for i in range(3):
+                    for j in range(3):
+                        K[k, n] += maps[c, i, k] * C[i, j] * maps[c, j, n]
+                K[k, n] *= 4 * r[k] * r[n] * areas[c]
+            force = 0.0
+            for i in range(3):
+                force += out[c, 3 + i] * maps[c, i, k]
+            K[k, k] += max(2 * areas[c] * force, 0.0)
+        for i in range(size):
+            for j in range(size):
+                block = values[offsets[c] + i * size + j]
+                block[:] = 0.0
+                for k in range(3):
+                    for n in range(3):
+                        for a in range(3):
+                            for b in range(3):
+                                block[a, b] += K[k, n] * B[k, i, a] * B[n, j, b]
+
+
+class FoldEnergy:
+    """Strain energy of the folded cells, in total formulation, (2.3).
+
+    Parameters
+    ----------
+    table
+        This rank's folded cells.
+    h0_prestress
+        Extra section force in the stiffness only (force per length), shared with the plain cells.
+    """
+
+    name = "membrane"
+    n_sums = 1
+
+    def __init__(self, table: FoldedCells, h0_prestress: fem.Constant) -> None:
+        self.table, self.h0_prestress = table, h0_prestress
+        self.areas, self.maps = table.areas, table.strain_maps
+        self.squares = table.squared_sides
+        self.lengths = np.zeros(len(table.segments))
+        self.forces = np.zeros(len(table.segments))
+        self.tangent_floor = TANGENT_FLOOR
+        self.results = np.zeros((len(table.cells), 7))
+        """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state of each cell."""
+        self._element_pointers, self._element_blocks = table.element_blocks
+        self.elements = ElementPattern(self._element_pointers, self._element_blocks)
+        self.edges = SegmentPattern(table.segments)
+
+    def attach(self, unknowns: Unknowns) -> None:
+        """Use the positions of this layout."""
+        self.unknowns = unknowns
+
+    def sums(self, x: Array, out: Array) -> None:
+        """This rank's part of the energy; keeps the segments' forces for the gradient."""
+        t = self.table
+        segment_lengths(self.unknowns.X, x, t.segments, t.eps, self.lengths)
+        out[0] = cell_forces(
+            self.lengths, t.side_pointers, t.side_segments, t.sides, self.maps, self.squares,
+            self.areas, t.laws, t.parameters, self.forces, self.results,
+        )  # fmt: skip
+
+    def energy(self, sums: Array) -> float:
+        """Strain energy (force x length)."""
+        return float(sums[0])
+
+    def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
+        """Add the nodal forces of the segments."""
+        t = self.table
+        add_segment_forces(self.unknowns.X, x, t.segments, t.eps, self.forces, g)
+
+    def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+        """Add the material stiffness and the geometric one of the segments in tension."""
+        t, X = self.table, self.unknowns.X
+        cell_stiffness(
+            X, x, t.segments, t.eps, self.lengths, t.side_pointers, t.side_segments, t.sides,
+            self.maps, self.areas, t.laws, t.parameters, self.results, self.tangent_floor,
+            self._element_pointers, self._element_blocks, self.elements.offsets,
+            self.elements.values,
+        )  # fmt: skip
+        self.elements.add(A, self.unknowns)
+        extra = float(self.h0_prestress.value) * self.lengths
+        tension = np.maximum(self.forces, 0.0) + extra
+        segment_stiffness(X, x, t.segments, t.eps, tension, self.edges.values)
+        self.edges.add(A, self.unknowns)

@@ -1,0 +1,91 @@
+"""Length of a straight segment, smoothed where its ends come together.
+
+All that a cable does to the membrane depends on lengths of segments between points. The distance d
+of two points is not differentiable at d = 0, where a fold point meets a mesh vertex. Below a small
+length eps it is replaced by a twice continuously differentiable function that is exact from eps on:
+
+    l(d) = eps (3/8 + 3/4 u^2 - 1/8 u^4),   u = d/eps < 1.
+
+With eps = 0 it is the distance, without a gradient at d = 0: for segments between held points.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+
+SMOOTHING = 1e-3
+"""eps relative to the size of the cells around."""
+
+
+@numba.njit(cache=True, inline="always")
+def smoothed_length(d: float, eps: float) -> float:
+    """l(d) (length)."""
+    if d >= eps:
+        return d
+    u2 = (d / eps) ** 2
+    return eps * (0.375 + u2 * (0.75 - 0.125 * u2))
+
+
+@numba.njit(cache=True, inline="always")
+def slope_over_distance(d: float, eps: float) -> float:
+    """l'(d) / d, so that the gradient is this times the difference of the points (1/length)."""
+    if d >= eps:
+        return 1.0 / d if d > 0.0 else 0.0
+    return (1.5 - 0.5 * (d / eps) ** 2) / eps
+
+
+@numba.njit(cache=True, inline="always")
+def turn_coefficient(d: float, eps: float) -> float:
+    """k in the Hessian ``l'(d)/d I - k r r^T`` of l, r the difference of the points."""
+    if d >= eps:
+        return 1.0 / d**3 if d > 0.0 else 0.0
+    return 1.0 / eps**3
+
+
+@numba.njit(cache=True, inline="always")
+def difference(X, x, a, b):  # type: ignore[no-untyped-def]
+    """Current position of block b minus that of block a, and the distance."""
+    r0 = X[b, 0] - X[a, 0] + (x[b, 0] - x[a, 0])
+    r1 = X[b, 1] - X[a, 1] + (x[b, 1] - x[a, 1])
+    r2 = X[b, 2] - X[a, 2] + (x[b, 2] - x[a, 2])
+    return r0, r1, r2, math.sqrt(r0 * r0 + r1 * r1 + r2 * r2)
+
+
+@numba.njit(cache=True)
+def segment_lengths(X, x, segments, eps, lengths):  # type: ignore[no-untyped-def]
+    """Smoothed lengths of segments (n, 2) of blocks, into `lengths` (n,)."""
+    for s in range(segments.shape[0]):
+        _, _, _, d = difference(X, x, segments[s, 0], segments[s, 1])
+        lengths[s] = smoothed_length(d, eps[s])
+
+
+@numba.njit(cache=True)
+def add_segment_forces(X, x, segments, eps, forces, g):  # type: ignore[no-untyped-def]
+    """Add ``sum forces * d(lengths)/dx`` to g, (n_blocks, 3)."""
+    for s in range(segments.shape[0]):
+        a, b = segments[s, 0], segments[s, 1]
+        r0, r1, r2, d = difference(X, x, a, b)
+        c = forces[s] * slope_over_distance(d, eps[s])
+        g[a, 0] -= c * r0
+        g[a, 1] -= c * r1
+        g[a, 2] -= c * r2
+        g[b, 0] += c * r0
+        g[b, 1] += c * r1
+        g[b, 2] += c * r2
+
+
+@numba.njit(cache=True)
+def segment_stiffness(X, x, segments, eps, forces, blocks):  # type: ignore[no-untyped-def]
+    """``force * Hessian(length)`` per segment: the (3, 3) block that counts + on the diagonal
+    and - off it, into `blocks` (n, 3, 3)."""
+    for s in range(segments.shape[0]):
+        r0, r1, r2, d = difference(X, x, segments[s, 0], segments[s, 1])
+        r = (r0, r1, r2)
+        c = forces[s] * slope_over_distance(d, eps[s])
+        k = forces[s] * turn_coefficient(d, eps[s])
+        for i in range(3):
+            for j in range(3):
+                blocks[s, i, j] = -k * r[i] * r[j]
+            blocks[s, i, i] += c

@@ -1,0 +1,122 @@
+"""Strain energy of the cables: uniform tension along each, no compression (section 2.2)."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from petsc4py import PETSc
+
+from crms_fenicsx.cables.blocks import SegmentPattern
+from crms_fenicsx.cables.length import add_segment_forces, segment_lengths, segment_stiffness
+from crms_fenicsx.unknowns import Unknowns
+
+Array = npt.NDArray[np.float64]
+
+
+class CableTension:
+    """``EA/(2 L0) (L - L0)^2`` where L > L0, L the length of a cable's whole polyline.
+
+    Parameters
+    ----------
+    segments, eps, cable
+        This rank's segments: blocks (n, 2), smoothing (n,), number of the cable (n,).
+    EA, L0
+        Stiffness (force) and unstressed length of each cable, (n_cables,). Changed in place
+        between solves.
+    """
+
+    name = "cables"
+
+    def __init__(
+        self,
+        segments: npt.NDArray[np.int32],
+        eps: Array,
+        cable: npt.NDArray[np.int32],
+        EA: Array,
+        L0: Array,
+    ) -> None:
+        self.segments, self.eps, self.cable = segments, eps, cable
+        self.EA, self.L0 = EA, L0
+        self.n_sums = len(EA)
+        self._lengths = np.zeros(len(segments))
+        self._forces = np.zeros(len(segments))
+        self.pattern = SegmentPattern(segments)
+
+    def attach(self, unknowns: Unknowns) -> None:
+        """Use the positions of this layout."""
+        self.unknowns = unknowns
+
+    def sums(self, x: Array, out: Array) -> None:
+        """This rank's part of each cable's length."""
+        segment_lengths(self.unknowns.X, x, self.segments, self.eps, self._lengths)
+        out[:] = 0.0
+        np.add.at(out, self.cable, self._lengths)
+
+    def tensions(self, lengths: Array) -> Array:
+        """Tension of each cable (force)."""
+        return self.EA / self.L0 * np.maximum(lengths - self.L0, 0.0)
+
+    def energy(self, sums: Array) -> float:
+        """Strain energy of the cables (force x length)."""
+        return float(np.sum(0.5 * self.EA / self.L0 * np.maximum(sums - self.L0, 0.0) ** 2))
+
+    def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
+        """Add the tensions' nodal forces."""
+        np.take(self.tensions(sums), self.cable, out=self._forces)
+        add_segment_forces(self.unknowns.X, x, self.segments, self.eps, self._forces, g)
+
+    def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+        """Add the geometric stiffness.
+
+        The term of the whole cable's elongation, EA/L0 times the dyad of the length's gradient,
+        couples all points of a cable; it is left to the quasi-Newton updates.
+        """
+        forces = self.tensions(sums)[self.cable]
+        segment_stiffness(
+            self.unknowns.X, x, self.segments, self.eps, forces, self.pattern.values
+        )
+        self.pattern.add(A, self.unknowns)
+
+
+class StepCableTension(CableTension):
+    """The paper's step-wise cable law, (2.2-1 ... 2.2-3).
+
+    The tension grows from its value at the step's start, T_n, by ``EA/l_n (l - l_n)``, l_n the
+    length at the step's start. As in the paper a cable may be compressed.
+    """
+
+    def __init__(
+        self,
+        segments: npt.NDArray[np.int32],
+        eps: Array,
+        cable: npt.NDArray[np.int32],
+        EA: Array,
+        L0: Array,
+        history: StepHistory,
+    ) -> None:
+        super().__init__(segments, eps, cable, EA, L0)
+        self.history = history
+
+    def tensions(self, lengths: Array) -> Array:
+        """Tension of each cable (force)."""
+        h = self.history
+        return h.tension + self.EA / h.length * (lengths - h.length)
+
+    def energy(self, sums: Array) -> float:
+        """Strain energy over all steps (force x length)."""
+        h = self.history
+        return float(np.sum(h.energy + (self.tensions(sums) + h.tension) / 2 * (sums - h.length)))
+
+    def commit(self, x: Array, sums: Array) -> None:
+        """End the step: keep its tension, length and energy."""
+        h, tension = self.history, self.tensions(sums)
+        h.energy[:] += (tension + h.tension) / 2 * (sums - h.length)
+        h.tension[:] = tension
+        h.length[:] = sums
+
+
+class StepHistory:
+    """Tension, length and energy of cables at the start of a step, each (n_cables,)."""
+
+    def __init__(self, tension: Array, length: Array, energy: Array) -> None:
+        self.tension, self.length, self.energy = tension, length, energy

@@ -1,0 +1,198 @@
+"""Pressure on folded cells: the volume under them, facet by facet (section 2.4).
+
+The chords cut a folded cell into polygons. The volume under a polygon that is not a triangle is
+the mean over the fans from each of its corners, for a quadrilateral that of both diagonals, so
+that mirrored scenes have mirrored answers. The paper's figure that divides a folded triangle among
+its nodes is lost; this is our reading: each facet gives a third of its area to each corner.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+
+from crms_fenicsx.unknowns import Unknowns
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Facets:
+    """This rank's facets of folded cells.
+
+    Attributes
+    ----------
+    corners : (n, 3)
+        Blocks, oriented as the membrane.
+    weights : (n,)
+        Share of each facet in the mean over fans.
+    plain_corners : (m, 3)
+        Corners of the folded cells themselves; their stress-free volume is subtracted.
+    """
+
+    corners: Indices
+    weights: Array
+    plain_corners: Indices
+
+
+def fan_facets(polygon: list[int]) -> list[tuple[tuple[int, int, int], float]]:
+    """Facets of the mean over the fans from every corner of a polygon, with weights."""
+    n = len(polygon)
+    if n == 3:
+        return [((polygon[0], polygon[1], polygon[2]), 1.0)]
+    facets: dict[tuple[int, int, int], float] = {}
+    for k in range(n):
+        fan = polygon[k:] + polygon[:k]
+        for i in range(1, n - 1):
+            corners = (fan[0], fan[i], fan[i + 1])
+            first = corners.index(min(corners))
+            corners = corners[first:] + corners[:first]  # type: ignore[assignment]
+            facets[corners] = facets.get(corners, 0.0) + 1.0 / n
+    return list(facets.items())
+
+
+def split_polygon(polygon: list[int], chords: list[tuple[int, int]]) -> list[list[int]]:
+    """Cut a polygon along chords, pairs of its corners that do not cross each other."""
+    parts = [polygon]
+    for a, b in chords:
+        for part in parts:
+            if a in part and b in part:
+                i, j = sorted((part.index(a), part.index(b)))
+                if j - i > 1 and (i, j) != (0, len(part) - 1):
+                    parts.remove(part)
+                    parts += [part[i : j + 1], part[j:] + part[: i + 1]]
+                break
+    return parts
+
+
+@numba.njit(cache=True)
+def _volume(X, x, corners, weights, origin):  # type: ignore[no-untyped-def]
+    total = 0.0
+    p = np.empty((3, 3))
+    for f in range(corners.shape[0]):
+        for m in range(3):
+            for i in range(3):
+                p[m, i] = X[corners[f, m], i] - origin[i] + x[corners[f, m], i]
+        total += weights[f] * (
+            p[0, 0] * (p[1, 1] * p[2, 2] - p[1, 2] * p[2, 1])
+            + p[0, 1] * (p[1, 2] * p[2, 0] - p[1, 0] * p[2, 2])
+            + p[0, 2] * (p[1, 0] * p[2, 1] - p[1, 1] * p[2, 0])
+        )
+    return total / 6.0
+
+
+@numba.njit(cache=True)
+def _add_volume_gradient(X, x, corners, weights, origin, factor, g):  # type: ignore[no-untyped-def]
+    p = np.empty((3, 3))
+    for f in range(corners.shape[0]):
+        for m in range(3):
+            for i in range(3):
+                p[m, i] = X[corners[f, m], i] - origin[i] + x[corners[f, m], i]
+        scale = factor * weights[f] / 6.0
+        for m in range(3):
+            a, b, node = p[(m + 1) % 3], p[(m + 2) % 3], corners[f, m]
+            g[node, 0] += scale * (a[1] * b[2] - a[2] * b[1])
+            g[node, 1] += scale * (a[2] * b[0] - a[0] * b[2])
+            g[node, 2] += scale * (a[0] * b[1] - a[1] * b[0])
+
+
+@numba.njit(cache=True)
+def _add_area_forces(X, x, corners, weights, factor, g):  # type: ignore[no-untyped-def]
+    for f in range(corners.shape[0]):
+        i, j, k = corners[f, 0], corners[f, 1], corners[f, 2]
+        a, b = np.empty(3), np.empty(3)
+        for m in range(3):
+            origin = X[i, m] + x[i, m]
+            a[m] = X[j, m] + x[j, m] - origin
+            b[m] = X[k, m] + x[k, m] - origin
+        scale = factor * weights[f] / 6.0
+        for node in (i, j, k):
+            g[node, 0] += scale * (a[1] * b[2] - a[2] * b[1])
+            g[node, 1] += scale * (a[2] * b[0] - a[0] * b[2])
+            g[node, 2] += scale * (a[0] * b[1] - a[1] * b[0])
+
+
+class FoldedFollowerPressure:
+    """Potential ``-p (V - V0)`` of the folded cells; see `crms_fenicsx.loads.FollowerPressure`."""
+
+    name = "pressure"
+    n_sums = 1
+
+    def __init__(self, table: Facets, pressure: fem.Constant, origin: Array) -> None:
+        self.table, self.pressure, self.origin = table, pressure, origin
+
+    def attach(self, unknowns: Unknowns) -> None:
+        """Use the positions of this layout."""
+        self.unknowns = unknowns
+        corners = self.table.plain_corners
+        self._stress_free = _volume(
+            unknowns.X, np.zeros_like(unknowns.X), corners, np.ones(len(corners)), self.origin
+        )
+
+    def sums(self, x: Array, out: Array) -> None:
+        """This rank's part of the volume gained (length cubed)."""
+        t = self.table
+        volume = _volume(self.unknowns.X, x, t.corners, t.weights, self.origin)
+        out[0] = volume - self._stress_free
+
+    def energy(self, sums: Array) -> float:
+        """Minus the work of the pressure since the stress-free shape (force x length)."""
+        return -float(self.pressure.value) * float(sums[0])
+
+    def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
+        """Subtract the pressure's nodal forces."""
+        t, factor = self.table, -float(self.pressure.value)
+        if factor != 0.0:
+            _add_volume_gradient(
+                self.unknowns.X, x, t.corners, t.weights, self.origin, factor, g
+            )
+
+
+class FoldedStepPressure:
+    """The paper's nodal forces, constant in a step, on folded cells; see `loads.StepPressure`.
+
+    Parameters
+    ----------
+    energy
+        Minus the work of the steps before on these cells, a one-element array kept by the caller.
+    """
+
+    name = "pressure"
+    n_sums = 1
+
+    def __init__(self, table: Facets, pressure: fem.Constant, energy: Array) -> None:
+        self.table, self.pressure, self._energy_n = table, pressure, energy
+
+    def attach(self, unknowns: Unknowns) -> None:
+        """Use the positions of this layout."""
+        self.unknowns = unknowns
+        self._x_n = np.zeros_like(unknowns.X)
+        self._forces = np.zeros_like(unknowns.X)
+
+    def begin_step(self, x: Array) -> None:
+        """Take the current shape as the step's start."""
+        self._x_n[:] = x
+        self._forces[:] = 0.0
+        t = self.table
+        _add_area_forces(self.unknowns.X, x, t.corners, t.weights, 1.0, self._forces)
+
+    def sums(self, x: Array, out: Array) -> None:
+        """This rank's part of the step's work per pressure (length cubed)."""
+        out[0] = np.vdot(self._forces, x) - np.vdot(self._forces, self._x_n)
+
+    def energy(self, sums: Array) -> float:
+        """Minus the work of the pressure over all steps (force x length)."""
+        return float(self._energy_n[0]) - float(self.pressure.value) * float(sums[0])
+
+    def commit(self, x: Array, sums: Array) -> None:
+        """End the step: keep its work."""
+        self._energy_n[0] = self.energy(sums)
+
+    def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
+        """Subtract the step's nodal forces."""
+        g -= float(self.pressure.value) * self._forces

@@ -1,0 +1,127 @@
+"""Air pressure on the plain cells: exact follower load, or constant in a step (section 2.4)."""
+
+from __future__ import annotations
+
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+
+from crms_fenicsx.membrane import Kinematics, one_point, tangent_basis
+from crms_fenicsx.unknowns import Unknowns
+
+Array = npt.NDArray[np.float64]
+
+
+class FollowerPressure:
+    """Potential ``-p (V - V0)`` of a uniform pressure, V the volume under the membrane.
+
+    Its gradient is the pressure's exact nodal forces, normal to the current surface, as long as
+    the membrane's boundary is held. V is counted from `origin`; V0 is that of the stress-free
+    surface, so that the energy is the work done since and does not depend on the origin.
+
+    Attributes
+    ----------
+    pressure : Constant
+        Pressure (force per area) along the surface's normals.
+    """
+
+    name = "pressure"
+    n_sums = 1
+
+    def __init__(
+        self,
+        u: fem.Function,
+        plain: fem.Function,
+        pressure: fem.Constant,
+        origin: Array,
+    ) -> None:
+        mesh = u.function_space.mesh
+        self.pressure = pressure
+        dx = one_point(mesh)
+        e1, e2 = tangent_basis(mesh, None)
+        F = Kinematics(u, (e1, e2)).F
+        self.origin = fem.Constant(mesh, origin)
+        X = ufl.SpatialCoordinate(mesh) - self.origin
+        # V - V0 per area, term by term, so that a small change is not lost in a large volume.
+        n0, n = ufl.cross(e1, e2), ufl.cross(F[0], F[1])
+        change = ufl.dot(u, n) + ufl.dot(X, n - n0)
+        self._volume = fem.form(plain * change / 3 * dx)
+        gradient = ufl.derivative(pressure * plain * change / 3 * dx, u)
+        self._gradient = fem.form(gradient)
+        self._work = np.zeros_like(u.x.array)
+
+    def attach(self, unknowns: Unknowns) -> None:
+        """Use this layout."""
+        self.blocks = unknowns.vertex_blocks()
+
+    def sums(self, x: Array, out: Array) -> None:
+        """This rank's part of the volume gained, V - V0 (length cubed)."""
+        out[0] = fem.assemble_scalar(self._volume)
+
+    def energy(self, sums: Array) -> float:
+        """Minus the work of the pressure since the stress-free shape (force x length)."""
+        return -float(self.pressure.value) * float(sums[0])
+
+    def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
+        """Subtract the pressure's nodal forces."""
+        if float(self.pressure.value) == 0.0:
+            return
+        self._work[:] = 0.0
+        fem.assemble_vector(self._work, self._gradient)
+        g[self.blocks] -= self._work.reshape(-1, 3)
+
+
+class StepPressure:
+    """The paper's pressure: nodal forces that keep direction and size in a step, (2.4-1, 2).
+
+    A node carries a third of the area of each of its cells. The energy is that of the steps before
+    plus this step's increment; it is exact only as the steps get small. It needs no held boundary.
+    """
+
+    name = "pressure"
+    n_sums = 1
+
+    def __init__(
+        self, u: fem.Function, plain: fem.Function, pressure: fem.Constant
+    ) -> None:
+        mesh, V = u.function_space.mesh, u.function_space
+        self.pressure = pressure
+        self.u = u
+        self.u_n = fem.Function(V)
+        F = Kinematics(self.u_n, tangent_basis(mesh, None)).F
+        n = ufl.cross(F[0], F[1])
+        dx = one_point(mesh)
+        self._work_done = fem.form(plain * ufl.dot(n, u - self.u_n) * dx)
+        self._force = fem.form(plain * ufl.dot(n, ufl.TestFunction(V)) * dx)
+        self._forces = np.zeros_like(u.x.array)
+        self._energy_n = 0.0
+
+    def attach(self, unknowns: Unknowns) -> None:
+        """Use this layout."""
+        self.blocks = unknowns.vertex_blocks()
+
+    def begin_step(self, x: Array) -> None:
+        """Take the current shape as the step's start."""
+        self.u_n.x.array[:] = self.u.x.array
+        self._forces[:] = 0.0
+        fem.assemble_vector(self._forces, self._force)
+
+    def sums(self, x: Array, out: Array) -> None:
+        """This rank's part of the step's work per pressure (length cubed)."""
+        out[0] = fem.assemble_scalar(self._work_done)
+
+    def energy(self, sums: Array) -> float:
+        """Minus the work of the pressure over all steps (force x length)."""
+        return self._energy_n - float(self.pressure.value) * float(sums[0])
+
+    def commit(self, x: Array, sums: Array) -> None:
+        """End the step: keep its work."""
+        self._energy_n = self.energy(sums)
+
+    def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
+        """Subtract the step's nodal forces."""
+        g[self.blocks] -= float(self.pressure.value) * self._forces.reshape(-1, 3)
+
+

@@ -1,0 +1,308 @@
+"""Membrane materials: energy densities, stresses and tangents of the strain (section 2.3).
+
+All of them act on the Green-Lagrange strain in two in-plane material axes, by UFL expressions of
+the strain's components. Section forces and moduli are per length (modulus times thickness), so
+that energies are per area of the stress-free surface.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+
+from crms_fenicsx.errors import InputError
+
+Array = npt.NDArray[np.float64]
+Direction = tuple[float, float, float] | Callable[[Array], Array]
+
+LINEAR, TENSION_FIELD = 0, 1
+"""Codes of the stress laws, shared with the compiled kernels of the folded cells."""
+
+
+def _check_finite(owner: str, **values: float) -> None:
+    for name, value in values.items():
+        if not np.isfinite(value):
+            raise InputError(f"{owner}: {name} = {value} is no finite number; give a finite one.")
+
+
+def _check_positive(owner: str, **values: float) -> None:
+    _check_finite(owner, **values)
+    for name, value in values.items():
+        if value <= 0:
+            raise InputError(f"{owner}: {name} = {value} is not positive; give a positive value.")
+
+
+class Membrane(ABC):
+    """A membrane material. Its axes 1 (warp) and 2 (weft) lie in the surface."""
+
+    prestress: float | tuple[float, float]
+
+    @property
+    @abstractmethod
+    def stiffness(self) -> Array:
+        """Membrane stiffness ``D t`` in Voigt order (11, 22, 12), (3, 3), force per length."""
+
+    @property
+    @abstractmethod
+    def law(self) -> int:
+        """`LINEAR`, or `TENSION_FIELD` where the membrane wrinkles instead of being compressed."""
+
+    @property
+    @abstractmethod
+    def reference_modulus(self) -> float:
+        """One modulus times thickness, E t, that sets the size of the penalty (force/length)."""
+
+    @property
+    def warp(self) -> Direction | None:
+        """Direction of material axis 1, None where it does not matter."""
+        return None
+
+    @property
+    def prestress_vector(self) -> Array:
+        """Section forces (S11, S22, S12) at zero strain, (3,), force per length."""
+        s = np.broadcast_to(np.asarray(self.prestress, dtype=float), (2,))
+        return np.array([s[0], s[1], 0.0])
+
+    @property
+    def parameters(self) -> Array:
+        """What the stress law needs, (17,): D t by rows, strain and section forces of the
+        prestress, E t, nu. Read by `law_terms` and by the kernels of the folded cells."""
+        elastic = np.linalg.solve(self.stiffness, self.prestress_vector)
+        nu = self.stiffness[0, 1] / self.stiffness[1, 1]
+        return np.concatenate(
+            [
+                self.stiffness.ravel(),
+                elastic,
+                self.prestress_vector,
+                [self.stiffness[0, 0] * (1 - nu**2), nu],
+            ]
+        )
+
+    def _check_prestress(self) -> None:
+        owner = type(self).__name__
+        values = np.atleast_1d(np.asarray(self.prestress, dtype=float))
+        if values.shape not in [(1,), (2,)] or not np.all(np.isfinite(values)):
+            raise InputError(
+                f"{owner}: prestress = {self.prestress} must be one number or two (warp, weft), "
+                "in force per length."
+            )
+        if self.law == TENSION_FIELD and np.any(values < 0):
+            raise InputError(
+                f"{owner}: prestress = {self.prestress} is compressive, which a wrinkling membrane "
+                "cannot carry; give tension, or wrinkling=False."
+            )
+
+
+@dataclass(frozen=True)
+class IsotropicMembrane(Membrane):
+    """Isotropic membrane, equation (2.3-12), St. Venant-Kirchhoff in Green-Lagrange strain.
+
+    Parameters
+    ----------
+    E
+        Young's modulus (force per area).
+    nu
+        Poisson's ratio, -1 < nu < 1 (plane stress; materials have 0 ... 0.5).
+    thickness
+        Thickness (length).
+    prestress
+        Section force at zero strain (force per length), equal in all directions or (11, 22).
+    wrinkling
+        True: tension-field theory, the relaxed energy: no compression, by wrinkles that are finer
+        than the mesh. False: the membrane resists compression; then compressed regions have no
+        unique equilibrium.
+    """
+
+    E: float
+    nu: float
+    thickness: float
+    prestress: float | tuple[float, float] = 0.0
+    wrinkling: bool = True
+
+    def __post_init__(self) -> None:
+        owner = type(self).__name__
+        _check_positive(owner, E=self.E, thickness=self.thickness)
+        _check_finite(owner, nu=self.nu)
+        if not -1.0 < self.nu < 1.0:
+            raise InputError(f"{owner}: nu = {self.nu} lies outside -1 < nu < 1 (plane stress).")
+        self._check_prestress()
+        s = self.prestress_vector
+        if s[0] != s[1]:
+            raise InputError(
+                f"{owner}: prestress = {self.prestress} has a direction, but an isotropic material "
+                "has none; use OrthotropicMembrane with E1 = E2 and a warp direction."
+            )
+
+    @property
+    def stiffness(self) -> Array:
+        nu = self.nu
+        factor = self.E * self.thickness / (1 - nu**2)
+        return factor * np.array([[1, nu, 0], [nu, 1, 0], [0, 0, (1 - nu) / 2]])
+
+    @property
+    def law(self) -> int:
+        return TENSION_FIELD if self.wrinkling else LINEAR
+
+    @property
+    def reference_modulus(self) -> float:
+        return self.E * self.thickness
+
+
+@dataclass(frozen=True)
+class OrthotropicMembrane(Membrane):
+    """Orthotropic membrane, equation (2.3-13), St. Venant-Kirchhoff in Green-Lagrange strain.
+
+    Parameters
+    ----------
+    E1, E2
+        Young's moduli along warp and weft (force per area).
+    G12
+        Shear modulus (force per area).
+    nu21
+        Poisson's ratio for a stress along weft: the strain along warp is -nu21 times the strain
+        along weft. The stiffness is positive definite for ``nu21**2 < E2 / E1``.
+    thickness
+        Thickness (length).
+    warp
+        Direction of the warp in space, (3,), or a function of points (3, n) that gives directions
+        (3, n); its projection on the surface counts.
+    prestress
+        Section force at zero strain (force per length): one value or (warp, weft).
+    """
+
+    E1: float
+    E2: float
+    G12: float
+    nu21: float
+    thickness: float
+    warp: Direction = (1.0, 0.0, 0.0)  # type: ignore[assignment]
+    prestress: float | tuple[float, float] = 0.0
+
+    def __post_init__(self) -> None:
+        owner = type(self).__name__
+        _check_positive(owner, E1=self.E1, E2=self.E2, G12=self.G12, thickness=self.thickness)
+        _check_finite(owner, nu21=self.nu21)
+        if self.nu21**2 * self.E1 / self.E2 >= 1:
+            raise InputError(
+                f"{owner}: nu21 = {self.nu21} with E1/E2 = {self.E1 / self.E2:g} makes the "
+                "stiffness indefinite; nu21**2 must be smaller than E2/E1 (is it nu12?)."
+            )
+        if not callable(self.warp):
+            direction = np.asarray(self.warp, dtype=float)
+            usable = direction.shape == (3,) and np.all(np.isfinite(direction))
+            if not usable or not np.any(direction):
+                raise InputError(f"{owner}: warp = {self.warp} must be a direction of 3 numbers.")
+        self._check_prestress()
+
+    @property
+    def stiffness(self) -> Array:
+        n, m = self.E1 / self.E2, self.G12 / self.E2
+        q = 1 - n * self.nu21**2
+        factor = self.E2 * self.thickness / q
+        return factor * np.array(
+            [[n, n * self.nu21, 0], [n * self.nu21, 1, 0], [0, 0, m * q]]
+        )
+
+    @property
+    def law(self) -> int:
+        return LINEAR
+
+    @property
+    def reference_modulus(self) -> float:
+        return float(np.sqrt(self.E1 * self.E2)) * self.thickness
+
+
+@dataclass(frozen=True)
+class LawTerms:
+    """UFL expressions of a stress law at a strain E; tensors in the material axes."""
+
+    energy: Any
+    """Energy per area of the stress-free surface, zero at zero strain."""
+    stress: Any
+    """Second Piola-Kirchhoff section forces S, (2, 2)."""
+    state: Any
+    """2 taut, 1 wrinkled, 0 slack."""
+    tangent: Callable[[Any, Any], Any]
+    """Consistent tangent, a bilinear form of two strain increments."""
+    taut_tangent: Callable[[Any, Any], Any]
+    """Stiffness of the taut membrane, a bilinear form of two strain increments."""
+
+
+def _voigt(E: Any) -> Any:
+    return ufl.as_vector([E[0, 0], E[1, 1], 2 * E[0, 1]])
+
+
+def _symmetric(s: Any) -> Any:
+    return ufl.as_matrix([[s[0], s[2]], [s[2], s[1]]])
+
+
+def law_terms(law: int, E: Any, p: Any) -> LawTerms:
+    """The stress law's UFL expressions.
+
+    Parameters
+    ----------
+    law
+        `LINEAR` or `TENSION_FIELD`.
+    E
+        Green-Lagrange strain in the material axes, UFL, (2, 2).
+    p
+        `Membrane.parameters` as an indexable UFL vector (a constant: values do not recompile).
+
+    Notes
+    -----
+    Relaxed energy of the isotropic tension field with principal strains E1 >= E2 (A. C. Pipkin,
+    IMA J. Appl. Math. 36, 1986): linear where E2 + nu E1 >= 0 (taut); E t/2 E1^2 where that is
+    negative and E1 > 0 (wrinkled); zero elsewhere (slack). The branches that are not selected may
+    divide by zero; the conditionals drop them.
+    """
+    D = ufl.as_matrix([[p[3 * i + j] for j in range(3)] for i in range(3)])
+    elastic = ufl.as_vector([p[9], p[10], p[11]])
+    prestress = ufl.as_vector([p[12], p[13], p[14]])
+    Et, nu = p[15], p[16]
+
+    def taut_tangent(a: Any, b: Any) -> Any:
+        return ufl.dot(_voigt(a), D * _voigt(b))
+
+    if law == LINEAR:
+        e = _voigt(E)
+        s = prestress + D * e
+        energy = ufl.dot(prestress, e) + ufl.dot(e, D * e) / 2
+        return LawTerms(energy, _symmetric(s), ufl.as_ufl(2.0), taut_tangent, taut_tangent)
+
+    e = _voigt(E) + elastic
+    mean, half, shear = (e[0] + e[1]) / 2, (e[0] - e[1]) / 2, e[2] / 2
+    radius = ufl.sqrt(half**2 + shear**2)
+    larger, smaller = mean + radius, mean - radius
+    deviator = ufl.as_matrix([[half, shear], [shear, -half]])
+    along = (ufl.Identity(2) + deviator / radius) / 2
+    across = ufl.as_matrix([[-shear, half], [half, shear]]) / (2 * radius)
+    taut = ufl.ge(smaller + nu * larger, 0)
+    wrinkled = ufl.gt(larger, 0)
+
+    def select(if_taut: Any, if_wrinkled: Any, if_slack: Any) -> Any:
+        return ufl.conditional(taut, if_taut, ufl.conditional(wrinkled, if_wrinkled, if_slack))
+
+    energy = select(ufl.dot(e, D * e) / 2, Et * larger**2 / 2, 0.0)
+    stress_taut, stress_wrinkled = _symmetric(D * e), Et * larger * along
+    stress = ufl.as_matrix(
+        [[select(stress_taut[i, j], stress_wrinkled[i, j], 0.0) for j in (0, 1)] for i in (0, 1)]
+    )
+
+    def tangent(a: Any, b: Any) -> Any:
+        stretch = ufl.inner(along, a) * ufl.inner(along, b)
+        turn = larger / radius * ufl.inner(across, a) * ufl.inner(across, b)
+        return select(taut_tangent(a, b), Et * (stretch + turn), 0.0)
+
+    return LawTerms(
+        energy - ufl.dot(elastic, D * elastic) / 2,
+        stress,
+        select(2.0, 1.0, 0.0),
+        tangent,
+        taut_tangent,
+    )

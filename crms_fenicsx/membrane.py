@@ -1,0 +1,239 @@
+"""Strain energy of the plain (not folded) membrane cells, assembled by DOLFINx (section 2.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from dolfinx.fem import petsc as fem_petsc
+from petsc4py import PETSc
+
+from crms_fenicsx.compat import geometry_dofmap
+from crms_fenicsx.errors import InputError
+from crms_fenicsx.materials import LINEAR, LawTerms, Membrane, law_terms
+from crms_fenicsx.unknowns import Unknowns
+
+Array = npt.NDArray[np.float64]
+
+TANGENT_FLOOR = 1e-2
+"""Part of the taut stiffness that is added to the tangent in H0, so that wrinkled and slack cells
+keep H0 definite."""
+
+
+def one_point(mesh: Any, **options: Any) -> ufl.Measure:
+    """Integration over the stress-free surface; exact, as strains are constant in a cell."""
+    return ufl.Measure("dx", domain=mesh, metadata={"quadrature_degree": 0}, **options)
+
+
+def warp_field(mesh: Any, material: Membrane, cells: npt.NDArray[np.int32]) -> fem.Function:
+    """Unit warp directions in the surface, one per cell (piecewise constant).
+
+    Raises
+    ------
+    InputError
+        If the warp direction is normal to the surface somewhere.
+    """
+    space = fem.functionspace(mesh, ("DG", 0, (3,)))
+    field = fem.Function(space)
+    normal, centre = cell_normals(mesh), space.tabulate_dof_coordinates()
+    warp = material.warp
+    given = (
+        np.asarray(warp(centre.T), dtype=float).T
+        if callable(warp)
+        else np.broadcast_to(np.asarray(warp, dtype=float), centre.shape)
+    )
+    if given.shape != centre.shape or not np.all(np.isfinite(given[cells])):
+        raise InputError(
+            f"warp: the function returned an array of shape {given.T.shape} or with values that "
+            f"are not finite; it must return finite directions of shape {centre.T.shape}."
+        )
+    flat = given - np.sum(given * normal, axis=1)[:, None] * normal
+    length = np.linalg.norm(flat, axis=1)
+    bad = cells[length[cells] <= 1e-6 * np.linalg.norm(given[cells], axis=1)]
+    if len(bad):
+        raise InputError(
+            f"warp: the direction {given[bad[0]]} is normal to the membrane at {centre[bad[0]]}; "
+            "give a direction that has a part in the surface everywhere."
+        )
+    field.x.array[:] = (flat / np.maximum(length, 1e-300)[:, None]).ravel()
+    return field
+
+
+def cell_normals(mesh: Any) -> Array:
+    """Unit normals of the stress-free cells, (n, 3), ghosts included."""
+    x = mesh.geometry.x[geometry_dofmap(mesh)]
+    normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    return normal / np.linalg.norm(normal, axis=1)[:, None]
+
+
+def tangent_basis(mesh: Any, warp: fem.Function | None) -> tuple[Any, Any]:
+    """Orthonormal in-plane axes of the cells, UFL; axis 1 along the warp or the first edge."""
+    J = ufl.Jacobian(mesh)
+    first, second = J[:, 0], J[:, 1]
+    normal = ufl.cross(first, second)
+    normal = normal / ufl.sqrt(ufl.dot(normal, normal))
+    e1 = first / ufl.sqrt(ufl.dot(first, first)) if warp is None else warp
+    return e1, ufl.cross(normal, e1)
+
+
+class Kinematics:
+    """Green-Lagrange strain of a surface in in-plane axes, without cancellation at small strain."""
+
+    def __init__(self, u: Any, basis: tuple[Any, Any]) -> None:
+        self.basis = basis
+        self.H = [ufl.dot(ufl.grad(u), e) for e in basis]
+        self.F = [e + h for e, h in zip(basis, self.H, strict=True)]
+
+    def strain(self) -> Any:
+        """E, (2, 2)."""
+        e, H = self.basis, self.H
+        return ufl.as_matrix(
+            [
+                [
+                    (ufl.dot(e[a], H[b]) + ufl.dot(H[a], e[b]) + ufl.dot(H[a], H[b])) / 2
+                    for b in (0, 1)
+                ]
+                for a in (0, 1)
+            ]
+        )
+
+    def strain_variation(self, v: Any) -> Any:
+        """First variation of E along v, (2, 2)."""
+        dH = [ufl.dot(ufl.grad(v), e) for e in self.basis]
+        F = self.F
+        return ufl.as_matrix(
+            [[(ufl.dot(F[a], dH[b]) + ufl.dot(dH[a], F[b])) / 2 for b in (0, 1)] for a in (0, 1)]
+        )
+
+
+def tensile_part(s: Any) -> Any:
+    """The symmetric (2, 2) tensor with its negative eigenvalues set to zero."""
+    mean, half, shear = (s[0, 0] + s[1, 1]) / 2, (s[0, 0] - s[1, 1]) / 2, s[0, 1]
+    radius = ufl.sqrt(half**2 + shear**2)
+    larger, smaller = mean + radius, mean - radius
+    sphere = (ufl.max_value(larger, 0) + ufl.max_value(smaller, 0)) / 2
+    mixed = ufl.conditional(ufl.le(larger, 0), 0.0, larger / (2 * radius))
+    share = ufl.conditional(ufl.ge(smaller, 0), 1.0, mixed)
+    return ufl.as_matrix(
+        [[sphere + share * half, share * shear], [share * shear, sphere - share * half]]
+    )
+
+
+class MembraneEnergy:
+    """Strain energy of the cells whose `plain` indicator is 1, in total formulation.
+
+    Parameters
+    ----------
+    u
+        Vertex displacements, DOLFINx's view of the unknowns.
+    materials
+        Material of each part, by the part's cell tag; several parts need `cell_tags`.
+    cell_tags
+        Tags of the parts' cells.
+
+    Attributes
+    ----------
+    plain : Function
+        1 in plain cells, 0 in folded cells, which leave this term without a new form.
+    h0_prestress : Constant
+        Extra isotropic section force in the stiffness only (force per length).
+    """
+
+    name = "membrane"
+
+    def __init__(
+        self,
+        u: fem.Function,
+        materials: Mapping[int, Membrane],
+        cell_tags: Any = None,
+    ) -> None:
+        V, mesh = u.function_space, u.function_space.mesh
+        self.u = u
+        self.plain = fem.Function(fem.functionspace(mesh, ("DG", 0)))
+        self.plain.x.array[:] = 1.0
+        self.h0_prestress = fem.Constant(mesh, PETSc.ScalarType(0.0))
+        self.tangent_floor = fem.Constant(mesh, PETSc.ScalarType(TANGENT_FLOOR))
+        self.materials = materials
+        self.cell_tags = cell_tags
+        self.warps: dict[int, fem.Function | None] = {}
+        self.terms: dict[int, tuple[LawTerms, Kinematics]] = {}
+        measure = one_point(mesh, subdomain_data=cell_tags)
+        v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
+        cells = np.arange(mesh.topology.index_map(2).size_local, dtype=np.int32)
+        energy: Any = 0
+        gradient: Any = 0
+        stiffness: Any = 0
+        for tag, material in materials.items():
+            own = cells if cell_tags is None else cell_tags.find(tag)
+            warp = None if material.warp is None else warp_field(mesh, material, own)
+            self.warps[tag] = warp
+            kinematics = Kinematics(u, tangent_basis(mesh, warp))
+            parameters = fem.Constant(mesh, material.parameters)
+            law = law_terms(material.law, kinematics.strain(), parameters)
+            self.terms[tag] = (law, kinematics)
+            dx = measure if cell_tags is None else measure(tag)
+            a, b = kinematics.strain_variation(v), kinematics.strain_variation(du)
+            energy += self.plain * law.energy * dx
+            gradient += self.plain * ufl.inner(law.stress, a) * dx
+            S = tensile_part(law.stress) if material.law == LINEAR else law.stress
+            S = S + self.h0_prestress * ufl.Identity(2)
+            dv = [ufl.dot(ufl.grad(v), e) for e in kinematics.basis]
+            ddu = [ufl.dot(ufl.grad(du), e) for e in kinematics.basis]
+            geometric = sum(
+                S[i, j] * ufl.dot(dv[i], ddu[j]) for i in (0, 1) for j in (0, 1)
+            )
+            material_part = law.tangent(a, b)
+            if material.law != LINEAR:
+                material_part += self.tangent_floor * law.taut_tangent(a, b)
+            stiffness += self.plain * (material_part + geometric) * dx
+        self._energy = fem.form(energy)
+        self._gradient = fem.form(gradient)
+        self.stiffness_form = fem.form(stiffness)
+        self._work = np.zeros_like(u.x.array)
+
+    def attach(self, unknowns: Unknowns) -> None:
+        """Use this layout."""
+        self.blocks = unknowns.vertex_blocks()
+
+    def sums(self, x: Array, out: Array) -> None:
+        """This rank's part of the energy."""
+        out[0] = fem.assemble_scalar(self._energy)
+
+    def energy(self, sums: Array) -> float:
+        """Strain energy (force x length)."""
+        return float(sums[0])
+
+    n_sums = 1
+
+    def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
+        """Add the nodal forces of this rank's cells."""
+        self._work[:] = 0.0
+        fem.assemble_vector(self._work, self._gradient)
+        g[self.blocks] += self._work.reshape(-1, 3)
+
+    def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+        """Add the positive semidefinite stiffness of this rank's cells."""
+        fem_petsc.assemble_matrix(A, self.stiffness_form)
+
+    def material_tags(self, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+        """Tag of each of the cells' material, (n,)."""
+        if self.cell_tags is None:
+            return np.full(len(cells), next(iter(self.materials)), dtype=np.int32)
+        order = np.searchsorted(self.cell_tags.indices, cells)
+        return np.asarray(self.cell_tags.values[order], dtype=np.int32)
+
+    def material_axes(self, cells: npt.NDArray[np.int32]) -> Array:
+        """In-plane axes 1 and 2 of the cells' stress-free shape, (n, 2, 3)."""
+        mesh = self.u.function_space.mesh
+        x = mesh.geometry.x[geometry_dofmap(mesh)[cells]]
+        first = x[:, 1] - x[:, 0]
+        for tag, warp in self.warps.items():
+            if warp is not None:
+                own = self.material_tags(cells) == tag
+                first[own] = warp.x.array.reshape(-1, 3)[cells[own]]
+        first /= np.linalg.norm(first, axis=1)[:, None]
+        return np.stack([first, np.cross(cell_normals(mesh)[cells], first)], axis=1)

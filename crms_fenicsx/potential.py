@@ -1,0 +1,160 @@
+"""The total potential energy: a sum of terms, its gradient and a positive definite stiffness.
+
+Equations (2.6-1) and (3.4-1). Terms do not know each other; a term that a scene does not have is
+not in the list.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from crms_fenicsx.unknowns import Unknowns
+
+Array = npt.NDArray[np.float64]
+
+
+class Term(Protocol):
+    """A term of the potential.
+
+    The evaluation has two halves around the one reduction over the ranks: every term first writes
+    this rank's share of its scalar sums (energies, volumes, cable lengths), then computes energy
+    and gradient from the global sums. Terms may also have
+
+    ``add_stiffness(x, sums, A)``
+        Add a positive semidefinite stiffness, blocks of three by local numbers, to the matrix.
+    ``begin_step(x)`` and ``commit(x, sums)``
+        Start and end of an accepted load step, for terms with history.
+
+    ``attach(unknowns)`` is called when the term joins a potential, with the layout to work in.
+    """
+
+    name: str
+    n_sums: int
+
+    def attach(self, unknowns: Unknowns) -> None: ...
+    def sums(self, x: Array, out: Array) -> None: ...
+    def energy(self, sums: Array) -> float: ...
+    def add_gradient(self, x: Array, sums: Array, g: Array) -> None: ...
+
+
+class Potential:
+    """Sum of terms over one layout of unknowns.
+
+    Parameters
+    ----------
+    unknowns
+        Layout of the unknowns.
+    u
+        DOLFINx's view of the vertex displacements; kept equal to the unknowns.
+    terms
+        The terms.
+    """
+
+    def __init__(self, unknowns: Unknowns, u: fem.Function, terms: Sequence[Term]) -> None:
+        self.unknowns, self.u, self.terms = unknowns, u, list(terms)
+        self.comm = unknowns.comm
+        self.x_vector, self.x = unknowns.vector()
+        self.g_vector, self.g = unknowns.vector()
+        self._blocks = unknowns.vertex_blocks()
+        self._u = u.x.array.reshape(-1, 3)
+        for term in self.terms:
+            term.attach(unknowns)
+        ends = np.cumsum([0] + [term.n_sums for term in self.terms])
+        self._local_sums = np.zeros(int(ends[-1]))
+        self._sums = np.zeros(int(ends[-1]))
+        self._slices = [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        self.evaluations = 0
+        self.x[self._blocks] = self._u
+
+    def destroy(self) -> None:
+        """Free the PETSc vectors."""
+        self.x_vector.destroy()
+        self.g_vector.destroy()
+
+    def place(self, X: PETSc.Vec | None = None) -> None:
+        """Make X (or what `x` holds) the current state, ghosts and DOLFINx's view included."""
+        if X is not None:
+            X.copy(self.x_vector)
+        self.unknowns.update_ghosts(self.x_vector)
+        self.unknowns.place_riders(self.x)
+        np.take(self.x, self._blocks, axis=0, out=self._u, mode="clip")
+
+    def sum_up(self) -> None:
+        """Global sums of all terms at the current state: the one reduction of an evaluation."""
+        for term, part in zip(self.terms, self._slices, strict=True):
+            term.sums(self.x, self._local_sums[part])
+        self.comm.Allreduce(self._local_sums, self._sums, op=MPI.SUM)
+
+    def energies(self) -> dict[str, float]:
+        """Energy of each term at the sums last computed (force x length)."""
+        values: dict[str, float] = {}
+        for term, part in zip(self.terms, self._slices, strict=True):
+            values[term.name] = values.get(term.name, 0.0) + term.energy(self._sums[part])
+        return values
+
+    def sums_of(self, term: Term) -> Array:
+        """Global sums of one term, last computed."""
+        return self._sums[self._slices[self.terms.index(term)]]
+
+    def evaluate(self) -> float:
+        """Energy at the current state; leaves the gradient, held components included, in `g`."""
+        self.evaluations += 1
+        self.sum_up()
+        self.g[:] = 0.0
+        energy = 0.0
+        for term, part in zip(self.terms, self._slices, strict=True):
+            energy += term.energy(self._sums[part])
+            term.add_gradient(self.x, self._sums[part], self.g)
+        self.unknowns.gather_forces(self.g_vector, self.g)
+        return energy
+
+    def objective_gradient(self, tao: PETSc.TAO | None, X: PETSc.Vec, G: PETSc.Vec) -> float:
+        """TAO's callback: energy at X, and its gradient with held components set to zero."""
+        self.place(X)
+        energy = self.evaluate()
+        owned = self.unknowns.n_owned
+        self.g[:owned][self.unknowns.held[:owned]] = 0.0
+        self.g_vector.copy(G)
+        return energy
+
+    def add_stiffness(self, A: PETSc.Mat) -> None:
+        """Add the stiffness of all terms at the current state and the sums last computed."""
+        for term, part in zip(self.terms, self._slices, strict=True):
+            add = getattr(term, "add_stiffness", None)
+            if add is not None:
+                add(self.x, self._sums[part], A)
+
+    def begin_step(self) -> None:
+        """Tell the terms with history that a load step starts at the current state."""
+        for term in self.terms:
+            begin = getattr(term, "begin_step", None)
+            if begin is not None:
+                begin(self.x)
+
+    def commit(self) -> None:
+        """Tell the terms with history that the current state ends a load step."""
+        self.sum_up()
+        for term, part in zip(self.terms, self._slices, strict=True):
+            commit = getattr(term, "commit", None)
+            if commit is not None:
+                commit(self.x, self._sums[part])
+
+    def force_scale(self) -> float:
+        """Largest norm of one term's forces at the current state: the scene's own force."""
+        self.sum_up()
+        largest = 0.0
+        free = ~self.unknowns.held[: self.unknowns.n_owned]
+        for term, part in zip(self.terms, self._slices, strict=True):
+            self.g[:] = 0.0
+            term.add_gradient(self.x, self._sums[part], self.g)
+            self.unknowns.gather_forces(self.g_vector, self.g)
+            square = float(np.sum(self.g[: self.unknowns.n_owned][free] ** 2))
+            largest = max(largest, self.comm.allreduce(square, op=MPI.SUM) ** 0.5)
+        return largest

@@ -1,0 +1,269 @@
+"""The scene: a membrane, where it is held, its cables and loads, and its current state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from dolfinx.mesh import meshtags
+
+from crms_fenicsx.errors import InputError, raised_together
+from crms_fenicsx.materials import Membrane
+from crms_fenicsx.meshes import MembraneMesh
+
+if TYPE_CHECKING:
+    from crms_fenicsx.cables.cable import Cable, LaidCable
+    from crms_fenicsx.cables.strip import Strip
+
+Array = npt.NDArray[np.float64]
+Marker = Callable[[Array], npt.NDArray[np.bool_]]
+Law = Literal["total", "step"]
+
+COMPONENTS = {"x": 0, "y": 1, "z": 2}
+
+
+class Scene:
+    """A cable-reinforced membrane structure and its current state.
+
+    Units are the user's: any consistent set of length and force.
+
+    Parameters
+    ----------
+    mesh
+        The stress-free membrane.
+    material
+        Material of the membrane, or of each of its parts by name.
+    strain
+        "total": Green-Lagrange strain from the stress-free shape. "step": the paper's incremental
+        strain, linear in a step and aligned to a side of each cell, (2.3-3 ... 2.3-14).
+    pressure
+        "total": the exact follower pressure. "step": the paper's nodal forces, which keep
+        direction and size in a step, (2.4-1, 2).
+    penalty
+        Factor c of the penalty mu = c E t A that keeps unfolded cells triangles; stable and not
+        locking from 1e-3 to 1.
+    literal_penalty
+        The paper's coefficient mu = nu of (2.5-1) instead (force x length), the same everywhere.
+
+    Raises
+    ------
+    InputError
+        A material for a part that does not exist, or cells without a material.
+    """
+
+    def __init__(
+        self,
+        mesh: MembraneMesh,
+        material: Membrane | Mapping[str, Membrane],
+        *,
+        strain: Law = "total",
+        pressure: Law = "total",
+        penalty: float = 0.1,
+        literal_penalty: float | None = None,
+    ) -> None:
+        for name, value in (("strain", strain), ("pressure", pressure)):
+            if value not in ("total", "step"):
+                raise InputError(f"Scene: {name} = {value!r} is not known; use 'total' or 'step'.")
+        self.mesh, self.comm = mesh, mesh.comm
+        self.strain_law, self.pressure_law = strain, pressure
+        self.penalty = _checked_penalty("penalty", penalty)
+        self.literal_penalty = (
+            None if literal_penalty is None else _checked_penalty("literal_penalty", literal_penalty)
+        )
+        self.cell_tags, self.materials = _assign_materials(mesh, material)
+        self.V = fem.functionspace(mesh.mesh, ("Lagrange", 1, (3,)))
+        self.u = fem.Function(self.V, name="displacement")
+        """Displacement of the vertices from the stress-free shape (length)."""
+        self.held = np.zeros((len(self.u.x.array) // 3, 3), dtype=bool)
+        """Held components of the vertices, by local degree of freedom."""
+        self.floor_level: float | None = None
+        self.pressure = 0.0
+        """Current pressure (force per area)."""
+        self.cables: list[LaidCable] = []
+        self.strip: Strip | None = None
+        self.energies: dict[str, float] = {}
+        """Energy of each kind of term in the current state (force x length)."""
+        self.changes = 0
+        """Counts what needs a new set-up of the solver."""
+
+    @property
+    def energy(self) -> float:
+        """Total potential energy of the current state (force x length)."""
+        return sum(self.energies.values())
+
+    @property
+    def volume(self) -> float:
+        """Volume gained under the membrane since its stress-free shape (length cubed).
+
+        It is the volume between the two shapes while the boundary is held.
+        """
+        from crms_fenicsx.results import gained_volume
+
+        return gained_volume(self)
+
+    def positions(self) -> Array:
+        """Current positions of the vertices by local degree of freedom, (n, 3), with ghosts."""
+        return self.V.tabulate_dof_coordinates() + self.u.x.array.reshape(-1, 3)
+
+    def vertices(self, where: str | Marker) -> npt.NDArray[np.int32]:
+        """Local degrees of freedom of the vertices of a named group or marked by a function.
+
+        Parameters
+        ----------
+        where
+            Name of a group of edges or points, or a function of stress-free coordinates (3, n)
+            that returns (n,) booleans.
+
+        Raises
+        ------
+        InputError
+            No such group, or no vertex is marked.
+        """
+        mesh = self.mesh
+        dofs = np.zeros(0, dtype=np.int32)
+        with raised_together(self.comm):
+            if callable(where):
+                marks = np.asarray(where(self.V.tabulate_dof_coordinates().T))
+                if marks.shape != (len(self.held),) or marks.dtype != bool:
+                    raise InputError(
+                        f"vertices: the marker returned {marks.dtype} of shape {marks.shape}; it "
+                        f"must return booleans of shape {(len(self.held),)}."
+                    )
+                dofs = np.flatnonzero(marks).astype(np.int32)
+            elif where not in mesh.edges and where not in mesh.points:
+                names = ", ".join(sorted({*mesh.edges, *mesh.points}))
+                raise InputError(
+                    f"vertices: the mesh has no group of edges or points {where!r}; it has {names}."
+                )
+        if not callable(where):
+            dimension, members = (
+                (1, mesh.edges[where]) if where in mesh.edges else (0, mesh.points[where])
+            )
+            dofs = fem.locate_dofs_topological(self.V, dimension, members)
+        found = self.comm.allreduce(len(dofs))
+        if found == 0:
+            raise InputError(f"vertices: {where!r} marks no vertex of the membrane.")
+        return dofs
+
+    def fix(self, where: str | Marker, directions: str = "xyz") -> None:
+        """Hold vertices at their current displacement.
+
+        Parameters
+        ----------
+        where
+            As for `vertices`; "boundary" is the membrane's whole boundary.
+        directions
+            Held components of the displacement, out of "xyz".
+        """
+        if not directions or set(directions) - set(COMPONENTS):
+            raise InputError(
+                f"fix: directions = {directions!r} must be made of the letters x, y and z."
+            )
+        dofs = self.vertices(where)
+        for letter in directions:
+            self.held[dofs, COMPONENTS[letter]] = True
+        self.V.mesh.comm.barrier()
+        self.changes += 1
+
+    def floor(self, z: float = 0.0) -> None:
+        """Put a rigid, frictionless floor at height z: no vertex or fold point goes below it.
+
+        Raises
+        ------
+        InputError
+            If the membrane is below it now.
+        """
+        if not np.isfinite(z):
+            raise InputError(f"floor: z = {z} is no finite height.")
+        heights = self.positions()[:, 2]
+        with raised_together(self.comm):
+            if len(heights) and heights.min() < z:
+                raise InputError(
+                    f"floor: the membrane is at z = {heights.min():g}, below the floor z = {z:g}; "
+                    "put the floor lower."
+                )
+        self.floor_level = float(z)
+        self.changes += 1
+
+    def lay_cable(
+        self,
+        cable: Cable,
+        path: Sequence[Sequence[float]] | Array,
+        *,
+        L0: float | None = None,
+        tension: float | None = None,
+        name: str | None = None,
+    ) -> LaidCable:
+        """Lay a cable on the membrane's current shape.
+
+        It gets the length that makes it just taut, unless `L0` or `tension` is given. Where it
+        ends on a held part of the membrane it is held there and can be moved off; where it ends
+        elsewhere on the membrane it is tied to that place. It passes held edges at a fixed place.
+
+        Parameters
+        ----------
+        cable
+            Its data.
+        path
+            Points of its path: in plan, (k, 2), or in space, (k, 3). A first or last point in
+            space that lies off the membrane is an anchor.
+        L0
+            Unstressed length (length).
+        tension
+            Tension at laying (force), from which the unstressed length follows.
+        name
+            Name in results; "cable 1", "cable 2" ... by default.
+
+        Returns
+        -------
+        LaidCable
+            The cable, as a handle for load steps and results.
+
+        Raises
+        ------
+        PathError
+            The path cannot be laid, or crosses another cable inside a cell.
+        InputError
+            L0 or tension that is not positive, or both, or a name that is taken.
+        """
+        from crms_fenicsx.cables.laying import lay
+
+        laid = lay(self, cable, path, L0=L0, tension=tension, name=name)
+        self.changes += 1
+        return laid
+
+
+def _checked_penalty(name: str, value: float) -> float:
+    if not (np.isfinite(value) and value > 0):
+        raise InputError(f"Scene: {name} = {value} is not a positive, finite number.")
+    return float(value)
+
+
+def _assign_materials(
+    mesh: MembraneMesh, material: Membrane | Mapping[str, Membrane]
+) -> tuple[object | None, dict[int, Membrane]]:
+    """Cell tags of the parts with a material of their own (None if there is one for all)."""
+    if isinstance(material, Membrane):
+        return None, {0: material}
+    n = mesh.mesh.topology.index_map(2).size_local + mesh.mesh.topology.index_map(2).num_ghosts
+    tags = np.full(n, -1, dtype=np.int32)
+    with raised_together(mesh.comm):
+        for k, (part, value) in enumerate(material.items()):
+            if part not in mesh.parts:
+                raise InputError(
+                    f"Scene: the mesh has no part {part!r}; it has "
+                    f"{', '.join(sorted(mesh.parts)) or 'none'}."
+                )
+            if not isinstance(value, Membrane):
+                raise InputError(f"Scene: the material of part {part!r} is {value!r}, no Membrane.")
+            tags[mesh.parts[part]] = k
+        if np.any(tags < 0):
+            raise InputError(
+                f"Scene: {np.count_nonzero(tags < 0)} cells have no material; give one for "
+                "every part of the mesh."
+            )
+    cells = np.arange(n, dtype=np.int32)
+    return meshtags(mesh.mesh, 2, cells, tags), dict(enumerate(material.values()))

@@ -1,0 +1,269 @@
+"""From a scene to a potential that can be minimised, and back to the scene's state."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from crms_fenicsx.loads import FollowerPressure, StepPressure
+from crms_fenicsx.membrane import MembraneEnergy
+from crms_fenicsx.minimizer import Minimizer, Outcome
+from crms_fenicsx.potential import Potential, Term
+from crms_fenicsx.scene import Scene
+from crms_fenicsx.state import State
+from crms_fenicsx.unknowns import Unknowns
+
+if TYPE_CHECKING:
+    from crms_fenicsx.cables.network import CableTables, Network
+
+Array = npt.NDArray[np.float64]
+
+MAX_SWITCHES = 6
+"""How often each cable may turn from slack to taut or back in one solve."""
+
+
+class System:
+    """The potential of a scene, made of the terms that it needs and no others.
+
+    Forms are compiled when a term is first needed. The layout of the unknowns and the cables'
+    tables are made anew when cables are laid, become taut or slacken.
+
+    Parameters
+    ----------
+    scene
+        The scene; its current state is the first state.
+    prefix
+        PETSc options prefix.
+    rtol
+        Relative tolerance of the solver.
+    """
+
+    def __init__(self, scene: Scene, prefix: str, rtol: float) -> None:
+        self.scene, self.prefix, self.rtol = scene, prefix, rtol
+        self.membrane = MembraneEnergy(scene.u, scene.materials, scene.cell_tags)
+        self.pressure: FollowerPressure | StepPressure | None = None
+        self.pressure_value = fem.Constant(scene.mesh.mesh, PETSc.ScalarType(0.0))
+        self.origin = self._centre()
+        self.network: Network | None = None
+        self.tables: CableTables | None = None
+        self.minimizer: Minimizer | None = None
+        self._folded_work = np.zeros(1)
+        self.rebuild()
+
+    def _centre(self) -> Array:
+        """Mean stress-free position: volumes are counted from it, against rounding."""
+        V = self.scene.V
+        owned = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local]
+        total = self.scene.comm.allreduce(owned.sum(axis=0))
+        return np.asarray(total / V.dofmap.index_map.size_global)
+
+    def destroy(self) -> None:
+        """Free the PETSc objects."""
+        if self.minimizer is not None:
+            self.minimizer.destroy()
+            self.potential.destroy()
+            self.minimizer = None
+
+    def rebuild(self) -> None:
+        """Make layout, tables and solver anew for the scene as it is."""
+        self.destroy()
+        scene = self.scene
+        self.tables = None
+        if scene.cables:
+            from crms_fenicsx.cables.network import Network
+
+            assert scene.strip is not None
+            self.network = Network(scene.cables, scene.strip, scene.u)
+            self.unknowns = self.network.unknowns()
+            self.network.hold(self.unknowns)
+        else:
+            self.unknowns = Unknowns(scene.V)
+        blocks = self.unknowns.vertex_blocks()
+        self.unknowns.held[blocks] = scene.held
+        terms: list[Term] = [self.membrane]
+        self.membrane.plain.x.array[:] = 1.0
+        if scene.pressure != 0.0 or self.pressure is not None:
+            terms.append(self._pressure_term())
+        if any(cable.taut for cable in scene.cables):
+            terms += self._cable_terms()
+        if scene.floor_level is not None:
+            lower = np.full_like(self.unknowns.X, -np.inf)
+            lower[:, 2] = scene.floor_level - self.unknowns.X[:, 2]
+            lower[self.unknowns.held] = -np.inf
+            self.unknowns.bounds = (lower, np.full_like(lower, np.inf))
+        self.potential = Potential(self.unknowns, scene.u, terms)
+        self.minimizer = Minimizer(self.potential, self.prefix, self.rtol, self._tiny_force())
+        self.built_for = scene.changes
+
+    def _pressure_term(self) -> FollowerPressure | StepPressure:
+        if self.pressure is None:
+            u, plain, value = self.scene.u, self.membrane.plain, self.pressure_value
+            if self.scene.pressure_law == "total":
+                self.pressure = FollowerPressure(u, plain, value, self.origin)
+            else:
+                self.pressure = StepPressure(u, plain, value)
+        return self.pressure
+
+    def _cable_terms(self) -> list[Term]:
+        """Terms of the cables in tension; the cells that they fold leave the membrane term."""
+        from crms_fenicsx.cables.fold import FoldEnergy
+        from crms_fenicsx.cables.penalty import KinkPenalty
+        from crms_fenicsx.cables.tension import CableTension
+        from crms_fenicsx.cables.volume import FoldedFollowerPressure, FoldedStepPressure
+
+        scene, network = self.scene, self.network
+        assert network is not None
+        taut = [cable for cable in scene.cables if cable.taut]
+        self.tables = tables = network.tables(self.membrane)
+        folded = tables.folded
+        self.membrane.plain.x.array[folded.cells] = 0.0
+        self.tension = CableTension(
+            tables.segments, tables.eps, tables.cable,
+            np.array([c.cable.EA for c in taut]), np.array([c.L0 for c in taut]),
+        )  # fmt: skip
+        terms: list[Term] = [self.tension]
+        # Every rank has the same terms, so that sums line up; folds may be on some ranks only.
+        if self.scene.comm.allreduce(len(folded.cells), op=MPI.SUM) == 0:
+            return terms
+        self.folds = FoldEnergy(folded, self.membrane.h0_prestress)
+        terms.append(self.folds)
+        moduli = np.array(
+            [
+                self.membrane.materials[int(tag)].reference_modulus
+                for tag in self.membrane.material_tags(folded.cells)
+            ]
+        )
+        terms.append(
+            KinkPenalty(
+                tables.penalty(scene.penalty, moduli)
+                if scene.literal_penalty is None
+                else tables.literal_penalty(scene.literal_penalty)
+            )
+        )
+        if self.pressure is not None:
+            if scene.pressure_law == "total":
+                terms.append(
+                    FoldedFollowerPressure(tables.facets, self.pressure_value, self.origin)
+                )
+            else:
+                terms.append(
+                    FoldedStepPressure(tables.facets, self.pressure_value, self._folded_work)
+                )
+        return terms
+
+    def _tiny_force(self) -> float:
+        """A force that is nothing for this membrane: tolerance of scenes without any load."""
+        modulus = max(m.reference_modulus for m in self.scene.materials.values())
+        return 1e-12 * modulus * self.size
+
+    @property
+    def size(self) -> float:
+        """Square root of the stress-free area (length)."""
+        if not hasattr(self, "_size"):
+            from crms_fenicsx.membrane import one_point
+
+            one = fem.Constant(self.scene.mesh.mesh, PETSc.ScalarType(1.0))
+            area = fem.assemble_scalar(fem.form(one * one_point(self.scene.mesh.mesh)))
+            self._size = float(np.sqrt(self.scene.comm.allreduce(area)))
+        return self._size
+
+    def pull(self) -> None:
+        """Take state and loads from the scene."""
+        scene, potential = self.scene, self.potential
+        self.pressure_value.value = scene.pressure
+        potential.x[self.unknowns.vertex_blocks()] = scene.u.x.array.reshape(-1, 3)
+        if self.network is not None:
+            for (c, k), number in self.network.numbers.items():
+                block = self.network.blocks[number]
+                if block >= 0:
+                    potential.x[block] = scene.cables[c].positions[k] - self.unknowns.X[block]
+            taut = [cable.L0 for cable in scene.cables if cable.taut]
+            if taut:
+                self.tension.L0[:] = taut
+        potential.place()
+
+    def push(self) -> None:
+        """Give the solved state back to the scene."""
+        scene, network = self.scene, self.network
+        self.potential.sum_up()
+        scene.energies = self.potential.energies()
+        if network is None:
+            return
+        lengths = network.lengths(self.unknowns, self.potential.x)
+        network.update_cables(self.unknowns, self.potential.x)
+        for cable, length in zip(scene.cables, lengths, strict=True):
+            cable.length = float(length)
+            cable.tension = 0.0
+        if any(cable.taut for cable in scene.cables):
+            part = self.potential.sums_of(self.tension)
+            taut = [cable for cable in scene.cables if cable.taut]
+            for cable, length, force in zip(taut, part, self.tension.tensions(part), strict=True):
+                cable.length, cable.tension = float(length), float(force)
+
+    def _switch_cables(self) -> list[str]:
+        """Tighten slack cables that have become too long for their path, slacken the others."""
+        if self.network is None:
+            return []
+        lengths = self.network.lengths(self.unknowns, self.potential.x)
+        switched = []
+        for cable, length in zip(self.scene.cables, lengths, strict=True):
+            taut = cable.cable.law == "step" or bool(length > cable.L0 * (1 + 1e-12))
+            if taut != cable.taut:
+                switched.append(cable.name)
+                cable.taut = taut
+        return switched
+
+    def solve(self, h0_prestress: tuple[float, ...]) -> Outcome:
+        """Find the equilibrium at the scene's loads, starting from its state.
+
+        Cables that turn taut or slack on the way are switched and the solve repeated.
+        """
+        total: Outcome | None = None
+        if self.built_for != self.scene.changes or self._needs_pressure():
+            self.rebuild()
+        start = State.of(self.scene)
+        self.pull()
+        switched = self._switch_cables()
+        counts: dict[str, int] = {}
+        while True:
+            for name in switched:
+                counts[name] = counts.get(name, 0) + 1
+            if switched:
+                if self._has_history():
+                    start.restore_shape(self.scene)  # the step starts there for all its terms
+                self.rebuild()
+                self.pull()
+            self.potential.begin_step()
+            assert self.minimizer is not None
+            outcome = self.minimizer.solve(h0_prestress)
+            total = outcome if total is None else total + outcome
+            if not outcome.converged:
+                return total
+            self.push()
+            switched = self._switch_cables()
+            if not switched:
+                return total
+            if max(counts.get(name, 0) for name in switched) >= MAX_SWITCHES:
+                reason = f"{switched[0]} keeps turning from slack to taut and back"
+                return Outcome(
+                    False, reason, total.residual, total.tolerance, total.iterations,
+                    total.evaluations, total.factorizations,
+                )  # fmt: skip
+
+    def _has_history(self) -> bool:
+        scene = self.scene
+        return "step" in (scene.strain_law, scene.pressure_law) or any(
+            cable.cable.law == "step" for cable in scene.cables
+        )
+
+    def _needs_pressure(self) -> bool:
+        return self.scene.pressure != 0.0 and self.pressure is None
+
+    def commit(self) -> None:
+        """End a load step, for terms with history."""
+        self.potential.commit()

@@ -1,0 +1,163 @@
+"""Layout of the unknowns: displacements of mesh vertices and of the cables' points.
+
+Everything is counted in *blocks* of three components. On each rank the local blocks are
+
+    [ owned vertices | owned cable points | ghost vertices | ghost cable points ]
+
+and the PETSc vectors hold the first two groups. Cable points are fold points on edges, anchors and
+other points that cables pass without being mesh vertices. Terms of the potential see one local
+array (n, 3) of displacements, ghosts included, and address its blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from petsc4py import PETSc
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int32]
+
+
+class Unknowns:
+    """Numbering, ghosted vectors and held components of the unknowns.
+
+    Parameters
+    ----------
+    V
+        Vertex displacements: continuous piecewise linear vectors (3).
+    owned_points
+        How many cable points this rank owns.
+    ghost_points
+        For each cable point that this rank needs but does not own: its owner and its index among
+        the owner's points, (n, 2).
+
+    Attributes
+    ----------
+    X : (n, 3) array
+        Positions that belong to zero displacement: stress-free vertices, first positions of
+        cable points (to be filled in by who lays the cable).
+    held : (n, 3) bool array
+        Components with a prescribed value.
+    bounds : None or (lower, upper), each (n, 3)
+        One-sided obstacles, as bounds of displacements.
+    """
+
+    def __init__(
+        self,
+        V: fem.FunctionSpace,
+        owned_points: int = 0,
+        ghost_points: Sequence[tuple[int, int]] = (),
+    ) -> None:
+        self.V = V
+        self.comm = V.mesh.comm
+        vertices = V.dofmap.index_map
+        self.n_vertices = vertices.size_local
+        self.n_points = owned_points
+        self.n_owned = self.n_vertices + self.n_points
+        self.n_ghost_vertices = vertices.num_ghosts
+        self.n_local = self.n_owned + self.n_ghost_vertices + len(ghost_points)
+
+        # The combined global numbering: rank by rank, vertices first.
+        vertex_starts = np.array(self.comm.allgather(vertices.local_range[0]))
+        sizes = np.array(self.comm.allgather((self.n_vertices, self.n_points)))
+        starts = np.concatenate([[0], np.cumsum(sizes.sum(axis=1))])
+        owners = vertices.owners
+        ghosts = np.empty(self.n_local - self.n_owned, dtype=PETSc.IntType)
+        ghosts[: self.n_ghost_vertices] = (
+            vertices.ghosts - vertex_starts[owners] + starts[owners]
+        )
+        for k, (owner, index) in enumerate(ghost_points):
+            ghosts[self.n_ghost_vertices + k] = starts[owner] + sizes[owner, 0] + index
+        self.ghosts = ghosts
+        self.start = int(starts[self.comm.rank])
+        self.n_global = int(starts[-1])
+
+        self.X = np.zeros((self.n_local, 3))
+        self.X[self.vertex_blocks()] = V.tabulate_dof_coordinates()
+        self.held = np.zeros((self.n_local, 3), dtype=bool)
+        self.bounds: tuple[Array, Array] | None = None
+        none = np.zeros(0, dtype=np.int32)
+        self.set_riders(none, none.reshape(0, 3), np.zeros((0, 3)))
+
+    def vertex_blocks(self) -> Indices:
+        """Local blocks of the vertices in DOLFINx's local order (owned, then ghosts)."""
+        ghosts = self.n_owned + np.arange(self.n_ghost_vertices)
+        return np.concatenate([np.arange(self.n_vertices), ghosts]).astype(np.int32)
+
+    def owned_point_blocks(self) -> Indices:
+        """Local blocks of the cable points that this rank owns."""
+        return np.arange(self.n_vertices, self.n_owned, dtype=np.int32)
+
+    def ghost_point_blocks(self) -> Indices:
+        """Local blocks of the cable points of other ranks."""
+        return np.arange(self.n_owned + self.n_ghost_vertices, self.n_local, dtype=np.int32)
+
+    def vector(self) -> tuple[PETSc.Vec, Array]:
+        """A ghosted vector and its local array (n, 3), ghosts included, which share memory."""
+        array = np.zeros((self.n_local, 3))
+        vector = PETSc.Vec().createGhostWithArray(
+            self.ghosts, array.reshape(-1), size=(3 * self.n_owned, 3 * self.n_global), bsize=3,
+            comm=self.comm,
+        )  # fmt: skip
+        return vector, array
+
+    def lgmap(self) -> PETSc.LGMap:
+        """Local to global map of the blocks."""
+        owned = np.arange(self.start, self.start + self.n_owned, dtype=PETSc.IntType)
+        return PETSc.LGMap().create(np.concatenate([owned, self.ghosts]), bsize=3, comm=self.comm)
+
+    def update_ghosts(self, vector: PETSc.Vec) -> None:
+        """Copy owned values to the ghosts of other ranks."""
+        if self.comm.size > 1:
+            vector.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
+
+    def add_ghosts(self, vector: PETSc.Vec) -> None:
+        """Add ghost values to their owners."""
+        if self.comm.size > 1:
+            vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+
+    def set_riders(self, riders: Indices, masters: Indices, weights: Array) -> None:
+        """Let points ride on vertices: their position is a weighted mean of the vertices'.
+
+        Parameters
+        ----------
+        riders
+            Local blocks of cable points, (n,).
+        masters, weights
+            Local blocks of three vertices each and their weights, (n, 3).
+        """
+        self.riders, self.masters, self.weights = riders, masters, weights
+        self.n_riders = len(riders)
+        self.held[riders] = True
+
+    def place_riders(self, x: Array) -> None:
+        """Move the riders with their vertices."""
+        if self.n_riders:
+            positions = self.X[self.masters] + x[self.masters]
+            x[self.riders] = np.einsum("nk,nki->ni", self.weights, positions) - self.X[self.riders]
+
+    def gather_forces(self, vector: PETSc.Vec, g: Array) -> None:
+        """Hand the riders' forces to their vertices and those of ghosts to their owners."""
+        if self.n_riders:
+            parts = self.weights[:, :, None] * g[self.riders][:, None, :]
+            np.add.at(g, self.masters, parts)
+            g[self.riders] = 0.0
+        self.add_ghosts(vector)
+
+    def spread(self, rows: Indices, cols: Indices, values: Array) -> tuple[Indices, Indices, Array]:
+        """Stiffness blocks (n, 3, 3) with those of riders handed on to their vertices."""
+        blocks = np.zeros((self.n_local, 3), dtype=np.int32)
+        share = np.zeros((self.n_local, 3))
+        blocks[:, 0], share[:, 0] = np.arange(self.n_local), 1.0
+        blocks[self.riders], share[self.riders] = self.masters, self.weights
+        weights = share[rows][:, :, None] * share[cols][:, None, :]
+        entry, i, j = np.nonzero(weights)
+        return (
+            blocks[rows[entry], i],
+            blocks[cols[entry], j],
+            weights[entry, i, j][:, None, None] * values[entry],
+        )
