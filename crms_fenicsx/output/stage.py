@@ -99,7 +99,7 @@ class Stage:
         self.camera, self.low, self.high = camera, low, high
         seen = camera.project(_corners(low, high))[:, :2]
         span = np.maximum(np.ptp(seen, axis=0), 1e-12 * np.ptp(seen))
-        left, right, bottom, top = 0.62, 0.45 + 0.95 * bars, 0.55, 0.42 if title else 0.15
+        left, right, bottom, top = 0.62, 0.58 + 0.95 * bars, 0.55, 0.42 if title else 0.15
         room = np.array([width - left - right, 0.95 * width])
         scale = float((span / room).max())
         height = span[1] / scale + bottom + top
