@@ -1,0 +1,191 @@
+"""The run's numbers, one row per load step, in memory and in a CSV file."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from crms_fenicsx.errors import InputError, raised_together
+from crms_fenicsx.output.files import make_writable, replaced
+
+Value = int | float | str
+
+
+class History:
+    """Rows of named values; the file is complete after each row.
+
+    A row may bring new columns (a cable that is laid later); rows without them hold NaN there, or
+    "" in a column of text. Floats are written with all their digits.
+
+    Parameters
+    ----------
+    path : str, Path or None
+        The CSV file, replaced when the first row is appended; None keeps the rows in memory.
+    comm : MPI communicator
+        All of its ranks append the same rows; rank 0 writes.
+
+    Raises
+    ------
+    InputError
+        On all ranks, when the file's folder cannot be written.
+    """
+
+    def __init__(self, path: str | Path | None, comm: MPI.Intracomm) -> None:
+        self.path = None if path is None else Path(path)
+        self.comm = comm
+        self._columns: list[str] = []
+        self._rows: list[dict[str, Value]] = []
+        self._lines: list[str] = []
+        with raised_together(comm):
+            if self.path is not None and comm.rank == 0:
+                make_writable(self.path.parent)
+                if self.path.is_dir():
+                    raise InputError(f"{self.path} is a folder; give the name of a file")
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns, in the order of their first appearance."""
+        return tuple(self._columns)
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __iter__(self) -> Iterator[dict[str, Value]]:
+        return (dict(row) for row in self._rows)
+
+    def __getitem__(self, column: str) -> NDArray[Any]:
+        """Return a column: integers, floats with NaN where absent, or text with "" there.
+
+        Raises
+        ------
+        InputError
+            When there is no such column.
+        """
+        if column not in self._columns:
+            raise InputError(f"no column {column!r}; there are {self._columns}")
+        given = [row[column] for row in self._rows if column in row]
+        if any(isinstance(value, str) for value in given):
+            return np.array([row.get(column, "") for row in self._rows], dtype=str)
+        if len(given) == len(self._rows) and all(isinstance(value, int) for value in given):
+            return np.array(given, dtype=np.int64)
+        return np.array([row.get(column, np.nan) for row in self._rows], dtype=np.float64)
+
+    def append(self, row: Mapping[str, Value | np.generic]) -> None:
+        """Add a row, and bring the file up to date. Collective.
+
+        Parameters
+        ----------
+        row : dict of int, float or str
+            Values by column, the same on all ranks; numpy scalars will do.
+
+        Raises
+        ------
+        InputError
+            On all ranks: a value that is no number or text, text in a column of numbers or the
+            reverse, or a file that cannot be written. The history is then as it was before.
+        """
+        with raised_together(self.comm):
+            plain = {_name(column): _plain(column, value) for column, value in row.items()}
+            for column, value in plain.items():
+                self._check_kind(column, value)
+            if not plain:
+                raise InputError("an empty row for the history; give at least the step")
+            columns = self._columns + [name for name in plain if name not in self._columns]
+            rows = [*self._rows, plain]
+            if self.path is not None and self.comm.rank == 0:
+                if columns == self._columns:
+                    lines = [*self._lines, _line(plain.get(name, "") for name in columns)]
+                else:
+                    lines = [_line(old.get(name, "") for name in columns) for old in rows]
+                with replaced(self.path) as partial:
+                    partial.write_text(_line(columns) + "".join(lines), encoding="utf-8")
+                self._lines = lines
+        self._columns, self._rows = columns, rows
+
+    def _check_kind(self, column: str, value: Value) -> None:
+        for row in reversed(self._rows):
+            if column in row:
+                if isinstance(row[column], str) != isinstance(value, str):
+                    raise InputError(
+                        f"column {column!r} got {value!r} after {row[column]!r}; "
+                        "keep text and numbers in columns of their own"
+                    )
+                return
+
+    @classmethod
+    def read(cls, path: str | Path) -> History:
+        """Return the history in a CSV file, kept in memory; not collective.
+
+        A column whose values all read as integers, or as numbers, is one; the others are text.
+
+        Raises
+        ------
+        InputError
+            When the file is missing, empty or has a row of another length.
+        """
+        try:
+            with open(path, newline="", encoding="utf-8") as file:
+                cells = list(csv.reader(file))
+        except OSError as error:
+            raise InputError(
+                f"the history {path} cannot be read ({error.strerror or error}); give the CSV "
+                "file that a run has written"
+            ) from error
+        if not cells:
+            raise InputError(f"the history {path} is empty; a run writes at least its header")
+        columns, *rows = cells
+        for number, row in enumerate(rows, start=1):
+            if len(row) != len(columns):
+                raise InputError(
+                    f"the history {path} has {len(row)} values in row {number} but "
+                    f"{len(columns)} columns; was it edited?"
+                )
+        history = cls(None, MPI.COMM_SELF)
+        history._columns = columns
+        history._rows = [{} for _ in rows]
+        for index, column in enumerate(columns):
+            values = _parsed([row[index] for row in rows])
+            for target, value in zip(history._rows, values, strict=True):
+                if value != "":
+                    target[column] = value
+        return history
+
+
+def _name(column: object) -> str:
+    if not isinstance(column, str) or not column or column != column.strip():
+        raise InputError(f"{column!r} is no name for a column; give text without blanks around it")
+    return column
+
+
+def _plain(column: str, value: object) -> Value:
+    if isinstance(value, str):
+        return str(value)
+    if isinstance(value, bool | np.bool_ | int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value)
+    raise InputError(f"column {column!r} got {value!r}; give an int, a float or text")
+
+
+def _line(values: object) -> str:
+    buffer = io.StringIO()
+    csv.writer(buffer, lineterminator="\n").writerow(values)  # type: ignore[arg-type]
+    return buffer.getvalue()
+
+
+def _parsed(texts: list[str]) -> list[Value]:
+    for kind in (int, float):
+        try:
+            values: list[Value] = [kind(text) if text else "" for text in texts]
+        except ValueError:
+            continue
+        if not any("_" in text for text in texts):  # Python reads "1_2" as 12
+            return values
+    return list(texts)

@@ -1,0 +1,350 @@
+"""Pictures of a shape with its cables, painted from back to front."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from crms_fenicsx.errors import InputError
+from crms_fenicsx.output.camera import Camera, brightness, visible
+from crms_fenicsx.output.shapes import Line, Surface
+from crms_fenicsx.output.stage import (
+    INK,
+    Stage,
+    bounds,
+    check_colours,
+    check_view,
+    checked_filename,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.cm import ScalarMappable
+
+Floats = NDArray[np.float64]
+
+_FABRIC = (0.80, 0.86, 0.93)
+_CABLE = "#c8322b"
+_ON_SURFACE = 0.006  # of the size: triangles that come unfolded pass over their cable
+_SHORTEST = 3  # pieces of a line: less is a speck in a crease
+_GHOST = (0.20, 0.33, 0.60)
+
+
+def draw_shape(
+    filename: str | Path,
+    points: ArrayLike,
+    triangles: ArrayLike,
+    lines: Sequence[Line] = (),
+    *,
+    values: ArrayLike | None = None,
+    label: str = "",
+    limits: tuple[float, float] | None = None,
+    colours: str = "viridis",
+    line_values: str | None = None,
+    line_label: str = "",
+    line_limits: tuple[float, float] | None = None,
+    line_colours: str = "YlOrRd",
+    show_names: bool = False,
+    title: str = "",
+    unit: str = "",
+    view: tuple[float, float] = (-60.0, 30.0),
+    perspective: bool = True,
+    ghost: tuple[ArrayLike, ArrayLike] | None = None,
+    edges: bool = True,
+    box: bool = True,
+    width: float = 8.0,
+    dpi: int = 200,
+) -> None:
+    """Draw a surface and the cables on it, in a box from which its size can be read.
+
+    Cables are seen where no part of the surface is in front of them. Not collective: call it on
+    one rank, with all of the surface.
+
+    Parameters
+    ----------
+    filename : str or Path
+        Picture to write; its suffix (.png, .pdf, .svg ...) says the format.
+    points, triangles : (n, 3) array of length, (m, 3) array of int
+        The surface.
+    lines : sequence of Line
+        Cables.
+    values : (n,) or (m,) array, optional
+        Colours by value, per vertex or per triangle; NaN is grey. Without it, plain fabric.
+    label : str
+        Of the values' colour bar, with its unit.
+    limits : (low, high), optional
+        Ends of the colours; by default the values' own.
+    colours : str
+        Name of a matplotlib colour map.
+    line_values : str, optional
+        Name of the lines' data that colour them ("tension"), with a colour bar of its own.
+    line_label, line_limits, line_colours
+        As those of the surface.
+    show_names : bool
+        Write each line's name beside it.
+    title : str
+    unit : str
+        Of length, for the box.
+    view : (azimuth, elevation)
+        Where the viewer stands, in degrees; see `Camera`.
+    perspective : bool
+        Mild perspective; otherwise parallel projection.
+    ghost : (points, triangles), optional
+        A second shape, such as the reference, drawn faintly.
+    edges : bool
+        Draw the edges of the triangles where these are large enough.
+    box : bool
+        Draw the box with its ticks.
+    width : float
+        The picture's, in inches; its height follows from the shape's.
+    dpi : int
+        Pixels per inch.
+
+    Raises
+    ------
+    InputError
+        For arrays that do not fit together, lines without `line_values`, or a file that cannot
+        be written.
+    """
+    surface = Surface(points, triangles).checked()
+    lines = [line.checked() for line in lines]
+    faint = None if ghost is None else Surface(*ghost).checked()
+    values = _per_triangle(values, surface)
+    _check_line_values(lines, line_values)
+    for name in (colours, line_colours):
+        check_colours(name)
+    if len(np.asarray(surface.points)) == 0 and not lines:
+        raise InputError("nothing to draw: no points and no lines; give one of them")
+    check_view(view)
+    path = checked_filename(filename)
+
+    spatial = np.asarray(surface.points)[np.asarray(surface.triangles)]
+    shapes = [spatial, *(np.asarray(line.points) for line in lines)]
+    if faint is not None:
+        shapes.append(np.asarray(faint.points)[np.asarray(faint.triangles)])
+    low, high = bounds(shapes)
+    size = float(np.linalg.norm(high - low))
+    near = perspective and abs(view[1]) < 85.0  # a plan is parallel, or it cannot be measured
+    camera = Camera(*view, 0.5 * (low + high), 3.5 * size if near else np.inf)
+    bars = (values is not None) + (line_values is not None)
+    stage = Stage(camera, low, high, title, bars, width)
+    if box:
+        stage.draw_box(unit)
+
+    flat = camera.project(spatial)
+    if values is not None:
+        mappable = _mappable(colours, values, limits)
+        face_colours = mappable.to_rgba(values)[:, :3]
+        stage.add_bar(mappable, label, 0)
+    else:
+        face_colours = np.tile(_FABRIC, (len(flat), 1))
+    _paint_triangles(stage, spatial, flat, face_colours, faint, edges)
+
+    tolerance = _ON_SURFACE * size
+    outline = _outline(np.asarray(surface.points), np.asarray(surface.triangles))
+    _paint_outline(stage, outline, flat, tolerance)
+    if faint is not None:
+        rim = _outline(np.asarray(faint.points), np.asarray(faint.triangles))
+        _paint_outline(stage, rim, flat[:0], tolerance, colour=(*_GHOST, 0.6))
+    if line_values is not None:
+        of_lines = [np.asarray(line.data[line_values]) for line in lines]
+        every = np.concatenate([array.ravel() for array in of_lines])
+        mappable = _mappable(line_colours, every, line_limits)
+        stage.add_bar(mappable, line_label or line_values, bars - 1)
+        _paint_lines(stage, lines, flat, tolerance, of_lines, mappable, show_names)
+    else:
+        _paint_lines(stage, lines, flat, tolerance, None, None, show_names)
+    stage.save(path, dpi)
+
+
+def _per_triangle(values: ArrayLike | None, surface: Surface) -> Floats | None:
+    """Return values per triangle; those per vertex become the mean of the triangle's corners."""
+    if values is None:
+        return None
+    array = np.asarray(values, dtype=np.float64)
+    triangles = np.asarray(surface.triangles)
+    if array.shape == (len(triangles),):
+        return array
+    if array.shape == (len(np.asarray(surface.points)),):
+        return array[triangles].mean(axis=1)
+    raise InputError(
+        f"values have shape {array.shape}; give one for each of the "
+        f"{len(np.asarray(surface.points))} vertices or {len(triangles)} triangles"
+    )
+
+
+def _check_line_values(lines: Sequence[Line], name: str | None) -> None:
+    if name is None:
+        return
+    if not lines:
+        raise InputError(f"line_values {name!r}, but there are no lines; leave it out")
+    for number, line in enumerate(lines):
+        if name not in line.data:
+            raise InputError(
+                f"line {number} {line.name!r} has no {name!r}; it has "
+                f"{', '.join(line.data) or 'no data'}"
+            )
+
+
+def _mappable(colours: str, values: Floats, limits: tuple[float, float] | None) -> ScalarMappable:
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import ListedColormap, Normalize
+
+    finite = values[np.isfinite(values)]
+    if limits is None:
+        limits = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
+        if limits[0] == limits[1]:  # one value: a bar around it
+            margin = 0.05 * abs(limits[0]) or 1.0
+            limits = (limits[0] - margin, limits[1] + margin)
+    # a little white leaves room for the shade, which dark colours would swallow
+    shades = 0.86 * colormaps[colours](np.linspace(0.0, 1.0, 256))[:, :3] + 0.14
+    colormap = ListedColormap(shades)
+    colormap.set_bad("#c8c8c8")
+    return ScalarMappable(Normalize(*limits), colormap)
+
+
+def _paint_triangles(
+    stage: Stage,
+    spatial: Floats,
+    flat: Floats,
+    colours: Floats,
+    faint: Surface | None,
+    edges: bool,
+) -> None:
+    from matplotlib.collections import PolyCollection
+
+    diffuse, specular = brightness(stage.camera, spatial)
+    faces = colours * (0.44 + 0.62 * diffuse)[:, None] + 0.16 * specular[:, None]
+    faces = np.column_stack([np.clip(faces, 0, 1), np.ones(len(faces))])
+    strength = _edge_strength(stage, flat) if edges else 0.0
+    # without edges of their own, the faces' rims close the seams that antialiasing leaves
+    rims = np.column_stack([faces[:, :3] * (1.0 - 0.45 * strength), faces[:, 3]])
+    thick = np.full(len(faces), 0.25 + 0.2 * strength)
+    if faint is not None:
+        extra = stage.camera.project(np.asarray(faint.points)[np.asarray(faint.triangles)])
+        strength = _edge_strength(stage, extra)
+        flat = np.concatenate([flat, extra])
+        faces = np.concatenate([faces, np.tile((*_GHOST, 0.10), (len(extra), 1))])
+        rims = np.concatenate([rims, np.tile((*_GHOST, 0.5 * strength), (len(extra), 1))])
+        thick = np.concatenate([thick, np.full(len(extra), 0.4)])
+    order = np.argsort(flat[..., 2].mean(axis=1), kind="stable")
+    stage.axes.add_collection(
+        PolyCollection(
+            list(flat[order, :, :2]), facecolors=faces[order], edgecolors=rims[order],
+            linewidths=thick[order], joinstyle="round", zorder=1,
+        )
+    )  # fmt: skip
+
+
+def _paint_outline(
+    stage: Stage, outline: Floats, flat: Floats, tolerance: float, colour: Any = INK
+) -> None:
+    from matplotlib.collections import LineCollection
+
+    if len(outline):
+        ends = stage.camera.project(outline)
+        seen = visible(ends.mean(axis=1), flat, tolerance)
+        stage.axes.add_collection(
+            LineCollection(
+                list(ends[seen, :, :2]), colors=[colour], linewidths=0.8, capstyle="round", zorder=2
+            )
+        )
+
+
+def _paint_lines(
+    stage: Stage,
+    lines: Sequence[Line],
+    flat: Floats,
+    tolerance: float,
+    values: Sequence[Floats] | None,
+    mappable: ScalarMappable | None,
+    show_names: bool,
+) -> None:
+    from matplotlib.collections import LineCollection
+    from matplotlib.patheffects import withStroke
+
+    runs: list[Floats] = []
+    run_values: list[float] = []
+    nearness: list[float] = []
+    for number, line in enumerate(lines):
+        nodes, segment, middle = _subdivided(stage.camera.project(line.points), 2.5 * stage.point)
+        seen = visible(0.5 * (nodes[1:] + nodes[:-1]), flat, tolerance)
+        of_piece: Floats = np.zeros(len(segment))
+        if values is not None:
+            given = values[number]
+            if given.shape == (len(np.asarray(line.points)),):
+                of_piece = given[segment] + middle * (given[segment + 1] - given[segment])
+            else:
+                of_piece = np.broadcast_to(given, len(np.asarray(line.points)) - 1)[segment]
+        # a run: pieces that are seen, one after the other, in one colour
+        starts = np.flatnonzero(
+            np.r_[True, (seen[1:] != seen[:-1]) | (of_piece[1:] != of_piece[:-1])]
+        )
+        for start, end in zip(starts, [*starts[1:], len(seen)], strict=True):
+            if seen[start] and (end - start >= _SHORTEST or len(seen) < 2 * _SHORTEST):
+                runs.append(nodes[start : end + 1, :2])
+                run_values.append(float(of_piece[start]))
+                nearness.append(float(nodes[start : end + 1, 2].mean()))
+        if show_names and line.name and seen.any():
+            right, up = nodes[np.flatnonzero(seen)[-1] + 1, :2]
+            text = stage.axes.annotate(
+                line.name, (right, up), (4, 4), textcoords="offset points", fontsize=8.5, color=INK,
+                zorder=5,
+            )  # fmt: skip
+            text.set_path_effects([withStroke(linewidth=2.0, foreground="white")])
+    if not runs:
+        return
+    order = np.argsort(nearness, kind="stable")
+    paths = [runs[i] for i in order]
+    cores = _CABLE if mappable is None else mappable.to_rgba(np.array(run_values)[order])
+    for zorder, colour, thick in ((3, "#1d1f24", 2.9), (4, cores, 1.7)):
+        stage.axes.add_collection(
+            LineCollection(
+                paths, colors=colour, linewidths=thick, capstyle="round", joinstyle="round",
+                zorder=zorder,
+            )
+        )  # fmt: skip
+
+
+def _subdivided(nodes: Floats, step: float) -> tuple[Floats, NDArray[np.int64], Floats]:
+    """Cut a projected polyline's segments into pieces no longer than `step`.
+
+    Returns the nodes (s + 1, 3), each piece's segment (s,) and its middle's place along it (s,).
+    """
+    lengths = np.linalg.norm(np.diff(nodes[:, :2], axis=0), axis=1)
+    counts = np.maximum(np.ceil(lengths / step), 1).astype(np.int64)
+    segment = np.repeat(np.arange(len(counts)), counts)
+    k = np.arange(len(segment)) - np.repeat(np.cumsum(counts) - counts, counts)
+    start = (k / counts[segment])[:, None]
+    cut = nodes[segment] + start * (nodes[segment + 1] - nodes[segment])
+    return np.vstack([cut, nodes[-1:]]), segment, (k + 0.5) / counts[segment]
+
+
+def _edge_strength(stage: Stage, flat: Floats) -> float:
+    """Return how strongly to draw edges, 0 to 1: those of a fine mesh would be all one sees."""
+    if len(flat) == 0:
+        return 0.0
+    sides = flat[..., :2] - np.roll(flat[..., :2], 1, axis=1)
+    points = float(np.median(np.linalg.norm(sides, axis=2))) / stage.point
+    return 0.0 if points < 3.0 else float(np.clip((points - 3.0) / 12.0, 0.15, 1.0))
+
+
+def _outline(points: Floats, triangles: NDArray[np.int64]) -> Floats:
+    """Return the ends (b, 2, 3) of the edges that belong to one triangle only.
+
+    Vertices at the same place count as one, as the parts of folded triangles may bring their own.
+    """
+    if len(triangles) == 0:
+        return np.empty((0, 2, 3))
+    step = 1e-9 * float(np.ptp(points, axis=0).max()) or 1.0
+    _, first, same = np.unique(
+        np.round(points / step), axis=0, return_index=True, return_inverse=True
+    )
+    merged = same.reshape(-1)[triangles]
+    pairs = np.sort(merged[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    pairs, counts = np.unique(pairs, axis=0, return_counts=True)
+    return points[first[pairs[counts == 1]]]

@@ -1,0 +1,284 @@
+"""The sheet that a shape is drawn on: its size, a measured box behind the shape, colour bars."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from crms_fenicsx.errors import InputError
+from crms_fenicsx.output.camera import Camera
+from crms_fenicsx.output.files import make_writable, replaced
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.figure import Figure
+    from matplotlib.transforms import Bbox
+
+Floats = NDArray[np.float64]
+
+INK = "#2b2f36"
+_GRID = "#d3d7dc"
+_WALL = "#f4f5f7"
+_SMALL = 8.5
+_POINTS_PER_INCH = 72.0
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Return a white figure of a size in inches, without pyplot and its global state."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def checked_filename(filename: str | Path) -> Path:
+    """Return the path of a picture that can be written, or raise `InputError`."""
+    path = Path(filename)
+    kinds = new_figure(1.0, 1.0).canvas.get_supported_filetypes()
+    if path.suffix[1:].lower() not in kinds:
+        raise InputError(
+            f"the picture {path} has the suffix {path.suffix!r}; use one of {', '.join(kinds)}"
+        )
+    make_writable(path.parent)
+    return path
+
+
+def check_colours(name: str) -> None:
+    """Raise `InputError` where matplotlib has no colour map of that name."""
+    from matplotlib import colormaps
+
+    if name not in colormaps:
+        raise InputError(f"no colour map {name!r}; see matplotlib.colormaps")
+
+
+def check_view(view: tuple[float, float]) -> None:
+    """Raise `InputError` for a view that is no pair of finite angles."""
+    if np.shape(view) != (2,) or not np.all(np.isfinite(view)):
+        raise InputError(f"view {view!r}; give (azimuth, elevation) in degrees")
+
+
+def save(figure: Figure, path: Path, dpi: int, region: Bbox | str = "tight") -> None:
+    """Write a figure, or a region of it in inches, in place of a picture that was there."""
+    with replaced(path) as partial:
+        figure.savefig(partial, dpi=dpi, bbox_inches=region, pad_inches=0.1)
+
+
+class Stage:
+    """A figure with an axes that shows the camera's picture at a known scale.
+
+    Parameters
+    ----------
+    camera : Camera
+    low, high : (3,) arrays of length
+        Corners of the box that must be seen.
+    title : str
+    bars : int
+        How many colour bars stand at the right.
+    width : float
+        The figure's, in inches.
+
+    Attributes
+    ----------
+    figure, axes
+        Of matplotlib.
+    point : float
+        Length of the picture that one typographic point (1/72 inch) shows.
+    """
+
+    def __init__(
+        self, camera: Camera, low: Floats, high: Floats, title: str, bars: int, width: float
+    ) -> None:
+        self.camera, self.low, self.high = camera, low, high
+        seen = camera.project(_corners(low, high))[:, :2]
+        span = np.maximum(np.ptp(seen, axis=0), 1e-12 * np.ptp(seen))
+        left, right, bottom, top = 0.62, 0.58 + 0.95 * bars, 0.55, 0.42 if title else 0.15
+        room = np.array([width - left - right, 0.95 * width])
+        scale = float((span / room).max())
+        height = span[1] / scale + bottom + top
+        height = max(height, 2.6)
+        self.point = scale / _POINTS_PER_INCH
+        self.figure = new_figure(width, height)
+        self._size = np.array([width, height])
+        self._bars = bars
+        self.axes: Axes = self.figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        self.axes.set_axis_off()
+        # centred in the room that margins and bars leave
+        middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
+        origin = middle - scale * np.array(
+            [left + 0.5 * room[0], bottom + 0.5 * (height - bottom - top)]
+        )
+        self.axes.set_xlim(origin[0], origin[0] + scale * width)
+        self.axes.set_ylim(origin[1], origin[1] + scale * height)
+        if title:
+            self.figure.text(
+                (left + 0.5 * room[0]) / width, 1 - 0.26 / height, title,
+                ha="center", va="center", fontsize=11, color=INK,
+            )  # fmt: skip
+
+    def frame(self) -> Bbox:
+        """Return the rectangle around the box, in the axes' data coordinates."""
+        from matplotlib.transforms import Bbox
+
+        seen = self._flat(_corners(self.low, self.high))
+        return Bbox([seen.min(axis=0), seen.max(axis=0)])
+
+    def save(self, path: Path, dpi: int) -> None:
+        """Write what was drawn, without the white around it."""
+        from matplotlib.transforms import Bbox
+
+        # the axes fill the figure, so that "tight" would find nothing to cut off
+        renderer = self.figure.canvas.get_renderer()  # type: ignore[attr-defined]
+        texts = [*self.axes.texts, *self.figure.texts]
+        drawn = [text.get_window_extent(renderer) for text in texts]
+        for axes in self.figure.axes[1:]:
+            extent = axes.get_tightbbox(renderer)
+            drawn += [extent] if extent is not None else []
+        drawn.append(self.axes.transData.transform_bbox(self.frame()))
+        region = Bbox.union(drawn).transformed(self.figure.dpi_scale_trans.inverted())
+        save(self.figure, path, dpi, region.padded(0.1))
+
+    def draw_box(self, unit: str) -> None:
+        """Draw the box's three far faces with a grid, and tick labels along its near edges."""
+        from matplotlib.collections import LineCollection, PolyCollection
+        from matplotlib.ticker import MaxNLocator
+
+        towards = self.camera.axes[2]
+        far = np.where(towards > 0, self.low, self.high)
+        near = self.low + self.high - far
+        whole = max(float((self.high - self.low).max()), 1e-300)
+        ticks = []
+        for axis in range(3):
+            size = self.high[axis] - self.low[axis]
+            wanted = int(np.clip(round(6 * size / whole), 3, 6))
+            values = MaxNLocator(wanted, steps=[1, 2, 2.5, 5, 10]).tick_values(
+                self.low[axis], self.high[axis]
+            )
+            slack = 1e-9 * size
+            ticks.append(
+                values[(values >= self.low[axis] - slack) & (values <= self.high[axis] + slack)]
+            )
+        faces, grid = [], []
+        for axis in range(3):
+            u, v = (axis + 1) % 3, (axis + 2) % 3
+            corners = np.tile(far, (4, 1))
+            corners[:, u] = self.low[u], self.high[u], self.high[u], self.low[u]
+            corners[:, v] = self.low[v], self.low[v], self.high[v], self.high[v]
+            faces.append(self._flat(corners))
+            for along, across in ((u, v), (v, u)):
+                for value in ticks[along]:
+                    ends = np.tile(far, (2, 1))
+                    ends[:, along] = value
+                    ends[:, across] = self.low[across], self.high[across]
+                    grid.append(self._flat(ends))
+        self.axes.add_collection(
+            PolyCollection(faces, facecolors=_WALL, edgecolors=_GRID, linewidths=0.7, zorder=0)
+        )
+        self.axes.add_collection(LineCollection(grid, colors=_GRID, linewidths=0.5, zorder=0.1))
+        for axis in range(3):
+            self._label_edge(axis, self._ruler(axis, far, near), ticks[axis], unit)
+
+    def _flat(self, points: ArrayLike) -> Floats:
+        return self.camera.project(points)[..., :2]
+
+    def _ruler(self, axis: int, far: Floats, near: Floats) -> Floats:
+        """Return the ends (2, 3) of the box's edge that carries an axis's tick labels."""
+        ends = np.empty((2, 3))
+        if axis < 2:  # on the floor (or ceiling), at the near side
+            ends[:] = near
+            ends[:, 2] = far[2]
+            across = 1 - axis
+            if abs(self.camera.axes[2, across]) < 0.02:  # no side is near: left or bottom
+                ends[:, across] = min(
+                    (self.low[across], self.high[across]),
+                    key=lambda value: float(value * self.camera.axes[:2, across].sum()),
+                )
+        else:  # the leftmost upright edge
+            sides = [np.array([near[0], far[1], 0.0]), np.array([far[0], near[1], 0.0])]
+            ends[:] = min(sides, key=lambda side: float(self._flat(side)[0]))
+        ends[:, axis] = self.low[axis], self.high[axis]
+        return ends
+
+    def _label_edge(self, axis: int, ends: Floats, ticks: Floats, unit: str) -> None:
+        flat = self._flat(ends)
+        along = flat[1] - flat[0]
+        length = float(np.linalg.norm(along))
+        whole = float(np.ptp(self._flat(_corners(self.low, self.high)), axis=0).max())
+        if length < 0.02 * whole or abs(self.camera.axes[2, axis]) > 0.98:
+            return  # a flat shape, or seen end-on
+        outward = np.array([-along[1], along[0]]) / length
+        if outward @ (flat.mean(axis=0) - self._flat(0.5 * (self.low + self.high))) < 0:
+            outward = -outward
+        rotation = float(np.degrees(np.arctan2(along[1], along[0])))
+        rotation = (rotation + 70.0) % 180.0 - 70.0  # readable from below or from the right
+        name = "xyz"[axis] + (f" [{unit}]" if unit else "")
+        decimals = _decimals(ticks)
+        texts = [f"{value:.{decimals}f}" if value else "0" for value in ticks]
+        points = np.tile(ends[0], (len(ticks), 1))
+        points[:, axis] = ticks
+        at = self._flat(points)
+        for position, text in zip(at, texts, strict=True):
+            self.axes.plot(
+                *np.transpose([position, position + 3.0 * self.point * outward]),
+                color=INK, linewidth=0.7, zorder=0.2,
+            )  # fmt: skip
+            right, up = position + (9.0 + 2.6 * len(text) * abs(outward[0])) * self.point * outward
+            self.axes.text(
+                right, up, text, fontsize=_SMALL, color=INK, ha="center", va="center", zorder=0.2
+            )
+        away = 21.0 + 5.0 * max(map(len, texts), default=0) * abs(outward[0])
+        right, up = flat.mean(axis=0) + away * self.point * outward
+        self.axes.text(
+            right, up, name, fontsize=_SMALL + 0.5, color=INK, ha="center", va="center",
+            rotation=rotation, rotation_mode="anchor",
+        )  # fmt: skip
+        self.axes.plot(*flat.T, color=INK, linewidth=0.9, zorder=0.2)
+
+    def add_bar(self, mappable: ScalarMappable, label: str, place: int) -> None:
+        """Draw a colour bar at the right, as number `place` from the shape outwards."""
+        width, height = self._size
+        tall = min(0.62 * height, 3.2)
+        left = width - 0.35 - 0.95 * (self._bars - place) + 0.08
+        bar = self.figure.add_axes(
+            (left / width, 0.5 * (height - tall) / height, 0.15 / width, tall / height)
+        )
+        colorbar = self.figure.colorbar(mappable, cax=bar)
+        colorbar.set_label(label, fontsize=_SMALL + 0.5, color=INK)
+        colorbar.ax.tick_params(labelsize=_SMALL, colors=INK, width=0.7, length=3)
+        colorbar.outline.set_linewidth(0.6)  # type: ignore[operator]
+        colorbar.outline.set_edgecolor(INK)  # type: ignore[operator]
+
+
+def bounds(shapes: Sequence[Floats]) -> tuple[Floats, Floats]:
+    """Return the box around points as (low, high).
+
+    It stands on their lowest, has some air at its other sides, and no side is zero.
+    """
+    points = np.concatenate([np.reshape(shape, (-1, 3)) for shape in shapes])
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = float((high - low).max()) or 1.0
+    air = 0.035 * size * np.array([1.0, 1.0, 0.5])
+    air[high - low < 1e-6 * size] = 1e-3 * size
+    return low - air * [1.0, 1.0, 0.0], high + air
+
+
+def _corners(low: Floats, high: Floats) -> Floats:
+    return np.array(list(product(*zip(low, high, strict=True))))
+
+
+def _decimals(ticks: Floats) -> int:
+    """Return how many decimals tell the ticks apart."""
+    if len(ticks) < 2:
+        return 0 if len(ticks) == 0 or float(ticks[0]).is_integer() else 3
+    step = float(np.diff(ticks).min())
+    for decimals in range(12):
+        if np.allclose(np.round(ticks, decimals), ticks, rtol=0, atol=1e-6 * step):
+            return decimals
+    return 12
