@@ -97,6 +97,13 @@ def test_polygon(comm, corners):
         assert point_places(membrane, f"corner {k + 1}").tolist() == [[*corners[k], 0.0]]
 
 
+def test_polygon_may_have_sides_in_one_line(comm):
+    horseshoe = [(0, 0), (3, 0), (3, 2), (2, 2), (2, 1), (1, 1), (1, 2), (0, 2)]
+    assert area(meshes.polygon(comm, horseshoe, 0.5)) == pytest.approx(5.0, rel=1e-12)
+    with_flat_corner = [(0, 0), (1, 0), (2, 0), (2, 1), (0, 1)]
+    assert area(meshes.polygon(comm, with_flat_corner, 0.5)) == pytest.approx(2.0, rel=1e-12)
+
+
 def test_polygon_with_names_of_its_sides(comm):
     membrane = meshes.polygon(comm, ARROW, 0.3, names=["fixed", "free", "fixed", "low"])
     assert set(membrane.edges) == {"boundary", "fixed", "free", "low"}
