@@ -82,9 +82,9 @@ def input_cells(membrane: MembraneMesh) -> NDArray[np.int64]:
 def is_consistently_oriented(cells: NDArray[np.int64]) -> bool:
     """Whether no edge is run through twice in the same direction."""
     seen = set()
-    for cell in cells.tolist():
+    for cell in cells:
         for k in range(3):
-            side = (cell[k], cell[(k + 1) % 3])
+            side = (int(cell[k]), int(cell[(k + 1) % 3]))
             if side in seen:
                 return False
             seen.add(side)

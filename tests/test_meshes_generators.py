@@ -249,7 +249,7 @@ def test_refinement_refines_near_its_line_only(comm, shape):
         (lambda c: meshes.rectangle(c, 0.0, 1.0, 0.1), "rectangle has width = 0.0"),
         (lambda c: meshes.rectangle(c, 1.0, np.inf, 0.1), "depth = inf"),
         (lambda c: meshes.rectangle(c, 1.0, 1.0, -0.1), "size = -0.1"),
-        (lambda c: meshes.rectangle(c, 1.0, 1.0, "a"), "size = 'a'"),
+        (lambda c: meshes.rectangle(c, 1.0, 1.0, "a"), "size = 'a'"),  # type: ignore[arg-type]
         (lambda c: meshes.rectangle(c, 3.0, 1.0, 1.1, structured=True), "smallest extent 1"),
         (lambda c: meshes.rectangle(c, 1.0, 1.0, 1e-5), "about 2.3e[+]10 cells"),
         (lambda c: meshes.rectangle(c, 1.0, 1.0, 0.5, corner=(0, 0, 0)), r"corner is \(0, 0, 0\)"),
@@ -267,7 +267,7 @@ def test_refinement_refines_near_its_line_only(comm, shape):
         (lambda c: meshes.circle(c, -1.0, 0.1), "radius = -1.0"),
         (lambda c: meshes.circle(c, 1.0, 0.1, center=(np.nan, 0.0)), "centre is"),
         (lambda c: meshes.spherical_cap(c, 1.0, 0.0, 0.1), "height = 0.0"),
-        (lambda c: meshes.air_hall(c, 1.0, 1.0, None, 0.1), "height = None"),
+        (lambda c: meshes.air_hall(c, 1.0, 1.0, None, 0.1), "height = None"),  # type: ignore[arg-type]
         (lambda c: meshes.air_hall(c, 4.0, 1.0, 1.0, 2.0), "smallest extent 1"),
         (lambda c: meshes.polygon(c, [(0, 0), (1, 0)], 0.1), "three or more points"),
         (lambda c: meshes.polygon(c, [(0, 0, 1), (1, 0, 1), (1, 1, 1)], 0.1), "three or more"),
