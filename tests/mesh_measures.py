@@ -13,7 +13,7 @@ def cell_corners(membrane: MembraneMesh) -> NDArray[np.float64]:
     """Corner coordinates of the owned cells, shape (owned cells, 3, 3)."""
     mesh = membrane.mesh
     owned = mesh.topology.index_map(2).size_local
-    return mesh.geometry.x[geometry_dofmap(mesh)[:owned]]
+    return np.asarray(mesh.geometry.x[geometry_dofmap(mesh)[:owned]], dtype=np.float64)
 
 
 def area_vectors(membrane: MembraneMesh) -> NDArray[np.float64]:
