@@ -13,7 +13,7 @@ def cell_corners(membrane: MembraneMesh) -> NDArray[np.float64]:
     """Corner coordinates of the owned cells, shape (owned cells, 3, 3)."""
     mesh = membrane.mesh
     owned = mesh.topology.index_map(2).size_local
-    return mesh.geometry.x[geometry_dofmap(mesh)[:owned]]
+    return np.asarray(mesh.geometry.x[geometry_dofmap(mesh)[:owned]], dtype=np.float64)
 
 
 def area_vectors(membrane: MembraneMesh) -> NDArray[np.float64]:
@@ -82,9 +82,9 @@ def input_cells(membrane: MembraneMesh) -> NDArray[np.int64]:
 def is_consistently_oriented(cells: NDArray[np.int64]) -> bool:
     """Whether no edge is run through twice in the same direction."""
     seen = set()
-    for cell in cells.tolist():
+    for cell in cells:
         for k in range(3):
-            side = (cell[k], cell[(k + 1) % 3])
+            side = (int(cell[k]), int(cell[(k + 1) % 3]))
             if side in seen:
                 return False
             seen.add(side)

@@ -6,6 +6,7 @@ import pytest
 import ufl
 from mesh_measures import (
     area,
+    cell_corners,
     edge_ends,
     input_cells,
     is_consistently_oriented,
@@ -204,6 +205,7 @@ def test_groups_survive_distribution(comm):
     )
     assert set(membrane.edges) == {"boundary", "ridge", "boundary ridge"}
     assert area(membrane, "left") == pytest.approx(0.5)
+    assert (cell_corners(membrane)[membrane.parts["left"]].mean(axis=1)[:, 0] < 0.5).all()
     assert area(membrane, "all") == pytest.approx(1.0)
     ridge = edge_ends(membrane, "ridge")
     assert ridge.shape == (n, 2, 3)

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import gmsh
@@ -98,10 +99,12 @@ def test_msh_round_trip(comm, session, folder, version):
 
 
 def test_generators_leave_the_session_of_the_user_alone(comm, session):
-    names = ["General.Terminal", "Mesh.MeshSizeMax", "Mesh.Algorithm", "Mesh.MeshSizeFromPoints"]
+    names = ["General.Terminal", "Mesh.MeshSizeMax", "Mesh.Algorithm", "Mesh.MeshSizeFactor"]
     if session:
         session.option.setNumber("Mesh.MeshSizeMax", 0.123)
         session.option.setNumber("Mesh.Algorithm", 5)
+        session.model.add("later")
+        session.model.setCurrent("of the user")
         before = [session.option.getNumber(name) for name in names]
     membrane = meshes.rectangle(comm, 1.0, 1.0, 0.5)
     assert len(edge_ends(membrane, "boundary")) == 8  # the user's 0.123 does not reach it
@@ -186,7 +189,9 @@ def test_suffixes_that_meshio_knows(comm, folder, suffix):
     file = folder / f"square{suffix}"
     if comm.rank == 0:
         meshio.Mesh(POINTS, [("triangle", HALVES)]).write(file)
-    membrane = meshes.from_file(comm, file)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        membrane = meshes.from_file(comm, file)
     assert area(membrane) == pytest.approx(1.0)
     assert len(edge_ends(membrane, "boundary")) == 4  # the halves are joined
     assert total_area_vector(membrane)[2] == pytest.approx(1.0)

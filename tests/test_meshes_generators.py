@@ -97,6 +97,13 @@ def test_polygon(comm, corners):
         assert point_places(membrane, f"corner {k + 1}").tolist() == [[*corners[k], 0.0]]
 
 
+def test_polygon_may_have_sides_in_one_line(comm):
+    horseshoe = [(0, 0), (3, 0), (3, 2), (2, 2), (2, 1), (1, 1), (1, 2), (0, 2)]
+    assert area(meshes.polygon(comm, horseshoe, 0.5)) == pytest.approx(5.0, rel=1e-12)
+    with_flat_corner = [(0, 0), (1, 0), (2, 0), (2, 1), (0, 1)]
+    assert area(meshes.polygon(comm, with_flat_corner, 0.5)) == pytest.approx(2.0, rel=1e-12)
+
+
 def test_polygon_with_names_of_its_sides(comm):
     membrane = meshes.polygon(comm, ARROW, 0.3, names=["fixed", "free", "fixed", "low"])
     assert set(membrane.edges) == {"boundary", "fixed", "free", "low"}
@@ -242,7 +249,7 @@ def test_refinement_refines_near_its_line_only(comm, shape):
         (lambda c: meshes.rectangle(c, 0.0, 1.0, 0.1), "rectangle has width = 0.0"),
         (lambda c: meshes.rectangle(c, 1.0, np.inf, 0.1), "depth = inf"),
         (lambda c: meshes.rectangle(c, 1.0, 1.0, -0.1), "size = -0.1"),
-        (lambda c: meshes.rectangle(c, 1.0, 1.0, "a"), "size = 'a'"),
+        (lambda c: meshes.rectangle(c, 1.0, 1.0, "a"), "size = 'a'"),  # type: ignore[arg-type]
         (lambda c: meshes.rectangle(c, 3.0, 1.0, 1.1, structured=True), "smallest extent 1"),
         (lambda c: meshes.rectangle(c, 1.0, 1.0, 1e-5), "about 2.3e[+]10 cells"),
         (lambda c: meshes.rectangle(c, 1.0, 1.0, 0.5, corner=(0, 0, 0)), r"corner is \(0, 0, 0\)"),
@@ -260,7 +267,7 @@ def test_refinement_refines_near_its_line_only(comm, shape):
         (lambda c: meshes.circle(c, -1.0, 0.1), "radius = -1.0"),
         (lambda c: meshes.circle(c, 1.0, 0.1, center=(np.nan, 0.0)), "centre is"),
         (lambda c: meshes.spherical_cap(c, 1.0, 0.0, 0.1), "height = 0.0"),
-        (lambda c: meshes.air_hall(c, 1.0, 1.0, None, 0.1), "height = None"),
+        (lambda c: meshes.air_hall(c, 1.0, 1.0, None, 0.1), "height = None"),  # type: ignore[arg-type]
         (lambda c: meshes.air_hall(c, 4.0, 1.0, 1.0, 2.0), "smallest extent 1"),
         (lambda c: meshes.polygon(c, [(0, 0), (1, 0)], 0.1), "three or more points"),
         (lambda c: meshes.polygon(c, [(0, 0, 1), (1, 0, 1), (1, 1, 1)], 0.1), "three or more"),

@@ -146,7 +146,6 @@ def air_hall(
         ):
             line = np.unique(np.asarray(arrays.edges[name]))
             points[line, axis] = value
-            points[line, 2] = 0.0
         return SurfaceArrays(points, arrays.cells, arrays.edges, {}, arrays.point_groups)
 
     return distributed(comm, build)
