@@ -79,6 +79,7 @@ class Unknowns:
         self.X = np.zeros((self.n_local, 3))
         self.X[self.vertex_blocks()] = V.tabulate_dof_coordinates()
         self.held = np.zeros((self.n_local, 3), dtype=bool)
+        self.matrix_numbers = np.argsort(self.matrix_order()).astype(PETSc.IntType)
         self.bounds: tuple[Array, Array] | None = None
         none = np.zeros(0, dtype=np.int32)
         self.set_riders(none, none.reshape(0, 3), np.zeros((0, 3)))
@@ -105,10 +106,18 @@ class Unknowns:
         )  # fmt: skip
         return vector, array
 
+    def matrix_order(self) -> Indices:
+        """Local blocks in the order that matrices count them: all vertices, as DOLFINx's forms
+        number them, then all cable points."""
+        return np.concatenate(
+            [self.vertex_blocks(), self.owned_point_blocks(), self.ghost_point_blocks()]
+        )
+
     def lgmap(self) -> PETSc.LGMap:
-        """Local to global map of the blocks."""
+        """Local to global map of the blocks in matrix order."""
         owned = np.arange(self.start, self.start + self.n_owned, dtype=PETSc.IntType)
-        return PETSc.LGMap().create(np.concatenate([owned, self.ghosts]), bsize=3, comm=self.comm)
+        numbers = np.concatenate([owned, self.ghosts])[self.matrix_order()]
+        return PETSc.LGMap().create(numbers, bsize=3, comm=self.comm)
 
     def update_ghosts(self, vector: PETSc.Vec) -> None:
         """Copy owned values to the ghosts of other ranks."""

@@ -22,8 +22,8 @@ def add_blocks(
     if unknowns.n_riders:
         rows, cols, values = unknowns.spread(rows, cols, values)
     A.setValuesBlockedLocalRCV(
-        rows[:, None].astype(PETSc.IntType),
-        cols[:, None].astype(PETSc.IntType),
+        unknowns.matrix_numbers[rows][:, None],
+        unknowns.matrix_numbers[cols][:, None],
         values.reshape(len(rows), 9),
         PETSc.InsertMode.ADD,
     )
