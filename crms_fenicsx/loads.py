@@ -76,8 +76,8 @@ class FollowerPressure:
 class StepPressure:
     """The paper's pressure: nodal forces that keep direction and size in a step, (2.4-1, 2).
 
-    A node carries a third of the area of each of its cells. The energy is that of the steps before
-    plus this step's increment; it is exact only as the steps get small. It needs no held boundary.
+    A node carries a third of the area of each of its cells. The volume is summed up step by step,
+    which is exact only as the steps get small. It needs no held boundary.
     """
 
     name = "pressure"
@@ -93,10 +93,10 @@ class StepPressure:
         F = Kinematics(self.u_n, tangent_basis(mesh, None)).F
         n = ufl.cross(F[0], F[1])
         dx = one_point(mesh)
-        self._work_done = fem.form(plain * ufl.dot(n, u - self.u_n) * dx)
+        self._volume = fem.form(plain * ufl.dot(n, u - self.u_n) * dx)
         self._force = fem.form(plain * ufl.dot(n, ufl.TestFunction(V)) * dx)
         self._forces = np.zeros_like(u.x.array)
-        self._energy_n = 0.0
+        self._volume_n = 0.0
 
     def attach(self, unknowns: Unknowns) -> None:
         """Use this layout."""
@@ -109,16 +109,16 @@ class StepPressure:
         fem.assemble_vector(self._forces, self._force)
 
     def sums(self, x: Array, out: Array) -> None:
-        """This rank's part of the step's work per pressure (length cubed)."""
-        out[0] = fem.assemble_scalar(self._work_done)
+        """This rank's part of the volume gained in the step (length cubed)."""
+        out[0] = fem.assemble_scalar(self._volume)
 
     def energy(self, sums: Array) -> float:
-        """Minus the work of the pressure over all steps (force x length)."""
-        return self._energy_n - float(self.pressure.value) * float(sums[0])
+        """``-p (V - V0)``, with the volume gained over all steps (force x length)."""
+        return -float(self.pressure.value) * (self._volume_n + float(sums[0]))
 
     def commit(self, x: Array, sums: Array) -> None:
-        """End the step: keep its work."""
-        self._energy_n = self.energy(sums)
+        """End the step: keep its volume."""
+        self._volume_n += float(sums[0])
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Subtract the step's nodal forces."""

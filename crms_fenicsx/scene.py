@@ -79,6 +79,9 @@ class Scene:
         """Displacement of the vertices from the stress-free shape (length)."""
         self.held = np.zeros((len(self.u.x.array) // 3, 3), dtype=bool)
         """Held components of the vertices, by local degree of freedom."""
+        edges = mesh.mesh.topology.index_map(1)
+        self.held_edges = np.zeros(edges.size_local + edges.num_ghosts, dtype=bool)
+        """Edges that are held over their whole length, by local number."""
         self.floor_level: float | None = None
         self.pressure = 0.0
         """Current pressure (force per area)."""
@@ -151,6 +154,10 @@ class Scene:
     def fix(self, where: str | Marker, directions: str = "xyz") -> None:
         """Hold vertices at their current displacement.
 
+        A group of edges that is held in all directions is held over its whole length: cables pass
+        it at a fixed place. Of points and marked vertices only these are held; edges between them
+        can fold.
+
         Parameters
         ----------
         where
@@ -165,7 +172,8 @@ class Scene:
         dofs = self.vertices(where)
         for letter in directions:
             self.held[dofs, COMPONENTS[letter]] = True
-        self.V.mesh.comm.barrier()
+        if not callable(where) and where in self.mesh.edges and set(directions) == set("xyz"):
+            self.held_edges[self.mesh.edges[where]] = True
         self.changes += 1
 
     def floor(self, z: float = 0.0) -> None:

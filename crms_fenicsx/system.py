@@ -19,7 +19,10 @@ from crms_fenicsx.state import State
 from crms_fenicsx.unknowns import Unknowns
 
 if TYPE_CHECKING:
+    from crms_fenicsx.cables.fold import FoldedCells, FoldEnergy
     from crms_fenicsx.cables.network import CableTables, Network
+    from crms_fenicsx.cables.penalty import KinkPenalty
+    from crms_fenicsx.cables.tension import CableTension
 
 Array = npt.NDArray[np.float64]
 
@@ -45,14 +48,14 @@ class System:
 
     def __init__(self, scene: Scene, prefix: str, rtol: float) -> None:
         self.scene, self.prefix, self.rtol = scene, prefix, rtol
-        self.membrane = MembraneEnergy(scene.u, scene.materials, scene.cell_tags)
+        self.membrane = self._membrane_term()
         self.pressure: FollowerPressure | StepPressure | None = None
         self.pressure_value = fem.Constant(scene.mesh.mesh, PETSc.ScalarType(0.0))
         self.origin = self._centre()
         self.network: Network | None = None
         self.tables: CableTables | None = None
         self.minimizer: Minimizer | None = None
-        self._folded_work = np.zeros(1)
+        self._folded_volume, self._folded_energy = np.zeros(1), np.zeros(1)
         self.rebuild()
 
     def _centre(self) -> Array:
@@ -100,6 +103,14 @@ class System:
         self.minimizer = Minimizer(self.potential, self.prefix, self.rtol, self._tiny_force())
         self.built_for = scene.changes
 
+    def _membrane_term(self) -> MembraneEnergy:
+        scene = self.scene
+        if scene.strain_law == "total":
+            return MembraneEnergy(scene.u, scene.materials, scene.cell_tags)
+        from crms_fenicsx.incremental import StepMembraneEnergy
+
+        return StepMembraneEnergy(scene.u, scene.materials, scene.cell_tags)
+
     def _pressure_term(self) -> FollowerPressure | StepPressure:
         if self.pressure is None:
             u, plain, value = self.scene.u, self.membrane.plain, self.pressure_value
@@ -111,50 +122,61 @@ class System:
 
     def _cable_terms(self) -> list[Term]:
         """Terms of the cables in tension; the cells that they fold leave the membrane term."""
+        assert self.network is not None
+        self.tables = self.network.tables(self.membrane)
+        folded = self.tables.folded
+        self.membrane.plain.x.array[folded.cells] = 0.0
+        terms: list[Term] = [self._tension_term(self.tables)]
+        # Every rank has the same terms, so that sums line up; folds may be on some ranks only.
+        if self.scene.comm.allreduce(len(folded.cells), op=MPI.SUM) > 0:
+            terms += [self._fold_term(folded), self._penalty_term(self.tables)]
+            if self.pressure is not None:
+                terms.append(self._folded_pressure_term(self.tables))
+        return terms
+
+    def _tension_term(self, tables: CableTables) -> CableTension:
+        from crms_fenicsx.cables.tension import CableTension, StepCableTension
+
+        taut = [cable for cable in self.scene.cables if cable.taut]
+        EA, L0 = np.array([c.cable.EA for c in taut]), np.array([c.L0 for c in taut])
+        starts = [cable.step_start for cable in taut]
+        if any(starts):
+            self.tension = StepCableTension(
+                tables.segments, tables.eps, tables.cable, EA, L0, starts
+            )
+        else:
+            self.tension = CableTension(tables.segments, tables.eps, tables.cable, EA, L0)
+        return self.tension
+
+    def _fold_term(self, folded: FoldedCells) -> FoldEnergy:
         from crms_fenicsx.cables.fold import FoldEnergy
+
+        if self.scene.strain_law == "total":
+            self.folds = FoldEnergy(folded, self.membrane.h0_prestress)
+        else:
+            from crms_fenicsx.cables.step_fold import StepFoldEnergy
+
+            self.folds = StepFoldEnergy(
+                folded, self.membrane.h0_prestress, self.membrane, self._folded_energy
+            )
+        return self.folds
+
+    def _penalty_term(self, tables: CableTables) -> KinkPenalty:
         from crms_fenicsx.cables.penalty import KinkPenalty
-        from crms_fenicsx.cables.tension import CableTension
+
+        if self.scene.literal_penalty is not None:
+            return KinkPenalty(tables.literal_penalty(self.scene.literal_penalty))
+        materials = self.membrane.materials
+        tags = self.membrane.material_tags(tables.folded.cells)
+        moduli = np.array([materials[int(tag)].reference_modulus for tag in tags])
+        return KinkPenalty(tables.penalty(self.scene.penalty, moduli))
+
+    def _folded_pressure_term(self, tables: CableTables) -> Term:
         from crms_fenicsx.cables.volume import FoldedFollowerPressure, FoldedStepPressure
 
-        scene, network = self.scene, self.network
-        assert network is not None
-        taut = [cable for cable in scene.cables if cable.taut]
-        self.tables = tables = network.tables(self.membrane)
-        folded = tables.folded
-        self.membrane.plain.x.array[folded.cells] = 0.0
-        self.tension = CableTension(
-            tables.segments, tables.eps, tables.cable,
-            np.array([c.cable.EA for c in taut]), np.array([c.L0 for c in taut]),
-        )  # fmt: skip
-        terms: list[Term] = [self.tension]
-        # Every rank has the same terms, so that sums line up; folds may be on some ranks only.
-        if self.scene.comm.allreduce(len(folded.cells), op=MPI.SUM) == 0:
-            return terms
-        self.folds = FoldEnergy(folded, self.membrane.h0_prestress)
-        terms.append(self.folds)
-        moduli = np.array(
-            [
-                self.membrane.materials[int(tag)].reference_modulus
-                for tag in self.membrane.material_tags(folded.cells)
-            ]
-        )
-        terms.append(
-            KinkPenalty(
-                tables.penalty(scene.penalty, moduli)
-                if scene.literal_penalty is None
-                else tables.literal_penalty(scene.literal_penalty)
-            )
-        )
-        if self.pressure is not None:
-            if scene.pressure_law == "total":
-                terms.append(
-                    FoldedFollowerPressure(tables.facets, self.pressure_value, self.origin)
-                )
-            else:
-                terms.append(
-                    FoldedStepPressure(tables.facets, self.pressure_value, self._folded_work)
-                )
-        return terms
+        if self.scene.pressure_law == "total":
+            return FoldedFollowerPressure(tables.facets, self.pressure_value, self.origin)
+        return FoldedStepPressure(tables.facets, self.pressure_value, self._folded_volume)
 
     def _tiny_force(self) -> float:
         """A force that is nothing for this membrane: tolerance of scenes without any load."""
@@ -182,9 +204,8 @@ class System:
                 block = self.network.blocks[number]
                 if block >= 0:
                     potential.x[block] = scene.cables[c].positions[k] - self.unknowns.X[block]
-            taut = [cable.L0 for cable in scene.cables if cable.taut]
-            if taut:
-                self.tension.L0[:] = taut
+            if self.tables is not None:
+                self.tension.L0[:] = [cable.L0 for cable in scene.cables if cable.taut]
         potential.place()
 
     def push(self) -> None:
@@ -199,7 +220,7 @@ class System:
         for cable, length in zip(scene.cables, lengths, strict=True):
             cable.length = float(length)
             cable.tension = 0.0
-        if any(cable.taut for cable in scene.cables):
+        if self.tables is not None:
             part = self.potential.sums_of(self.tension)
             taut = [cable for cable in scene.cables if cable.taut]
             for cable, length, force in zip(taut, part, self.tension.tensions(part), strict=True):

@@ -74,6 +74,15 @@ class CableEnd:
     which: Literal["start", "end"]
 
 
+@dataclass
+class StepStart:
+    """State of a cable with the step-wise law at the start of a step, (2.2-2, 3)."""
+
+    tension: float
+    length: float
+    energy: float
+
+
 @dataclass(eq=False)
 class LaidCable:
     """A cable on its path over the membrane. Made by `Scene.lay_cable`.
@@ -96,6 +105,8 @@ class LaidCable:
         Unstressed length (length).
     length, tension
         Current length and tension (force).
+    step_start
+        State at the start of a step, where the cable has the step-wise law.
     taut
         Whether it has tension; the fold points of a slack cable take no part.
     blocked
@@ -111,7 +122,7 @@ class LaidCable:
     L0: float
     length: float
     tension: float
-    step_energy: float = 0.0
+    step_start: StepStart | None = None
     taut: bool = False
     blocked: tuple[int, ...] = ()
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.cable import Cable, CableNode, LaidCable, polyline_length
-from crms_fenicsx.cables.path import CellPoint, EdgePoint, Path, SurfacePoint, VertexPoint
+from crms_fenicsx.cables.cable import Cable, CableNode, LaidCable, StepStart, polyline_length
+from crms_fenicsx.cables.path import CellPoint, EdgePoint, Path, VertexPoint
 from crms_fenicsx.cables.strip import EMPTY, Strip, gather_strip
 from crms_fenicsx.cables.trace import chords_cross, trace
 from crms_fenicsx.errors import InputError, PathError
@@ -46,8 +46,8 @@ def lay(
     route = _route(path)
     strip, ids, positions, rows = gather_strip(scene.u, route)
     traced = trace(ids, positions, rows, route)
-    held = _held_vertices(scene, strip)
-    nodes = _nodes(traced, strip, held)
+    held = _held_places(scene, strip)
+    nodes = _nodes(traced, held)
     at = dict(zip(ids.tolist(), positions, strict=True))
     places = np.array([_position(node, traced, k, at) for k, node in enumerate(nodes)])
     strip = _used(strip, traced)
@@ -63,9 +63,12 @@ def lay(
     fractions = np.array(
         [n.point.fraction if isinstance(n.point, EdgePoint) else np.nan for n in nodes]
     )
+    stepwise = cable.law == "step"
+    energy = force * (length - unstressed) / 2
     laid = LaidCable(
         name, cable, traced, nodes, places, fractions, unstressed, length, force,
-        step_energy=force * (length - unstressed) / 2, taut=force > 0 or cable.law == "step",
+        step_start=StepStart(force, length, energy) if stepwise else None,
+        taut=stepwise or force > 0,
     )  # fmt: skip
     scene.cables.append(laid)
     scene.strip = strip.merged(scene.strip or EMPTY)
@@ -87,25 +90,22 @@ def _route(path: Sequence[Sequence[float]] | Array) -> Array:
     return route
 
 
-def _held_vertices(scene: Scene, strip: Strip) -> set[int]:
-    """Ids of the strip's vertices that are held in all directions."""
+def _held_places(scene: Scene, strip: Strip) -> set[tuple[int, ...]]:
+    """Ids of the strip's vertices, (a,), and edges, (a, b), that are held in all directions."""
     own = np.flatnonzero(strip.owner == scene.comm.rank)
-    dofs = scene.V.dofmap.list[strip.local[own]]
-    held = scene.held[dofs].all(axis=2)
-    mine = set(strip.cells[own][held].tolist())
+    cells, local = strip.cells[own], strip.local[own]
+    vertices = scene.held[scene.V.dofmap.list[local]].all(axis=2)
+    mine: set[tuple[int, ...]] = {(v,) for v in cells[vertices].tolist()}
+    edges = scene.mesh.mesh.topology.connectivity(2, 1)
+    for cell, number in zip(cells.tolist(), local.tolist(), strict=True):
+        for k, edge in enumerate(edges.links(number)):
+            if scene.held_edges[edge]:  # edge k lies opposite to vertex k
+                a, b = sorted(cell[:k] + cell[k + 1 :])
+                mine.add((a, b))
     return set().union(*scene.comm.allgather(mine))
 
 
-def _is_held(point: SurfacePoint, strip: Strip, held: set[int]) -> bool:
-    """Whether a place is held: a held vertex, or an edge of the boundary between two of them."""
-    if not all(vertex in held for vertex in point.support):
-        return False
-    return isinstance(point, VertexPoint) or (
-        isinstance(point, EdgePoint) and len(strip.rows(point.support)) == 1
-    )
-
-
-def _nodes(path: Path, strip: Strip, held: set[int]) -> tuple[CableNode, ...]:
+def _nodes(path: Path, held: set[tuple[int, ...]]) -> tuple[CableNode, ...]:
     """The points of the polyline, with anchors at ends that are held."""
     nodes: list[CableNode] = []
     last = len(path.points) - 1
@@ -113,13 +113,13 @@ def _nodes(path: Path, strip: Strip, held: set[int]) -> tuple[CableNode, ...]:
         at_end = (k == 0 and path.start_anchor is None) or (k == last and path.end_anchor is None)
         if isinstance(point, VertexPoint):
             nodes.append(CableNode("vertex", point))
-        elif at_end or isinstance(point, CellPoint) or _is_held(point, strip, held):
+        elif at_end or isinstance(point, CellPoint) or point.support in held:
             nodes.append(CableNode("rider", point))
         else:
             nodes.append(CableNode("fold", point))
-    if path.start_anchor is not None or _is_held(path.points[0], strip, held):
+    if path.start_anchor is not None or path.points[0].support in held:
         nodes.insert(0, CableNode("anchor"))
-    if path.end_anchor is not None or _is_held(path.points[-1], strip, held):
+    if path.end_anchor is not None or path.points[-1].support in held:
         nodes.append(CableNode("anchor"))
     return tuple(nodes)
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
 from crms_fenicsx.cables.blocks import SegmentPattern
+from crms_fenicsx.cables.cable import StepStart
 from crms_fenicsx.cables.length import add_segment_forces, segment_lengths, segment_stiffness
 from crms_fenicsx.unknowns import Unknowns
 
@@ -56,9 +59,13 @@ class CableTension:
         """Tension of each cable (force)."""
         return self.EA / self.L0 * np.maximum(lengths - self.L0, 0.0)
 
+    def energies(self, lengths: Array) -> Array:
+        """Strain energy of each cable (force x length)."""
+        return 0.5 * self.EA / self.L0 * np.maximum(lengths - self.L0, 0.0) ** 2
+
     def energy(self, sums: Array) -> float:
         """Strain energy of the cables (force x length)."""
-        return float(np.sum(0.5 * self.EA / self.L0 * np.maximum(sums - self.L0, 0.0) ** 2))
+        return float(np.sum(self.energies(sums)))
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Add the tensions' nodal forces."""
@@ -71,7 +78,7 @@ class CableTension:
         The term of the whole cable's elongation, EA/L0 times the dyad of the length's gradient,
         couples all points of a cable; it is left to the quasi-Newton updates.
         """
-        forces = self.tensions(sums)[self.cable]
+        forces = np.maximum(self.tensions(sums), 0.0)[self.cable]
         segment_stiffness(
             self.unknowns.X, x, self.segments, self.eps, forces, self.pattern.values
         )
@@ -79,10 +86,15 @@ class CableTension:
 
 
 class StepCableTension(CableTension):
-    """The paper's step-wise cable law, (2.2-1 ... 2.2-3).
+    """The paper's step-wise cable law, (2.2-1 ... 2.2-3), for some or all of the cables.
 
     The tension grows from its value at the step's start, T_n, by ``EA/l_n (l - l_n)``, l_n the
     length at the step's start. As in the paper a cable may be compressed.
+
+    Parameters
+    ----------
+    starts
+        For each cable the state at the step's start, None where the cable has the total law.
     """
 
     def __init__(
@@ -92,31 +104,32 @@ class StepCableTension(CableTension):
         cable: npt.NDArray[np.int32],
         EA: Array,
         L0: Array,
-        history: StepHistory,
+        starts: Sequence[StepStart | None],
     ) -> None:
         super().__init__(segments, eps, cable, EA, L0)
-        self.history = history
+        self.starts = starts
+        self._stepwise = np.array([start is not None for start in starts])
+        self._read()
+
+    def _read(self) -> None:
+        values = [(s.tension, s.length, s.energy) if s else (0.0, 1.0, 0.0) for s in self.starts]
+        self._tension_n, self._length_n, self._energy_n = np.array(values).T
 
     def tensions(self, lengths: Array) -> Array:
         """Tension of each cable (force)."""
-        h = self.history
-        return h.tension + self.EA / h.length * (lengths - h.length)
+        grown = self._tension_n + self.EA / self._length_n * (lengths - self._length_n)
+        return np.where(self._stepwise, grown, super().tensions(lengths))
 
-    def energy(self, sums: Array) -> float:
-        """Strain energy over all steps (force x length)."""
-        h = self.history
-        return float(np.sum(h.energy + (self.tensions(sums) + h.tension) / 2 * (sums - h.length)))
+    def energies(self, lengths: Array) -> Array:
+        """Strain energy of each cable, over all steps (force x length)."""
+        mean = (self.tensions(lengths) + self._tension_n) / 2
+        grown = self._energy_n + mean * (lengths - self._length_n)
+        return np.where(self._stepwise, grown, super().energies(lengths))
 
     def commit(self, x: Array, sums: Array) -> None:
-        """End the step: keep its tension, length and energy."""
-        h, tension = self.history, self.tensions(sums)
-        h.energy[:] += (tension + h.tension) / 2 * (sums - h.length)
-        h.tension[:] = tension
-        h.length[:] = sums
-
-
-class StepHistory:
-    """Tension, length and energy of cables at the start of a step, each (n_cables,)."""
-
-    def __init__(self, tension: Array, length: Array, energy: Array) -> None:
-        self.tension, self.length, self.energy = tension, length, energy
+        """End the step: its tensions, lengths and energies are the next step's start."""
+        state = zip(self.starts, self.tensions(sums), sums, self.energies(sums), strict=True)
+        for start, tension, length, energy in state:
+            if start is not None:
+                start.tension, start.length, start.energy = tension, length, energy
+        self._read()

@@ -158,15 +158,15 @@ class FoldedStepPressure:
 
     Parameters
     ----------
-    energy
-        Minus the work of the steps before on these cells, a one-element array kept by the caller.
+    gained
+        Volume gained in the steps before, a one-element array kept by the caller.
     """
 
     name = "pressure"
     n_sums = 1
 
-    def __init__(self, table: Facets, pressure: fem.Constant, energy: Array) -> None:
-        self.table, self.pressure, self._energy_n = table, pressure, energy
+    def __init__(self, table: Facets, pressure: fem.Constant, gained: Array) -> None:
+        self.table, self.pressure, self._gained = table, pressure, gained
 
     def attach(self, unknowns: Unknowns) -> None:
         """Use the positions of this layout."""
@@ -182,16 +182,16 @@ class FoldedStepPressure:
         _add_area_forces(self.unknowns.X, x, t.corners, t.weights, 1.0, self._forces)
 
     def sums(self, x: Array, out: Array) -> None:
-        """This rank's part of the step's work per pressure (length cubed)."""
+        """This rank's part of the volume gained in the step (length cubed)."""
         out[0] = np.vdot(self._forces, x) - np.vdot(self._forces, self._x_n)
 
     def energy(self, sums: Array) -> float:
-        """Minus the work of the pressure over all steps (force x length)."""
-        return float(self._energy_n[0]) - float(self.pressure.value) * float(sums[0])
+        """``-p (V - V0)``, with the volume gained over all steps (force x length)."""
+        return -float(self.pressure.value) * float(self._gained[0] + sums[0])
 
     def commit(self, x: Array, sums: Array) -> None:
-        """End the step: keep its work."""
-        self._energy_n[0] = self.energy(sums)
+        """End the step: keep its volume."""
+        self._gained[0] += sums[0]
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Subtract the step's nodal forces."""

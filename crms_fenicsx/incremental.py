@@ -1,0 +1,159 @@
+"""The paper's incremental, edge-aligned membrane strain, as an option (2.3-3 ... 2.3-14).
+
+A cell's x axis lies along its side ik. In a step its length grows by du_k, and the third corner j,
+found from the two other sides, moves by (du_j, dv_j). With the shape (a, e, f) of a cell, a = |ik|
+and (e, f) the place of j, the strain increment B d_delta is
+
+    d_eps = (du_k / a,  dv_j / f,  (du_j - du_k e / a) / f).
+
+The stress stays in that frame from step to step. The result depends on the step size and, at
+finite strain, on which side is taken; in the limit of small steps it is a hypoelastic law that
+differs from St. Venant-Kirchhoff's by the order of the strain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+
+from crms_fenicsx.compat import geometry_dofmap, interpolation_points
+from crms_fenicsx.errors import InputError
+from crms_fenicsx.materials import LINEAR, Membrane
+from crms_fenicsx.membrane import MembraneEnergy, one_point
+
+Array = npt.NDArray[np.float64]
+
+
+def shape_of(a_side: Any, b_side: Any) -> tuple[Any, Any, Any]:
+    """Shape (a, e, f) of a triangle from the vectors i -> k and i -> j, in UFL."""
+    a = ufl.sqrt(ufl.dot(a_side, a_side))
+    e = ufl.dot(a_side, b_side) / a
+    normal = ufl.cross(a_side, b_side)
+    return a, e, ufl.sqrt(ufl.dot(normal, normal)) / a
+
+
+def strain_increment(old: Any, new: Any) -> Any:
+    """d_eps (11, 22, 2 x 12) between two shapes, (2.3-8 ... 2.3-10), in UFL."""
+    a, e, f = old
+    du_k, du_j, dv_j = new[0] - a, new[1] - e, new[2] - f
+    return ufl.as_vector([du_k / a, dv_j / f, (du_j - du_k * e / a) / f])
+
+
+def rotated_stiffness(stiffness: Array, directions: Array) -> Array:
+    """Voigt stiffness in frames whose x axes are given in the material axes.
+
+    Parameters
+    ----------
+    stiffness
+        (3, 3), in the material axes.
+    directions
+        (n, 2), not necessarily of unit length.
+
+    Returns
+    -------
+    (n, 3, 3)
+    """
+    c, s = (directions / np.linalg.norm(directions, axis=1)[:, None]).T
+    zero_row = [c * c, s * s, -c * s]
+    T = np.array([zero_row, [s * s, c * c, c * s], [2 * c * s, -2 * c * s, c * c - s * s]])
+    T = np.moveaxis(T, 2, 0)  # strain in the frame -> strain in the material axes
+    return np.einsum("nki,kl,nlj->nij", T, stiffness, T)
+
+
+def rotated_stress(stress: Array, directions: Array) -> Array:
+    """Stresses (n, 3) in frames whose x axes are `directions`, (n, 2), in the old frames."""
+    c, s = (directions / np.linalg.norm(directions, axis=1)[:, None]).T
+    x, y, xy = stress.T
+    return np.stack(
+        [
+            c * c * x + s * s * y + 2 * c * s * xy,
+            s * s * x + c * c * y - 2 * c * s * xy,
+            c * s * (y - x) + (c * c - s * s) * xy,
+        ],
+        axis=1,
+    )
+
+
+class StepMembraneEnergy(MembraneEnergy):
+    """Strain energy of the plain cells over all steps, (2.3-14); side ik joins corners 0 and 1.
+
+    H0 is that of the total formulation.
+
+    Attributes
+    ----------
+    history : Function
+        Per cell the state at the step's start: section forces (11, 22, 12) and shape (a, e, f).
+
+    Raises
+    ------
+    InputError
+        A material that wrinkles: the paper's law has no such state.
+    """
+
+    def __init__(
+        self, u: fem.Function, materials: Mapping[int, Membrane], cell_tags: Any = None
+    ) -> None:
+        for material in materials.values():
+            if material.law != LINEAR:
+                raise InputError(
+                    f'Scene: strain="step" has no wrinkling model, but the material is {material}; '
+                    "give wrinkling=False."
+                )
+        super().__init__(u, materials, cell_tags)
+        mesh = u.function_space.mesh
+        self.history = fem.Function(fem.functionspace(mesh, ("DG", 0, (6,))))
+        self.stiffness_n = fem.Function(fem.functionspace(mesh, ("DG", 0, (3, 3))))
+        self._start()
+        J = ufl.Jacobian(mesh)
+        sides = [J[:, k] + ufl.dot(ufl.grad(u), J[:, k]) for k in (0, 1)]
+        h, D = self.history, self.stiffness_n
+        stress, old = ufl.as_vector([h[0], h[1], h[2]]), (h[3], h[4], h[5])
+        new = shape_of(*sides)
+        increment = strain_increment(old, new)
+        normal = ufl.cross(J[:, 0], J[:, 1])
+        area = old[0] * old[2] / ufl.sqrt(ufl.dot(normal, normal))
+        density = ufl.dot(stress + ufl.dot(D, increment) / 2, increment) * area
+        energy = self.plain * density * one_point(mesh)
+        self._energy = fem.form(energy)
+        self._gradient = fem.form(ufl.derivative(energy, u))
+        after = stress + ufl.dot(D, increment)
+        points = interpolation_points(self.history.function_space.element)
+        self._after = fem.Expression(ufl.as_vector([*(after[i] for i in range(3)), *new]), points)
+        self._next = fem.Function(self.history.function_space)
+        self._energy_n = 0.0
+
+    def _start(self) -> None:
+        """The stress-free (or prestressed) state in the cells' frames."""
+        mesh = self.u.function_space.mesh
+        x = mesh.geometry.x[geometry_dofmap(mesh)]
+        cells = np.arange(len(x), dtype=np.int32)
+        side, other = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
+        a = np.linalg.norm(side, axis=1)
+        directions = np.einsum("ni,nai->na", side, self.material_axes(cells))
+        history = self.history.x.array.reshape(-1, 6)
+        D = self.stiffness_n.x.array.reshape(-1, 3, 3)
+        tags = self.material_tags(cells)
+        for tag, material in self.materials.items():
+            own = tags == tag
+            D[own] = rotated_stiffness(material.stiffness, directions[own])
+            stress = np.broadcast_to(material.prestress_vector, (int(own.sum()), 3))
+            history[own, :3] = rotated_stress(stress, directions[own])
+        history[:, 3] = a
+        history[:, 4] = np.sum(side * other, axis=1) / a
+        history[:, 5] = np.linalg.norm(np.cross(side, other), axis=1) / a
+
+    def energy(self, sums: Array) -> float:
+        """Strain energy over all steps (force x length)."""
+        return self._energy_n + float(sums[0])
+
+    def commit(self, x: Array, sums: Array) -> None:
+        """End the step: its stresses and shapes are the next step's start."""
+        self._energy_n = self.energy(sums)
+        self._next.interpolate(self._after)
+        plain = self.plain.x.array > 0.5
+        self.history.x.array.reshape(-1, 6)[plain] = self._next.x.array.reshape(-1, 6)[plain]
