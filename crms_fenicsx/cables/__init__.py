@@ -1,0 +1,1 @@
+"""Cables that lie on the membrane and slide over it."""

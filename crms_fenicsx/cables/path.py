@@ -1,0 +1,522 @@
+"""Where a cable crosses the mesh: typed points of the surface and the paths through them.
+
+A cable is a polyline whose points lie on vertices and edges of the mesh, never strictly inside a
+cell, except its two ends. Vertices are named by their global ids, so a path means the same on
+every rank and survives a redistribution of the mesh. Everything here is combinatorics: no
+coordinates, no tolerances.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from crms_fenicsx.errors import PathError
+
+
+@dataclass(frozen=True)
+class VertexPoint:
+    """A point of a path on a vertex of the mesh.
+
+    Parameters
+    ----------
+    vertex
+        Global id of the vertex.
+
+    Raises
+    ------
+    PathError
+        Negative id.
+    """
+
+    vertex: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "vertex", int(self.vertex))
+        if self.vertex < 0:
+            raise PathError(f"vertex id {self.vertex} of a path is negative; ids start at 0")
+
+    @property
+    def support(self) -> tuple[int, ...]:
+        """Vertices of the smallest simplex that holds the point."""
+        return (self.vertex,)
+
+    def __str__(self) -> str:
+        return f"vertex {self.vertex}"
+
+
+@dataclass(frozen=True)
+class EdgePoint:
+    """A point of a path strictly inside an edge of the mesh.
+
+    Parameters
+    ----------
+    edge
+        Global ids (a, b) of the edge's vertices, a < b.
+    fraction
+        Place on the edge, from a (0) to b (1), both excluded.
+
+    Raises
+    ------
+    PathError
+        a < b is not so, or the fraction lies outside (0, 1).
+    """
+
+    edge: tuple[int, int]
+    fraction: float
+
+    def __post_init__(self) -> None:
+        a, b = (int(v) for v in self.edge)
+        object.__setattr__(self, "edge", (a, b))
+        object.__setattr__(self, "fraction", float(self.fraction))
+        if not 0 <= a < b:
+            raise PathError(f"edge ({a}, {b}) of a path: give its vertex ids as (smaller, larger)")
+        if not 0.0 < self.fraction < 1.0:
+            raise PathError(
+                f"fraction {self.fraction} on edge ({a}, {b}) of a path is outside (0, 1); "
+                "use VertexPoint for its ends"
+            )
+
+    @property
+    def support(self) -> tuple[int, ...]:
+        """Vertices of the smallest simplex that holds the point."""
+        return self.edge
+
+    def __str__(self) -> str:
+        return f"edge {self.edge} at {self.fraction:.6g}"
+
+
+@dataclass(frozen=True)
+class CellPoint:
+    """An end of a cable that is tied to the membrane inside a cell.
+
+    Parameters
+    ----------
+    cell
+        Global ids of the cell's vertices; kept in ascending order, the weights with them.
+    weights
+        (3,) barycentric weights of the three vertices, none negative, of sum 1. A weight is zero
+        where the cable ends inside an edge that it runs along.
+
+    Raises
+    ------
+    PathError
+        Repeated vertices, or weights that are no place in the cell.
+    """
+
+    cell: tuple[int, int, int]
+    weights: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        cell = [int(v) for v in self.cell]
+        weights = [float(w) for w in self.weights]
+        if len(cell) != 3 or len(set(cell)) != 3 or min(cell) < 0:
+            raise PathError(f"cell {tuple(cell)} of a path: give three different vertex ids")
+        # not (...): NaN fails every comparison
+        if len(weights) != 3 or not (min(weights) >= 0.0 and abs(sum(weights) - 1.0) <= 1e-9):
+            raise PathError(
+                f"weights {tuple(weights)} in cell {tuple(cell)} of a path: "
+                "give three that are not negative and sum to 1"
+            )
+        order = sorted(range(3), key=cell.__getitem__)
+        object.__setattr__(self, "cell", tuple(cell[i] for i in order))
+        object.__setattr__(self, "weights", tuple(weights[i] for i in order))
+
+    @property
+    def support(self) -> tuple[int, ...]:
+        """Vertices of the smallest simplex that holds the point."""
+        return self.cell
+
+    def __str__(self) -> str:
+        return f"a place in cell {self.cell}"
+
+
+SurfacePoint = VertexPoint | EdgePoint | CellPoint
+
+
+@dataclass(frozen=True)
+class AlongEdge:
+    """A link of a path that follows an edge of the mesh, from vertex to vertex."""
+
+    edge: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class AcrossCell:
+    """A link of a path through one cell's interior; `cell` is its row in the cells given."""
+
+    cell: int
+
+
+Link = AlongEdge | AcrossCell
+
+
+@dataclass(frozen=True)
+class Path:
+    """The way of a cable over the membrane, from one end to the other.
+
+    Parameters
+    ----------
+    points
+        Two or more points of the surface; a `CellPoint` only first or last.
+    start_anchor, end_anchor
+        (3,) position (length) off the membrane to which the cable runs on, straight, from the
+        first (last) point; None where the cable ends on the membrane.
+
+    Raises
+    ------
+    PathError
+        Fewer than two points, a `CellPoint` that is no end, an anchor that is no point in space.
+    """
+
+    points: tuple[SurfacePoint, ...]
+    start_anchor: tuple[float, float, float] | None = None
+    end_anchor: tuple[float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", tuple(self.points))
+        if len(self.points) < 2:
+            raise PathError(f"a path of {len(self.points)} points; a cable needs two or more")
+        for i, point in enumerate(self.points[1:-1], start=1):
+            if isinstance(point, CellPoint):
+                raise PathError(
+                    f"point {i} of a path is {point}; only its ends may lie inside a cell"
+                )
+        for name in ("start_anchor", "end_anchor"):
+            anchor = getattr(self, name)
+            if anchor is None:
+                continue
+            position = tuple(float(x) for x in anchor)
+            if len(position) != 3 or not np.all(np.isfinite(position)):
+                raise PathError(f"{name} {position} of a path: give three finite coordinates")
+            object.__setattr__(self, name, position)
+
+    def with_anchors(self, *, start: ArrayLike | None = None, end: ArrayLike | None = None) -> Path:
+        """Return the path with its cable going on to anchors off the membrane.
+
+        Parameters
+        ----------
+        start, end
+            (3,) positions (length); None keeps what the path has.
+
+        Raises
+        ------
+        PathError
+            An anchor that is no point in space.
+        """
+        new: dict[str, tuple[float, ...]] = {}
+        if start is not None:
+            new["start_anchor"] = tuple(float(x) for x in np.ravel(start))
+        if end is not None:
+            new["end_anchor"] = tuple(float(x) for x in np.ravel(end))
+        return replace(self, **new)  # type: ignore[arg-type]
+
+    def positions(
+        self, vertices: NDArray[np.int64], points: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return where the path's points are, anchors left out.
+
+        Parameters
+        ----------
+        vertices
+            (n,) global ids.
+        points
+            (n, 3) their positions (length).
+
+        Returns
+        -------
+        (len(points), 3) positions (length).
+
+        Raises
+        ------
+        PathError
+            The path uses a vertex that is not among `vertices`.
+        """
+        vertices, points = np.asarray(vertices), np.asarray(points)
+        order = np.argsort(vertices, kind="stable")
+        wanted = np.array([v for point in self.points for v in point.support])
+        found = np.searchsorted(vertices, wanted, sorter=order)
+        rows = order[np.minimum(found, len(vertices) - 1)] if len(vertices) else found
+        missing = wanted[vertices[rows] != wanted] if len(vertices) else wanted
+        if len(missing):
+            raise PathError(f"vertex {missing[0]} of a path is not in this mesh")
+        row_of = {int(v): int(row) for v, row in zip(wanted, rows, strict=True)}
+        result = np.empty((len(self.points), 3))
+        for i, point in enumerate(self.points):
+            corners = points[[row_of[v] for v in point.support]]
+            result[i] = np.array(_weights(point)) @ corners
+        return result
+
+    def links(self, cells: NDArray[np.int64]) -> tuple[Link, ...]:
+        """Return the way from each point to the next, and check the whole path.
+
+        Parameters
+        ----------
+        cells
+            (m, 3) global vertex ids; at least the cells around the path.
+
+        Returns
+        -------
+        One `AlongEdge` (vertex to vertex) or `AcrossCell` (through one cell's interior) for each
+        pair of consecutive points.
+
+        Raises
+        ------
+        PathError
+            Consecutive points share no cell, lie on one edge without both being vertices, or
+            the path turns straight back into the cell or edge that it came from.
+        """
+        surroundings = _Surroundings(cells, self.points)
+        links: list[Link] = []
+        for i, (a, b) in enumerate(zip(self.points, self.points[1:], strict=False)):
+            link = surroundings.link(a, b)
+            if link is None:
+                raise PathError(f"a path cannot go from {a} to {b}: {_why_not(a, b)} (link {i})")
+            if links and link == links[-1]:
+                raise PathError(
+                    f"a path turns back at {a} (point {i}), into the cell or edge it came from"
+                )
+            links.append(link)
+        return tuple(links)
+
+
+def _weights(point: SurfacePoint) -> tuple[float, ...]:
+    """Return the weights of the point's support."""
+    if isinstance(point, VertexPoint):
+        return (1.0,)
+    if isinstance(point, EdgePoint):
+        return (1.0 - point.fraction, point.fraction)
+    return point.weights
+
+
+def _on_one_edge(a: SurfacePoint, b: SurfacePoint) -> bool:
+    """Say whether two points lie on one edge without both being vertices."""
+    both_vertices = isinstance(a, VertexPoint) and isinstance(b, VertexPoint)
+    return not both_vertices and len({*a.support, *b.support}) == 2
+
+
+def _why_not(a: SurfacePoint, b: SurfacePoint) -> str:
+    if a == b:
+        return "they are the same point"
+    if _on_one_edge(a, b):
+        return "both lie on one edge, so the points between its vertices are superfluous"
+    return "no cell of the mesh has both"
+
+
+class _Surroundings:
+    """The cells and edges that links between some points may use."""
+
+    def __init__(self, cells: ArrayLike, points: Sequence[SurfacePoint]) -> None:
+        rows = np.asarray(cells, dtype=np.int64).reshape(-1, 3)
+        support = np.array(sorted({v for point in points for v in point.support}), dtype=np.int64)
+        near = np.flatnonzero(np.isin(rows, support).sum(axis=1) >= 2)
+        self.cell: dict[tuple[int, ...], int] = {}
+        self.cells_at: dict[tuple[int, int], list[tuple[int, ...]]] = {}
+        for index in near:
+            a, b, c = sorted(int(v) for v in rows[index])
+            self.cell[a, b, c] = int(index)
+            for edge in ((a, b), (b, c), (a, c)):
+                self.cells_at.setdefault(edge, []).append((a, b, c))
+
+    def link(self, a: SurfacePoint, b: SurfacePoint) -> Link | None:
+        """Return the way from a to b; None where there is none."""
+        both = tuple(sorted({*a.support, *b.support}))
+        if a == b or _on_one_edge(a, b):
+            return None
+        if len(both) == 2:
+            edge = (both[0], both[1])
+            return AlongEdge(edge) if edge in self.cells_at else None
+        return AcrossCell(self.cell[both]) if both in self.cell else None
+
+
+def without_backtracking(
+    points: Sequence[SurfacePoint], cells: NDArray[np.int64]
+) -> tuple[SurfacePoint, ...]:
+    """Return the points without the detours that a polyline makes at its corners.
+
+    A cable that enters a cell and leaves it through the edge it came from does not need that
+    cell: its two points on the edge go, and again where that leaves another such detour. An end
+    inside an edge that the cable then follows becomes a place in a cell next to that edge.
+
+    Parameters
+    ----------
+    points
+        Points of which consecutive ones share a cell; cell points only first or last.
+    cells
+        (m, 3) global vertex ids; at least the cells around the points.
+
+    Returns
+    -------
+    The points that are left, both ends among them; fewer than two where all cancels.
+    """
+    kept = list(points)
+    surroundings = _Surroundings(cells, kept)
+    _cancel(kept, surroundings)
+    if len(kept) > 1 and _on_one_edge(kept[0], kept[1]):
+        _tie_ends_in_cells(kept, surroundings)
+        _cancel(kept, surroundings)
+    if len(kept) > 1 and _on_one_edge(kept[-2], kept[-1]):
+        kept.reverse()
+        _tie_ends_in_cells(kept, surroundings)
+        _cancel(kept, surroundings)
+        kept.reverse()
+    return tuple(kept)
+
+
+def _cancel(kept: list[SurfacePoint], surroundings: _Surroundings) -> None:
+    i = 0
+    while i < len(kept) - 1:
+        drop = _superfluous(kept, i, surroundings)
+        if drop is None:
+            i += 1
+        else:
+            del kept[drop]
+            i = max(i - 2, 0)
+
+
+def _superfluous(kept: list[SurfacePoint], i: int, surroundings: _Surroundings) -> int | None:
+    """Return which of the points from i on can go, looking at three of them."""
+    a, b, last = kept[i], kept[i + 1], len(kept) - 1
+    if a == b:
+        return i if i + 1 == last else i + 1
+    if _on_one_edge(a, b):
+        if isinstance(b, EdgePoint) and i + 1 != last:
+            return i + 1
+        return i if isinstance(a, EdgePoint) and i != 0 else None
+    if i + 2 <= last:
+        link = surroundings.link(a, b)
+        if link is not None and link == surroundings.link(b, kept[i + 2]):
+            return i + 1
+    return None
+
+
+def _tie_ends_in_cells(kept: list[SurfacePoint], surroundings: _Surroundings) -> None:
+    """Make the first point, in one edge with the second, a place in a cell of that edge."""
+    edges = [point.edge for point in kept[:2] if isinstance(point, EdgePoint)]
+    cells = sorted(surroundings.cells_at[edges[0]])
+    if len(kept) > 2:  # a cell that the path goes on through would make it turn back
+        onward = surroundings.link(kept[1], kept[2])
+        cells.sort(key=lambda cell: onward == AcrossCell(surroundings.cell[cell]))
+    for i, point in enumerate(kept[:2]):
+        if isinstance(point, EdgePoint):
+            a, b = point.edge
+            (c,) = set(cells[0]) - {a, b}
+            kept[i] = CellPoint((a, b, c), (1.0 - point.fraction, point.fraction, 0.0))
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """A place where two cables meet.
+
+    Parameters
+    ----------
+    cell
+        Row of the cell inside which they cross; None where they meet on an edge or a vertex.
+    at
+        The point of the surface where they meet if not strictly inside a cell: a shared vertex,
+        an edge with equal fraction, a point where one crosses an edge that the other follows, or
+        the end of one on the other; None where they plainly cross in `cell`.
+    """
+
+    cell: int | None
+    at: SurfacePoint | None
+
+
+def chords_cross(path_a: Path, path_b: Path, cells: NDArray[np.int64]) -> list[Meeting]:
+    """Return where two cables cross or touch.
+
+    Two chords of a cell cross if their ends alternate around the triangle, which needs no
+    coordinates; only for a chord that ends inside its cell do the weights decide.
+
+    Parameters
+    ----------
+    path_a, path_b
+        Valid paths over the same mesh.
+    cells
+        (m, 3) global vertex ids; at least the cells around both paths.
+
+    Returns
+    -------
+    The meetings in the order of `path_a`; first those inside cells, then those on shared points
+    and edges. Whether cables that touch change sides there is not decided.
+
+    Raises
+    ------
+    PathError
+        One of the paths is not valid on these cells.
+    """
+    links_a, links_b = path_a.links(cells), path_b.links(cells)
+    meetings: list[Meeting] = []
+    chords: dict[int, list[tuple[SurfacePoint, SurfacePoint]]] = {}
+    for i, link in enumerate(links_b):
+        if isinstance(link, AcrossCell):
+            chords.setdefault(link.cell, []).append((path_b.points[i], path_b.points[i + 1]))
+    for i, link in enumerate(links_a):
+        if isinstance(link, AcrossCell):
+            a = (path_a.points[i], path_a.points[i + 1])
+            corners = tuple(int(v) for v in np.sort(np.asarray(cells)[link.cell]))
+            for b in chords.get(link.cell, []):
+                meeting = _meeting_in_cell(a, b, link.cell, corners)
+                if meeting is not None:
+                    meetings.append(meeting)
+    met = set(path_a.points) & set(path_b.points)
+    met |= _crossings(links_a, path_b) | _crossings(links_b, path_a)
+    in_order = dict.fromkeys([*path_a.points, *path_b.points])
+    meetings.extend(Meeting(None, point) for point in in_order if point in met)
+    return meetings
+
+
+def _crossings(links: Sequence[Link], other: Path) -> set[SurfacePoint]:
+    """Return the points of the other path inside edges that the links follow."""
+    followed = {link.edge for link in links if isinstance(link, AlongEdge)}
+    return {p for p in other.points if isinstance(p, EdgePoint) and p.edge in followed}
+
+
+def _meeting_in_cell(
+    a: tuple[SurfacePoint, SurfacePoint],
+    b: tuple[SurfacePoint, SurfacePoint],
+    cell: int,
+    corners: tuple[int, ...],
+) -> Meeting | None:
+    """Return how two chords of one cell meet inside it, ends that they share left out."""
+    if set(a) & set(b):
+        return None
+    if not any(isinstance(point, CellPoint) for point in a + b):
+        first, last = sorted(_around(point, corners) for point in a)
+        inside = [first < _around(point, corners) < last for point in b]
+        return Meeting(cell, None) if inside[0] != inside[1] else None
+    (a0, a1), (b0, b1) = ([_flat(p, corners) for p in chord] for chord in (a, b))
+    sides_b = [_side(a0, a1, x) for x in (b0, b1)]
+    sides_a = [_side(b0, b1, x) for x in (a0, a1)]
+    if sides_a[0] * sides_a[1] > 0 or sides_b[0] * sides_b[1] > 0 or not any(sides_a + sides_b):
+        return None
+    for side, point in zip(sides_a + sides_b, a + b, strict=True):
+        if side == 0.0:
+            return Meeting(cell, point)
+    return Meeting(cell, None)
+
+
+def _around(point: SurfacePoint, corners: tuple[int, ...]) -> float:
+    """Return where the point lies around the triangle's rim, from 0 to 3."""
+    if isinstance(point, VertexPoint):
+        return float(corners.index(point.vertex))
+    assert isinstance(point, EdgePoint)
+    a, b = (corners.index(v) for v in point.edge)
+    return a + point.fraction if b == a + 1 else 3.0 - point.fraction
+
+
+def _flat(point: SurfacePoint, corners: tuple[int, ...]) -> tuple[float, float]:
+    """Return the weights of the last two corners: affine coordinates in the cell."""
+    weight = dict(zip(point.support, _weights(point), strict=True))
+    return weight.get(corners[1], 0.0), weight.get(corners[2], 0.0)
+
+
+def _side(
+    start: tuple[float, float], end: tuple[float, float], point: tuple[float, float]
+) -> float:
+    """Return on which side of a chord a point lies: the sign, zero on its line."""
+    (x0, y0), (x1, y1), (x, y) = start, end, point
+    return float(np.sign((x1 - x0) * (y - y0) - (y1 - y0) * (x - x0)))
