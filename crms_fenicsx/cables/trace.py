@@ -161,11 +161,12 @@ def near_section(
         for a, b in pairwise(_vectors(ends)):
             mask |= _strip(_Plane.of(a, b, up, up), x, rows, snap * size)
         return mask
-    feet = [_foot(x, rows, target, snap, comm) for target in _vectors(course)]
+    feet = [_foot(x, rows, target, comm) for target in _vectors(course)]
     for target, foot in zip(_vectors(course), feet, strict=True):
         centre, radius = _balls(x[rows])
         nearest = _norm(centre - target) - radius
-        mask |= nearest <= foot.distance * (1.0 + 1e-9) + 2.0 * snap * size
+        # all around the vertices of the nearest cell, which make the normal
+        mask |= nearest <= (foot.distance + foot.size) * (1.0 + 1e-9) + 2.0 * snap * size
     for i in range(len(course) - 1):
         # whether an end is an anchor depends on the boundary, which one rank may not see
         starts = [feet[i].position] + ([course[i]] if i == 0 else [])
@@ -279,7 +280,8 @@ def _double_areas(triangles: Floats) -> Floats:
 def _altitudes(triangles: Floats) -> Floats:
     """Return (m,) smallest altitudes."""
     longest = _longest(triangles)
-    return _norm(_double_areas(triangles)) / np.where(longest > 0.0, longest, 1.0)
+    quotient = _norm(_double_areas(triangles)) / np.where(longest > 0.0, longest, 1.0)
+    return np.asarray(quotient, dtype=np.float64)
 
 
 def _balls(triangles: Floats) -> tuple[Floats, Floats]:
@@ -288,19 +290,24 @@ def _balls(triangles: Floats) -> tuple[Floats, Floats]:
     return centre, np.asarray(np.max(_norm(triangles - centre[:, None]), axis=1, initial=0.0))
 
 
-def _closest(triangles: Floats, target: Floats) -> Floats:
-    """Return (m, 3) weights of the place nearest to `target` in each of (m, 3, 3) triangles."""
+def _closest(triangles: Floats, target: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the places nearest to `target` in each of (m, 3, 3) triangles.
+
+    As (m, 3) weights of the corners, (m, 3) positions and (m,) distances. In slivers the weights
+    are badly conditioned, the positions and distances are not.
+    """
     weights = np.zeros((len(triangles), 3))
-    best: Floats = np.full(len(triangles), np.inf)
+    places = np.zeros((len(triangles), 3))
+    gaps = np.full(len(triangles), np.inf)
     for i, j in ((0, 1), (1, 2), (2, 0)):
         side = triangles[:, j] - triangles[:, i]
         square = _dot(side, side)
         t = _dot(target - triangles[:, i], side) / np.where(square > 0.0, square, 1.0)
         t = np.clip(t, 0.0, 1.0)
-        gap = _norm(triangles[:, i] + t[:, None] * side - target)
-        nearer = gap < best
-        best = np.where(nearer, gap, best)
-        weights[nearer] = 0.0
+        place = triangles[:, i] + t[:, None] * side
+        gap = _norm(place - target)
+        nearer = gap < gaps
+        gaps[nearer], places[nearer], weights[nearer] = gap[nearer], place[nearer], 0.0
         weights[nearer, i] = 1.0 - t[nearer]
         weights[nearer, j] = t[nearer]
     normal = _double_areas(triangles)
@@ -315,7 +322,10 @@ def _closest(triangles: Floats, target: Floats) -> Floats:
     )
     inside = (inner >= 0.0).all(axis=1) & (square > 0.0)
     weights[inside] = inner[inside] / inner[inside].sum(axis=1)[:, None]
-    return weights
+    height = _dot(triangles[inside, 0] - target, normal[inside]) / square[inside]
+    places[inside] = target + height[:, None] * normal[inside]
+    gaps[inside] = _norm(places[inside] - target)
+    return weights, places, gaps
 
 
 def _mix(weights: Floats, triangles: Floats) -> Floats:
@@ -344,11 +354,12 @@ class _Place:
 
 @dataclass(frozen=True)
 class _Foot:
-    """The place of a surface nearest to a point in space."""
+    """The place of a surface nearest to a point in space, in a cell of a certain size."""
 
     position: Floats
     distance: float
     normal: Floats
+    size: float
 
 
 def _place_in_plan(surface: _Surface, xy: Floats, index: int, snap: float) -> _Place:
@@ -359,8 +370,7 @@ def _place_in_plan(surface: _Surface, xy: Floats, index: int, snap: float) -> _P
     )
     triangles = surface.points[surface.cells[near]]
     flat, target = _flattened(triangles), np.array([xy[0], xy[1], 0.0])
-    weights = _closest(flat, target)
-    gap = _norm(_mix(weights, flat) - target)
+    weights, _, gap = _closest(flat, target)
     floor = _norm(_double_areas(flat)) > WALL * _norm(_double_areas(triangles))
     holds = floor & (gap <= snap * _altitudes(flat))
     if not holds.any():
@@ -382,8 +392,7 @@ def _flattened(triangles: Floats) -> Floats:
 def _raise_outside(surface: _Surface, xy: Floats, index: int) -> NoReturn:
     triangles = surface.points[surface.cells]
     flat, target = _flattened(triangles), np.array([xy[0], xy[1], 0.0])
-    weights = _closest(flat, target)
-    gap = _norm(_mix(weights, flat) - target)
+    weights, _, gap = _closest(flat, target)
     nearest = int(np.argmin(gap))
     place = _mix(weights[[nearest]], triangles[[nearest]])[0]
     raise PathError(
@@ -418,8 +427,8 @@ def _locate(
                 best = gap, edge, t, (1.0 - t) * ends[0] + t * ends[1]
     if best is not None:
         return EdgePoint((best[1][0], best[1][1]), best[2]), best[3]
-    weights = _closest(triangles, target)
-    nearest = int(np.argmin(_norm(_mix(weights, triangles) - target)))
+    weights, _, gaps = _closest(triangles, target)
+    nearest = int(np.argmin(gaps))
     position = _mix(weights[[nearest]], surface.points[corners[[nearest]]])[0]
     a, b, c = surface.ids[corners[nearest]].tolist()
     u, v, w = weights[nearest].tolist()
@@ -427,7 +436,7 @@ def _locate(
 
 
 def _foot(
-    points: Floats, cells: Ints, target: Floats, snap: float, comm: MPI.Intracomm | None = None
+    points: Floats, cells: Ints, target: Floats, comm: MPI.Intracomm | None = None
 ) -> _Foot:
     """Return the nearest place of the surface, the same on all ranks of `comm`."""
     triangles = points[cells]
@@ -435,18 +444,31 @@ def _foot(
     least = np.min(_norm(triangles - target), initial=np.inf)
     near = _norm(centre - target) - radius <= least * (1.0 + 1e-9)
     triangles = triangles[near]
-    places = _mix(_closest(triangles, target), triangles)
-    gaps = _norm(places - target)
-    nearest = int(np.argmin(gaps)) if len(gaps) else -1
-    distance = float(gaps[nearest]) if len(gaps) else float("inf")
-    position = places[nearest] if len(gaps) else np.zeros(3)
+    weights, places, gaps = _closest(triangles, target)
+    held = (float("inf"), 0)
+    found = (np.zeros(3), np.zeros(3), np.zeros((3, 3)))
+    if len(gaps):
+        i = int(np.argmin(gaps))
+        held = (float(gaps[i]), 0)
+        found = (places[i], weights[i], triangles[i])
     if comm is not None:
-        distance, owner = comm.allreduce((distance, comm.rank), op=MPI.MINLOC)
-        position = comm.bcast(position, root=owner)
-    normal = _double_areas(points[cells[_touching(points, cells, position, snap)]]).sum(axis=0)
+        held = comm.allreduce((held[0], comm.rank), op=MPI.MINLOC)
+        found = comm.bcast(found, root=held[1])
+    position, share, corners = found
+    size = float(_longest(corners[None])[0])
+    # interpolated from the vertices: the facets' own normals are off by the angle between them;
+    # vertices are known by their place, as ranks share no other name for them here
+    around = points[cells]
+    area = _double_areas(around)
+    normals = np.stack(
+        [area[(_norm(around - x) <= 1e-9 * size).any(axis=1)].sum(axis=0) for x in _vectors(corners)]
+    )
     if comm is not None:
-        normal = comm.allreduce(normal, op=MPI.SUM)
-    return _Foot(position, distance, normal / max(float(_norm(normal)), 1e-300))
+        normals = comm.allreduce(normals, op=MPI.SUM)
+    lengths = _norm(normals)
+    normals = normals / np.where(lengths > 0.0, lengths, 1.0)[:, None]
+    normal = _mix(share[None], normals[None])[0]
+    return _Foot(position, held[0], normal / max(float(_norm(normal)), 1e-300), size)
 
 
 def _touching(points: Floats, cells: Ints, position: Floats, snap: float) -> Ints:
@@ -455,7 +477,7 @@ def _touching(points: Floats, cells: Ints, position: Floats, snap: float) -> Int
     centre, radius = _balls(triangles)
     near = np.flatnonzero(_norm(centre - position) <= radius * (1.0 + snap))
     triangles = triangles[near]
-    gap = _norm(_mix(_closest(triangles, position), triangles) - position)
+    _, _, gap = _closest(triangles, position)
     scale = float(np.max(np.abs(position)))
     return near[gap <= snap * _altitudes(triangles) + 1e-14 * scale]
 
@@ -463,7 +485,7 @@ def _touching(points: Floats, cells: Ints, position: Floats, snap: float) -> Int
 def _places_in_space(surface: _Surface, course: Floats, snap: float) -> list[_Place]:
     places = []
     for i, target in enumerate(_vectors(course)):
-        foot = _foot(surface.points, surface.cells, target, snap)
+        foot = _foot(surface.points, surface.cells, target)
         rows = _touching(surface.points, surface.cells, foot.position, snap)
         triangles = surface.points[surface.cells[rows]]
         point, position = _locate(surface, rows, triangles, foot.position, snap)
