@@ -137,7 +137,8 @@ def special_lines(n):
     for k in range(n + 1):
         lines += [((0, k), (n, k)), ((k, 0), (k, n)), ((0, k), (n - 0.5, k))]
     for k in range(n - 1):
-        lines += [((k, 0), (n, n - k)), ((0, k), (n - k, n)), ((k + 0.5, 0.5), (n - 0.5, n - k - 0.5))]
+        lines += [((k, 0), (n, n - k)), ((0, k), (n - k, n))]
+        lines += [((k + 0.5, 0.5), (n - 0.5, n - k - 0.5))]
     return [np.array(line, dtype=float) for line in lines]
 
 
@@ -385,9 +386,9 @@ def test_anchors_on_both_ends_of_a_turned_dome():
 def test_points_off_the_membrane():
     points, cells = grid(4)
     ids = np.arange(len(points))
-    with pytest.raises(PathError, match="outside of it in plan.*in space to make"):
+    with pytest.raises(PathError, match=r"outside of it in plan.*in space to make"):
         trace(ids, points, cells, [(-1, 2), (3, 2)])
-    with pytest.raises(PathError, match="route point 1 .* leaves the membrane"):
+    with pytest.raises(PathError, match=r"route point 1 .* leaves the membrane"):
         trace(ids, points, cells, [(0, 2), (3, 5), (4, 2)])
     with pytest.raises(PathError, match="with_anchors"):
         trace(ids, points, cells, [(2, 2, 3), (4, 2, 0)])
@@ -438,7 +439,7 @@ def test_a_section_follows_a_wall():
 
 def test_overlapping_sheets_use_the_upper_one():
     low, cells = grid(4)
-    points = np.vstack([low + [0, 0, 5], low])
+    points = np.vstack([low + np.array([0, 0, 5]), low])
     both = np.vstack([cells, cells + len(low)])
     for x in (points, points[::-1].copy()):
         path = trace(np.arange(len(x)), x, both, [(0.2, 0.3), (3.1, 2.5)])
