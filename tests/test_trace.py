@@ -104,7 +104,7 @@ def length_of(x):
 def test_straight_leg_agrees_with_exact_arithmetic(kind):
     rng = np.random.default_rng(["scattered", "grid", "slivers"].index(kind))
     seen = set()
-    for _ in range(150):
+    for _ in range(100):
         if kind == "scattered":
             points, cells = scattered(rng)
         else:
@@ -207,7 +207,7 @@ def test_two_thousand_random_legs_are_valid_and_straight():
 def test_random_routes_with_corners_give_valid_paths():
     rng = np.random.default_rng(7)
     refused = 0
-    for _ in range(400):
+    for _ in range(250):
         points, cells = grid(5) if rng.random() < 0.5 else scattered(rng, 25, 5)
         ids = numbered(rng, points)
         k = int(rng.integers(3, 7))
@@ -224,7 +224,7 @@ def test_random_routes_with_corners_give_valid_paths():
         x = path.positions(ids, points)[:, :2]
         assert np.allclose(x[[0, -1]], route[[0, -1]], atol=1e-2)
         assert length_of(x) <= length_of(route) + 1e-2
-    assert refused < 20
+    assert refused < 12
 
 
 def test_corner_inside_a_cell_is_cut_and_a_hairpin_cancels():
@@ -243,7 +243,7 @@ def test_corner_inside_a_cell_is_cut_and_a_hairpin_cancels():
 
 def test_numbering_orientation_and_mirror_do_not_matter():
     rng = np.random.default_rng(3)
-    for _ in range(60):
+    for _ in range(40):
         points, cells = scattered(rng)
         route = rng.uniform(1, 59, (2, 2))
         ids = np.arange(len(points))
@@ -344,7 +344,7 @@ def test_route_in_space_follows_great_circles_and_turns_with_the_dome(degrees):
     angle = np.deg2rad(degrees)
     points, cells = cap(angle)
     ids = numbered(rng, points)
-    for _ in range(25):
+    for _ in range(15):
         polar = np.sqrt(rng.uniform(0, 0.9, 2))[:, None] * 0.95
         phi = rng.uniform(0, 6.3) + np.array([0, rng.uniform(0.3, 2.8)])
         a, b = 10.0 * on_sphere(polar * np.column_stack([np.cos(phi), np.sin(phi)]), angle)
@@ -468,6 +468,8 @@ def test_strip_gives_the_same_path_as_the_whole_mesh():
             route = rng.uniform(low, high, (2 + case % 2, 2))
             if case % 5 == 0:
                 route[0] = points[rng.integers(len(points)), :2]
+            if case % 7 == 0:
+                route[1] += high - low  # outside: the same error
         mask = near_section(points, cells, route)
         try:
             whole = trace(ids, points, cells, route)
@@ -492,7 +494,7 @@ def test_strip_of_a_mesh_divided_among_ranks(space):
     own = np.arange(len(cells)) % comm.size == comm.rank
     mask = np.zeros(len(cells), dtype=bool)
     mask[own] = near_section(points, cells[own], route, comm=comm)
-    mask = comm.allreduce(mask, op=MPI.LOR)
+    comm.Allreduce(MPI.IN_PLACE, mask, op=MPI.LOR)
     assert mask.mean() < 0.8
     assert (mask >= near_section(points, cells, route)).all()
     whole = trace(ids, points, cells, route)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import heapq
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NoReturn
@@ -163,6 +164,13 @@ def near_section(
         ends = np.column_stack([course, np.zeros(len(course))])
         for a, b in pairwise(_vectors(ends)):
             mask |= _strip(_Plane.of(a, b, up, up), x, rows, snap * size)
+        flat = _flattened(x[rows])
+        centre, radius = _balls(flat)
+        for target in _vectors(ends):  # what trace names when the route leaves the membrane
+            least = float(np.min(_norm(flat - target), initial=np.inf))
+            if comm is not None:
+                least = comm.allreduce(least, op=MPI.MIN)
+            mask |= _norm(centre - target) - radius <= least * (1.0 + 1e-9)
         return mask
     feet = [_foot(x, rows, target, comm) for target in _vectors(course)]
     for target, foot in zip(_vectors(course), feet, strict=True):
@@ -176,7 +184,9 @@ def near_section(
         stops = [feet[i + 1].position] + ([course[i + 1]] if i == len(course) - 2 else [])
         for a in starts:
             for b in stops:
-                if _norm(b - a) > 0.0:
+                if _norm(b - a) == 0.0:
+                    continue
+                with suppress(PathError):  # if this is the leg, trace says so
                     plane = _Plane.of(a, b, feet[i].normal, feet[i + 1].normal)
                     mask |= _strip(plane, x, rows, snap * size)
     return mask
