@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import heapq
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NoReturn
@@ -38,6 +39,9 @@ ON_SURFACE = 0.1
 
 # Cells whose projection keeps less than this part of their area are walls.
 WALL = 1e-6
+
+# A fraction that rounding has put on a vertex, where the signs say that it is not, goes here.
+LEAST, MOST = float(np.finfo(float).tiny), float(1.0 - np.finfo(float).epsneg)
 
 # Nodes of a section: (vertex,), (smaller, larger) for an edge, and the two ends of a leg where
 # they are neither.
@@ -160,6 +164,13 @@ def near_section(
         ends = np.column_stack([course, np.zeros(len(course))])
         for a, b in pairwise(_vectors(ends)):
             mask |= _strip(_Plane.of(a, b, up, up), x, rows, snap * size)
+        flat = _flattened(x[rows])
+        centre, radius = _balls(flat)
+        for target in _vectors(ends):  # what trace names when the route leaves the membrane
+            least = float(np.min(_norm(flat - target), initial=np.inf))
+            if comm is not None:
+                least = comm.allreduce(least, op=MPI.MIN)
+            mask |= _norm(centre - target) - radius <= least * (1.0 + 1e-9)
         return mask
     feet = [_foot(x, rows, target, comm) for target in _vectors(course)]
     for target, foot in zip(_vectors(course), feet, strict=True):
@@ -173,7 +184,9 @@ def near_section(
         stops = [feet[i + 1].position] + ([course[i + 1]] if i == len(course) - 2 else [])
         for a in starts:
             for b in stops:
-                if _norm(b - a) > 0.0:
+                if _norm(b - a) == 0.0:
+                    continue
+                with suppress(PathError):  # if this is the leg, trace says so
                     plane = _Plane.of(a, b, feet[i].normal, feet[i + 1].normal)
                     mask |= _strip(plane, x, rows, snap * size)
     return mask
@@ -189,6 +202,7 @@ class _Surface:
     ids: Ints
     points: Floats
     cells: Ints
+    size: float  # its longest edge
 
     @classmethod
     def checked(cls, vertices: ArrayLike, points: ArrayLike, cells: ArrayLike) -> _Surface:
@@ -213,7 +227,7 @@ class _Surface:
         if bad.any():
             i = int(np.argmax(bad))
             raise PathError(f"vertex {ids[i]} is at {_text(x[i])}; positions must be finite")
-        return cls(ids, x, rows)
+        return cls(ids, x, rows, float(_longest(x[rows]).max()))
 
 
 def _checked_route(route: ArrayLike, snap: float) -> Floats:
@@ -255,7 +269,12 @@ def _norm(a: Floats) -> Floats:
 
 
 def _cross(a: Floats, b: Floats) -> Floats:
-    return np.asarray(np.cross(a, b), dtype=np.float64)
+    # by components: the library's cross product takes longer to set up than to compute
+    c = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    c[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
+    c[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
+    c[..., 2] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return c
 
 
 def _dot(a: Floats, b: Floats) -> Floats:
@@ -296,30 +315,23 @@ def _closest(triangles: Floats, target: Floats) -> tuple[Floats, Floats, Floats]
     As (m, 3) weights of the corners, (m, 3) positions and (m,) distances. In slivers the weights
     are badly conditioned, the positions and distances are not.
     """
+    every = np.arange(len(triangles))
+    sides = triangles[:, [1, 2, 0]] - triangles
+    square = _dot(sides, sides)
+    t = _dot(target - triangles, sides) / np.where(square > 0.0, square, 1.0)
+    t = np.clip(t, 0.0, 1.0)
+    on_sides = triangles + t[..., None] * sides
+    to_sides = _norm(on_sides - target)
+    side = np.argmin(to_sides, axis=1)
+    gaps, places, t = to_sides[every, side], on_sides[every, side], t[every, side]
     weights = np.zeros((len(triangles), 3))
-    places = np.zeros((len(triangles), 3))
-    gaps = np.full(len(triangles), np.inf)
-    for i, j in ((0, 1), (1, 2), (2, 0)):
-        side = triangles[:, j] - triangles[:, i]
-        square = _dot(side, side)
-        t = _dot(target - triangles[:, i], side) / np.where(square > 0.0, square, 1.0)
-        t = np.clip(t, 0.0, 1.0)
-        place = triangles[:, i] + t[:, None] * side
-        gap = _norm(place - target)
-        nearer = gap < gaps
-        gaps[nearer], places[nearer], weights[nearer] = gap[nearer], place[nearer], 0.0
-        weights[nearer, i] = 1.0 - t[nearer]
-        weights[nearer, j] = t[nearer]
+    weights[every, side], weights[every, (side + 1) % 3] = 1.0 - t, t
+
     normal = _double_areas(triangles)
     square = _dot(normal, normal)
-    scale = np.where(square > 0.0, square, 1.0)
-    inner = np.stack(
-        [
-            _dot(_cross(triangles[:, j] - target, triangles[:, k] - target), normal) / scale
-            for j, k in ((1, 2), (2, 0), (0, 1))
-        ],
-        axis=1,
-    )
+    to_corners = triangles - target
+    opposite = _cross(to_corners[:, [1, 2, 0]], to_corners[:, [2, 0, 1]])
+    inner = _dot(opposite, normal[:, None]) / np.where(square > 0.0, square, 1.0)[:, None]
     inside = (inner >= 0.0).all(axis=1) & (square > 0.0)
     weights[inside] = inner[inside] / inner[inside].sum(axis=1)[:, None]
     height = _dot(triangles[inside, 0] - target, normal[inside]) / square[inside]
@@ -364,7 +376,7 @@ class _Foot:
 
 def _place_in_plan(surface: _Surface, xy: Floats, index: int, snap: float) -> _Place:
     corners = surface.points[surface.cells][:, :, :2]
-    reach = snap * _longest(surface.points[surface.cells])[:, None]
+    reach = snap * surface.size
     near = np.flatnonzero(
         ((corners.min(axis=1) <= xy + reach) & (corners.max(axis=1) >= xy - reach)).all(axis=1)
     )
@@ -435,9 +447,7 @@ def _locate(
     return CellPoint((a, b, c), (u, v, w)), position
 
 
-def _foot(
-    points: Floats, cells: Ints, target: Floats, comm: MPI.Intracomm | None = None
-) -> _Foot:
+def _foot(points: Floats, cells: Ints, target: Floats, comm: MPI.Intracomm | None = None) -> _Foot:
     """Return the nearest place of the surface, the same on all ranks of `comm`."""
     triangles = points[cells]
     centre, radius = _balls(triangles)
@@ -460,9 +470,10 @@ def _foot(
     # vertices are known by their place, as ranks share no other name for them here
     around = points[cells]
     area = _double_areas(around)
-    normals = np.stack(
-        [area[(_norm(around - x) <= 1e-9 * size).any(axis=1)].sum(axis=0) for x in _vectors(corners)]
-    )
+    normals = np.zeros((3, 3))
+    for i, corner in enumerate(_vectors(corners)):
+        fan = (_norm(around - corner) <= 1e-9 * size).any(axis=1)
+        normals[i] = area[fan].sum(axis=0)
     if comm is not None:
         normals = comm.allreduce(normals, op=MPI.SUM)
     lengths = _norm(normals)
@@ -656,8 +667,7 @@ def _section(
     snap: float,
 ) -> tuple[_Section, tuple[Node | None, Node | None]]:
     """Return the section as a graph, and its nodes at the leg's two ends."""
-    longest = float(_longest(surface.points[surface.cells]).max())
-    strip = surface.cells[_strip(plane, surface.points, surface.cells, snap * longest)]
+    strip = surface.cells[_strip(plane, surface.points, surface.cells, snap * surface.size)]
     offset = plane.offsets(surface.points)
     tolerance = np.full(len(surface.ids), np.inf)
     np.minimum.at(
@@ -691,7 +701,7 @@ def _section(
                 on_rim = node[0] in rim_vertices
             else:
                 t = float(offset[here[0]] / (offset[here[0]] - offset[here[1]]))
-                t = min(max(t, np.finfo(float).tiny), 1.0 - np.finfo(float).epsneg)
+                t = min(max(t, LEAST), MOST)
                 section.points[node] = EdgePoint((node[0], node[1]), t)
                 section.positions[node] = (1.0 - t) * x[0] + t * x[1]
                 on_rim = count[node] == 1
@@ -771,5 +781,3 @@ def _raise_leaves(
         f"{name} leaves the membrane at {_text(section.positions[node])} ({section.points[node]})"
         " before its end; lead the route around, through points on the membrane"
     )
-
-def chords_cross(a,b,cells): return []
