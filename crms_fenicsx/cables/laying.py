@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.cables.cable import Cable, CableNode, LaidCable, StepStart, polyline_length
-from crms_fenicsx.cables.path import CellPoint, EdgePoint, Path, VertexPoint
+from crms_fenicsx.cables.path import CellPoint, EdgePoint, Path, VertexPoint, chords_cross
 from crms_fenicsx.cables.strip import EMPTY, Strip, gather_strip
-from crms_fenicsx.cables.trace import chords_cross, trace
+from crms_fenicsx.cables.trace import trace
 from crms_fenicsx.errors import InputError, PathError
 
 if TYPE_CHECKING:
@@ -148,10 +148,16 @@ def _used(strip: Strip, path: Path) -> Strip:
 
 
 def _refuse_crossing(name: str, path: Path, other: LaidCable, strip: Strip) -> None:
-    """Two cables may share edges and cells, but not cross."""
-    crossed = chords_cross(path, other.path, strip.cells)
-    if crossed:
+    """Two cables may share edges, cells and vertices, but not cross elsewhere."""
+    for meeting in chords_cross(path, other.path, strip.cells):
+        if isinstance(meeting.at, VertexPoint):
+            continue
+        where = (
+            f"the cell of vertices {tuple(strip.cells[meeting.cell].tolist())}"
+            if meeting.cell is not None
+            else str(meeting.at)
+        )
         raise PathError(
-            f"lay_cable: {name!r} crosses {other.name!r} at {crossed[0]}; crossing cables cannot "
-            "be laid yet, lead them past each other."
+            f"lay_cable: {name!r} crosses or touches {other.name!r} in {where}; cables may only "
+            "meet at mesh vertices: lead them past each other, or put a vertex there."
         )

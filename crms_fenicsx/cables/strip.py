@@ -96,7 +96,7 @@ def gather_strip(u: fem.Function, route: Array) -> tuple[Strip, Integers, Array,
     dofs = u.function_space.dofmap.list[:owned]
     positions = np.zeros((mesh.geometry.x.shape[0], 3))
     positions[nodes] = current[dofs]
-    near = np.flatnonzero(near_section(positions, nodes, route))
+    near = np.flatnonzero(near_section(positions, nodes, route, comm=comm))
     parts = comm.allgather((ids[nodes[near]], near, positions[nodes[near]]))
     cells = np.concatenate([part[0].reshape(-1, 3) for part in parts])
     owner = np.concatenate([np.full(len(part[1]), rank) for rank, part in enumerate(parts)])
