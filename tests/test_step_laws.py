@@ -1,0 +1,95 @@
+"""The paper's step-wise laws against the total ones: the same answer as steps and strains shrink.
+
+Pressure of constant direction in a step is exact in the limit of small steps. The incremental
+strain and the cable's (2.2-2) tend to laws in logarithmic strain instead, which differ from the
+total ones by the order of the strain: there the limit is taken in the strain too.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from reference_meshes import square
+
+from crms_fenicsx import Cable, IsotropicMembrane, OrthotropicMembrane, Scene, Solver
+
+SHEET = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, wrinkling=False)
+
+
+def inflated(comm, steps: int, pressure: float = 0.01, material=SHEET, **laws: str) -> float:
+    """Energy of the square inflated in steps."""
+    scene = Scene(square(comm, 8), material, **laws)
+    scene.fix("boundary")
+    Solver(scene).advance(pressure=pressure, steps=steps)
+    return scene.energy
+
+
+def tightened(comm, steps: int, drop: float, cable_law: str = "total", **laws: str) -> float:
+    """Tension of a cable across an inflated square whose ends are pulled down in steps."""
+    scene = Scene(square(comm, 9), SHEET, **laws)
+    scene.fix("boundary")
+    solver = Solver(scene)
+    solver.advance(pressure=0.01, steps=steps)
+    cable = scene.lay_cable(Cable(EA=32000.0, law=cable_law), [(0, 50), (100, 50)])
+    solver.advance(move={cable: (0.0, 0.0, -drop)}, steps=steps)
+    return cable.tension
+
+
+def test_step_pressure_converges_with_order_one(comm) -> None:
+    exact = tightened(comm, 4, 0.5)
+    errors = [tightened(comm, n, 0.5, pressure="step") / exact - 1 for n in (5, 10, 20, 40)]
+    rate = np.polyfit(np.log([5, 10, 20, 40]), np.log(np.abs(errors)), 1)[0]
+    assert rate == pytest.approx(-1.0, abs=0.15)
+    assert abs(errors[-1]) < 5e-3
+
+
+@pytest.mark.parametrize(
+    "material",
+    [
+        SHEET,
+        OrthotropicMembrane(
+            E1=400.0, E2=200.0, G12=90.0, nu21=0.2, thickness=0.08, warp=(1.0, 0.4, 0.0)
+        ),
+    ],
+)
+def test_step_strain_converges_with_the_strain(comm, material) -> None:
+    """The strain of the inflated square grows with p^(2/3); so does the laws' difference."""
+    pressures = [1e-2, 1e-3, 1e-4]
+    differences = [
+        inflated(comm, 20, p, material, strain="step") / inflated(comm, 1, p, material) - 1
+        for p in pressures
+    ]
+    rate = np.polyfit(np.log(pressures), np.log(np.abs(differences)), 1)[0]
+    assert rate == pytest.approx(2 / 3, abs=0.1)
+    assert abs(differences[-1]) < 1e-3
+
+
+def test_step_strain_in_folded_cells_converges_with_the_strain(comm) -> None:
+    """Small loads, so that only the difference of the laws in folded cells could remain."""
+    tensions = []
+    for law in ("total", "step"):
+        scene = Scene(square(comm, 9), SHEET, strain=law)
+        scene.fix("boundary")
+        solver = Solver(scene)
+        solver.advance(pressure=1e-5, steps=4)
+        cable = scene.lay_cable(Cable(EA=32000.0), [(0, 50), (100, 50)])
+        solver.advance(move={cable: (0.0, 0.0, -0.01)}, steps=4)
+        assert any(node.kind == "fold" for node in cable.nodes)
+        tensions.append(cable.tension)
+    assert tensions[1] == pytest.approx(tensions[0], rel=1e-3)
+
+
+def test_step_cable_tends_to_the_logarithm_of_its_length(comm) -> None:
+    """With l_n in the place of L0 the tension is EA ln(L/L0) as the steps get small."""
+    scene = Scene(square(comm, 9), SHEET)
+    scene.fix("boundary")
+    solver = Solver(scene)
+    solver.advance(pressure=0.01)
+    cable = scene.lay_cable(Cable(EA=32000.0, law="step"), [(0, 50), (100, 50)])
+    start = cable.length
+    errors = []
+    for _ in range(40):
+        solver.advance(move={cable: (0.0, 0.0, -0.05)})
+        errors.append(cable.tension - 32000.0 * np.log(cable.length / start))
+    strain = np.log(cable.length / start)
+    assert abs(errors[-1]) < 32000.0 * strain**2 / 40
