@@ -29,8 +29,11 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 Edge = tuple[int, int]
 
-BLOCKED = 5e-3
-"""A fold point this near to an end of its side (fraction) has run into the vertex."""
+BLOCKED = SMOOTHING
+"""A fold point nearer than this to an end of its side (fraction) has run into the vertex.
+
+Farther off lengths are exact, so that nothing but the cable and the membrane holds it there.
+"""
 
 
 @dataclass(frozen=True)
