@@ -179,7 +179,8 @@ class Minimizer:
         self._x, self._g, self._x0, self._g0, self._step = (
             potential.x_vector.duplicate() for _ in range(5)
         )
-        self._close = False
+        self._close = self._at_start = False
+        self._energy0 = 0.0
         self.tao = PETSc.TAO().create(comm)
         self.tao.setOptionsPrefix(prefix)
         self.tao.setType(PETSc.TAO.Type.BLMVM)
@@ -206,6 +207,10 @@ class Minimizer:
 
     def _objective_gradient(self, tao: PETSc.TAO, X: PETSc.Vec, G: PETSc.Vec) -> float:
         """TAO's callback: energy, or its change since the stage's start, and gradient."""
+        if self._at_start:  # TAO asks first for the stage's start, which is known already
+            self._at_start = False
+            self._g0.copy(G)
+            return 0.0 if self._close else self._energy0
         energy = self.potential.objective_gradient(tao, X, G)
         if not self._close:
             return energy
@@ -262,9 +267,9 @@ class Minimizer:
         start = potential.evaluations
         reason, failures, best = "too many stages", 0, np.inf
         for stage in range(self.max_stages):
-            scale = potential.force_scale()
+            self._energy0, scale = potential.evaluate_terms()
+            potential.free_gradient(self._g0)
             tolerance = max(self.rtol * scale, self.atol)
-            potential.objective_gradient(None, potential.x_vector, self._g0)
             residual = self.residual()
             if not np.isfinite(residual):
                 reason = "energy or gradient not finite"
@@ -283,6 +288,7 @@ class Minimizer:
             potential.x_vector.copy(self._x)
             potential.x_vector.copy(self._x0)
             self._close = residual <= CLOSE * scale
+            self._at_start = self._bounds is None
             self.tao.setTolerances(gatol=tolerance, grtol=0.0, gttol=0.0)
             length = STAGE_LENGTHS[min(stage, len(STAGE_LENGTHS) - 1)]
             self.tao.setMaximumIterations(length if self._uses_h0 else 100000)

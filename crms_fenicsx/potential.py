@@ -119,10 +119,14 @@ class Potential:
         """TAO's callback: energy at X, and its gradient with held components set to zero."""
         self.place(X)
         energy = self.evaluate()
+        self.free_gradient(G)
+        return energy
+
+    def free_gradient(self, G: PETSc.Vec) -> None:
+        """Set held components of the gradient last computed to zero, and copy it to G."""
         owned = self.unknowns.n_owned
         self.g[:owned][self.unknowns.held[:owned]] = 0.0
         self.g_vector.copy(G)
-        return energy
 
     def add_stiffness(self, A: PETSc.Mat) -> None:
         """Add the stiffness of all terms at the current state and the sums last computed."""
@@ -146,15 +150,28 @@ class Potential:
             if commit is not None:
                 commit(self.x, self._sums[part])
 
-    def force_scale(self) -> float:
-        """Largest norm of one term's forces at the current state: the scene's own force."""
+    def evaluate_terms(self) -> tuple[float, float]:
+        """As `evaluate`, term by term.
+
+        Returns
+        -------
+        energy
+            Energy at the current state (force x length).
+        scale
+            Largest norm of one term's free nodal forces: the scene's own force.
+        """
+        self.evaluations += 1
         self.sum_up()
-        largest = 0.0
-        free = ~self.unknowns.held[: self.unknowns.n_owned]
-        for term, part in zip(self.terms, self._slices, strict=True):
+        n = self.unknowns.n_owned
+        free = ~self.unknowns.held[:n]
+        energy, squares = 0.0, np.zeros(len(self.terms))
+        total = np.zeros_like(self.g)
+        for k, (term, part) in enumerate(zip(self.terms, self._slices, strict=True)):
+            energy += term.energy(self._sums[part])
             self.g[:] = 0.0
             term.add_gradient(self.x, self._sums[part], self.g)
             self.unknowns.gather_forces(self.g_vector, self.g)
-            square = float(np.sum(self.g[: self.unknowns.n_owned][free] ** 2))
-            largest = max(largest, self.comm.allreduce(square, op=MPI.SUM) ** 0.5)
-        return largest
+            squares[k] = np.sum(self.g[:n][free] ** 2)
+            total += self.g
+        self.g[:] = total
+        return energy, float(np.sqrt(np.max(self.comm.allreduce(squares, op=MPI.SUM))))

@@ -134,13 +134,13 @@ def test_cable_on_mesh_lines_converges(comm) -> None:
 def test_cable_anywhere_converges(comm, kind: str) -> None:
     """Meshes that know nothing of the cable: it crosses cells in mid-row or anyhow."""
     T, W = [], []
-    for n in (9, 17, 33):
+    for n in (9, 17, 33, 65):  # on unstructured meshes T scatters: more sizes, a better fit
         scene, cable, _ = cable_on_square(comm, n, kind)
         assert sum(node.kind == "fold" for node in cable.nodes) > n
         T.append(cable.tension / CONTINUUM["T"] - 1)
         W.append(scene.energy - CONTINUUM["W"])
     assert abs(T[1]) < 0.005
     assert abs(T[2]) < 0.001
-    sizes = [1 / 9, 1 / 17, 1 / 33]
+    sizes = [1 / 9, 1 / 17, 1 / 33, 1 / 65]
     assert order(sizes, W) > 1.8
     assert order(sizes, T) > 1.8
