@@ -123,7 +123,7 @@ def _symmetric(a: Array, b: Array, c: Array) -> Array:
 def _principal(tensors: Array) -> tuple[Array, Array]:
     """Principal values (n, 2), larger first, and their directions as rows, (n, 2, 2)."""
     values, vectors = np.linalg.eigh(tensors)
-    return values[:, ::-1], np.swapaxes(vectors, 1, 2)[:, ::-1]
+    return np.asarray(values[:, ::-1]), np.swapaxes(vectors, 1, 2)[:, ::-1]
 
 
 def _edge_vectors(scene: Scene) -> tuple[Array, Array]:
@@ -196,8 +196,7 @@ def reactions(system: System, where: str | Marker) -> Reactions:
     owned = dofs[dofs < unknowns.n_vertices]
     forces = np.where(system.scene.held[owned], g[owned], 0.0)
     vector.destroy()
-    total = np.zeros(3)
-    system.scene.comm.Allreduce(forces.sum(axis=0), total)
+    total = _sum_over_ranks(system.scene, forces)
     return Reactions(total, system.scene.positions()[owned], forces)
 
 
@@ -237,6 +236,13 @@ def _leave_ends_to_anchors(system: System, g: Array) -> None:
                 g[block] = end.reaction
 
 
+def _sum_over_ranks(scene: Scene, vectors: Array) -> Array:
+    """Sum of all ranks' vectors (n, 3), (3,)."""
+    total: Array = np.zeros(3)
+    scene.comm.Allreduce(np.asarray(vectors.sum(axis=0)), total)
+    return total
+
+
 def gained_volume(scene: Scene) -> float:
     """Volume between the stress-free and the current surface (length cubed). Collective.
 
@@ -246,9 +252,8 @@ def gained_volume(scene: Scene) -> float:
     """
     V, mesh = scene.V, scene.mesh.mesh
     vertices = V.dofmap.index_map.size_local
-    total = np.zeros(3)
-    scene.comm.Allreduce(V.tabulate_dof_coordinates()[:vertices].sum(axis=0), total)
-    centre = total / V.dofmap.index_map.size_global
+    centre = _sum_over_ranks(scene, V.tabulate_dof_coordinates()[:vertices])
+    centre /= V.dofmap.index_map.size_global
 
     shape = folded_shape(scene)
     owned = mesh.topology.index_map(2).size_local

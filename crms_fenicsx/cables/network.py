@@ -346,8 +346,8 @@ class Network:
     def _folded_rows(self, on_edge: dict[Edge, list[tuple[float, int, int]]]) -> list[int]:
         cells = self.strip.cells
         return [
-            row
-            for row in self.own_rows.tolist()
+            int(row)
+            for row in self.own_rows
             if any(_edge(cells[row], k)[0] in on_edge for k in range(3))
         ]
 
@@ -391,7 +391,8 @@ class Network:
             for k in range(3):
                 edge, _ = _edge(strip.cells[row], k)
                 nodes = [(c, i) for _, c, i in on_edge.get(edge, [])]
-                line = [self.vertex(edge[0]), *(self.block(*m) for m in nodes), self.vertex(edge[1])]
+                inner = [self.block(*m) for m in nodes]
+                line = [self.vertex(edge[0]), *inner, self.vertex(edge[1])]
                 if edge not in sides:
                     sides[edge] = len(side_segments)
                     length = float(np.linalg.norm(vectors[n, k]))
