@@ -262,11 +262,11 @@ class Solver:
                 if not outcome.converged:
                     good.restore(scene)
                     halvings += 1
+                    self.system.rebuild()  # cables may have switched on the way
                     increment = (goal - done) / 2
                     if increment < 0.5**self.max_halvings * (1 - 1e-9):
                         raise self._failure(outcome, done / steps)
                     logger.info("halving the increment: %s", outcome.reason)
-                    self.system.rebuild()
                     continue
                 self.system.commit()
                 seconds = time.perf_counter() - began
