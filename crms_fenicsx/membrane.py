@@ -194,6 +194,7 @@ class MembraneEnergy:
         self._gradient = fem.form(gradient)
         self.stiffness_form = fem.form(stiffness)
         self._work = np.zeros_like(u.x.array)
+        self._cell_values: dict[int, fem.Expression] = {}
 
     def attach(self, unknowns: Unknowns) -> None:
         """Use this layout."""
@@ -218,6 +219,28 @@ class MembraneEnergy:
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add the positive semidefinite stiffness of this rank's cells."""
         fem_petsc.assemble_matrix(A, self.stiffness_form)
+
+    def cell_results(self) -> Array:
+        """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state of the owned cells.
+
+        In the material axes, (n, 7), as `FoldEnergy.results` has them; folded cells are treated
+        as plain. Collective: the first call compiles.
+        """
+        mesh = self.u.function_space.mesh
+        cells = np.arange(mesh.topology.index_map(2).size_local, dtype=np.int32)
+        tags = self.material_tags(cells)
+        results = np.zeros((len(cells), 7))
+        for tag, (law, kinematics) in self.terms.items():
+            if tag not in self._cell_values:
+                E, S = kinematics.strain(), law.stress
+                values = [E[0, 0], E[1, 1], 2 * E[0, 1], S[0, 0], S[1, 1], S[0, 1], law.state]
+                # One point is enough, as all this is constant in a cell.
+                self._cell_values[tag] = fem.Expression(
+                    ufl.as_vector(values), np.array([[1 / 3, 1 / 3]])
+                )
+            own = cells[tags == tag]
+            results[own] = self._cell_values[tag].eval(mesh, own).reshape(len(own), 7)
+        return results
 
     def material_tags(self, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
         """Tag of each of the cells' material, (n,)."""

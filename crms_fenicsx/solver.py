@@ -5,18 +5,24 @@ from __future__ import annotations
 import logging
 import time
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.errors import ConvergenceError, InputError, PathWarning, raised_together
 from crms_fenicsx.minimizer import Outcome
-from crms_fenicsx.scene import Scene
+from crms_fenicsx.output.recorder import Recorder
+from crms_fenicsx.scene import Marker, Scene
 from crms_fenicsx.state import State
 from crms_fenicsx.system import System
+
+if TYPE_CHECKING:
+    from crms_fenicsx.output import History
+    from crms_fenicsx.results import MembraneResults, Reactions
 
 Array = npt.NDArray[np.float64]
 logger = logging.getLogger("crms_fenicsx")
@@ -72,7 +78,8 @@ class Solver:
     scene
         The scene; its state is advanced.
     results
-        Folder for the history table and the ParaView files; none are written without.
+        Folder for the history table and the ParaView files; none are written without. That it can
+        be written is checked now.
     prefix
         Prefix of this solver's options in PETSc's options database.
     rtol
@@ -102,11 +109,7 @@ class Solver:
         self.max_halvings = max_halvings
         self.steps: list[Step] = []
         self._system: System | None = None
-        self._output = None
-        if results is not None:
-            from crms_fenicsx.output.recorder import Recorder
-
-            self._output = Recorder(scene, FilePath(results))
+        self._recorder = Recorder(scene, results)
 
     @property
     def system(self) -> System:
@@ -114,6 +117,94 @@ class Solver:
         if self._system is None:
             self._system = System(self.scene, self.prefix, self.rtol)
         return self._system
+
+    @property
+    def history(self) -> History:
+        """A row of numbers for each accepted step; `Recorder` says which."""
+        return self._recorder.history
+
+    def results(self) -> MembraneResults:
+        """Stresses, strains and state of the membrane's cells in the current state. Collective.
+
+        Returns
+        -------
+        MembraneResults
+            Values in this rank's cells.
+        """
+        from crms_fenicsx.results import membrane_results
+
+        return membrane_results(self.system)
+
+    def reactions(self, where: str | Marker) -> Reactions:
+        """Forces that supports exert on the membrane, in the current state. Collective.
+
+        Those on a cable's ends are not among them: ``cable.start.reaction``.
+
+        Parameters
+        ----------
+        where
+            Held vertices, as for `Scene.vertices`.
+
+        Returns
+        -------
+        Reactions
+            Their sum, and the force on each of this rank's vertices.
+
+        Raises
+        ------
+        InputError
+            As `Scene.vertices`.
+        """
+        from crms_fenicsx.results import reactions
+
+        return reactions(self.system, where)
+
+    def draw(self, filename: str | FilePath, *, colour: str | None = None, **options: Any) -> None:
+        """Draw the scene as it is, its cables coloured by their tension. Collective.
+
+        Parameters
+        ----------
+        filename
+            Picture to write; its suffix (.png, .pdf, .svg ...) says the format.
+        colour
+            None, "stress", "stress 2", "strain", "state" or "displacement".
+        **options
+            As for `crms_fenicsx.output.draw_shape`: ``view``, ``title``, ``label``, ``unit`` ...
+
+        Raises
+        ------
+        InputError
+            An unknown colour or option, or a file that cannot be written.
+        """
+        from crms_fenicsx.output.scene_pictures import draw_scene
+
+        draw_scene(self.system, filename, colour=colour, **options)
+
+    def draw_history(
+        self,
+        filename: str | FilePath,
+        panels: Sequence[Sequence[str]] | None = None,
+        **options: Any,
+    ) -> None:
+        """Plot the history over the load steps. Collective.
+
+        Parameters
+        ----------
+        filename
+            Picture to write; its suffix says the format.
+        panels
+            Columns of `history` that share a panel; a choice by default.
+        **options
+            As for `crms_fenicsx.output.draw_history`: ``units``, ``title`` ...
+
+        Raises
+        ------
+        InputError
+            No step yet, an unknown column, or a file that cannot be written.
+        """
+        from crms_fenicsx.output.scene_pictures import draw_scene_history
+
+        draw_scene_history(self.history, filename, panels, **options)
 
     def advance(
         self,
@@ -171,19 +262,18 @@ class Solver:
                 if not outcome.converged:
                     good.restore(scene)
                     halvings += 1
+                    self.system.rebuild()  # cables may have switched on the way
                     increment = (goal - done) / 2
                     if increment < 0.5**self.max_halvings * (1 - 1e-9):
                         raise self._failure(outcome, done / steps)
                     logger.info("halving the increment: %s", outcome.reason)
-                    self.system.rebuild()
                     continue
                 self.system.commit()
                 seconds = time.perf_counter() - began
                 step = Step(len(self.steps) + 1, spent, dict(scene.energies), seconds, halvings)
                 self.steps.append(step)
                 self._warn_of_blocked()
-                if self._output is not None:
-                    self._output.write(step, self.system)
+                self._recorder.write(step, self.system)
                 if abs(goal - round(goal)) < 1e-9:
                     bar.advance(1, f"energy {step.energy:.6g}")
                 done, increment = goal, min(2 * (goal - done), 1.0)

@@ -13,6 +13,9 @@ from crms_fenicsx.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
+COINCIDENT = 1e-9
+"""An anchor this near to the cable's next point, relative to its length, lies on it."""
+
 
 @dataclass(frozen=True)
 class Cable:
@@ -72,6 +75,30 @@ class CableEnd:
 
     cable: LaidCable = field(repr=False)
     which: Literal["start", "end"]
+
+    @property
+    def reaction(self) -> Array:
+        """Force (3,) with which the anchor holds the cable: its tension, along its end.
+
+        Where the end lies on the held edge that it was laid to, the anchor carries it, and not
+        the membrane's support.
+
+        Raises
+        ------
+        InputError
+            If the end is no anchor, but tied to the membrane.
+        """
+        cable = self.cable
+        if cable.nodes[cable.node_of(self.which)].kind != "anchor":
+            raise InputError(
+                f"reaction: the {self.which} of {cable.name!r} is tied to the membrane, which is "
+                "not held there, and so has no reaction; lay the cable to a held edge or an anchor."
+            )
+        points = cable.positions if self.which == "start" else cable.positions[::-1]
+        outward = points[0] - points[1:]
+        away = np.linalg.norm(outward, axis=1)
+        first = int(np.argmax(away > COINCIDENT * cable.length))
+        return np.asarray(cable.tension * outward[first] / away[first])
 
 
 @dataclass

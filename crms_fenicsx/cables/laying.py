@@ -36,6 +36,8 @@ def lay(
     if not isinstance(cable, Cable):
         raise InputError(f"lay_cable: {cable!r} is no Cable; write Cable(EA=...).")
     name = f"cable {len(scene.cables) + 1}" if name is None else name
+    if not isinstance(name, str) or not name or name != name.strip():
+        raise InputError(f"lay_cable: name = {name!r}; tables need text without blanks around it.")
     if any(other.name == name for other in scene.cables):
         raise InputError(f"lay_cable: there is a cable {name!r} already; give another name.")
     if L0 is not None and tension is not None:

@@ -8,7 +8,7 @@ cables' paths and the strip of crossed cells, so they number alike without commu
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +28,8 @@ from crms_fenicsx.unknowns import Unknowns
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 Edge = tuple[int, int]
+Corner = int | tuple[int, int]
+"""A corner of a piece of a folded cell: a vertex by its id, or a cable's point (cable, node)."""
 
 BLOCKED = SMOOTHING
 """A fold point nearer than this to an end of its side (fraction) has run into the vertex.
@@ -169,6 +171,10 @@ class Network:
                 unknowns.X[self.blocks[number]] = self.cables[c].positions[k]
         return unknowns
 
+    def dof(self, vertex: int) -> int:
+        """Local degree of freedom of a vertex, by id."""
+        return self._dof[vertex]
+
     def vertex(self, vertex: int) -> int:
         """Local block of a vertex, by id."""
         return int(self._vertex_blocks[self._dof[vertex]])
@@ -179,6 +185,13 @@ class Network:
         if point.kind == "vertex":
             return self.vertex(point.masters()[0][0])
         return int(self.blocks[self.numbers[c, k]])
+
+    def _corner(self, c: int, k: int) -> Corner:
+        node = self.cables[c].nodes[k]
+        return node.masters()[0][0] if node.kind == "vertex" else (c, k)
+
+    def _corner_block(self, corner: Corner) -> int:
+        return self.vertex(corner) if isinstance(corner, int) else self.block(*corner)
 
     def hold(self, unknowns: Unknowns) -> None:
         """Hold the anchors; let tied points and the fold points of slack cables ride."""
@@ -260,21 +273,13 @@ class Network:
         segments: list[tuple[int, int]] = []
         eps: list[float] = []
         number: list[int] = []
-        chords: dict[int, list[tuple[tuple[int, int], tuple[int, int]]]] = defaultdict(list)
         for link in self.links:
-            c, k, on = link
-            if c not in taut:
-                continue
-            a, b = (c, k), (c, k + 1)
-            if on is not None and len(on) == 3:
-                row = self.strip.rows(on)[0]
-                if self.strip.owner[row] == self.rank:
-                    chords[row].append((a, b))
-            if self.link_owner(link) == self.rank:
-                segments.append((self.block(*a), self.block(*b)))
+            c, k, _ = link
+            if c in taut and self.link_owner(link) == self.rank:
+                segments.append((self.block(c, k), self.block(c, k + 1)))
                 number.append(taut[c])
                 eps.append(self._link_smoothing(link, sizes))
-        folded, kinks, facets = self._cell_tables(membrane, set(taut), chords)
+        folded, kinks, facets = self._cell_tables(membrane, set(taut))
         return CableTables(
             np.array(segments, dtype=np.int32).reshape(-1, 2),
             np.array(eps),
@@ -309,20 +314,68 @@ class Network:
                     table[edge[0], edge[1]].append((float(fraction), c, k))
         return {edge: sorted(points) for edge, points in table.items()}
 
-    def _cell_tables(
+    def pieces(self, number: Callable[[Corner], int]) -> list[tuple[int, list[int]]]:
+        """Polygons into which the cables in tension cut this rank's folded cells.
+
+        Parameters
+        ----------
+        number
+            Gives the number of a corner in the caller's arrays.
+
+        Returns
+        -------
+        list of (cell, polygon)
+            Local cell number, and corners in the membrane's orientation, by number. Points on
+            sides that no chord leaves are corners too.
+        """
+        taut = {c for c, cable in enumerate(self.cables) if cable.taut}
+        on_edge, chords = self.points_by_edge(taut), self._chords(taut)
+        return [
+            (int(self.strip.local[row]), polygon)
+            for row in self._folded_rows(on_edge)
+            for polygon in self._cut(row, on_edge, chords.get(row, []), number)
+        ]
+
+    def _chords(self, taut: set[int]) -> dict[int, list[tuple[tuple[int, int], tuple[int, int]]]]:
+        """Links, as their two (cable, node), through the inside of this rank's cells, by row."""
+        chords: dict[int, list[tuple[tuple[int, int], tuple[int, int]]]] = defaultdict(list)
+        for c, k, on in self.links:
+            if c in taut and on is not None and len(on) == 3:
+                row = self.strip.rows(on)[0]
+                if self.strip.owner[row] == self.rank:
+                    chords[row].append(((c, k), (c, k + 1)))
+        return chords
+
+    def _folded_rows(self, on_edge: dict[Edge, list[tuple[float, int, int]]]) -> list[int]:
+        cells = self.strip.cells
+        return [
+            int(row)
+            for row in self.own_rows
+            if any(_edge(cells[row], k)[0] in on_edge for k in range(3))
+        ]
+
+    def _cut(
         self,
-        membrane: MembraneEnergy,
-        taut: set[int],
-        chords: dict[int, list[tuple[tuple[int, int], tuple[int, int]]]],
+        row: int,
+        on_edge: dict[Edge, list[tuple[float, int, int]]],
+        chords: list[tuple[tuple[int, int], tuple[int, int]]],
+        number: Callable[[Corner], int],
+    ) -> list[list[int]]:
+        """Polygons of one cell."""
+        around: list[Corner] = []
+        for k in range(3):
+            edge, forward = _edge(self.strip.cells[row], k)
+            line: list[Corner] = [edge[0], *((c, i) for _, c, i in on_edge.get(edge, [])), edge[1]]
+            around += (line if forward else line[::-1])[:-1]
+        ends = [(number(self._corner(*a)), number(self._corner(*b))) for a, b in chords]
+        return split_polygon([number(corner) for corner in around], ends)
+
+    def _cell_tables(
+        self, membrane: MembraneEnergy, taut: set[int]
     ) -> tuple[FoldedCells, list[tuple[tuple[int, int, int, int], int]], Facets]:
         """Tables of this rank's folded cells."""
-        on_edge = self.points_by_edge(taut)
-        strip = self.strip
-        rows = [
-            row
-            for row in self.own_rows.tolist()
-            if any(_edge(strip.cells[row], k)[0] in on_edge for k in range(3))
-        ]
+        on_edge, chords = self.points_by_edge(taut), self._chords(taut)
+        strip, rows = self.strip, self._folded_rows(on_edge)
         mesh = self.u.function_space.mesh
         local = strip.local[rows].astype(np.int32)
         X = mesh.geometry.x[geometry_dofmap(mesh)[local]]
@@ -337,12 +390,12 @@ class Network:
         kinks: list[tuple[tuple[int, int, int, int], int]] = []
         facets: list[tuple[tuple[int, int, int], float]] = []
         for n, row in enumerate(rows):
-            polygon: list[int] = []
             neighbours: dict[int, tuple[int, int]] = {}
             for k in range(3):
-                edge, forward = _edge(strip.cells[row], k)
+                edge, _ = _edge(strip.cells[row], k)
                 nodes = [(c, i) for _, c, i in on_edge.get(edge, [])]
-                line = [self.vertex(edge[0]), *(self.block(*m) for m in nodes), self.vertex(edge[1])]
+                inner = [self.block(*m) for m in nodes]
+                line = [self.vertex(edge[0]), *inner, self.vertex(edge[1])]
                 if edge not in sides:
                     sides[edge] = len(side_segments)
                     length = float(np.linalg.norm(vectors[n, k]))
@@ -355,16 +408,13 @@ class Network:
                 cell_sides[n, k] = sides[edge]
                 for i in range(1, len(line) - 1):
                     neighbours[line[i]] = (line[i - 1], line[i + 1])
-                polygon += (line if forward else line[::-1])[:-1]
-            ends = []
             for a, b in chords.get(row, []):
                 p, q = self.block(*a), self.block(*b)
-                ends.append((p, q))
                 for node, end, other in ((a, p, q), (b, q, p)):
                     if self.cables[node[0]].nodes[node[1]].kind == "fold" and end in neighbours:
                         before, after = neighbours[end]
                         kinks.append(((before, end, after, other), n))
-            for part in split_polygon(polygon, ends):
+            for part in self._cut(row, on_edge, chords.get(row, []), self._corner_block):
                 facets += fan_facets(part)
         pointers = np.cumsum([0] + [len(own) for own in side_segments])
         materials = [membrane.materials[int(tag)] for tag in tags]

@@ -99,6 +99,16 @@ def _family(column: str) -> str:
     return re.sub(r"\s*\d+$", "", column) or column
 
 
+def _common(panel: Sequence[str]) -> str:
+    """Return the words that all columns begin with, or else all their families."""
+    words = [column.split() for column in panel]
+    same = [step[0] for step in zip(*words, strict=False) if len(set(step)) == 1]
+    begins = " ".join(same)
+    if same and all(f"{column} ".startswith(f"{begins} ") for column in panel):
+        return begins
+    return ", ".join(dict.fromkeys(_family(column) for column in panel))
+
+
 def _plot(
     axis: Any, history: History, x: str, panel: Sequence[str], units: Mapping[str, str]
 ) -> None:
@@ -110,8 +120,7 @@ def _plot(
             history[x], history[column], color=_COLOURS[number % len(_COLOURS)], label=column,
             linewidth=1.4, marker=marker, markersize=3.5,
         )  # fmt: skip
-    families = list(dict.fromkeys(_family(column) for column in panel))
-    label = panel[0] if len(panel) == 1 else ", ".join(families)
+    label = panel[0] if len(panel) == 1 else _common(panel)
     axis.set_ylabel(_with_unit(label, panel[0], units), fontsize=9, color=INK)
     axis.set_xlabel(_with_unit(x, x, units), fontsize=9, color=INK)
     axis.tick_params(labelsize=8, colors=INK, width=0.7, length=3)

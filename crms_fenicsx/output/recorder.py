@@ -1,0 +1,116 @@
+"""What a solver leaves behind of each accepted load step: a row of numbers and ParaView files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from crms_fenicsx.output.history import History, Value
+from crms_fenicsx.output.shapes import Line, Surface
+from crms_fenicsx.results import gained_volume, membrane_results
+from crms_fenicsx.shape import current_surface
+
+if TYPE_CHECKING:
+    from crms_fenicsx.output.paraview import Series
+    from crms_fenicsx.scene import Scene
+    from crms_fenicsx.solver import Step
+    from crms_fenicsx.system import System
+
+
+class Recorder:
+    """Records a scene's load steps.
+
+    Parameters
+    ----------
+    scene
+        What is recorded.
+    folder
+        Where `history.csv` and the files of `Series` go, created where it is missing. The first
+        step replaces those of an older run. None writes nothing and keeps the history in memory.
+
+    Attributes
+    ----------
+    history : History
+        A row for each step: its number, "halvings" of the increment, "pressure", "energy" and
+        that of each kind of term ("energy membrane"), "volume" gained (once there is pressure),
+        "tension", "length" and "L0" of each cable by its name ("tension cable 1"), "blocked
+        points" (fold points that have run into a vertex), and what the solve took: "iterations",
+        "evaluations", "factorizations", "residual" (force), "seconds".
+
+    Raises
+    ------
+    InputError
+        On all ranks, when the folder cannot be written.
+    """
+
+    def __init__(self, scene: Scene, folder: str | Path | None) -> None:
+        self.scene = scene
+        self.series: Series | None = None
+        self.history = History(None if folder is None else Path(folder) / "history.csv", scene.comm)
+        if folder is not None:
+            import meshio  # noqa: F401 - if it is missing, better now than after the first step
+
+            from crms_fenicsx.output.paraview import Series
+
+            self.series = Series(folder, scene.comm)
+
+    def write(self, step: Step, system: System) -> None:
+        """Record a step that the scene has just reached. Collective.
+
+        Raises
+        ------
+        InputError
+            On all ranks, when files cannot be written.
+        """
+        self.history.append(self._row(step))
+        if self.series is not None:
+            self.series.write(step.number, self._surface(system), cable_lines(self.scene))
+
+    def _row(self, step: Step) -> dict[str, Value]:
+        scene, outcome = self.scene, step.outcome
+        row: dict[str, Value] = {
+            "step": step.number,
+            "halvings": step.halvings,
+            "pressure": scene.pressure,
+            "energy": step.energy,
+        }
+        row |= {f"energy {name}": value for name, value in step.energies.items()}
+        if scene.pressure != 0.0 or "volume" in self.history.columns:
+            row["volume"] = gained_volume(scene)
+        for cable in scene.cables:
+            row[f"tension {cable.name}"] = cable.tension
+            row[f"length {cable.name}"] = cable.length
+            row[f"L0 {cable.name}"] = cable.L0
+        if scene.cables:
+            row["blocked points"] = sum(len(cable.blocked) for cable in scene.cables)
+        row["iterations"] = outcome.iterations
+        row["evaluations"] = outcome.evaluations
+        row["factorizations"] = outcome.factorizations
+        row["residual"] = outcome.residual
+        # Each rank's clock says something else; a row is the same on all.
+        row["seconds"] = scene.comm.bcast(step.seconds)
+        return row
+
+    def _surface(self, system: System) -> Surface:
+        surface, results = current_surface(self.scene), membrane_results(system)
+        return Surface(
+            surface.points,
+            surface.triangles,
+            {"displacement": surface.points - surface.stress_free},
+            {
+                "true force 1": results.true_forces[surface.parents, 0],
+                "true force 2": results.true_forces[surface.parents, 1],
+                "direction 1": results.true_directions[surface.parents, 0],
+                "state": results.state[surface.parents],
+            },
+        )
+
+
+def cable_lines(scene: Scene) -> list[Line]:
+    """The scene's cables as lines that know their tension; the same on all ranks."""
+    return [
+        Line(np.array(cable.positions), {"tension": cable.tension}, cable.name)
+        for cable in scene.cables
+    ]

@@ -1,0 +1,121 @@
+"""The membrane's current shape as triangles; folded cells are the facets that cables cut out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from crms_fenicsx.cables.network import Corner
+    from crms_fenicsx.scene import Scene
+
+Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class FoldedShape:
+    """This rank's folded cells, cut along their cables.
+
+    Attributes
+    ----------
+    points, stress_free : (n, 3)
+        Current and stress-free places (length): the vertices by local degree of freedom, then the
+        cable points on edges of folded cells.
+    pieces : list of (cell, corners)
+        Polygons, oriented as the membrane, with the local number of the cell they are part of.
+    """
+
+    points: Array
+    stress_free: Array
+    pieces: list[tuple[int, list[int]]]
+
+    @property
+    def cells(self) -> Integers:
+        """Local numbers of the folded cells, sorted, (n,)."""
+        return np.unique(np.array([cell for cell, _ in self.pieces], dtype=np.int64))
+
+
+@dataclass(frozen=True)
+class CurrentSurface:
+    """This rank's part of the current surface.
+
+    Attributes
+    ----------
+    points, stress_free : (n, 3)
+        Current and stress-free places (length) of vertices and cable points.
+    triangles : (m, 3)
+        Corners as rows of `points`, oriented as the membrane.
+    parents : (m,)
+        Local number of the cell that each triangle is, or is a part of.
+    """
+
+    points: Array
+    stress_free: Array
+    triangles: Integers
+    parents: Integers
+
+
+def folded_shape(scene: Scene) -> FoldedShape:
+    """Cut this rank's folded cells along the cables in tension. Not collective."""
+    places, stress_free = scene.positions(), scene.V.tabulate_dof_coordinates()
+    if scene.strip is None or not any(cable.taut for cable in scene.cables):
+        return FoldedShape(places, stress_free, [])
+    from crms_fenicsx.cables.network import Network
+
+    network = Network(scene.cables, scene.strip, scene.u)
+    added: dict[tuple[int, int], int] = {}
+
+    def number(corner: Corner) -> int:
+        if isinstance(corner, int):
+            return network.dof(corner)
+        return added.setdefault(corner, len(places) + len(added))
+
+    pieces = network.pieces(number)
+    new, new_free = np.zeros((len(added), 3)), np.zeros((len(added), 3))
+    for i, (c, k) in enumerate(added):
+        cable = scene.cables[c]
+        vertices, weights = cable.nodes[k].masters(_fraction(cable.fractions[k]))
+        new[i] = cable.positions[k]
+        new_free[i] = np.dot(weights, stress_free[[network.dof(v) for v in vertices]])
+    return FoldedShape(
+        np.concatenate([places, new]), np.concatenate([stress_free, new_free]), pieces
+    )
+
+
+def _fraction(value: float) -> float | None:
+    return None if np.isnan(value) else float(value)
+
+
+def current_surface(scene: Scene) -> CurrentSurface:
+    """Triangulate this rank's part of the membrane as it is now. Not collective."""
+    shape = folded_shape(scene)
+    n = scene.mesh.mesh.topology.index_map(2).size_local
+    plain = np.setdiff1d(np.arange(n), shape.cells)
+    triangles = [np.asarray(scene.V.dofmap.list[plain], dtype=np.int64)]
+    parents = [plain]
+    for cell, corners in shape.pieces:
+        fan = best_fan(shape.points, corners)
+        triangles.append(fan)
+        parents.append(np.full(len(fan), cell))
+    return CurrentSurface(
+        shape.points, shape.stress_free, np.concatenate(triangles), np.concatenate(parents)
+    )
+
+
+def best_fan(points: Array, corners: list[int]) -> Integers:
+    """Triangles of a polygon, all from the corner whose smallest triangle is largest, (n, 3).
+
+    A fan from a corner whose neighbour lies on a straight side has a triangle without area.
+    """
+    rings = [corners[k:] + corners[:k] for k in range(len(corners))]
+    fans = np.array(
+        [[(r[0], r[i], r[i + 1]) for i in range(1, len(r) - 1)] for r in rings], dtype=np.int64
+    )
+    sides = points[fans[..., 1:]] - points[fans[..., :1]]
+    areas = np.linalg.norm(np.cross(sides[..., 0, :], sides[..., 1, :]), axis=-1)
+    best: Integers = fans[np.argmax(areas.min(axis=1))]
+    return best
