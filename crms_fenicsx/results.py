@@ -122,8 +122,8 @@ def _symmetric(a: Array, b: Array, c: Array) -> Array:
 
 def _principal(tensors: Array) -> tuple[Array, Array]:
     """Principal values (n, 2), larger first, and their directions as rows, (n, 2, 2)."""
-    values, vectors = np.linalg.eigh(tensors)
-    return np.asarray(values[:, ::-1]), np.swapaxes(vectors, 1, 2)[:, ::-1]
+    values, vectors = (np.asarray(part, dtype=np.float64) for part in np.linalg.eigh(tensors))
+    return values[:, ::-1], np.swapaxes(vectors, 1, 2)[:, ::-1]
 
 
 def _edge_vectors(scene: Scene) -> tuple[Array, Array]:
@@ -204,7 +204,8 @@ def _subtract_pressure(system: System, g: Array) -> None:
     """Subtract a third of the pressure on each facet at its corners."""
     unknowns, owned = system.unknowns, system.scene.mesh.mesh.topology.index_map(2).size_local
     dofs = system.scene.V.dofmap.list[:owned][system.membrane.plain.x.array[:owned] > 0.5]
-    corners, weights = unknowns.vertex_blocks()[dofs], np.ones(len(dofs))
+    corners = unknowns.vertex_blocks()[dofs]
+    weights: Array = np.ones(len(dofs))
     if system.tables is not None:
         facets = system.tables.facets
         corners = np.concatenate([corners, facets.corners])
@@ -238,7 +239,7 @@ def _leave_ends_to_anchors(system: System, g: Array) -> None:
 
 def _sum_over_ranks(scene: Scene, vectors: Array) -> Array:
     """Sum of all ranks' vectors (n, 3), (3,)."""
-    total: Array = np.zeros(3)
+    total = np.zeros(3)
     scene.comm.Allreduce(np.asarray(vectors.sum(axis=0)), total)
     return total
 
@@ -252,8 +253,8 @@ def gained_volume(scene: Scene) -> float:
     """
     V, mesh = scene.V, scene.mesh.mesh
     vertices = V.dofmap.index_map.size_local
-    centre = _sum_over_ranks(scene, V.tabulate_dof_coordinates()[:vertices])
-    centre /= V.dofmap.index_map.size_global
+    sums = _sum_over_ranks(scene, V.tabulate_dof_coordinates()[:vertices])
+    centre = sums / V.dofmap.index_map.size_global
 
     shape = folded_shape(scene)
     owned = mesh.topology.index_map(2).size_local
