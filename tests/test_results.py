@@ -189,6 +189,16 @@ def loaded_solver() -> Solver:
     return solver
 
 
+def test_folded_cells_have_the_stresses_that_their_energy_comes_from() -> None:
+    solver = loaded_solver()
+    results = solver.results()
+    # Both tensors share their axes, and the law is of the first degree.
+    densities = np.sum(results.second_piola * results.strains, axis=1) / 2
+    energy = COMM.allreduce(float(densities.sum())) * (100 / 7) ** 2 / 2
+    assert energy == pytest.approx(solver.scene.energies["membrane"], rel=1e-12)
+    assert COMM.allreduce(int(results.folded.sum())) > 20
+
+
 def test_supports_and_anchors_balance_the_pressure() -> None:
     solver = loaded_solver()
     scene = solver.scene
