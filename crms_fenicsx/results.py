@@ -133,7 +133,7 @@ def _edge_vectors(scene: Scene) -> tuple[Array, Array]:
     owned = mesh.topology.index_map(2).size_local
     x = mesh.geometry.x[geometry_dofmap(mesh)[:owned]]
     u = scene.u.x.array.reshape(-1, 3)[scene.V.dofmap.list[:owned]]
-    before = x[:, 1:] - x[:, :1]
+    before: Array = np.asarray(x[:, 1:] - x[:, :1], dtype=np.float64)
     return before, before + (u[:, 1:] - u[:, :1])
 
 
