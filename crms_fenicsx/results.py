@@ -122,8 +122,9 @@ def _symmetric(a: Array, b: Array, c: Array) -> Array:
 
 def _principal(tensors: Array) -> tuple[Array, Array]:
     """Principal values (n, 2), larger first, and their directions as rows, (n, 2, 2)."""
-    values, vectors = (np.asarray(part, dtype=np.float64) for part in np.linalg.eigh(tensors))
-    return values[:, ::-1], np.swapaxes(vectors, 1, 2)[:, ::-1]
+    ascending, columns = np.linalg.eigh(tensors)
+    values: Array = ascending[:, ::-1]
+    return values, np.swapaxes(columns, 1, 2)[:, ::-1]
 
 
 def _edge_vectors(scene: Scene) -> tuple[Array, Array]:
@@ -132,7 +133,7 @@ def _edge_vectors(scene: Scene) -> tuple[Array, Array]:
     owned = mesh.topology.index_map(2).size_local
     x = mesh.geometry.x[geometry_dofmap(mesh)[:owned]]
     u = scene.u.x.array.reshape(-1, 3)[scene.V.dofmap.list[:owned]]
-    before = x[:, 1:] - x[:, :1]
+    before: Array = np.asarray(x[:, 1:] - x[:, :1], dtype=np.float64)
     return before, before + (u[:, 1:] - u[:, :1])
 
 
