@@ -1,4 +1,4 @@
-"""Meshes of the reference problems: a clamped square and a clamped disc."""
+"""Meshes of the reference square: on lines, anyhow, and on a turned lattice."""
 
 from __future__ import annotations
 
@@ -34,24 +34,3 @@ def rotated_lattice(n: int, angle: float = 0.3) -> tuple[np.ndarray, np.ndarray]
     boundary = np.concatenate([np.stack(side, axis=1) for side in sides])
     points = np.concatenate([boundary, lattice[inside]])
     return points, Delaunay(points).simplices
-
-
-def disc(comm: MPI.Intracomm, rings: int, radius: float = 100.0) -> meshes.MembraneMesh:
-    """A disc of concentric rings of 6, 12, 18 ... vertices around one in the middle."""
-    points, cells = [(0.0, 0.0)], []
-    starts = [0]
-    for k in range(1, rings + 1):
-        starts.append(len(points))
-        turn = 2 * np.pi * np.arange(6 * k) / (6 * k)
-        points += list(zip(radius * k / rings * np.cos(turn), radius * k / rings * np.sin(turn)))
-        for sector in range(6):
-            for m in range(k):
-                outer = starts[k] + np.array([sector * k + m, (sector * k + m + 1) % (6 * k)])
-                n_inner = max(6 * (k - 1), 1)
-                inner = starts[k - 1] + np.array(
-                    [(sector * (k - 1) + m) % n_inner, (sector * (k - 1) + m + 1) % n_inner]
-                )
-                cells.append((inner[0], outer[0], outer[1]))
-                if m < k - 1:
-                    cells.append((inner[0], outer[1], inner[1]))
-    return meshes.from_arrays(comm, np.array(points), np.array(cells))

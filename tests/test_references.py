@@ -9,9 +9,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from mpi4py import MPI
-from reference_meshes import disc, square
+from reference_meshes import square
 
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver
+from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.compat import geometry_dofmap
 
 PRESSURE = 0.01
 
@@ -58,30 +59,39 @@ def test_inflated_square_converges_to_the_continuum(comm) -> None:
         sizes.append(1 / n)
         w.append(height(scene) - 10.184544)
         W.append(scene.energy + 375.64923)
-        V.append(-scene.energies["pressure"] / PRESSURE - 50437.300)
+        V.append(scene.volume - 50437.300)
     assert min(order(sizes, w), order(sizes, W), order(sizes, V)) > 1.9
 
 
+def at_centre(comm, points, values) -> float:
+    """Value in the middle, by a fit in the radius over the inner half of the disc.
+
+    Single cells and vertices scatter with the mesh; the symmetry of the solution averages that out.
+    """
+    r = np.concatenate(comm.allgather(np.linalg.norm(points[:, :2], axis=1)))
+    v = np.concatenate(comm.allgather(values))
+    inner = r < 50.0
+    columns = np.stack([np.ones(inner.sum()), r[inner] ** 2, r[inner] ** 4], axis=1)
+    return float(np.linalg.lstsq(columns, v[inner], rcond=None)[0][0])
+
+
 def test_inflated_circle_converges(comm) -> None:
-    sizes, errors = [], []
-    for rings in (6, 12, 24):
-        scene = sheet(disc(comm, rings))
+    sizes, errors = [20.0, 10.0, 5.0, 2.5], []
+    for size in sizes:
+        scene = sheet(meshes.circle(comm, 100.0, size=size))
         solver = Solver(scene)
         solver.advance(pressure=PRESSURE)
         results = solver.results()
-        X = scene.V.tabulate_dof_coordinates()
-        central = np.flatnonzero(np.linalg.norm(results.centers[:, :2], axis=1) < 100 / rings)
-        local = np.array([results.second_piola[central].mean(axis=1).sum(), len(central)])
-        total = scene.comm.allreduce(local)
-        assert total[1] == 6
-        assert np.abs(X[:, 2]).max(initial=0.0) == 0.0
-        sizes.append(1 / rings)
+        owned = scene.V.dofmap.index_map.size_local
+        X, x = scene.V.tabulate_dof_coordinates()[:owned], scene.positions()[:owned]
+        cells = geometry_dofmap(scene.mesh.mesh)[: len(results.areas)]
+        centers = scene.mesh.mesh.geometry.x[cells].mean(axis=1)
         errors.append(
             [
-                height(scene) - 23.3590227736,
-                total[0] / total[1] - 1.2908480226,
+                at_centre(comm, X, x[:, 2]) - 23.3590227736,
+                at_centre(comm, centers, results.second_piola.mean(axis=1)) - 1.2908480226,
                 scene.energy + 2908.73474049,
-                -scene.energies["pressure"] / PRESSURE - 392408.510,
+                scene.volume - 392408.510,
             ]
         )
     for error in np.array(errors).T:
