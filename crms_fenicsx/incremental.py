@@ -79,6 +79,33 @@ def rotated_stress(stress: Array, directions: Array) -> Array:
     )
 
 
+def second_piola(stress: Array, shape: Array, stress_free: Array, directions: Array) -> Array:
+    """Second Piola-Kirchhoff section forces in the material axes from those in the cells' frames.
+
+    Parameters
+    ----------
+    stress
+        Section forces per current length in the frame of a side, (n, 3).
+    shape, stress_free
+        Current and stress-free shapes (a, e, f) in that frame, (n, 3).
+    directions
+        The stress-free side in the material axes, (n, 2).
+
+    Returns
+    -------
+    (n, 3)
+        S = J F^-1 sigma F^-T.
+    """
+    (a, e, f), (a0, e0, f0) = shape.T, stress_free.T
+    F = np.zeros((len(shape), 2, 2))
+    F[:, 0, 0], F[:, 0, 1], F[:, 1, 1] = a / a0, (e - a * e0 / a0) / f0, f / f0
+    sigma = stress[:, [0, 2, 2, 1]].reshape(-1, 2, 2)
+    inverse = np.linalg.inv(F)
+    S = np.linalg.det(F)[:, None, None] * (inverse @ sigma @ np.swapaxes(inverse, 1, 2))
+    in_frame = np.stack([S[:, 0, 0], S[:, 1, 1], S[:, 0, 1]], axis=1)
+    return rotated_stress(in_frame, directions * [1.0, -1.0])  # the material axis 1 from the side
+
+
 class StepMembraneEnergy(MembraneEnergy):
     """Strain energy of the plain cells over all steps, (2.3-14); side ik joins corners 0 and 1.
 
@@ -125,6 +152,7 @@ class StepMembraneEnergy(MembraneEnergy):
         points = interpolation_points(self.history.function_space.element)
         self._after = fem.Expression(ufl.as_vector([*(after[i] for i in range(3)), *new]), points)
         self._next = fem.Function(self.history.function_space)
+        self._stress_free = self.history.x.array.reshape(-1, 6)[:, 3:].copy()
         self._energy_n = 0.0
 
     def _start(self) -> None:
@@ -135,6 +163,7 @@ class StepMembraneEnergy(MembraneEnergy):
         side, other = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
         a = np.linalg.norm(side, axis=1)
         directions = np.einsum("ni,nai->na", side, self.material_axes(cells))
+        self._directions = directions
         history = self.history.x.array.reshape(-1, 6)
         D = self.stiffness_n.x.array.reshape(-1, 3, 3)
         tags = self.material_tags(cells)
@@ -157,3 +186,14 @@ class StepMembraneEnergy(MembraneEnergy):
         self._next.interpolate(self._after)
         plain = self.plain.x.array > 0.5
         self.history.x.array.reshape(-1, 6)[plain] = self._next.x.array.reshape(-1, 6)[plain]
+
+    def cell_results(self) -> Array:
+        """As `MembraneEnergy.cell_results`, with the section forces of the steps' law."""
+        results = super().cell_results()
+        self._next.interpolate(self._after)
+        n = len(results)
+        state = self._next.x.array.reshape(-1, 6)[:n]
+        results[:, 3:6] = second_piola(
+            state[:, :3], state[:, 3:], self._stress_free[:n], self._directions[:n]
+        )
+        return results

@@ -78,7 +78,7 @@ def membrane_results(system: System) -> MembraneResults:
     if system.tables is not None and len(system.tables.folded.cells):
         system.potential.sum_up()  # which leaves the folded cells' values behind
         cells = system.tables.folded.cells
-        values[cells] = system.folds.results
+        values[cells] = system.folds.cell_results()
         folded[cells] = True
     E = _symmetric(values[:, 0], values[:, 1], values[:, 2] / 2)
     S = _symmetric(values[:, 3], values[:, 4], values[:, 5])

@@ -13,7 +13,11 @@ from reference_meshes import square
 
 from crms_fenicsx import Cable, IsotropicMembrane, OrthotropicMembrane, Scene, Solver
 
+FABRIC = OrthotropicMembrane(
+    E1=400.0, E2=200.0, G12=90.0, nu21=0.2, thickness=0.08, warp=(1.0, 0.4, 0.0)
+)
 SHEET = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, wrinkling=False)
+MATERIALS = [SHEET, FABRIC]
 
 
 def inflated(comm, steps: int, pressure: float = 0.01, material=SHEET, **laws: str) -> float:
@@ -43,15 +47,7 @@ def test_step_pressure_converges_with_order_one(comm) -> None:
     assert abs(errors[-1]) < 5e-3
 
 
-@pytest.mark.parametrize(
-    "material",
-    [
-        SHEET,
-        OrthotropicMembrane(
-            E1=400.0, E2=200.0, G12=90.0, nu21=0.2, thickness=0.08, warp=(1.0, 0.4, 0.0)
-        ),
-    ],
-)
+@pytest.mark.parametrize("material", MATERIALS)
 def test_step_strain_converges_with_the_strain(comm, material) -> None:
     """The strain of the inflated square grows with p^(2/3); so does the laws' difference."""
     pressures = [1e-2, 1e-3, 1e-4]
@@ -93,3 +89,24 @@ def test_step_cable_tends_to_the_logarithm_of_its_length(comm) -> None:
         errors.append(cable.tension - 32000.0 * np.log(cable.length / start))
     strain = np.log(cable.length / start)
     assert abs(errors[-1]) < 32000.0 * strain**2 / 40
+
+
+@pytest.mark.parametrize("material", MATERIALS)
+def test_stresses_of_the_step_law_tend_to_those_of_the_total_law(comm, material) -> None:
+    """At small strain, in plain and in folded cells alike."""
+    found = []
+    for law in ("total", "step"):
+        scene = Scene(square(comm, 7), material, strain=law)
+        scene.fix("boundary")
+        solver = Solver(scene)
+        solver.advance(pressure=1e-5, steps=4)
+        cable = scene.lay_cable(Cable(EA=32000.0), [(0, 47), (100, 52)])
+        solver.advance(move={cable: (0.0, 0.0, -0.1)}, steps=4)
+        results = solver.results()
+        assert comm.allreduce(int(results.folded.sum())) > 7
+        found.append(results)
+    total, step = found
+    size = max(comm.allgather(np.abs(total.second_piola).max(initial=0.0)))
+    for name in ("second_piola", "true_forces"):
+        difference = getattr(step, name) - getattr(total, name)
+        assert np.abs(difference).max(initial=0.0) < 5e-3 * size

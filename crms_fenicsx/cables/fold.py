@@ -212,6 +212,13 @@ class FoldEnergy:
             self.areas, t.laws, t.parameters, self.forces, self.results,
         )  # fmt: skip
 
+    def cell_results(self) -> Array:
+        """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state at the last sums.
+
+        In the material axes, (n, 7).
+        """
+        return self.results
+
     def energy(self, sums: Array) -> float:
         """Strain energy (force x length)."""
         return float(sums[0])

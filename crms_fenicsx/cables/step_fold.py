@@ -12,7 +12,12 @@ from petsc4py import PETSc
 
 from crms_fenicsx.cables.fold import FoldedCells, FoldEnergy
 from crms_fenicsx.cables.length import segment_lengths
-from crms_fenicsx.incremental import StepMembraneEnergy, rotated_stiffness, rotated_stress
+from crms_fenicsx.incremental import (
+    StepMembraneEnergy,
+    rotated_stiffness,
+    rotated_stress,
+    second_piola,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -130,6 +135,23 @@ class StepFoldEnergy(FoldEnergy):
             self.lengths, t.side_pointers, t.side_segments, t.sides, self.base, self._shape,
             self._stress, self._D, self.forces, self._after,
         )  # fmt: skip
+
+    def cell_results(self) -> Array:
+        """As `FoldEnergy.cell_results`, with the section forces of the steps' law."""
+        t = self.table
+        rows = np.arange(len(t.cells))
+        of_sides = np.add.reduceat(self.lengths[t.side_segments], t.side_pointers[:-1])
+        changes = of_sides[t.sides] ** 2 - self.squares
+        results = np.zeros_like(self.results)
+        results[:, :3] = np.einsum("nij,nj->ni", self.maps, changes)
+        side, back = t.side_vectors[rows, self.base], -t.side_vectors[rows, (self.base + 2) % 3]
+        a = np.linalg.norm(side, axis=1)
+        e = np.sum(side * back, axis=1) / a
+        results[:, 3:6] = second_piola(
+            self._after[:, :3], self._after[:, 3:], np.stack([a, e, 2 * self.areas / a], axis=1), side
+        )
+        results[:, 6] = 2
+        return results
 
     def energy(self, sums: Array) -> float:
         """Strain energy over all steps (force x length)."""

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from crms_fenicsx.errors import MeshError
 from crms_fenicsx.meshes.edge_table import EdgeTable
@@ -37,6 +35,9 @@ Outside = Sequence[float] | AwayFrom
 
 def connected_labels(size: int, a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
     """Label the connected components of the graph with links a[k]-b[k] between `size` nodes."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     links = coo_array((np.ones(len(a), dtype=bool), (a, b)), shape=(size, size))
     labels: NDArray[np.int64] = connected_components(links, directed=False)[1].astype(np.int64)
     return labels
