@@ -248,6 +248,11 @@ def _assign_materials(
     """Cell tags of the parts with a material of their own (None if there is one for all)."""
     if isinstance(material, Membrane):
         return None, {0: material}
+    if not isinstance(material, Mapping):
+        raise InputError(
+            f"Scene: material = {material!r} is no membrane material; give one, or one for each "
+            "part by name."
+        )
     n = mesh.mesh.topology.index_map(2).size_local + mesh.mesh.topology.index_map(2).num_ghosts
     tags = np.full(n, -1, dtype=np.int32)
     with raised_together(mesh.comm):
