@@ -88,6 +88,21 @@ def displaced(unknowns: Unknowns, size: float, stretch: float = 1.05, seed: int 
     return x
 
 
+def straight(system: System) -> Array:
+    """Displacements of a bent surface whose fold points stay on the straight sides."""
+    unknowns, network = system.unknowns, system.network
+    assert network is not None
+    x = unknowns.vector()[1]
+    vertices = unknowns.vertex_blocks()
+    x[vertices] = 3 * noise(unknowns.X[vertices], 1)
+    for (c, k), number in network.numbers.items():
+        block, cable = network.blocks[number], system.scene.cables[c]
+        if block >= 0 and cable.nodes[k].kind == "fold":
+            (a, b), (wa, wb) = cable.nodes[k].masters()
+            x[block] = wa * x[network.vertex(a)] + wb * x[network.vertex(b)]
+    return x[: unknowns.n_owned].copy()
+
+
 def directions(unknowns: Unknowns) -> dict[str, Array]:
     """Random directions (n, 3) of all points, of the vertices and of the cables' points."""
     d = noise(unknowns.X[: unknowns.n_owned], seed=99)

@@ -197,7 +197,7 @@ def test_definite_up_to_the_bound():
 
 
 def test_wrinkling_membrane_cannot_be_prestressed_in_compression():
-    with pytest.raises(InputError, match="prestress = -0.1 is compressive"):
+    with pytest.raises(InputError, match=r"prestress = -0\.1 is compressive"):
         IsotropicMembrane(E=1.0, nu=0.2, thickness=1.0, prestress=-0.1)
     stiff = IsotropicMembrane(E=1.0, nu=0.2, thickness=1.0, prestress=-0.1, wrinkling=False)
     assert stiff.prestress_vector[0] == -0.1
