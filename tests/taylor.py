@@ -16,7 +16,7 @@ from petsc4py import PETSc
 
 from crms_fenicsx.potential import Potential, Term
 
-Array = npt.NDArray[np.float64]
+Array = npt.NDArray[Any]
 
 STEPS = tuple(0.01 * 0.25 ** np.arange(6))
 """Steps, as parts of the direction given: so small that an error of 1e-3 in a gradient is seen."""
@@ -71,7 +71,7 @@ class TermOnPoints:
         A.setLGMap(*(PETSc.LGMap().create(numbers, bsize=3, comm=MPI.COMM_SELF),) * 2)
         self.term.add_stiffness(x, self.sums, A)
         A.assemble()
-        dense = A.getDenseArray().copy()
+        dense: Array = A.getDenseArray().copy()
         A.destroy()
         return dense
 
@@ -126,7 +126,7 @@ class OnMesh:
         vector.setArray(d.ravel())
         result = A.createVecLeft()
         A.mult(vector, result)
-        product = result.getArray().reshape(-1, 3).copy()
+        product: Array = result.getArray().reshape(-1, 3).copy()
         for thing in (A, vector, result):
             thing.destroy()
         return product
@@ -182,4 +182,5 @@ def noise(X: Array, seed: int) -> Array:
     """
     rng = np.random.default_rng(seed)
     waves, phases = rng.uniform(-1, 1, (8, 3)), rng.uniform(0, 2 * np.pi, (8, 3))
-    return np.sin((X @ waves.T)[:, :, None] + phases).sum(axis=1) / 2
+    shake: Array = np.sin((X @ waves.T)[:, :, None] + phases).sum(axis=1) / 2
+    return shake

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
@@ -14,7 +16,7 @@ from crms_fenicsx.scene import Scene
 from crms_fenicsx.system import System
 from crms_fenicsx.unknowns import Unknowns
 
-Array = npt.NDArray[np.float64]
+Array = npt.NDArray[Any]
 
 SIDE, N = 100.0, 6
 ISOTROPIC = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)
@@ -100,7 +102,8 @@ def straight(system: System) -> Array:
         if block >= 0 and cable.nodes[k].kind == "fold":
             (a, b), (wa, wb) = cable.nodes[k].masters()
             x[block] = wa * x[network.vertex(a)] + wb * x[network.vertex(b)]
-    return x[: unknowns.n_owned].copy()
+    owned: Array = x[: unknowns.n_owned].copy()
+    return owned
 
 
 def directions(unknowns: Unknowns) -> dict[str, Array]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.materials import TENSION_FIELD, Membrane
 
-Array = npt.NDArray[np.float64]
+Array = npt.NDArray[Any]
 
 
 def energy_at_angle(C: Array, e: Array, angle: Array) -> Array:
@@ -25,7 +27,8 @@ def energy_at_angle(C: Array, e: Array, angle: Array) -> Array:
     both = np.where((s1 >= 0) & (s2 >= 0), (s1 * e1 + s2 * e2) / 2, 0.0)
     one = np.maximum(e1, 0) ** 2 / (2 * c11)
     other = np.maximum(e2, 0) ** 2 / (2 * c22)
-    return np.maximum(np.maximum(both, one), other)
+    best: Array = np.maximum(np.maximum(both, one), other)
+    return best
 
 
 def relaxed_energy(D: Array, e: Array, n: int = 721) -> Array:
@@ -47,7 +50,8 @@ def density(material: Membrane, e: Array) -> Array:
     if material.law == TENSION_FIELD:
         e0 = np.linalg.inv(D) @ s0
         return relaxed_energy(D, e + e0) - e0 @ D @ e0 / 2
-    return e @ s0 + np.einsum("...i,ij,...j", e, D, e) / 2
+    linear: Array = e @ s0 + np.einsum("...i,ij,...j", e, D, e) / 2
+    return linear
 
 
 def axes_of(corners: Array, warp: Array | None = None) -> Array:

@@ -162,11 +162,7 @@ def test_bent_cell_unfolds_into_a_triangle(material, folds):
             states.add(f.term.results[0, 6])
             now = f.X + x
             ij, jk, ki = (
-                sum(
-                    np.linalg.norm(now[b] - now[a])
-                    for a, b in pairwise(line)
-                )
-                for line in lines
+                sum(np.linalg.norm(now[b] - now[a]) for a, b in pairwise(line)) for line in lines
             )
             was = [np.linalg.norm(TRIANGLE[(k + 1) % 3] - TRIANGLE[k]) for k in range(3)]
             # strain in the plane of the unfolded stress-free triangle, whose axis x is side ik

@@ -175,3 +175,20 @@ def test_coefficients_follow_the_cells_stiffness(comm):
     (used,) = (t for t in system.potential.terms if isinstance(t, KinkPenalty))
     np.testing.assert_allclose(used.table.coefficients, table.coefficients, rtol=1e-14)
     assert comm.allreduce(len(rows)) > 40
+
+
+def test_kinks_are_measured_between_neighbours_on_the_side(comm):
+    """Next to a fold point on its side may be another cable's, not the side's end."""
+    system = cable_square(comm)
+    tables, X = system.tables, system.unknowns.X
+    segments = {frozenset(pair) for pair in tables.folded.segments.tolist()}
+    chords = {frozenset(pair) for pair in tables.segments.tolist()}
+    fold_points, next_to_another = set(system.unknowns.owned_point_blocks().tolist()), 0
+    fold_points |= set(system.unknowns.ghost_point_blocks().tolist())
+    for (i, p, j, q), _ in tables.kinks:
+        assert {i, p} in segments
+        assert {p, j} in segments
+        assert {p, q} in chords
+        assert np.linalg.norm(np.cross(X[i] - X[p], X[j] - X[p])) < 1e-10, "they are on a line"
+        next_to_another += bool({i, j} & fold_points)
+    assert comm.allreduce(next_to_another) > 4
