@@ -119,10 +119,12 @@ def rotation() -> Array:
     """Some rotation in space, (3, 3)."""
     q, r = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))
     q = q * np.sign(np.diag(r))
-    return q * np.sign(np.linalg.det(q))
+    proper: Array = q * np.sign(np.linalg.det(q))
+    return proper
 
 
 def moved(unknowns: Unknowns, x: Array) -> Array:
     """Displacements after a rigid motion of the shape with displacements x."""
     X = unknowns.X[: unknowns.n_owned]
-    return (X + x) @ rotation().T + (7.0, -3.0, 11.0) - X
+    places: Array = (X + x) @ rotation().T + (7.0, -3.0, 11.0)
+    return places - X
