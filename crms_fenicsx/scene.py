@@ -71,7 +71,9 @@ class Scene:
         self.strain_law, self.pressure_law = strain, pressure
         self.penalty = _checked_penalty("penalty", penalty)
         self.literal_penalty = (
-            None if literal_penalty is None else _checked_penalty("literal_penalty", literal_penalty)
+            None
+            if literal_penalty is None
+            else _checked_penalty("literal_penalty", literal_penalty)
         )
         self.cell_tags, self.materials = _assign_materials(mesh, material)
         self.V = fem.functionspace(mesh.mesh, ("Lagrange", 1, (3,)))

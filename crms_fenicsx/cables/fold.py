@@ -127,7 +127,10 @@ def cell_forces(lengths, pointers, side_segments, sides, maps, squares, areas, l
 
 
 @numba.njit(cache=True)
-def cell_stiffness(X, x, segments, eps, lengths, pointers, side_segments, sides, maps, areas, law, p, out, floor, h0_prestress, element_pointers, element_blocks, offsets, values, tension):  # type: ignore[no-untyped-def]  # fmt: skip
+def cell_stiffness(  # type: ignore[no-untyped-def]
+    X, x, segments, eps, lengths, pointers, side_segments, sides, maps, areas, law, p, out, floor,
+    h0_prestress, element_pointers, element_blocks, offsets, values, tension,
+):  # fmt: skip
     """Stiffness ``sum K_kl grad(r_k) grad(r_l)^T`` per cell, r its sides.
 
     K = 4 r_k r_l A (M^T C M)_kl, and on the diagonal force / side where that is tensile. Into
