@@ -194,10 +194,16 @@ class OrthotropicMembrane(Membrane):
                 "stiffness indefinite; nu21**2 must be smaller than E2/E1 (is it nu12?)."
             )
         if not callable(self.warp):
-            direction = np.asarray(self.warp, dtype=float)
+            try:
+                direction = np.asarray(self.warp, dtype=float)
+            except (TypeError, ValueError):
+                direction = np.zeros(0)
             usable = direction.shape == (3,) and np.all(np.isfinite(direction))
             if not usable or not np.any(direction):
-                raise InputError(f"{owner}: warp = {self.warp} must be a direction of 3 numbers.")
+                raise InputError(
+                    f"{owner}: warp = {self.warp} must be a direction of 3 numbers, or a function "
+                    "of points."
+                )
         self._check_prestress()
 
     @property

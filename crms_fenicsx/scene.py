@@ -71,7 +71,9 @@ class Scene:
         self.strain_law, self.pressure_law = strain, pressure
         self.penalty = _checked_penalty("penalty", penalty)
         self.literal_penalty = (
-            None if literal_penalty is None else _checked_penalty("literal_penalty", literal_penalty)
+            None
+            if literal_penalty is None
+            else _checked_penalty("literal_penalty", literal_penalty)
         )
         self.cell_tags, self.materials = _assign_materials(mesh, material)
         self.V = fem.functionspace(mesh.mesh, ("Lagrange", 1, (3,)))
@@ -256,6 +258,11 @@ def _assign_materials(
     """Cell tags of the parts with a material of their own (None if there is one for all)."""
     if isinstance(material, Membrane):
         return None, {0: material}
+    if not isinstance(material, Mapping):
+        raise InputError(
+            f"Scene: material = {material!r} is no membrane material; give one, or one for each "
+            "part by name."
+        )
     n = mesh.mesh.topology.index_map(2).size_local + mesh.mesh.topology.index_map(2).num_ghosts
     tags = np.full(n, -1, dtype=np.int32)
     with raised_together(mesh.comm):

@@ -127,11 +127,17 @@ def cell_forces(lengths, pointers, side_segments, sides, maps, squares, areas, l
 
 
 @numba.njit(cache=True)
-def cell_stiffness(X, x, segments, eps, lengths, pointers, side_segments, sides, maps, areas, law, p, out, floor, element_pointers, element_blocks, offsets, values):  # type: ignore[no-untyped-def]  # fmt: skip
+def cell_stiffness(  # type: ignore[no-untyped-def]
+    X, x, segments, eps, lengths, pointers, side_segments, sides, maps, areas, law, p, out, floor,
+    h0_prestress, element_pointers, element_blocks, offsets, values, tension,
+):  # fmt: skip
     """Stiffness ``sum K_kl grad(r_k) grad(r_l)^T`` per cell, r its sides.
 
-    K = 4 r_k r_l A (M^T C M)_kl, and on the diagonal force / side where that is tensile.
+    K = 4 r_k r_l A (M^T C M)_kl, and on the diagonal force / side where that is tensile. Into
+    `tension` (m,) goes the sum of the cells' tensile forces in each segment: taken cell by cell,
+    not of the sum, so that two ranks that share a side make the same stiffness as one.
     """
+    tension[:] = 0.0
     C, K = np.empty((3, 3)), np.empty((3, 3))
     for c in range(sides.shape[0]):
         start = element_pointers[c]
@@ -160,7 +166,11 @@ def cell_stiffness(X, x, segments, eps, lengths, pointers, side_segments, sides,
             force = 0.0
             for i in range(3):
                 force += out[c, 3 + i] * maps[c, i, k]
-            K[k, k] += max(2 * areas[c] * force, 0.0)
+            pull = max(2 * areas[c] * force, 0.0)
+            K[k, k] += pull
+            for q in range(pointers[sides[c, k]], pointers[sides[c, k] + 1]):
+                segment = side_segments[q]
+                tension[segment] += pull * r[k] + 0.5 * h0_prestress * lengths[segment]
         for i in range(size):
             for j in range(size):
                 block = values[offsets[c] + i * size + j]
@@ -180,7 +190,8 @@ class FoldEnergy:
     table
         This rank's folded cells.
     h0_prestress
-        Extra section force in the stiffness only (force per length), shared with the plain cells.
+        Extra section force in the stiffness only (force per length), shared with the plain cells;
+        each cell gives half of it times the length to its sides' segments.
     """
 
     name = "membrane"
@@ -192,6 +203,7 @@ class FoldEnergy:
         self.squares = table.squared_sides
         self.lengths = np.zeros(len(table.segments))
         self.forces = np.zeros(len(table.segments))
+        self._tension = np.zeros(len(table.segments))
         self.tangent_floor = TANGENT_FLOOR
         self.results = np.zeros((len(table.cells), 7))
         """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state of each cell."""
@@ -234,11 +246,9 @@ class FoldEnergy:
         cell_stiffness(
             X, x, t.segments, t.eps, self.lengths, t.side_pointers, t.side_segments, t.sides,
             self.maps, self.areas, t.laws, t.parameters, self.results, self.tangent_floor,
-            self._element_pointers, self._element_blocks, self.elements.offsets,
-            self.elements.values,
+            float(self.h0_prestress.value), self._element_pointers, self._element_blocks,
+            self.elements.offsets, self.elements.values, self._tension,
         )  # fmt: skip
         self.elements.add(A, self.unknowns)
-        extra = float(self.h0_prestress.value) * self.lengths
-        tension = np.maximum(self.forces, 0.0) + extra
-        segment_stiffness(X, x, t.segments, t.eps, tension, self.edges.values)
+        segment_stiffness(X, x, t.segments, t.eps, self._tension, self.edges.values)
         self.edges.add(A, self.unknowns)
