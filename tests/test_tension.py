@@ -19,7 +19,8 @@ from crms_fenicsx.cables.length import (
     smoothed_length,
     turn_coefficient,
 )
-from crms_fenicsx.cables.tension import CableTension, StepCableTension, StepHistory
+from crms_fenicsx.cables.cable import StepStart
+from crms_fenicsx.cables.tension import CableTension, StepCableTension
 
 EPS = 0.3
 
@@ -220,8 +221,8 @@ def test_rigid_motion_changes_nothing(comm):
 
 
 def step_chain():
-    history = StepHistory(np.array([2.0, 0.5]), np.array([20.0, 10.0]), np.array([1.0, 3.0]))
-    return chain(StepCableTension, history=history)
+    starts = [StepStart(2.0, 20.0, 1.0), StepStart(0.5, 10.0, 3.0)]
+    return chain(StepCableTension, starts=starts)
 
 
 def test_step_law_is_the_papers():
@@ -243,9 +244,10 @@ def test_step_law_gradient():
 def test_step_law_in_many_steps():
     """Energy is the work of the tension, whatever the steps; tension is ``EA ln(l / l_n)``."""
     f, X = step_chain()
-    h = f.term.history
     f.value(0 * X)
-    h.length[:], h.tension[:], h.energy[:] = f.sums, 1.0, 0.0
+    for start, length in zip(f.term.starts, f.sums, strict=True):
+        start.tension, start.length, start.energy = 1.0, length, 0.0
+    f.term.attach(f.term.unknowns)
     first, work, before = f.sums.copy(), 0.0, (f.sums.copy(), np.ones(2))
     for k in range(400):
         energy, _ = f.value((k + 1) / 400 * 0.2 * X)
@@ -255,4 +257,5 @@ def test_step_law_in_many_steps():
         f.term.commit(0 * X, f.sums)
         assert f.term.energy(f.sums) == pytest.approx(energy, rel=1e-14)
     assert energy == pytest.approx(work, rel=1e-12)
-    np.testing.assert_allclose(h.tension, 1 + f.term.EA * np.log(f.sums / first), rtol=1e-3)
+    tensions = [start.tension for start in f.term.starts]
+    np.testing.assert_allclose(tensions, 1 + f.term.EA * np.log(f.sums / first), rtol=1e-3)

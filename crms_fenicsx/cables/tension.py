@@ -109,6 +109,10 @@ class StepCableTension(CableTension):
         super().__init__(segments, eps, cable, EA, L0)
         self.starts = starts
         self._stepwise = np.array([start is not None for start in starts])
+
+    def attach(self, unknowns: Unknowns) -> None:
+        """Use the positions of this layout, and the cables' state."""
+        super().attach(unknowns)
         self._read()
 
     def _read(self) -> None:
