@@ -10,6 +10,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from dolfinx.mesh import meshtags
 
+from crms_fenicsx import checks
 from crms_fenicsx.errors import InputError, raised_together
 from crms_fenicsx.materials import Membrane
 from crms_fenicsx.meshes import MembraneMesh
@@ -69,9 +70,11 @@ class Scene:
                 raise InputError(f"Scene: {name} = {value!r} is not known; use 'total' or 'step'.")
         self.mesh, self.comm = mesh, mesh.comm
         self.strain_law, self.pressure_law = strain, pressure
-        self.penalty = _checked_penalty("penalty", penalty)
+        self.penalty = checks.positive("Scene: penalty", penalty)
         self.literal_penalty = (
-            None if literal_penalty is None else _checked_penalty("literal_penalty", literal_penalty)
+            None
+            if literal_penalty is None
+            else checks.positive("Scene: literal_penalty", literal_penalty)
         )
         self.cell_tags, self.materials = _assign_materials(mesh, material)
         self.V = fem.functionspace(mesh.mesh, ("Lagrange", 1, (3,)))
@@ -148,7 +151,8 @@ class Scene:
             dofs = fem.locate_dofs_topological(self.V, dimension, members)
         found = self.comm.allreduce(len(dofs))
         if found == 0:
-            raise InputError(f"vertices: {where!r} marks no vertex of the membrane.")
+            what = "the marker function" if callable(where) else f"the group {where!r}"
+            raise InputError(f"vertices: {what} marks no vertex of the membrane; mark one or more.")
         return dofs
 
     def fix(self, where: str | Marker, directions: str = "xyz") -> None:
@@ -184,8 +188,7 @@ class Scene:
         InputError
             If the membrane is below it now.
         """
-        if not np.isfinite(z):
-            raise InputError(f"floor: z = {z} is no finite height.")
+        z = checks.finite("floor: z", z)
         heights = self.positions()[:, 2]
         with raised_together(self.comm):
             if len(heights) and heights.min() < z:
@@ -193,7 +196,7 @@ class Scene:
                     f"floor: the membrane is at z = {heights.min():g}, below the floor z = {z:g}; "
                     "put the floor lower."
                 )
-        self.floor_level = float(z)
+        self.floor_level = z
         self.changes += 1
 
     def lay_cable(
@@ -242,12 +245,6 @@ class Scene:
         laid = lay(self, cable, path, L0=L0, tension=tension, name=name)
         self.changes += 1
         return laid
-
-
-def _checked_penalty(name: str, value: float) -> float:
-    if not (np.isfinite(value) and value > 0):
-        raise InputError(f"Scene: {name} = {value} is not a positive, finite number.")
-    return float(value)
 
 
 def _assign_materials(

@@ -12,6 +12,7 @@ from pathlib import Path as FilePath
 import numpy as np
 import numpy.typing as npt
 
+from crms_fenicsx import checks
 from crms_fenicsx.errors import ConvergenceError, InputError, PathWarning, raised_together
 from crms_fenicsx.minimizer import Outcome
 from crms_fenicsx.scene import Scene
@@ -96,10 +97,17 @@ class Solver:
         rtol: float = 1e-9,
         max_halvings: int = 8,
     ) -> None:
-        if not (np.isfinite(rtol) and 0 < rtol < 1):
-            raise InputError(f"Solver: rtol = {rtol} must lie between 0 and 1.")
-        self.scene, self.prefix, self.rtol = scene, prefix, rtol
-        self.max_halvings = max_halvings
+        if not isinstance(scene, Scene):
+            raise InputError(f"Solver: scene is of type {type(scene).__name__}; give a Scene.")
+        if not 0 < checks.finite("Solver: rtol", rtol) < 1:
+            raise InputError(f"Solver: rtol = {rtol} must lie between 0 and 1, as 1e-9 does.")
+        if not isinstance(prefix, str) or prefix.startswith("-"):
+            raise InputError(
+                f"Solver: prefix = {prefix!r} is no options prefix; give a text without the "
+                'leading hyphen, as in "crms_".'
+            )
+        self.scene, self.prefix, self.rtol = scene, prefix, float(rtol)
+        self.max_halvings = checks.whole("Solver: max_halvings", max_halvings, 0)
         self.steps: list[Step] = []
         self._system: System | None = None
         self._output = None
@@ -153,7 +161,9 @@ class Solver:
         """
         from crms_fenicsx.progress import progress
 
-        target = self._target(pressure, move or {}, L0 or {}, steps)
+        target = self._target(
+            pressure, {} if move is None else move, {} if L0 is None else L0, steps
+        )
         scene = self.scene
         if target.pressure[1] != 0.0:
             self._check_boundary_held()
@@ -210,22 +220,23 @@ class Solver:
         from crms_fenicsx.cables.cable import CableEnd, LaidCable
 
         scene = self.scene
-        if not isinstance(steps, int) or steps < 1:
-            raise InputError(f"advance: steps = {steps!r} must be a whole number, 1 or more.")
+        checks.whole("advance: steps", steps, 1)
         if not scene.comm.allreduce(int(scene.held.any())):
             raise InputError(
                 "advance: nothing of the membrane is held; hold its boundary with "
                 'scene.fix("boundary").'
             )
-        value = scene.pressure if pressure is None else float(pressure)
-        if not np.isfinite(value):
-            raise InputError(f"advance: pressure = {pressure} is not finite.")
+        value = scene.pressure if pressure is None else pressure
+        value = checks.finite("advance: pressure", value)
+        for name, given in (("move", move), ("L0", L0)):
+            if not isinstance(given, Mapping):
+                raise InputError(
+                    f"advance: {name} = {given!r} is no mapping; write {name}={{what: value}}."
+                )
         ends: list[tuple[int, int, Array]] = []
         vertices: list[tuple[npt.NDArray[np.int32], Array]] = []
         for key, vector in move.items():
-            displacement = np.asarray(vector, dtype=float)
-            if displacement.shape != (3,) or not np.all(np.isfinite(displacement)):
-                raise InputError(f"advance: move = {vector} of {key} must be 3 finite numbers.")
+            displacement = checks.vector(f"advance: move of {key!r}", vector)
             if isinstance(key, LaidCable):
                 wanted = [key.start, key.end]
             elif isinstance(key, CableEnd):
@@ -253,9 +264,8 @@ class Solver:
                     f"advance: {key.name!r} has the step-wise law (2.2-2), which has no unstressed "
                     'length; use Cable(law="total").'
                 )
-            if not (np.isfinite(length) and length > 0):
-                raise InputError(f"advance: L0 = {length} of {key.name!r} must be positive.")
-            lengths.append((self._number(key), key.L0, float(length)))
+            length = checks.positive(f"advance: L0 of {key.name!r}", length)
+            lengths.append((self._number(key), key.L0, length))
         return Target((scene.pressure, value), ends, vertices, lengths)
 
     def _number(self, cable: object) -> int:
