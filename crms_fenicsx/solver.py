@@ -221,6 +221,7 @@ class Solver:
 
         scene = self.scene
         checks.whole("advance: steps", steps, 1)
+        scene.check_finite("advance")
         if not scene.comm.allreduce(int(scene.held.any())):
             raise InputError(
                 "advance: nothing of the membrane is held; hold its boundary with "

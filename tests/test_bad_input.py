@@ -1,12 +1,14 @@
-"""Careless input: every item is refused before anything is computed, with what, value and remedy."""
+"""Careless input is refused before anything is computed, with what, value and remedy."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 
 from crms_fenicsx import (
     Cable,
@@ -14,6 +16,7 @@ from crms_fenicsx import (
     IsotropicMembrane,
     OrthotropicMembrane,
     PathError,
+    PenaltyWarning,
     Scene,
     Solver,
     meshes,
@@ -29,8 +32,6 @@ ACROSS = [(0.0, 47.0), (100.0, 52.0)]
 
 @pytest.fixture(scope="module")
 def square():
-    from mpi4py import MPI
-
     return meshes.rectangle(MPI.COMM_WORLD, 100.0, 100.0, 25.0, structured=True)
 
 
@@ -329,3 +330,71 @@ def test_solver_settings(scene: Scene, arguments: Any, words: tuple[str, ...]) -
 
 def test_solver_takes_a_scene(square) -> None:
     refused(lambda: Solver(square), "MembraneMesh", "Scene")
+
+
+def two_parts() -> meshes.MembraneMesh:
+    """A square of four cells; the parts "left" and "right" share none, "all" has all."""
+    points = [(0, 0), (1, 0), (1, 1), (0, 1), (0.5, 0.5)]
+    cells = [(0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)]
+    parts = {"left": [2, 3], "right": [0, 1], "all": [0, 1, 2, 3]}
+    return meshes.from_arrays(MPI.COMM_WORLD, points, cells, parts=parts)
+
+
+@pytest.mark.parametrize(
+    ("material", "words"),
+    [
+        (None, ("material", "None", "IsotropicMembrane")),
+        ("fabric", ("material", "'fabric'", "IsotropicMembrane")),
+        ({"roof": MATERIAL}, ("'roof'", "all, left, right")),
+        ({"left": 300.0}, ("'left'", "300.0", "Membrane")),
+        ({"left": MATERIAL}, ("cells have no material", "every part")),
+        ({}, ("cells have no material", "every part")),
+        ({"left": MATERIAL, "all": MATERIAL}, ("'all'", "shares cells", "one material")),
+    ],
+)
+def test_materials_of_parts(material: Any, words: tuple[str, ...]) -> None:
+    refused(lambda: Scene(two_parts(), material), "Scene", *words)
+
+
+def test_scene_takes_a_mesh_with_groups(square) -> None:
+    refused(lambda: Scene(square.mesh, MATERIAL), "Scene: mesh", "Mesh", "crms_fenicsx.meshes")
+
+
+def test_stepwise_strain_has_no_wrinkles(square) -> None:
+    words = 'strain="step"', "wrinkling=True", "wrinkling=False"
+    refused(lambda: Scene(square, MATERIAL, strain="step"), *words)
+
+
+@pytest.mark.parametrize("where", [3, None, ["left", "right"], np.array([1, 2])])
+def test_where_to_fix(scene: Scene, where: Any) -> None:
+    refused(lambda: scene.fix(where), repr(where), "one group", scene=scene)
+
+
+@pytest.mark.parametrize(
+    ("factor", "happens"), [(9e-4, "unstable"), (1.1, "lock"), (100.0, "lock")]
+)
+def test_penalty_outside_the_sound_range_warns(square, factor: float, happens: str) -> None:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        Scene(square, MATERIAL, penalty=factor)
+    assert len(caught) == (1 if square.comm.rank == 0 else 0)  # said once, not by every rank
+    for warning in caught:
+        assert warning.category is PenaltyWarning and warning.filename == __file__
+        for word in (f"{factor:g}", "0.001 ... 1", happens):
+            assert word in str(warning.message)
+
+
+@pytest.mark.parametrize("arguments", [{"penalty": 1e-3}, {"penalty": 1.0}, {"literal_penalty": 9}])
+def test_penalty_in_the_sound_range_does_not_warn(square, arguments: Any) -> None:
+    Scene(square, MATERIAL, **arguments)  # warnings are errors here
+
+
+@pytest.mark.usefixtures("idle")
+def test_displacements_that_are_not_finite(scene: Scene) -> None:
+    everywhere = scene.V.tabulate_dof_coordinates()
+    at = np.flatnonzero(np.all(everywhere == (50.0, 25.0, 0.0), axis=1))  # on some ranks only
+    scene.u.x.array[3 * at + 1] = NAN
+    words = "scene.u", "nan", "50", "25", "finite"
+    refused_load(scene, *words, pressure=0.01)
+    refused(lambda: scene.lay_cable(CABLE, ACROSS), "lay_cable", *words, scene=scene)
+    refused(lambda: scene.floor(-1.0), "floor", *words, scene=scene)
