@@ -13,7 +13,7 @@ from dolfinx.fem import petsc as fem_petsc
 from petsc4py import PETSc
 
 from crms_fenicsx.compat import geometry_dofmap
-from crms_fenicsx.errors import InputError
+from crms_fenicsx.errors import InputError, raised_together
 from crms_fenicsx.materials import LINEAR, LawTerms, Membrane, law_terms
 from crms_fenicsx.unknowns import Unknowns
 
@@ -41,24 +41,25 @@ def warp_field(mesh: Any, material: Membrane, cells: npt.NDArray[np.int32]) -> f
     field = fem.Function(space)
     normal, centre = cell_normals(mesh), space.tabulate_dof_coordinates()
     warp = material.warp
-    given = (
-        np.asarray(warp(centre.T), dtype=float).T
-        if callable(warp)
-        else np.broadcast_to(np.asarray(warp, dtype=float), centre.shape)
-    )
-    if given.shape != centre.shape or not np.all(np.isfinite(given[cells])):
-        raise InputError(
-            f"warp: the function returned an array of shape {given.T.shape} or with values that "
-            f"are not finite; it must return finite directions of shape {centre.T.shape}."
+    with raised_together(mesh.comm):  # one rank's cells may be bad, another's good
+        given = (
+            np.asarray(warp(centre.T), dtype=float).T
+            if callable(warp)
+            else np.broadcast_to(np.asarray(warp, dtype=float), centre.shape)
         )
-    flat = given - np.sum(given * normal, axis=1)[:, None] * normal
-    length = np.linalg.norm(flat, axis=1)
-    bad = cells[length[cells] <= 1e-6 * np.linalg.norm(given[cells], axis=1)]
-    if len(bad):
-        raise InputError(
-            f"warp: the direction {given[bad[0]]} is normal to the membrane at {centre[bad[0]]}; "
-            "give a direction that has a part in the surface everywhere."
-        )
+        if given.shape != centre.shape or not np.all(np.isfinite(given[cells])):
+            raise InputError(
+                f"warp: the function returned an array of shape {given.T.shape} or with values "
+                f"that are not finite; it must return finite directions of shape {centre.T.shape}."
+            )
+        flat = given - np.sum(given * normal, axis=1)[:, None] * normal
+        length = np.linalg.norm(flat, axis=1)
+        bad = cells[length[cells] <= 1e-6 * np.linalg.norm(given[cells], axis=1)]
+        if len(bad):
+            raise InputError(
+                f"warp: the direction {given[bad[0]]} is normal to the membrane at "
+                f"{centre[bad[0]]}; give a direction that has a part in the surface everywhere."
+            )
     field.x.array[:] = (flat / np.maximum(length, 1e-300)[:, None]).ravel()
     return field
 

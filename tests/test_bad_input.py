@@ -398,3 +398,20 @@ def test_displacements_that_are_not_finite(scene: Scene) -> None:
     refused_load(scene, *words, pressure=0.01)
     refused(lambda: scene.lay_cable(CABLE, ACROSS), "lay_cable", *words, scene=scene)
     refused(lambda: scene.floor(-1.0), "floor", *words, scene=scene)
+
+
+@pytest.mark.parametrize(
+    ("warp", "words"),
+    [
+        ((0.0, 0.0, 2.0), ("normal to the membrane", "in the surface")),
+        (lambda x: np.where(x[0] < 30, [[0.0], [0.0], [1.0]], [[1.0], [0.0], [0.0]]), ("normal",)),
+        (lambda x: np.full_like(x, NAN), ("not finite", "must return")),
+        (lambda x: np.ones(3), ("shape (3,)", "must return")),
+        (lambda x: None, ("shape ()", "must return")),
+    ],
+)
+def test_warp_lies_in_the_surface(square, warp: Any, words: tuple[str, ...]) -> None:
+    scene = Scene(square, OrthotropicMembrane(140.0, 1394.0, 12.0, 0.065, 1.0, warp=warp))
+    scene.fix("boundary")
+    solver = Solver(scene)
+    refused(lambda: solver.advance(pressure=0.01), "warp", *words, scene=scene)
