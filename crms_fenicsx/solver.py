@@ -176,16 +176,19 @@ class Solver:
                 goal = min(done + increment, np.floor(done + 1e-9) + 1.0)
                 good = State.of(scene)
                 self._apply(first, target, goal / steps)
-                outcome = self.system.solve(self._h0_prestress(target, (goal - done) / steps))
+                try:
+                    outcome = self.system.solve(self._h0_prestress(target, (goal - done) / steps))
+                except BaseException:  # also an interrupt leaves a state that is one
+                    self._go_back(good)
+                    raise
                 spent = outcome if spent is None else spent + outcome
                 if not outcome.converged:
-                    good.restore(scene)
+                    self._go_back(good)
                     halvings += 1
                     increment = (goal - done) / 2
                     if increment < 0.5**self.max_halvings * (1 - 1e-9):
                         raise self._failure(outcome, done / steps)
                     logger.info("halving the increment: %s", outcome.reason)
-                    self.system.rebuild()
                     continue
                 self.system.commit()
                 seconds = time.perf_counter() - began
@@ -199,6 +202,12 @@ class Solver:
                 done, increment = goal, min(2 * (goal - done), 1.0)
                 began, spent, halvings = time.perf_counter(), None, 0
         return self.steps[-1]
+
+    def _go_back(self, good: State) -> None:
+        """Bring the scene back to a good state after an increment without equilibrium."""
+        good.restore(self.scene)
+        if self._system is not None:  # its tables may be those of other cables in tension
+            self._system.expire()
 
     def _failure(self, outcome: Outcome, done: float) -> ConvergenceError:
         return ConvergenceError(
