@@ -11,6 +11,7 @@ from pathlib import Path as FilePath
 
 import numpy as np
 import numpy.typing as npt
+from mpi4py import MPI
 
 from crms_fenicsx import checks
 from crms_fenicsx.errors import ConvergenceError, InputError, PathWarning, raised_together
@@ -61,7 +62,7 @@ class Target:
 
     pressure: tuple[float, float]
     cable_ends: list[tuple[int, int, Array]]
-    vertices: list[tuple[npt.NDArray[np.int32], Array]]
+    moved: Array
     lengths: list[tuple[int, float, float]]
 
 
@@ -141,7 +142,9 @@ class Solver:
             Pressure to reach (force per area), positive to the membrane's outside.
         move
             Displacements (length) of cables (both ends), cable ends (``cable.start``) or held
-            groups of vertices, by which they move during this call.
+            groups of vertices, by which they move during this call. What is named twice, as a
+            corner of two groups, moves by the sum. Groups need to be held only in the directions
+            in which they move.
         L0
             Unstressed lengths of cables to reach (length).
         steps
@@ -252,7 +255,7 @@ class Solver:
             elif isinstance(key, CableEnd):
                 wanted = [key]
             elif isinstance(key, str):
-                vertices.append((self._held_group(key), displacement))
+                vertices.append((self._held_group(key, displacement), displacement))
                 continue
             else:
                 raise InputError(f"advance: cannot move {key!r}; give {TYPE_OF_MOVE}.")
@@ -265,6 +268,8 @@ class Solver:
                         "or lay the cable to an anchor off the membrane."
                     )
                 ends.append((c, k, displacement))
+        moved = self._moved(vertices)
+        self._check_above_floor(moved)
         lengths = []
         for key, length in L0.items():
             if not isinstance(key, LaidCable):
@@ -276,7 +281,7 @@ class Solver:
                 )
             length = checks.positive(f"advance: L0 of {key.name!r}", length)
             lengths.append((self._number(key), key.L0, length))
-        return Target((scene.pressure, value), ends, vertices, lengths)
+        return Target((scene.pressure, value), ends, moved, lengths)
 
     def _number(self, cable: object) -> int:
         for c, other in enumerate(self.scene.cables):
@@ -284,15 +289,40 @@ class Solver:
                 return c
         raise InputError(f"advance: {cable!r} is not a cable of this scene.")
 
-    def _held_group(self, name: str) -> npt.NDArray[np.int32]:
+    def _held_group(self, name: str, displacement: Array) -> npt.NDArray[np.int32]:
         dofs = self.scene.vertices(name)
+        moving = displacement != 0.0
         with raised_together(self.scene.comm):
-            if not self.scene.held[dofs].all():
+            if not self.scene.held[dofs][:, moving].all():
+                letters = "".join(np.array(list("xyz"))[moving])
                 raise InputError(
-                    f"advance: {name!r} is not held, so that it cannot be moved; call "
-                    f"scene.fix({name!r}) first."
+                    f"advance: {name!r} is not held in {letters}, so that it cannot be moved by "
+                    f"{displacement}; call scene.fix({name!r}, {letters!r}) first."
                 )
         return dofs
+
+    def _check_above_floor(self, moved: Array) -> None:
+        """The floor is for the free vertices; held ones must not be moved through it."""
+        scene = self.scene
+        if scene.floor_level is None:
+            return
+        with raised_together(scene.comm):
+            places = scene.positions()
+            heights = places[:, 2] + moved[:, 2]
+            through = np.flatnonzero((moved[:, 2] < 0) & (heights < scene.floor_level))
+            if len(through):
+                raise InputError(
+                    f"advance: move brings the vertex at {places[through[0]]} to z = "
+                    f"{heights[through[0]]:g}, below the floor z = {scene.floor_level:g}; move it "
+                    "less."
+                )
+
+    def _moved(self, vertices: list[tuple[npt.NDArray[np.int32], Array]]) -> Array:
+        """Movements of all vertices, (n, 3); those of a vertex in several groups add up."""
+        moved = np.zeros_like(self.scene.held, dtype=np.float64)
+        for dofs, displacement in vertices:
+            moved[dofs] += displacement
+        return moved
 
     def _check_boundary_held(self) -> None:
         """The exact follower pressure has a potential only if the boundary is held."""
@@ -318,14 +348,12 @@ class Solver:
         scene = self.scene
         scene.pressure = target.pressure[0] + share * (target.pressure[1] - target.pressure[0])
         u = scene.u.x.array.reshape(-1, 3)
-        u0 = first.u.reshape(-1, 3)
-        moved = np.zeros_like(u)
-        for dofs, displacement in target.vertices:
-            moved[dofs] += displacement
-        some = np.any(moved != 0.0, axis=1)
-        u[some] = u0[some] + share * moved[some]
+        some = target.moved != 0.0
+        u[some] = first.u.reshape(-1, 3)[some] + share * target.moved[some]
+        for c, k, _ in target.cable_ends:
+            scene.cables[c].positions[k] = first.cables[c].positions[k]
         for c, k, displacement in target.cable_ends:
-            scene.cables[c].positions[k] = first.cables[c].positions[k] + share * displacement
+            scene.cables[c].positions[k] += share * displacement
         for c, start, end in target.lengths:
             scene.cables[c].L0 = start + share * (end - start)
 
@@ -337,10 +365,10 @@ class Solver:
         """
         scene, size = self.scene, self.system.size
         modulus = max(m.reference_modulus for m in scene.materials.values())
-        moves = [np.linalg.norm(d) for *_, d in target.cable_ends]
-        moves += [np.linalg.norm(d) for _, d in target.vertices]
-        travel = share * max(moves, default=0.0)
-        coming = 0.3 * (scene.pressure**2 * size**2 * modulus) ** (1 / 3)
+        moves = [float(np.linalg.norm(d)) for *_, d in target.cable_ends]
+        moves.append(float(np.max(np.linalg.norm(target.moved, axis=1), initial=0.0)))
+        travel = share * scene.comm.allreduce(max(moves), op=MPI.MAX)
+        coming = 0.3 * abs(scene.pressure * size) ** (2 / 3) * modulus ** (1 / 3)
         coming = max(coming, 0.3 * modulus * (travel / size) ** 2)
         present = np.sqrt(max(2 * scene.energies.get("membrane", 0.0) * modulus, 0.0)) / size
         if present > 0.3 * coming:
@@ -352,8 +380,8 @@ class Solver:
             if cable.blocked and self.scene.comm.rank == 0:
                 place = cable.positions[cable.blocked[0]]
                 warnings.warn(
-                    f"step {len(self.steps)}: {cable.name!r} has run into {len(cable.blocked)} mesh "
-                    f"vertices, the first at {place}; it cannot slide on into other cells, so that "
+                    f"step {len(self.steps)}: {cable.name!r} has run into {len(cable.blocked)} "
+                    f"mesh vertices, the first at {place}; it cannot slide on into other cells, so that "
                     "the result is that of a cable blocked there.",
                     PathWarning,
                     stacklevel=3,

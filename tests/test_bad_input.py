@@ -277,7 +277,17 @@ def test_what_can_be_moved(scene: Scene) -> None:
     refused_load(scene, "start of 'tied'", "scene.fix", "anchor", move={tied: up})
     scene.held[:] = False
     scene.fix("left")
-    refused_load(scene, "'right'", "not held", "scene.fix('right')", move={"right": up})
+    refused_load(scene, "'right'", "not held", "scene.fix('right', 'z')", move={"right": up})
+    scene.fix("right", "z")
+    refused_load(scene, "not held in xz", "scene.fix('right', 'xz')", move={"right": (1, 0, 1)})
+
+
+@pytest.mark.usefixtures("idle")
+def test_held_vertices_stay_above_the_floor(scene: Scene) -> None:
+    scene.floor(-1.0)
+    words = "[0. ", "z = -1.5", "floor z = -1", "move it less"
+    refused_load(scene, *words, move={"left": (0.0, 0.0, -1.5)})
+    refused_load(scene, *words, move={"left": (0.0, 0.0, -0.5), "boundary": (0.0, 0.0, -1.0)})
 
 
 @pytest.mark.usefixtures("idle")
