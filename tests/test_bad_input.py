@@ -285,7 +285,7 @@ def test_what_can_be_moved(scene: Scene) -> None:
 @pytest.mark.usefixtures("idle")
 def test_held_vertices_stay_above_the_floor(scene: Scene) -> None:
     scene.floor(-1.0)
-    words = "[0. ", "z = -1.5", "floor z = -1", "move it less"
+    words = "the vertex at", "z = -1.5", "floor z = -1", "move it less"
     refused_load(scene, *words, move={"left": (0.0, 0.0, -1.5)})
     refused_load(scene, *words, move={"left": (0.0, 0.0, -0.5), "boundary": (0.0, 0.0, -1.0)})
 
