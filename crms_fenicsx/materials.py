@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
+from crms_fenicsx import checks
 from crms_fenicsx.errors import InputError
 
 Array = npt.NDArray[np.float64]
@@ -25,17 +26,9 @@ LINEAR, TENSION_FIELD = 0, 1
 """Codes of the stress laws, shared with the compiled kernels of the folded cells."""
 
 
-def _check_finite(owner: str, **values: float) -> None:
-    for name, value in values.items():
-        if not np.isfinite(value):
-            raise InputError(f"{owner}: {name} = {value} is no finite number; give a finite one.")
-
-
 def _check_positive(owner: str, **values: float) -> None:
-    _check_finite(owner, **values)
     for name, value in values.items():
-        if value <= 0:
-            raise InputError(f"{owner}: {name} = {value} is not positive; give a positive value.")
+        checks.positive(f"{owner}: {name}", value)
 
 
 class Membrane(ABC):
@@ -86,10 +79,13 @@ class Membrane(ABC):
 
     def _check_prestress(self) -> None:
         owner = type(self).__name__
-        values = np.atleast_1d(np.asarray(self.prestress, dtype=float))
+        try:
+            values = np.atleast_1d(np.asarray(self.prestress, dtype=float))
+        except (TypeError, ValueError):
+            values = np.full(1, np.nan)
         if values.shape not in [(1,), (2,)] or not np.all(np.isfinite(values)):
             raise InputError(
-                f"{owner}: prestress = {self.prestress} must be one number or two (warp, weft), "
+                f"{owner}: prestress = {self.prestress!r} must be one number or two (warp, weft), "
                 "in force per length."
             )
         if self.law == TENSION_FIELD and np.any(values < 0):
@@ -128,7 +124,7 @@ class IsotropicMembrane(Membrane):
     def __post_init__(self) -> None:
         owner = type(self).__name__
         _check_positive(owner, E=self.E, thickness=self.thickness)
-        _check_finite(owner, nu=self.nu)
+        checks.finite(f"{owner}: nu", self.nu)
         if not -1.0 < self.nu < 1.0:
             raise InputError(f"{owner}: nu = {self.nu} lies outside -1 < nu < 1 (plane stress).")
         self._check_prestress()
@@ -187,23 +183,15 @@ class OrthotropicMembrane(Membrane):
     def __post_init__(self) -> None:
         owner = type(self).__name__
         _check_positive(owner, E1=self.E1, E2=self.E2, G12=self.G12, thickness=self.thickness)
-        _check_finite(owner, nu21=self.nu21)
+        checks.finite(f"{owner}: nu21", self.nu21)
         if self.nu21**2 * self.E1 / self.E2 >= 1:
             raise InputError(
                 f"{owner}: nu21 = {self.nu21} with E1/E2 = {self.E1 / self.E2:g} makes the "
                 "stiffness indefinite; nu21**2 must be smaller than E2/E1 (is it nu12?)."
             )
         if not callable(self.warp):
-            try:
-                direction = np.asarray(self.warp, dtype=float)
-            except (TypeError, ValueError):
-                direction = np.zeros(0)
-            usable = direction.shape == (3,) and np.all(np.isfinite(direction))
-            if not usable or not np.any(direction):
-                raise InputError(
-                    f"{owner}: warp = {self.warp} must be a direction of 3 numbers, or a function "
-                    "of points."
-                )
+            if not np.any(checks.vector(f"{owner}: warp", self.warp)):
+                raise InputError(f"{owner}: warp = {self.warp} is no direction; one is not zero.")
         self._check_prestress()
 
     @property

@@ -42,8 +42,7 @@ def warp_field(mesh: Any, material: Membrane, cells: npt.NDArray[np.int32]) -> f
     field = fem.Function(space)
     normal, centre = cell_normals(mesh), space.tabulate_dof_coordinates()
     warp = material.warp
-    flat = np.zeros_like(centre)
-    with raised_together(mesh.comm):
+    with raised_together(mesh.comm):  # one rank's cells may be bad, another's good
         given = (
             np.asarray(warp(centre.T), dtype=float).T
             if callable(warp)
@@ -52,10 +51,9 @@ def warp_field(mesh: Any, material: Membrane, cells: npt.NDArray[np.int32]) -> f
         if given.shape != centre.shape or not np.all(np.isfinite(given[cells])):
             raise InputError(
                 f"warp: the function returned an array of shape {given.T.shape} or with values "
-                "that are not finite; it must return finite directions of shape "
-                f"{centre.T.shape}."
+                f"that are not finite; it must return finite directions of shape {centre.T.shape}."
             )
-        flat[:] = given - np.sum(given * normal, axis=1)[:, None] * normal
+        flat = given - np.sum(given * normal, axis=1)[:, None] * normal
         length = np.linalg.norm(flat, axis=1)
         bad = cells[length[cells] <= 1e-6 * np.linalg.norm(given[cells], axis=1)]
         if len(bad):
@@ -63,8 +61,7 @@ def warp_field(mesh: Any, material: Membrane, cells: npt.NDArray[np.int32]) -> f
                 f"warp: the direction {given[bad[0]]} is normal to the membrane at "
                 f"{centre[bad[0]]}; give a direction that has a part in the surface everywhere."
             )
-        flat /= np.maximum(length, 1e-300)[:, None]
-    field.x.array[:] = flat.ravel()
+    field.x.array[:] = (flat / np.maximum(length, 1e-300)[:, None]).ravel()
     return field
 
 

@@ -22,6 +22,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from crms_fenicsx.errors import InputError
 from crms_fenicsx.potential import Potential
 
 Array = npt.NDArray[np.float64]
@@ -30,7 +31,10 @@ STAGE_LENGTHS = (4, 6, 10, 20)
 """Iterations between rebuilds of H0; the last value repeats."""
 
 CLOSE = 1e-5
-"""Residual, relative to the force scale, from which on energy is measured from the stage's start."""
+"""Residual, relative to the force scale, from which on energy counts from the stage's start."""
+
+BOUNDED_TYPES, UNBOUNDED_TYPES = ("blmvm", "bqnls", "bncg"), ("lmvm", "cg")
+"""Minimisers that need energy and gradient only, with bounds and without."""
 
 REASONS = {
     -2: "too many iterations",
@@ -194,7 +198,14 @@ class Minimizer:
         if not options.hasName("tao_blmvm_mat_lmvm_hist_size"):
             options["tao_blmvm_mat_lmvm_hist_size"] = 20
         self.tao.setFromOptions()
-        self._uses_h0 = self.tao.getType() in ("blmvm", "lmvm", "bqnls", "bqnkls")
+        kind = self.tao.getType()
+        usable = BOUNDED_TYPES if self._bounds else BOUNDED_TYPES + UNBOUNDED_TYPES
+        if kind not in usable:
+            why = "has no bounds for a floor" if kind in UNBOUNDED_TYPES else "is not for this"
+            raise InputError(
+                f"option -{prefix}tao_type {kind} {why}; choose one of {', '.join(usable)}."
+            )
+        self._uses_h0 = kind in ("blmvm", "lmvm")
         self._h0_set = False
         self._prefix = prefix
 
@@ -250,6 +261,7 @@ class Minimizer:
             g[self.h0._at_bounds()] = 0.0
         return float(potential.comm.allreduce(float(np.sum(g * g)), op=MPI.SUM) ** 0.5)
 
+    @np.errstate(over="ignore", invalid="ignore")  # the residual tells
     def solve(self, h0_prestress: tuple[float, ...] = (0.0,)) -> Outcome:
         """Minimise from the potential's current state; the state is then the minimiser.
 

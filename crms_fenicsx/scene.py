@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Literal
 
@@ -10,8 +11,9 @@ import numpy.typing as npt
 from dolfinx import fem
 from dolfinx.mesh import meshtags
 
-from crms_fenicsx.errors import InputError, raised_together
-from crms_fenicsx.materials import Membrane
+from crms_fenicsx import checks
+from crms_fenicsx.errors import InputError, PenaltyWarning, raised_together
+from crms_fenicsx.materials import LINEAR, Membrane
 from crms_fenicsx.meshes import MembraneMesh
 
 if TYPE_CHECKING:
@@ -22,6 +24,8 @@ Array = npt.NDArray[np.float64]
 Marker = Callable[[Array], npt.NDArray[np.bool_]]
 Law = Literal["total", "step"]
 
+STABLE_PENALTY = (1e-3, 1.0)
+"""Penalty factors between which folded cells are stable and do not lock."""
 COMPONENTS = {"x": 0, "y": 1, "z": 2}
 
 
@@ -51,7 +55,13 @@ class Scene:
     Raises
     ------
     InputError
-        A material for a part that does not exist, or cells without a material.
+        A material for a part that does not exist, cells without a material or with several, or
+        step-wise strain with a material that wrinkles.
+
+    Warns
+    -----
+    PenaltyWarning
+        The penalty's factor lies outside the range in which folded cells are sound.
     """
 
     def __init__(
@@ -64,18 +74,30 @@ class Scene:
         penalty: float = 0.1,
         literal_penalty: float | None = None,
     ) -> None:
+        if not isinstance(mesh, MembraneMesh):
+            raise InputError(
+                f"Scene: mesh is of type {type(mesh).__name__}; give a MembraneMesh, as the "
+                "functions of crms_fenicsx.meshes return."
+            )
         for name, value in (("strain", strain), ("pressure", pressure)):
             if value not in ("total", "step"):
                 raise InputError(f"Scene: {name} = {value!r} is not known; use 'total' or 'step'.")
         self.mesh, self.comm = mesh, mesh.comm
         self.strain_law, self.pressure_law = strain, pressure
-        self.penalty = _checked_penalty("penalty", penalty)
+        self.penalty = checks.positive("Scene: penalty", penalty)
         self.literal_penalty = (
             None
             if literal_penalty is None
-            else _checked_penalty("literal_penalty", literal_penalty)
+            else checks.positive("Scene: literal_penalty", literal_penalty)
         )
+        self._warn_of_penalty()
         self.cell_tags, self.materials = _assign_materials(mesh, material)
+        for own in self.materials.values():
+            if strain == "step" and own.law != LINEAR:
+                raise InputError(
+                    f'Scene: strain="step" has no wrinkling model, but the material is {own}; '
+                    "give it wrinkling=False."
+                )
         self.V = fem.functionspace(mesh.mesh, ("Lagrange", 1, (3,)))
         self.u = fem.Function(self.V, name="displacement")
         """Displacement of the vertices from the stress-free shape (length)."""
@@ -113,6 +135,46 @@ class Scene:
         """Current positions of the vertices by local degree of freedom, (n, 3), with ghosts."""
         return self.V.tabulate_dof_coordinates() + self.u.x.array.reshape(-1, 3)
 
+    def check_finite(self, purpose: str) -> None:
+        """Refuse to go on from a displacement that is not finite.
+
+        Parameters
+        ----------
+        purpose
+            What needs it, for the message.
+
+        Raises
+        ------
+        InputError
+            On all ranks, naming a place.
+        """
+        with raised_together(self.comm):
+            u = self.u.x.array.reshape(-1, 3)
+            bad = ~np.isfinite(u).all(axis=1)
+            if bad.any():
+                first = int(np.argmax(bad))
+                raise InputError(
+                    f"{purpose}: scene.u is {u[first]} at the vertex "
+                    f"{self.V.tabulate_dof_coordinates()[first]}; set it to finite displacements."
+                )
+
+    def _warn_of_penalty(self) -> None:
+        lower, upper = STABLE_PENALTY
+        if self.literal_penalty is not None or lower <= self.penalty <= upper:
+            return
+        if self.comm.rank == 0:
+            happens = (
+                "folded cells are unstable, as sides in compression repel their fold points"
+                if self.penalty < lower
+                else "folded cells lock and cables come out too tight"
+            )
+            warnings.warn(
+                f"Scene: penalty = {self.penalty:g} lies outside {lower:g} ... {upper:g}: {happens}; "
+                "give one in this range.",
+                PenaltyWarning,
+                stacklevel=3,
+            )
+
     def vertices(self, where: str | Marker) -> npt.NDArray[np.int32]:
         """Local degrees of freedom of the vertices of a named group or marked by a function.
 
@@ -138,6 +200,11 @@ class Scene:
                         f"must return booleans of shape {(len(self.held),)}."
                     )
                 dofs = np.flatnonzero(marks).astype(np.int32)
+            elif not isinstance(where, str):
+                raise InputError(
+                    f"vertices: {where!r} is no group; give the name of one group or a function "
+                    "of coordinates."
+                )
             elif where not in mesh.edges and where not in mesh.points:
                 names = ", ".join(sorted({*mesh.edges, *mesh.points}))
                 raise InputError(
@@ -150,7 +217,8 @@ class Scene:
             dofs = fem.locate_dofs_topological(self.V, dimension, members)
         found = self.comm.allreduce(len(dofs))
         if found == 0:
-            raise InputError(f"vertices: {where!r} marks no vertex of the membrane.")
+            what = "the marker function" if callable(where) else f"the group {where!r}"
+            raise InputError(f"vertices: {what} marks no vertex of the membrane; mark one or more.")
         return dofs
 
     def fix(self, where: str | Marker, directions: str = "xyz") -> None:
@@ -186,8 +254,8 @@ class Scene:
         InputError
             If the membrane is below it now.
         """
-        if not np.isfinite(z):
-            raise InputError(f"floor: z = {z} is no finite height.")
+        z = checks.finite("floor: z", z)
+        self.check_finite("floor")
         heights = self.positions()[:, 2]
         with raised_together(self.comm):
             if len(heights) and heights.min() < z:
@@ -195,7 +263,7 @@ class Scene:
                     f"floor: the membrane is at z = {heights.min():g}, below the floor z = {z:g}; "
                     "put the floor lower."
                 )
-        self.floor_level = float(z)
+        self.floor_level = z
         self.changes += 1
 
     def lay_cable(
@@ -241,15 +309,10 @@ class Scene:
         """
         from crms_fenicsx.cables.laying import lay
 
+        self.check_finite("lay_cable")
         laid = lay(self, cable, path, L0=L0, tension=tension, name=name)
         self.changes += 1
         return laid
-
-
-def _checked_penalty(name: str, value: float) -> float:
-    if not (np.isfinite(value) and value > 0):
-        raise InputError(f"Scene: {name} = {value} is not a positive, finite number.")
-    return float(value)
 
 
 def _assign_materials(
@@ -260,8 +323,8 @@ def _assign_materials(
         return None, {0: material}
     if not isinstance(material, Mapping):
         raise InputError(
-            f"Scene: material = {material!r} is no membrane material; give one, or one for each "
-            "part by name."
+            f"Scene: material = {material!r} is none; give a membrane such as IsotropicMembrane, "
+            "or a mapping from the mesh's parts to membranes."
         )
     n = mesh.mesh.topology.index_map(2).size_local + mesh.mesh.topology.index_map(2).num_ghosts
     tags = np.full(n, -1, dtype=np.int32)
@@ -274,6 +337,11 @@ def _assign_materials(
                 )
             if not isinstance(value, Membrane):
                 raise InputError(f"Scene: the material of part {part!r} is {value!r}, no Membrane.")
+            if np.any(tags[mesh.parts[part]] >= 0):
+                raise InputError(
+                    f"Scene: part {part!r} shares cells with another part that has a material; "
+                    "give each cell one material."
+                )
             tags[mesh.parts[part]] = k
         if np.any(tags < 0):
             raise InputError(

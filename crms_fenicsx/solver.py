@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+from mpi4py import MPI
 
+from crms_fenicsx import checks
 from crms_fenicsx.errors import ConvergenceError, InputError, PathWarning, raised_together
 from crms_fenicsx.minimizer import Outcome
 from crms_fenicsx.output.recorder import Recorder
@@ -66,7 +68,7 @@ class Target:
 
     pressure: tuple[float, float]
     cable_ends: list[tuple[int, int, Array]]
-    vertices: list[tuple[npt.NDArray[np.int32], Array]]
+    moved: Array
     lengths: list[tuple[int, float, float]]
 
 
@@ -103,10 +105,17 @@ class Solver:
         rtol: float = 1e-9,
         max_halvings: int = 8,
     ) -> None:
-        if not (np.isfinite(rtol) and 0 < rtol < 1):
-            raise InputError(f"Solver: rtol = {rtol} must lie between 0 and 1.")
-        self.scene, self.prefix, self.rtol = scene, prefix, rtol
-        self.max_halvings = max_halvings
+        if not isinstance(scene, Scene):
+            raise InputError(f"Solver: scene is of type {type(scene).__name__}; give a Scene.")
+        if not 0 < checks.finite("Solver: rtol", rtol) < 1:
+            raise InputError(f"Solver: rtol = {rtol} must lie between 0 and 1, as 1e-9 does.")
+        if not isinstance(prefix, str) or prefix.startswith("-"):
+            raise InputError(
+                f"Solver: prefix = {prefix!r} is no options prefix; give a text without the "
+                'leading hyphen, as in "crms_".'
+            )
+        self.scene, self.prefix, self.rtol = scene, prefix, float(rtol)
+        self.max_halvings = checks.whole("Solver: max_halvings", max_halvings, 0)
         self.steps: list[Step] = []
         self._system: System | None = None
         self._recorder = Recorder(scene, results)
@@ -224,7 +233,9 @@ class Solver:
             Pressure to reach (force per area), positive to the membrane's outside.
         move
             Displacements (length) of cables (both ends), cable ends (``cable.start``) or held
-            groups of vertices, by which they move during this call.
+            groups of vertices, by which they move during this call. What is named twice, as a
+            corner of two groups, moves by the sum. Groups need to be held only in the directions
+            in which they move.
         L0
             Unstressed lengths of cables to reach (length).
         steps
@@ -244,7 +255,9 @@ class Solver:
         """
         from crms_fenicsx.progress import progress
 
-        target = self._target(pressure, move or {}, L0 or {}, steps)
+        target = self._target(
+            pressure, {} if move is None else move, {} if L0 is None else L0, steps
+        )
         scene = self.scene
         if target.pressure[1] != 0.0:
             self._check_boundary_held()
@@ -257,10 +270,14 @@ class Solver:
                 goal = min(done + increment, np.floor(done + 1e-9) + 1.0)
                 good = State.of(scene)
                 self._apply(first, target, goal / steps)
-                outcome = self.system.solve(self._h0_prestress(target, (goal - done) / steps))
+                try:
+                    outcome = self.system.solve(self._h0_prestress(target, (goal - done) / steps))
+                except BaseException:  # also an interrupt leaves a state that is one
+                    self._go_back(good)
+                    raise
                 spent = outcome if spent is None else spent + outcome
                 if not outcome.converged:
-                    good.restore(scene)
+                    self._go_back(good)
                     halvings += 1
                     self.system.rebuild()  # cables may have switched on the way
                     increment = (goal - done) / 2
@@ -279,6 +296,12 @@ class Solver:
                 done, increment = goal, min(2 * (goal - done), 1.0)
                 began, spent, halvings = time.perf_counter(), None, 0
         return self.steps[-1]
+
+    def _go_back(self, good: State) -> None:
+        """Bring the scene back to a good state after an increment without equilibrium."""
+        good.restore(self.scene)
+        if self._system is not None:  # its tables may be those of other cables in tension
+            self._system.expire()
 
     def _failure(self, outcome: Outcome, done: float) -> ConvergenceError:
         return ConvergenceError(
@@ -300,28 +323,30 @@ class Solver:
         from crms_fenicsx.cables.cable import CableEnd, LaidCable
 
         scene = self.scene
-        if not isinstance(steps, int) or steps < 1:
-            raise InputError(f"advance: steps = {steps!r} must be a whole number, 1 or more.")
+        checks.whole("advance: steps", steps, 1)
+        scene.check_finite("advance")
         if not scene.comm.allreduce(int(scene.held.any())):
             raise InputError(
                 "advance: nothing of the membrane is held; hold its boundary with "
                 'scene.fix("boundary").'
             )
-        value = scene.pressure if pressure is None else float(pressure)
-        if not np.isfinite(value):
-            raise InputError(f"advance: pressure = {pressure} is not finite.")
+        value = scene.pressure if pressure is None else pressure
+        value = checks.finite("advance: pressure", value)
+        for name, given in (("move", move), ("L0", L0)):
+            if not isinstance(given, Mapping):
+                raise InputError(
+                    f"advance: {name} = {given!r} is no mapping; write {name}={{what: value}}."
+                )
         ends: list[tuple[int, int, Array]] = []
         vertices: list[tuple[npt.NDArray[np.int32], Array]] = []
         for key, vector in move.items():
-            displacement = np.asarray(vector, dtype=float)
-            if displacement.shape != (3,) or not np.all(np.isfinite(displacement)):
-                raise InputError(f"advance: move = {vector} of {key} must be 3 finite numbers.")
+            displacement = checks.vector(f"advance: move of {key!r}", vector)
             if isinstance(key, LaidCable):
                 wanted = [key.start, key.end]
             elif isinstance(key, CableEnd):
                 wanted = [key]
             elif isinstance(key, str):
-                vertices.append((self._held_group(key), displacement))
+                vertices.append((self._held_group(key, displacement), displacement))
                 continue
             else:
                 raise InputError(f"advance: cannot move {key!r}; give {TYPE_OF_MOVE}.")
@@ -334,6 +359,8 @@ class Solver:
                         "or lay the cable to an anchor off the membrane."
                     )
                 ends.append((c, k, displacement))
+        moved = self._moved(vertices)
+        self._check_above_floor(moved)
         lengths = []
         for key, length in L0.items():
             if not isinstance(key, LaidCable):
@@ -343,10 +370,9 @@ class Solver:
                     f"advance: {key.name!r} has the step-wise law (2.2-2), which has no unstressed "
                     'length; use Cable(law="total").'
                 )
-            if not (np.isfinite(length) and length > 0):
-                raise InputError(f"advance: L0 = {length} of {key.name!r} must be positive.")
-            lengths.append((self._number(key), key.L0, float(length)))
-        return Target((scene.pressure, value), ends, vertices, lengths)
+            length = checks.positive(f"advance: L0 of {key.name!r}", length)
+            lengths.append((self._number(key), key.L0, length))
+        return Target((scene.pressure, value), ends, moved, lengths)
 
     def _number(self, cable: object) -> int:
         for c, other in enumerate(self.scene.cables):
@@ -354,15 +380,40 @@ class Solver:
                 return c
         raise InputError(f"advance: {cable!r} is not a cable of this scene.")
 
-    def _held_group(self, name: str) -> npt.NDArray[np.int32]:
+    def _held_group(self, name: str, displacement: Array) -> npt.NDArray[np.int32]:
         dofs = self.scene.vertices(name)
+        moving = displacement != 0.0
         with raised_together(self.scene.comm):
-            if not self.scene.held[dofs].all():
+            if not self.scene.held[dofs][:, moving].all():
+                letters = "".join(np.array(list("xyz"))[moving])
                 raise InputError(
-                    f"advance: {name!r} is not held, so that it cannot be moved; call "
-                    f"scene.fix({name!r}) first."
+                    f"advance: {name!r} is not held in {letters}, so that it cannot be moved by "
+                    f"{displacement}; call scene.fix({name!r}, {letters!r}) first."
                 )
         return dofs
+
+    def _check_above_floor(self, moved: Array) -> None:
+        """The floor is for the free vertices; held ones must not be moved through it."""
+        scene = self.scene
+        if scene.floor_level is None:
+            return
+        with raised_together(scene.comm):
+            places = scene.positions()
+            heights = places[:, 2] + moved[:, 2]
+            through = np.flatnonzero((moved[:, 2] < 0) & (heights < scene.floor_level))
+            if len(through):
+                raise InputError(
+                    f"advance: move brings the vertex at {places[through[0]]} to z = "
+                    f"{heights[through[0]]:g}, below the floor z = {scene.floor_level:g}; move it "
+                    "less."
+                )
+
+    def _moved(self, vertices: list[tuple[npt.NDArray[np.int32], Array]]) -> Array:
+        """Movements of all vertices, (n, 3); those of a vertex in several groups add up."""
+        moved = np.zeros_like(self.scene.held, dtype=np.float64)
+        for dofs, displacement in vertices:
+            moved[dofs] += displacement
+        return moved
 
     def _check_boundary_held(self) -> None:
         """The exact follower pressure has a potential only if the boundary is held."""
@@ -388,14 +439,12 @@ class Solver:
         scene = self.scene
         scene.pressure = target.pressure[0] + share * (target.pressure[1] - target.pressure[0])
         u = scene.u.x.array.reshape(-1, 3)
-        u0 = first.u.reshape(-1, 3)
-        moved = np.zeros_like(u)
-        for dofs, displacement in target.vertices:
-            moved[dofs] += displacement
-        some = np.any(moved != 0.0, axis=1)
-        u[some] = u0[some] + share * moved[some]
+        some = target.moved != 0.0
+        u[some] = first.u.reshape(-1, 3)[some] + share * target.moved[some]
+        for c, k, _ in target.cable_ends:
+            scene.cables[c].positions[k] = first.cables[c].positions[k]
         for c, k, displacement in target.cable_ends:
-            scene.cables[c].positions[k] = first.cables[c].positions[k] + share * displacement
+            scene.cables[c].positions[k] += share * displacement
         for c, start, end in target.lengths:
             scene.cables[c].L0 = start + share * (end - start)
 
@@ -407,10 +456,10 @@ class Solver:
         """
         scene, size = self.scene, self.system.size
         modulus = max(m.reference_modulus for m in scene.materials.values())
-        moves = [np.linalg.norm(d) for *_, d in target.cable_ends]
-        moves += [np.linalg.norm(d) for _, d in target.vertices]
-        travel = share * max(moves, default=0.0)
-        coming = 0.3 * (scene.pressure**2 * size**2 * modulus) ** (1 / 3)
+        moves = [float(np.linalg.norm(d)) for *_, d in target.cable_ends]
+        moves.append(float(np.max(np.linalg.norm(target.moved, axis=1), initial=0.0)))
+        travel = share * scene.comm.allreduce(max(moves), op=MPI.MAX)
+        coming = 0.3 * abs(scene.pressure * size) ** (2 / 3) * modulus ** (1 / 3)
         coming = max(coming, 0.3 * modulus * (travel / size) ** 2)
         present = np.sqrt(max(2 * scene.energies.get("membrane", 0.0) * modulus, 0.0)) / size
         if present > 0.3 * coming:
@@ -422,8 +471,8 @@ class Solver:
             if cable.blocked and self.scene.comm.rank == 0:
                 place = cable.positions[cable.blocked[0]]
                 warnings.warn(
-                    f"step {len(self.steps)}: {cable.name!r} has run into {len(cable.blocked)} mesh "
-                    f"vertices, the first at {place}; it cannot slide on into other cells, so that "
+                    f"step {len(self.steps)}: {cable.name!r} has run into {len(cable.blocked)} "
+                    f"mesh vertices, the first at {place}; it cannot slide on into other cells, so that "
                     "the result is that of a cable blocked there.",
                     PathWarning,
                     stacklevel=3,

@@ -72,6 +72,10 @@ class System:
             self.potential.destroy()
             self.minimizer = None
 
+    def expire(self) -> None:
+        """Let the next solve begin with a rebuild."""
+        self.built_for = -1
+
     def rebuild(self) -> None:
         """Make layout, tables and solver anew for the scene as it is."""
         self.destroy()

@@ -250,7 +250,7 @@ def fingerprint(comm, choice, size):
             *(f.dot(g, direction) for direction in d.values()),
             *(f.dot(one, one) for one in single),
             *(f.dot(d[name], f.times(x, d[name])) for name in d),
-            f.potential.force_scale(),
+            f.potential.evaluate_terms()[1],
             *lengths,
         ]
     )
@@ -282,7 +282,7 @@ def test_single_terms_add_up(comm):
     assert sum(w for w, _ in parts) == pytest.approx(energy, rel=1e-13)
     np.testing.assert_allclose(sum(g for _, g in parts), g, atol=1e-9)
     largest = max(np.sqrt(f.dot(*2 * [np.where(held(f), 0, g)])) for _, g in parts)
-    assert f.potential.force_scale() == pytest.approx(largest, rel=1e-12)
+    assert f.potential.evaluate_terms()[1] == pytest.approx(largest, rel=1e-12)
 
 
 def held(f):

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from crms_fenicsx import checks
 from crms_fenicsx.cables.path import EdgePoint, Path, SurfacePoint, VertexPoint
 from crms_fenicsx.errors import InputError
 
@@ -35,8 +36,7 @@ class Cable:
     law: Literal["total", "step"] = "total"
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.EA) and self.EA > 0):
-            raise InputError(f"Cable: EA = {self.EA} is not a positive, finite stiffness.")
+        checks.positive("Cable: EA", self.EA)
         if self.law not in ("total", "step"):
             raise InputError(f"Cable: law = {self.law!r} is not known; use 'total' or 'step'.")
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from crms_fenicsx import checks
 from crms_fenicsx.cables.cable import Cable, CableNode, LaidCable, StepStart, polyline_length
 from crms_fenicsx.cables.path import CellPoint, EdgePoint, Path, VertexPoint, chords_cross
 from crms_fenicsx.cables.strip import EMPTY, Strip, gather_strip
@@ -35,16 +36,19 @@ def lay(
     """
     if not isinstance(cable, Cable):
         raise InputError(f"lay_cable: {cable!r} is no Cable; write Cable(EA=...).")
-    name = f"cable {len(scene.cables) + 1}" if name is None else name
+    taken = {other.name for other in scene.cables}
+    if name is None:
+        numbers = range(len(scene.cables) + 1, 2 * len(scene.cables) + 2)
+        name = next(f"cable {n}" for n in numbers if f"cable {n}" not in taken)
     if not isinstance(name, str) or not name or name != name.strip():
         raise InputError(f"lay_cable: name = {name!r}; tables need text without blanks around it.")
-    if any(other.name == name for other in scene.cables):
+    if name in taken:
         raise InputError(f"lay_cable: there is a cable {name!r} already; give another name.")
     if L0 is not None and tension is not None:
         raise InputError(f"lay_cable: {name!r} got both L0 and tension; give one of them.")
     for key, value in (("L0", L0), ("tension", tension)):
-        if value is not None and not (np.isfinite(value) and value > 0):
-            raise InputError(f"lay_cable: {key} = {value} of {name!r} must be positive and finite.")
+        if value is not None:
+            checks.positive(f"lay_cable: {name!r} with {key}", value)
     route = _route(path)
     strip, ids, positions, rows = gather_strip(scene.u, route)
     traced = trace(ids, positions, rows, route)

@@ -26,11 +26,6 @@ from crms_fenicsx.unknowns import Unknowns
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 
-FACTOR = 0.1
-"""Default of c."""
-STABLE_RANGE = (1e-3, 1.0)
-"""Below: fold points are repelled by sides in compression. Above: folded cells lock."""
-
 
 @dataclass(frozen=True)
 class Kinks:

@@ -1,0 +1,365 @@
+"""Where points are on a triangulated surface: the places that a route's points take on it.
+
+The geometry is elementwise over many triangles, so that a part of a mesh rounds as the whole.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import NoReturn
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import ArrayLike, NDArray
+
+from crms_fenicsx.cables.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
+from crms_fenicsx.errors import PathError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# A point in space counts as lying on the surface up to this part of the local mesh size: a
+# faceted dome of three cells per radius is nowhere farther from the smooth one.
+ON_SURFACE = 0.1
+
+# Cells whose projection keeps less than this part of their area are walls.
+WALL = 1e-6
+
+# A vertex (id,) or an edge (smaller, larger).
+Node = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A triangulated surface: global ids (n,), positions (n, 3), rows of both (m, 3)."""
+
+    ids: Ints
+    points: Floats
+    cells: Ints
+    size: float  # its longest edge
+
+    @classmethod
+    def checked(cls, vertices: ArrayLike, points: ArrayLike, cells: ArrayLike) -> Surface:
+        """Return the surface of these arrays; raise PathError if they are none."""
+        ids = np.asarray(vertices, dtype=np.int64)
+        x = np.asarray(points, dtype=np.float64)
+        rows = np.asarray(cells, dtype=np.int64)
+        if ids.ndim != 1 or x.shape != (len(ids), 3):
+            raise PathError(
+                f"vertices of shape {ids.shape} with points of shape {x.shape}: give (n,) ids "
+                "and (n, 3) positions"
+            )
+        if len(np.unique(ids)) != len(ids) or np.min(ids, initial=0) < 0:
+            raise PathError("the vertices' global ids must not repeat or be negative")
+        if rows.ndim != 2 or rows.shape[1] != 3 or len(rows) == 0:
+            raise PathError(f"cells of shape {rows.shape}: give (m, 3) rows of points, m > 0")
+        if rows.min() < 0 or rows.max() >= len(ids):
+            raise PathError(
+                f"cells name rows {rows.min()} to {rows.max()} of {len(ids)} points; they index "
+                "the arrays given, not the global ids"
+            )
+        bad = ~np.isfinite(x).all(axis=1)
+        if bad.any():
+            i = int(np.argmax(bad))
+            raise PathError(f"vertex {ids[i]} is at {as_text(x[i])}; positions must be finite")
+        return cls(ids, x, rows, float(longest_sides(x[rows]).max()))
+
+
+def as_text(position: Floats) -> str:
+    """Return a position as messages show it."""
+    return "(" + ", ".join(f"{x:.6g}" for x in position) + ")"
+
+
+def vectors(rows: Floats) -> list[Floats]:
+    """Return the rows of an array, for loops."""
+    return [rows[i] for i in range(len(rows))]
+
+
+def lists(rows: Ints) -> list[list[int]]:
+    """Return the rows of an array as lists of Python integers."""
+    return [[int(v) for v in rows[i]] for i in range(len(rows))]
+
+
+def norm(a: Floats) -> Floats:
+    """Return the lengths of the vectors in the last axis."""
+    return np.asarray(np.sqrt(dot(a, a)), dtype=np.float64)
+
+
+def cross(a: Floats, b: Floats) -> Floats:
+    """Return the cross products of the vectors in the last axes."""
+    # by components: the library's cross product takes longer to set up than to compute
+    c = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    c[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
+    c[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
+    c[..., 2] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return c
+
+
+def dot(a: Floats, b: Floats) -> Floats:
+    """Return the scalar products of the vectors in the last axes."""
+    total = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
+    return np.asarray(total, dtype=np.float64)
+
+
+def side_lengths(triangles: Floats) -> Floats:
+    """Return (m, 3) lengths of the sides of (m, 3, 3) triangles."""
+    return norm(triangles[:, [1, 2, 0]] - triangles)
+
+
+def longest_sides(triangles: Floats) -> Floats:
+    """Return (m,) lengths of the longest sides."""
+    return np.asarray(np.max(side_lengths(triangles), axis=1, initial=0.0))
+
+
+def double_areas(triangles: Floats) -> Floats:
+    """Return (m, 3) normals, as long as twice the area."""
+    return cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+
+
+def altitudes(triangles: Floats) -> Floats:
+    """Return (m,) smallest altitudes."""
+    longest = longest_sides(triangles)
+    quotient = norm(double_areas(triangles)) / np.where(longest > 0.0, longest, 1.0)
+    return np.asarray(quotient, dtype=np.float64)
+
+
+def balls(triangles: Floats) -> tuple[Floats, Floats]:
+    """Return (m, 3) centres and (m,) radii of balls around the triangles."""
+    centre = np.asarray(triangles.sum(axis=1) / 3.0, dtype=np.float64)
+    return centre, np.asarray(np.max(norm(triangles - centre[:, None]), axis=1, initial=0.0))
+
+
+def closest(triangles: Floats, target: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the places nearest to `target` in each of (m, 3, 3) triangles.
+
+    As (m, 3) weights of the corners, (m, 3) positions and (m,) distances. In slivers the weights
+    are badly conditioned, the positions and distances are not.
+    """
+    every = np.arange(len(triangles))
+    sides = triangles[:, [1, 2, 0]] - triangles
+    square = dot(sides, sides)
+    t = dot(target - triangles, sides) / np.where(square > 0.0, square, 1.0)
+    t = np.clip(t, 0.0, 1.0)
+    on_sides = triangles + t[..., None] * sides
+    to_sides = norm(on_sides - target)
+    side = np.argmin(to_sides, axis=1)
+    gaps, places, t = to_sides[every, side], on_sides[every, side], t[every, side]
+    weights = np.zeros((len(triangles), 3))
+    weights[every, side], weights[every, (side + 1) % 3] = 1.0 - t, t
+
+    normal = double_areas(triangles)
+    square = dot(normal, normal)
+    to_corners = triangles - target
+    opposite = cross(to_corners[:, [1, 2, 0]], to_corners[:, [2, 0, 1]])
+    inner = dot(opposite, normal[:, None]) / np.where(square > 0.0, square, 1.0)[:, None]
+    inside = (inner >= 0.0).all(axis=1) & (square > 0.0)
+    weights[inside] = inner[inside] / inner[inside].sum(axis=1)[:, None]
+    height = dot(triangles[inside, 0] - target, normal[inside]) / square[inside]
+    places[inside] = target + height[:, None] * normal[inside]
+    gaps[inside] = norm(places[inside] - target)
+    return weights, places, gaps
+
+
+def mix(weights: Floats, triangles: Floats) -> Floats:
+    """Return (m, 3) positions from (m, 3) weights of the corners of (m, 3, 3) triangles."""
+    product = weights[:, :, None] * triangles
+    mixed: Floats = product[:, 0] + product[:, 1] + product[:, 2]
+    return mixed
+
+
+@dataclass(frozen=True)
+class Place:
+    """A route point: on the surface, or an anchor (then `point` is None)."""
+
+    point: SurfacePoint | None
+    position: Floats
+    normal: Floats
+
+    @property
+    def anchor(self) -> tuple[float, float, float] | None:
+        """Its position if it is an anchor."""
+        x, y, z = (float(c) for c in self.position)
+        return None if self.point is not None else (x, y, z)
+
+
+@dataclass(frozen=True)
+class Foot:
+    """The place of a surface nearest to a point in space, in a cell of a certain size."""
+
+    position: Floats
+    distance: float
+    normal: Floats
+    size: float
+
+
+def place_in_plan(surface: Surface, xy: Floats, index: int, snap: float) -> Place:
+    """Return the place of a route point given in plan, on the uppermost sheet there."""
+    corners = surface.points[surface.cells][:, :, :2]
+    reach = snap * surface.size
+    near = np.flatnonzero(
+        ((corners.min(axis=1) <= xy + reach) & (corners.max(axis=1) >= xy - reach)).all(axis=1)
+    )
+    triangles = surface.points[surface.cells[near]]
+    flat, target = flattened(triangles), np.array([xy[0], xy[1], 0.0])
+    weights, _, gap = closest(flat, target)
+    floor = norm(double_areas(flat)) > WALL * norm(double_areas(triangles))
+    holds = floor & (gap <= snap * altitudes(flat))
+    if not holds.any():
+        _raise_outside(surface, xy, index)
+    near, weights, triangles = near[holds], weights[holds], triangles[holds]
+    heights = mix(weights, triangles)[:, 2]
+    top = surface.cells[near[np.argmax(heights)]]
+    sheet = np.isin(surface.cells[near], top).any(axis=1)
+    point, position = locate(surface, near[sheet], flattened(triangles[sheet]), target, snap)
+    return Place(point, position, np.array([0.0, 0.0, 1.0]))
+
+
+def flattened(triangles: Floats) -> Floats:
+    """Return the triangles' plans: z = 0."""
+    flat = triangles.copy()
+    flat[..., 2] = 0.0
+    return flat
+
+
+def _raise_outside(surface: Surface, xy: Floats, index: int) -> NoReturn:
+    triangles = surface.points[surface.cells]
+    flat, target = flattened(triangles), np.array([xy[0], xy[1], 0.0])
+    weights, _, gap = closest(flat, target)
+    nearest = int(np.argmin(gap))
+    place = mix(weights[[nearest]], triangles[[nearest]])[0]
+    raise PathError(
+        f"route point {index} at {as_text(xy)} leaves the membrane: it is {gap[nearest]:.6g} "
+        f"outside of it in plan, nearest to {as_text(place)}; move it there, or give the route in "
+        "space to make its first or last point an anchor"
+    )
+
+
+def locate(
+    surface: Surface, rows: Ints, triangles: Floats, target: Floats, snap: float
+) -> tuple[SurfacePoint, Floats]:
+    """Return the point of the surface at `target`, which all the cells `rows` hold or touch."""
+    corners = surface.cells[rows]
+    reach = snap * altitudes(triangles)
+    to_corner = norm(triangles - target)
+    to_corner = np.where(to_corner <= reach[:, None], to_corner, np.inf)
+    if np.isfinite(to_corner).any():
+        row = corners.ravel()[np.argmin(to_corner)]
+        return VertexPoint(int(surface.ids[row])), surface.points[row].copy()
+    best: tuple[float, Node, float, Floats] | None = None
+    for cell, triangle, near in zip(lists(corners), vectors(triangles), reach, strict=True):
+        for i, j in ((0, 1), (1, 2), (2, 0)):
+            if surface.ids[cell[i]] > surface.ids[cell[j]]:
+                i, j = j, i
+            side = triangle[j] - triangle[i]
+            t = float(dot(target - triangle[i], side) / max(float(dot(side, side)), 1e-300))
+            gap = float(norm(triangle[i] + t * side - target))
+            edge = (int(surface.ids[cell[i]]), int(surface.ids[cell[j]]))
+            if gap <= near and 0.0 < t < 1.0 and (best is None or (gap, edge) < best[:2]):
+                ends = surface.points[[cell[i], cell[j]]]
+                best = gap, edge, t, (1.0 - t) * ends[0] + t * ends[1]
+    if best is not None:
+        return EdgePoint((best[1][0], best[1][1]), best[2]), best[3]
+    weights, _, gaps = closest(triangles, target)
+    nearest = int(np.argmin(gaps))
+    position = mix(weights[[nearest]], surface.points[corners[[nearest]]])[0]
+    a, b, c = surface.ids[corners[nearest]].tolist()
+    u, v, w = weights[nearest].tolist()
+    return CellPoint((a, b, c), (u, v, w)), position
+
+
+def foot_of(points: Floats, cells: Ints, target: Floats, comm: MPI.Intracomm | None = None) -> Foot:
+    """Return the nearest place of the surface, the same on all ranks of `comm`."""
+    triangles = points[cells]
+    centre, radius = balls(triangles)
+    least = np.min(norm(triangles - target), initial=np.inf)
+    near = norm(centre - target) - radius <= least * (1.0 + 1e-9)
+    triangles = triangles[near]
+    weights, places, gaps = closest(triangles, target)
+    held = (float("inf"), 0)
+    found = (np.zeros(3), np.zeros(3), np.zeros((3, 3)))
+    if len(gaps):
+        i = int(np.argmin(gaps))
+        held = (float(gaps[i]), 0)
+        found = (places[i], weights[i], triangles[i])
+    if comm is not None:
+        held = comm.allreduce((held[0], comm.rank), op=MPI.MINLOC)
+        found = comm.bcast(found, root=held[1])
+    position, share, corners = found
+    size = float(longest_sides(corners[None])[0])
+    # interpolated from the vertices: the facets' own normals are off by the angle between them;
+    # vertices are known by their place, as ranks share no other name for them here
+    around = points[cells]
+    area = double_areas(around)
+    normals = np.zeros((3, 3))
+    for i, corner in enumerate(vectors(corners)):
+        fan = (norm(around - corner) <= 1e-9 * size).any(axis=1)
+        normals[i] = area[fan].sum(axis=0)
+    if comm is not None:
+        normals = comm.allreduce(normals, op=MPI.SUM)
+    lengths = norm(normals)
+    normals = normals / np.where(lengths > 0.0, lengths, 1.0)[:, None]
+    normal = mix(share[None], normals[None])[0]
+    return Foot(position, held[0], normal / max(float(norm(normal)), 1e-300), size)
+
+
+def touching(points: Floats, cells: Ints, position: Floats, snap: float) -> Ints:
+    """Return the rows of the cells that hold or touch a place of the surface."""
+    triangles = points[cells]
+    centre, radius = balls(triangles)
+    near = np.flatnonzero(norm(centre - position) <= radius * (1.0 + snap))
+    triangles = triangles[near]
+    _, _, gap = closest(triangles, position)
+    scale = float(np.max(np.abs(position)))
+    return near[gap <= snap * altitudes(triangles) + 1e-14 * scale]
+
+
+def places_in_space(surface: Surface, course: Floats, snap: float) -> list[Place]:
+    """Return the places of route points given in space; the first and last may be anchors."""
+    places = []
+    for i, target in enumerate(vectors(course)):
+        foot = foot_of(surface.points, surface.cells, target)
+        rows = touching(surface.points, surface.cells, foot.position, snap)
+        triangles = surface.points[surface.cells[rows]]
+        point, position = locate(surface, rows, triangles, foot.position, snap)
+        offset = target - foot.position
+        height = abs(float(dot(offset, foot.normal)))
+        aside = float(norm(offset - float(dot(offset, foot.normal)) * foot.normal))
+        rim = on_boundary(surface, point)
+        # an offset along the normal is that of a faceted surface from a smooth one
+        beyond = rim and aside > max(snap * float(altitudes(triangles).max()), 0.5 * height)
+        off = foot.distance > ON_SURFACE * float(longest_sides(triangles).max())
+        where = f"route point {i} at {as_text(target)}"
+        if not off and not beyond:
+            places.append(Place(point, position, foot.normal))
+        elif i not in (0, len(course) - 1):
+            raise PathError(
+                f"{where} leaves the membrane: it is {foot.distance:.6g} from its nearest place "
+                f"{as_text(foot.position)}; move it there, only a first or last point may be off"
+            )
+        elif not rim:
+            raise PathError(
+                f"{where} is {foot.distance:.6g} off the membrane's interior at "
+                f"{as_text(foot.position)}; begin or end the route where the cable meets the "
+                "membrane and add this point to the path with Path.with_anchors"
+            )
+        else:
+            places.append(Place(None, target, foot.normal))
+    return places
+
+
+def on_boundary(surface: Surface, point: SurfacePoint) -> bool:
+    """Say whether a point of the surface lies on its boundary."""
+    support = np.flatnonzero(np.isin(surface.ids, point.support))
+    around = surface.cells[np.isin(surface.cells, support).any(axis=1)]
+    count = edge_count(lists(surface.ids[around]))
+    if isinstance(point, EdgePoint):
+        return count[point.edge] == 1
+    if isinstance(point, VertexPoint):
+        return any(n == 1 and point.vertex in edge for edge, n in count.items())
+    return False
+
+
+def edge_count(cells: list[list[int]]) -> Counter[Node]:
+    """Count the cells at each edge (smaller, larger)."""
+    return Counter((min(a, b), max(a, b)) for u, v, w in cells for a, b in ((u, v), (v, w), (w, u)))
