@@ -274,6 +274,8 @@ def test_a_leg_over_a_notch_is_refused_where_it_leaves():
     outcomes = set()
     for _ in range(150):
         a, b = rng.uniform(0.1, 7.9, (2, 2))
+        if 0 < min(a.min() - 4, b.min() - 4) < 0.1 or 0 < max(a.min() - 4, b.min() - 4) < 0.1:
+            continue  # so near to the rim that it is meant to lie on it
         if (a > 4).all() or (b > 4).all():
             with pytest.raises(PathError, match="leaves the membrane"):
                 trace(ids, points, cells, [a, b])
@@ -542,3 +544,28 @@ def test_bad_surfaces_are_refused():
     squashed = np.vstack([cells, [[5, n, n + 1]]])
     with pytest.raises(PathError, match="without area"):
         trace(np.arange(n + 2), flat, squashed, route)
+
+
+def test_ends_on_the_true_rim_of_a_faceted_disc_lie_on_its_boundary():
+    """A point of the circle lies outside the polygon that the mesh makes of it."""
+    points, cells = disc(rings=8)
+    circle = np.array([[-0.8, -0.6], [0.28, 0.96]])
+    path = trace(np.arange(len(points)), points, cells, circle)
+    strip = near_section(points, cells, circle)
+    assert trace(np.arange(len(points)), points, cells[strip], circle) == path
+    rim = np.linalg.norm(points[:, :2], axis=1) > 0.999
+    for end in (path.points[0], path.points[-1]):
+        assert all(rim[vertex] for vertex in end.support)
+    with pytest.raises(PathError, match="leaves the membrane"):
+        trace(np.arange(len(points)), points, cells, 1.05 * circle)
+
+
+def disc(rings):
+    """A disc of radius 1 by Delaunay triangulation of concentric rings."""
+    places = [(0.0, 0.0)]
+    for k in range(1, rings + 1):
+        turn = 2 * np.pi * (np.arange(6 * k) + 0.2 * k) / (6 * k)
+        places += list(zip(k / rings * np.cos(turn), k / rings * np.sin(turn), strict=True))
+    plan = np.array(places)
+    cells = Delaunay(plan).simplices
+    return np.column_stack([plan, np.zeros(len(plan))]), cells

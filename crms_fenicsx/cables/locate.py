@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import NoReturn
 
 import numpy as np
 from mpi4py import MPI
@@ -22,6 +21,10 @@ Ints = NDArray[np.int64]
 # A point in space counts as lying on the surface up to this part of the local mesh size: a
 # faceted dome of three cells per radius is nowhere farther from the smooth one.
 ON_SURFACE = 0.1
+
+# A route point in plan that lies outside by up to this part of the mesh size is meant to lie on the
+# rim: the circle through the vertices of a disc of 20 edges is nowhere farther from them.
+RIM = 0.05
 
 # Cells whose projection keeps less than this part of their area are walls.
 WALL = 1e-6
@@ -194,7 +197,10 @@ class Foot:
 
 
 def place_in_plan(surface: Surface, xy: Floats, index: int, snap: float) -> Place:
-    """Return the place of a route point given in plan, on the uppermost sheet there."""
+    """Return the place of a route point given in plan, on the uppermost sheet there.
+
+    A point outside by less than `RIM` of the cell there is meant to lie on the rim.
+    """
     corners = surface.points[surface.cells][:, :, :2]
     reach = snap * surface.size
     near = np.flatnonzero(
@@ -206,7 +212,7 @@ def place_in_plan(surface: Surface, xy: Floats, index: int, snap: float) -> Plac
     floor = norm(double_areas(flat)) > WALL * norm(double_areas(triangles))
     holds = floor & (gap <= snap * altitudes(flat))
     if not holds.any():
-        _raise_outside(surface, xy, index)
+        return place_in_plan(surface, _on_the_rim(surface, xy, index), index, snap)
     near, weights, triangles = near[holds], weights[holds], triangles[holds]
     heights = mix(weights, triangles)[:, 2]
     top = surface.cells[near[np.argmax(heights)]]
@@ -222,17 +228,20 @@ def flattened(triangles: Floats) -> Floats:
     return flat
 
 
-def _raise_outside(surface: Surface, xy: Floats, index: int) -> NoReturn:
+def _on_the_rim(surface: Surface, xy: Floats, index: int) -> Floats:
+    """Return the nearest place in plan to a point just outside, as a curved rim's points are."""
     triangles = surface.points[surface.cells]
     flat, target = flattened(triangles), np.array([xy[0], xy[1], 0.0])
     weights, _, gap = closest(flat, target)
     nearest = int(np.argmin(gap))
     place = mix(weights[[nearest]], triangles[[nearest]])[0]
-    raise PathError(
-        f"route point {index} at {as_text(xy)} leaves the membrane: it is {gap[nearest]:.6g} "
-        f"outside of it in plan, nearest to {as_text(place)}; move it there, or give the route in "
-        "space to make its first or last point an anchor"
-    )
+    if gap[nearest] > RIM * float(longest_sides(flat[[nearest]])[0]):
+        raise PathError(
+            f"route point {index} at {as_text(xy)} leaves the membrane: it is "
+            f"{gap[nearest]:.6g} outside of it in plan, nearest to {as_text(place)}; move it "
+            "there, or give the route in space to make its first or last point an anchor"
+        )
+    return place[:2]
 
 
 def locate(

@@ -20,6 +20,7 @@ from mpi4py import MPI
 from numpy.typing import ArrayLike, NDArray
 
 from crms_fenicsx.cables.locate import (
+    RIM,
     WALL,
     Floats,
     Ints,
@@ -175,8 +176,8 @@ def near_section(
     up = np.array([0.0, 0.0, 1.0])
     if course.shape[1] == 2:
         ends = np.column_stack([course, np.zeros(len(course))])
-        for a, b in pairwise(vectors(ends)):
-            mask |= _strip(_Plane.of(a, b, up, up), x, rows, snap * size)
+        for a, b in pairwise(vectors(ends)):  # trace may move ends to the rim, and the plane along
+            mask |= _strip(_Plane.of(a, b, up, up), x, rows, (RIM + snap) * size)
         flat = flattened(x[rows])
         centre, radius = balls(flat)
         for target in vectors(ends):  # what trace names when the route leaves the membrane
