@@ -138,6 +138,7 @@ VARIANTS = {
     "renumbered otherwise": Variant(seed=3),
     "in N and m": Variant(force=9.80665, length=0.01),
     "in N and mm": Variant(force=9.80665, length=10.0),
+    "in GN and km": Variant(force=9.80665e-9, length=1e-5),
     "all at once": Variant(4.4e3, 0.03, rotation(4), np.array([10.0, 20.0, -30.0]), 5),
 }
 
