@@ -52,6 +52,10 @@ def raised_together(comm: MPI.Intracomm) -> Iterator[None]:
             (type(error), str(error)) if comm.rank == failed else None, root=failed
         )
         if comm.rank != failed:
-            raise kind(text)
+            try:
+                passed_on = kind(text)
+            except TypeError:  # made of more than a text, as errors of codecs are
+                passed_on = RuntimeError(f"{kind.__name__}: {text}")
+            raise passed_on
     if error is not None:
         raise error

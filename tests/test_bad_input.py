@@ -425,3 +425,22 @@ def test_warp_lies_in_the_surface(square, warp: Any, words: tuple[str, ...]) -> 
     scene.fix("boundary")
     solver = Solver(scene)
     refused(lambda: solver.advance(pressure=0.01), "warp", *words, scene=scene)
+
+
+@pytest.mark.parametrize(
+    "error", [IndexError("no row 7"), UnicodeDecodeError("utf-8", b"", 0, 1, "?")]
+)
+def test_an_error_on_one_rank_reaches_all(scene: Scene, error: Exception) -> None:
+    """A marker function that fails on the last rank's vertices only."""
+    comm = scene.comm
+
+    def marker(x: np.ndarray) -> np.ndarray:
+        if comm.rank == comm.size - 1:
+            raise error
+        return x[0] == 0.0
+
+    before = snapshot(scene)
+    with pytest.raises((type(error), RuntimeError)) as caught:
+        scene.fix(marker)
+    assert str(error) in str(caught.value)
+    assert snapshot(scene) == before
