@@ -25,6 +25,7 @@ from crms_fenicsx import (
     meshes,
 )
 from crms_fenicsx.cables.cable import polyline_length
+from crms_fenicsx.compat import geometry_dofmap
 from crms_fenicsx.minimizer import Minimizer, Outcome
 from crms_fenicsx.potential import Potential
 from crms_fenicsx.system import System
@@ -442,7 +443,7 @@ def test_a_floor_under_a_cable(free_mesh: meshes.MembraneMesh) -> None:
 def test_two_materials_equal_their_own_strips() -> None:
     """Two strips in series: the same force in both, so strains as the moduli say."""
     mesh = meshes.rectangle(MPI.COMM_SELF, 4.0, 1.0, 0.5, structured=True).mesh
-    x, cells = mesh.geometry.x, mesh.geometry.dofmap
+    x, cells = mesh.geometry.x, geometry_dofmap(mesh)
     right = np.flatnonzero(x[cells].mean(axis=1)[:, 0] > 2.0)
     left = np.setdiff1d(np.arange(len(cells)), right)
     ends = {
