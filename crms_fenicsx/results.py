@@ -75,11 +75,13 @@ def membrane_results(system: System) -> MembraneResults:
     values = membrane.cell_results()
     n = len(values)
     folded = np.zeros(n, dtype=bool)
-    if system.tables is not None and len(system.tables.folded.cells):
-        system.potential.sum_up()  # which leaves the folded cells' values behind
+    if system.tables is not None:
+        # It leaves the folded cells' values behind, and is collective: ranks without any join in.
+        system.potential.sum_up()
         cells = system.tables.folded.cells
-        values[cells] = system.folds.cell_results()
-        folded[cells] = True
+        if len(cells):
+            values[cells] = system.folds.cell_results()
+            folded[cells] = True
     E = _symmetric(values[:, 0], values[:, 1], values[:, 2] / 2)
     S = _symmetric(values[:, 3], values[:, 4], values[:, 5])
 

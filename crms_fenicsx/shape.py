@@ -51,12 +51,16 @@ class CurrentSurface:
         Corners as rows of `points`, oriented as the membrane.
     parents : (m,)
         Local number of the cell that each triangle is, or is a part of.
+    inner : (h, 2)
+        Sides of triangles as rows of `points` that are neither edges of the mesh nor folds: they
+        cut a piece of a folded cell into triangles.
     """
 
     points: Array
     stress_free: Array
     triangles: Integers
     parents: Integers
+    inner: Integers
 
 
 def folded_shape(scene: Scene) -> FoldedShape:
@@ -97,12 +101,18 @@ def current_surface(scene: Scene) -> CurrentSurface:
     plain = np.setdiff1d(np.arange(n), shape.cells)
     triangles = [np.asarray(scene.V.dofmap.list[plain], dtype=np.int64)]
     parents = [plain]
+    inner: list[Integers] = [np.empty((0, 2), dtype=np.int64)]
     for cell, corners in shape.pieces:
         fan = best_fan(shape.points, corners)
         triangles.append(fan)
         parents.append(np.full(len(fan), cell))
+        inner.append(fan[1:, :2])
     return CurrentSurface(
-        shape.points, shape.stress_free, np.concatenate(triangles), np.concatenate(parents)
+        shape.points,
+        shape.stress_free,
+        np.concatenate(triangles),
+        np.concatenate(parents),
+        np.concatenate(inner),
     )
 
 

@@ -169,16 +169,18 @@ class Solver:
         return reactions(self.system, where)
 
     def draw(self, filename: str | FilePath, *, colour: str | None = None, **options: Any) -> None:
-        """Draw the scene as it is, its cables coloured by their tension. Collective.
+        """Draw the scene as it is, and say or colour the cables' tensions. Collective.
 
         Parameters
         ----------
         filename
             Picture to write; its suffix (.png, .pdf, .svg ...) says the format.
         colour
-            None, "stress", "stress 2", "strain", "state" or "displacement".
+            None, "height", "displacement", "stress", "stress 2", "strain" or "state".
         **options
-            As for `crms_fenicsx.output.draw_shape`: ``view``, ``title``, ``label``, ``unit`` ...
+            ``unit`` and ``force``, the names of the units of length and force; ``ghost=True`` to
+            show the stress-free shape; and as for `crms_fenicsx.output.draw_shape`: ``view``,
+            ``box``, ``title``, ``limits`` ...
 
         Raises
         ------
@@ -204,7 +206,8 @@ class Solver:
         panels
             Columns of `history` that share a panel; a choice by default.
         **options
-            As for `crms_fenicsx.output.draw_history`: ``units``, ``title`` ...
+            ``unit`` and ``force``, the names of the units of length and force; and as for
+            `crms_fenicsx.output.draw_history`: ``units``, ``title`` ...
 
         Raises
         ------

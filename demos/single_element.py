@@ -18,7 +18,7 @@ PATH = [(-20.0, 30.0, 0.0), (90.0, 24.0, 0.0)]  # both ends are anchors beside t
 STEPS = 6
 RESULTS = "results/single_element"
 
-tracks = []
+tracks, cables, tensions = [], [], []
 for name, lift in (("up", 12.0), ("down", -12.0)):
     mesh = meshes.from_arrays(
         MPI.COMM_WORLD, CORNERS, [(0, 1, 2)], point_groups={"corners": [0, 1, 2]}
@@ -28,28 +28,37 @@ for name, lift in (("up", 12.0), ("down", -12.0)):
     cable = scene.lay_cable(Cable(EA=32000.0), path=PATH)
     solver = Solver(scene, results=f"{RESULTS}/{name}")
 
-    nodes = [cable.positions[1:3].copy()]
+    positions = [cable.positions.copy()]
     for _ in range(STEPS):
         solver.advance(move={cable: (0.0, 0.0, lift / STEPS)})
-        nodes.append(cable.positions[1:3].copy())
-    track = np.array(nodes)
-    tracks += [Line(track[:, k], name=f"node {k + 2}, {name}") for k in (0, 1)]
-    solver.draw(f"{RESULTS}/{name}.png", colour="stress", title=f"Ends moved {name} by 12 cm")
-    if scene.comm.rank == 0:
-        print(f"ends moved {name} by 12 cm: tension {cable.tension:.3f} kgf, sliding nodes at")
-        print(np.array2string(track[-1], precision=4))
-
-    # The element is flat at the start, so that both ways are mirror images.
-    np.testing.assert_allclose(tracks[0].points * (1, 1, np.sign(lift)), tracks[-2].points)
+        positions.append(cable.positions.copy())
+    nodes = np.array(positions)[:, 1:3]
+    tracks += [Line(nodes[:, k], name=f"node {k + 2}, {name}") for k in (0, 1)]
+    cables.append(Line(positions[-1]))
+    tensions.append(cable.tension)
+    solver.draw(
+        f"{RESULTS}/{name}.png", title=f"Cable ends moved {name} by 12 cm", colour="stress",
+        ghost=True, view=(-60.0, 20.0), unit="cm", force="kgf",
+    )  # fmt: skip
 
 if MPI.COMM_WORLD.rank == 0:
-    corners = np.column_stack([CORNERS, np.zeros(3)])
     draw_path(
-        f"{RESULTS}/sliding_nodes.png",
-        tracks[2:],
-        points=corners,
-        triangles=np.array([(0, 1, 2)]),
-        unit="cm",
-        title="Sliding nodes in plan, step by step",
-        zoom=True,
-    )
+        f"{RESULTS}/sliding_nodes.png", tracks, lines=cables,
+        points=np.column_stack([CORNERS, np.zeros(3)]), triangles=[(0, 1, 2)],
+        view=(-60.0, 20.0), closeups={"node 2 in plan": [0, 2], "node 3 in plan": [1, 3]},
+        title="The sliding nodes, step by step", unit="cm", width=9.0,
+    )  # fmt: skip
+    for name, tension, node_2, node_3 in zip(
+        ("up", "down"), tensions, tracks[::2], tracks[1::2], strict=True
+    ):
+        print(f"ends moved {name} by 12 cm: tension {tension:.3f} kgf")
+        print(f"  node 2 at {np.round(node_2.points[-1], 4)}, node 3 at", end=" ")
+        print(np.round(node_3.points[-1], 4))
+
+# Measured by this program; the six unknowns have no mesh to refine.
+np.testing.assert_allclose(tensions, 102.3595, rtol=1e-6)
+np.testing.assert_allclose(tracks[0].points[-1], [11.8361, 28.4117, 8.3503], atol=1e-4)
+np.testing.assert_allclose(tracks[1].points[-1], [49.8790, 26.3681, 8.6131], atol=1e-4)
+# The element is flat at the start, so that down is the mirror image of up.
+for up, down in zip(tracks[:2], tracks[2:], strict=True):
+    np.testing.assert_allclose(up.points * (1, 1, -1), down.points, atol=1e-6)

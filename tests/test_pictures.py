@@ -10,10 +10,22 @@ import pytest
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.errors import InputError
-from crms_fenicsx.output import History, Line, draw_history, draw_path, draw_shape
+from crms_fenicsx.output import (
+    History,
+    Line,
+    draw_history,
+    draw_path,
+    draw_shape,
+    join_pictures,
+)
 from crms_fenicsx.output.camera import Camera, brightness, visible
-from crms_fenicsx.output.pictures import _outline, _subdivided
+from crms_fenicsx.output.paths import _told_apart
+from crms_fenicsx.output.pictures import _among, _outline, _subdivided
+from crms_fenicsx.output.scales import common_value, in_words, limits_of
+from crms_fenicsx.output.scene_pictures import default_panels, units
+from crms_fenicsx.shape import current_surface
 
 Array = NDArray[np.float64]
 
@@ -135,6 +147,85 @@ def test_the_same_picture_in_any_unit(tmp_path: Path) -> None:
         assert np.abs(image - images[0]).mean() < 2e-3
 
 
+def test_a_colour_bar_where_values_differ_and_words_where_they_do_not(tmp_path: Path) -> None:
+    points, triangles = grid(4)
+    file = tmp_path / "bars.png"
+
+    def width(tensions: list[float], **options: Any) -> int:
+        lines = [
+            Line([[10, y, 1.0], [60, y, 1.0]], {"tension": tension})
+            for y, tension in zip((30, 70), tensions, strict=True)
+        ]
+        draw_shape(
+            file, points, triangles, lines, line_values="tension", width=6, dpi=50, **options
+        )  # fmt: skip
+        h, w = pixels(file).shape[:2]
+        shade = pixels(file)[h // 4 : 3 * h // 4, -int(0.2 * w) :]
+        return int((np.ptp(shade, axis=-1) > 0.4).sum())  # colourful, where bars stand
+
+    assert width([250.0, 250.01]) == 0
+    assert width([250.0, 100.0]) > 100
+    assert width([250.0, 250.0], line_limits=(0.0, 300.0)) > 100
+
+
+def test_a_box_gives_pictures_the_same_view_and_ends_lines(tmp_path: Path) -> None:
+    points, triangles = grid(6)
+    box = ((-10.0, -10.0, -10.0), (110.0, 110.0, 10.0))
+    counts, shapes = [], []
+    for reach in (10.0, 500.0):
+        cable = Line([[-reach, 50, 2], [100 + reach, 50, 2]])
+        for number, some in enumerate((box, True)):
+            file = tmp_path / f"{number}.png"
+            draw_shape(file, points, triangles, [cable], box=some, width=5, dpi=60)
+            counts.append(red(file))
+        shapes.append(pixels(tmp_path / "0.png"))
+    assert shapes[0].shape == shapes[1].shape
+    assert np.abs(shapes[0] - shapes[1]).mean() < 1e-3
+    assert counts[2] == pytest.approx(counts[0], rel=0.02)  # in the box
+    assert abs(counts[3] - counts[1]) > 0.05 * counts[1]  # without it, the long cable has another
+
+
+def test_hidden_edges_are_not_drawn(tmp_path: Path) -> None:
+    square = np.array([[0, 0, 0], [100, 0, 0], [100, 100, 0], [0, 100, 0.0]])
+    triangles = np.array([[0, 1, 2], [0, 2, 3]])
+    darkest = {}
+    for name, hidden in (("shown", None), ("hidden", [[2, 0]])):
+        file = tmp_path / f"{name}.png"
+        draw_shape(file, square, triangles, view=(-90, 90), hidden=hidden, box=False, dpi=100)
+        image = pixels(file).mean(axis=-1)
+        h, w = image.shape
+        darkest[name] = image[int(0.4 * h) : int(0.6 * h), int(0.4 * w) : int(0.6 * w)].min()
+    assert darkest["shown"] < darkest["hidden"] - 0.1
+
+
+def test_joined_pictures_stand_side_by_side(tmp_path: Path) -> None:
+    from matplotlib.image import imsave
+
+    red_one, blue = np.zeros((20, 30, 3)), np.zeros((10, 40, 3))
+    red_one[..., 0], blue[..., 2] = 1.0, 1.0
+    names = [tmp_path / "red.png", tmp_path / "blue.png"]
+    for name, image in zip(names, (red_one, blue), strict=True):
+        imsave(name, image)
+    join_pictures(tmp_path / "row.png", names)
+    row = pixels(tmp_path / "row.png")
+    assert row.shape == (20, 70, 3)
+    np.testing.assert_array_equal(row[:, :30], red_one)
+    np.testing.assert_array_equal(row[:10, 30:], blue)
+    np.testing.assert_array_equal(row[10:, 30:], 1.0)
+    join_pictures(tmp_path / "column.png", names, upright=True)
+    assert pixels(tmp_path / "column.png").shape == (30, 40, 3)
+    (tmp_path / "text.png").write_text("no picture")
+    for pictures, message in (
+        ([], "no pictures"),
+        (["a.jpg"], "only .png"),
+    ):
+        with pytest.raises(InputError, match=message):
+            join_pictures(tmp_path / "never.png", pictures)
+    for broken in ("text.png", "missing.png"):
+        with pytest.raises(InputError, match="cannot be read"):
+            join_pictures(tmp_path / "never.png", [tmp_path / broken])
+
+
 def test_vector_formats_and_folders(tmp_path: Path) -> None:
     points, triangles = grid(2)
     draw_shape(tmp_path / "new" / "shape.pdf", points, triangles)
@@ -166,6 +257,7 @@ def test_perspective_keeps_planes_plane_and_near_things_large() -> None:
     a, b, c = np.moveaxis(camera.project(corners), 1, 0)
     volume = np.einsum("mi,mi->m", np.cross(b - a, c - a), camera.project(inside) - a)
     assert np.abs(volume).max() < 1e-14
+    np.testing.assert_allclose(camera.place(camera.project(corners)), corners, atol=1e-14)
     towards, up = camera.axes[2], camera.axes[1]
     near, far = camera.project([towards + up, up - towards])
     assert near[1] > 1.0 > far[1]
@@ -231,6 +323,91 @@ def test_outline_counts_vertices_at_one_place_once() -> None:
         assert np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).sum() == pytest.approx(400.0)
 
 
+def test_which_sides_are_among_pairs() -> None:
+    rng = np.random.default_rng(3)
+    triangles = np.array([rng.choice(9, 3, replace=False) for _ in range(40)])
+    pairs = np.array([rng.choice(9, 2, replace=False) for _ in range(6)])
+    wanted = {frozenset(pair) for pair in pairs.tolist()}
+    slow = [[frozenset((t[k], t[(k + 1) % 3])) in wanted for k in range(3)] for t in triangles]
+    np.testing.assert_array_equal(_among(triangles, pairs), slow)
+    assert 0.05 < np.mean(slow) < 0.5
+    assert not _among(triangles, np.empty((0, 2), dtype=np.int64)).any()
+
+
+# ---- colours and words ---------------------------------------------------------------------
+
+
+def test_values_that_are_the_same_are_told_in_words() -> None:
+    assert common_value(np.array([250.0, np.nan, 250.02])) == pytest.approx(250.01)
+    assert common_value(np.zeros(3)) == 0.0
+    assert common_value(np.array([1.0, 1.01])) is None
+    assert common_value(np.array([np.nan])) is None
+    assert in_words("tension [kgf]", 249.97) == "tension 250 kgf"
+    assert in_words("tension", 1.0625) == "tension 1.062"
+    assert in_words("", 3.0) == "3"
+
+
+def test_ends_of_the_colours() -> None:
+    for values, ends in (
+        ([10.0, 100.0], (0.0, 100.0)),  # 0 is near
+        ([90.0, 100.0], (90.0, 100.0)),
+        ([-100.0, -10.0], (-100.0, 0.0)),
+        ([-5.0, 100.0], (-5.0, 100.0)),
+        ([2.0, 2.0], (1.9, 2.1)),
+        ([0.0, 0.0], (-1.0, 1.0)),
+        ([np.nan], (0.0, 1.0)),
+    ):
+        assert limits_of(np.array(values)) == pytest.approx(ends)
+
+
+def test_units_follow_from_those_of_length_and_force() -> None:
+    both = units("cm", "kgf")
+    assert both["stress"] == "kgf/cm"
+    assert both["pressure"] == "kgf/cm²"
+    assert both["energy"] == "kgf cm"
+    assert units("m", "") == {"length": "m", "L0": "m", "volume": "m³"}
+    assert units("", "") == {}
+
+
+# ---- scenes ----------------------------------------------------------------------------------
+
+
+def tightened(comm: MPI.Intracomm, results: Path | None = None) -> Solver:
+    """Return a single triangle that a cable has folded."""
+    corners = [(0.0, 0.0), (25.0, 60.0), (70.0, 0.0)]
+    mesh = meshes.from_arrays(comm, corners, [(0, 1, 2)], point_groups={"corners": [0, 1, 2]})
+    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
+    scene.fix("corners")
+    cable = scene.lay_cable(Cable(EA=32000.0), path=[(-20.0, 30.0, 0.0), (90.0, 24.0, 0.0)])
+    solver = Solver(scene, results=results)
+    solver.advance(move={cable: (0.0, 0.0, 4.0)})
+    return solver
+
+
+def test_a_scene_is_drawn_by_all_ranks_together(comm: MPI.Intracomm, tmp_path: Path) -> None:
+    """With more than one rank, some have no cell."""
+    folder = comm.bcast(tmp_path)
+    solver = tightened(comm, folder)
+    for colour in ("height", "displacement", "stress", "stress 2", "strain", "state", None):
+        file = folder / f"{colour}.png"
+        solver.draw(file, colour=colour, ghost=True, unit="cm", force="kgf", width=5, dpi=40)
+        if comm.rank == 0:
+            assert red(file) > 30
+    with pytest.raises(InputError, match="'heat' is not known; use one of"):
+        solver.draw(folder / "never.png", colour="heat")
+
+
+def test_a_quadrilateral_s_diagonal_is_no_edge(comm: MPI.Intracomm) -> None:
+    surface = current_surface(tightened(comm).scene)
+    assert comm.allreduce(len(surface.triangles)) == 3
+    assert comm.allreduce(len(surface.inner)) == 1
+    if len(surface.inner):
+        sharing = [set(surface.inner[0]) <= set(triangle) for triangle in surface.triangles]
+        assert sum(sharing) == 2
+        fold = {3, 4}  # the cable's points come after the three vertices
+        assert set(surface.inner[0]) != fold
+
+
 # ---- plots -----------------------------------------------------------------------------------
 
 
@@ -263,12 +440,31 @@ def test_which_columns_share_a_panel_and_what_they_are_called() -> None:
     assert _with_unit("energy", "energy", units) == "energy"
 
 
-def test_paths_in_plan_and_in_space(tmp_path: Path) -> None:
+def test_default_panels_show_what_changes_and_can_be_seen() -> None:
+    history = History(None, MPI.COMM_SELF)
+    for step in range(3):
+        late = {"L0 cable 1": 7.0, "tension cable 1": 10.0 * step} if step else {}
+        history.append(
+            {"step": step, "pressure": 2.0, "energy": 100.0 * step, "energy penalty": 0.1 * step}
+            | {"energy membrane": -50.0 * step}
+            | late
+        )  # fmt: skip
+    assert default_panels(history) == [["tension cable 1"], ["energy", "energy membrane"]]
+    single = History(None, MPI.COMM_SELF)
+    single.append({"step": 1, "pressure": 2.0, "L0 a": 7.0, "energy": 0.0})
+    assert default_panels(single) == [["pressure"], ["L0 a"]]
+
+
+def test_paths_in_plan_in_space_and_closely(tmp_path: Path) -> None:
     steps = np.linspace(0, 1, 12)[:, None]
     paths = [Line([20, 40, 0] + steps * [8, 16, -6], name="fold point 2")]
     paths.append(Line([75, 33, 0] + steps * [-9, 14, 0]))
     inked = []
-    choices: list[dict[str, Any]] = [{}, {"view": (-60, 30)}, {"zoom": True, "title": "near"}]
+    choices: list[dict[str, Any]] = [
+        {},
+        {"view": (-60, 30)},
+        {"closeups": {"first": [0], "both": [0, 1]}, "width": 8.8, "title": "near"},
+    ]
     for number, options in enumerate(choices):
         file = tmp_path / f"{number}.png"
         draw_path(
@@ -280,7 +476,11 @@ def test_paths_in_plan_and_in_space(tmp_path: Path) -> None:
         assert blue > 30
         assert int(((r > 0.7) & (g < 0.5) & (b < 0.2)).sum()) > 30
         inked.append(blue)
-    assert inked[2] > 1.3 * inked[0]  # zooming makes the paths longer
+    assert inked[2] > 1.3 * inked[0]  # the close-ups repeat the paths
+    assert _told_apart(np.array([[0.0, 0], [1, 0], [5, 0], [6, 0]]), 2.0) == [0, 3]
+    for wrong in ([2], []):
+        with pytest.raises(InputError, match="close-up 'x' of the paths"):
+            draw_path(tmp_path / "never.png", paths, closeups={"x": wrong})
 
 
 # ---- bad input -------------------------------------------------------------------------------
@@ -298,6 +498,9 @@ def test_bad_input(tmp_path: Path) -> None:
         ((points, triangles), {"values": points[:, 0], "colours": "no"}, "no colour map 'no'"),
         ((points, triangles), {"view": (np.nan, 30)}, "view"),
         ((points[:0], triangles[:0]), {}, "nothing to draw"),
+        ((points, triangles), {"box": ((0, 0, 0), (1, 1, 0))}, "must be the lower one"),
+        ((points, triangles), {"hidden": [[0, 9]]}, "vertices 0 to 9"),
+        ((points, triangles), {"hidden": [0, 1]}, r"shape \(2,\)"),
     ):
         with pytest.raises(InputError, match=message):
             draw_shape(file, *arguments, **options)
@@ -334,7 +537,7 @@ def test_drawing_works_without_pyplot_and_its_global_state(
 def test_importing_loads_no_optional_package() -> None:
     code = (
         "import sys, crms_fenicsx.output, crms_fenicsx.progress; "
-        "print([m for m in ('matplotlib', 'meshio', 'tqdm', 'gmsh') if m in sys.modules])"
+        "print([m for m in ('gmsh', 'matplotlib', 'meshio', 'tqdm') if m in sys.modules])"
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"

@@ -47,6 +47,10 @@ class Camera:
         seen = (np.asarray(points, dtype=np.float64) - np.asarray(self.centre)) @ self.axes.T
         return seen / (1.0 - seen[..., 2:] / self.distance)
 
+    def place(self, seen: Floats) -> Floats:
+        """Return the (..., 3) points whose projections are given: the inverse of `project`."""
+        return seen / (1.0 + seen[..., 2:] / self.distance) @ self.axes + np.asarray(self.centre)
+
 
 def brightness(camera: Camera, corners: Floats) -> tuple[Floats, Floats]:
     """Return the diffuse and the specular light, each 0 to 1, on triangles of (m, 3, 3) corners.

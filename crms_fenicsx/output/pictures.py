@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from crms_fenicsx.errors import InputError
 from crms_fenicsx.output.camera import Camera, brightness, visible
-from crms_fenicsx.output.shapes import Line, Surface
+from crms_fenicsx.output.scales import NO_VALUE, common_value, in_words, mappable
+from crms_fenicsx.output.shapes import Line, Surface, checked_points
 from crms_fenicsx.output.stage import (
     INK,
     Stage,
@@ -54,7 +55,8 @@ def draw_shape(
     perspective: bool = True,
     ghost: tuple[ArrayLike, ArrayLike] | None = None,
     edges: bool = True,
-    box: bool = True,
+    hidden: ArrayLike | None = None,
+    box: bool | tuple[ArrayLike, ArrayLike] = True,
     width: float = 8.0,
     dpi: int = 200,
 ) -> None:
@@ -74,15 +76,17 @@ def draw_shape(
     values : (n,) or (m,) array, optional
         Colours by value, per vertex or per triangle; NaN is grey. Without it, plain fabric.
     label : str
-        Of the values' colour bar, with its unit.
+        Of the values' colour bar, with its unit in brackets. Values that are all the same get no
+        bar: the surface is painted plainly, and a legend tells the value.
     limits : (low, high), optional
-        Ends of the colours; by default the values' own.
+        Ends of the colours; by default those of the values, or 0 if that is near. With limits
+        there is always a bar.
     colours : str
         Name of a matplotlib colour map.
     line_values : str, optional
         Name of the lines' data that colour them ("tension"), with a colour bar of its own.
     line_label, line_limits, line_colours
-        As those of the surface.
+        As those of the surface; lines with the same value are painted in one colour.
     show_names : bool
         Write each line's name beside it.
     title : str
@@ -96,8 +100,12 @@ def draw_shape(
         A second shape, such as the reference, drawn faintly.
     edges : bool
         Draw the edges of the triangles where these are large enough.
-    box : bool
-        Draw the box with its ticks.
+    hidden : (h, 2) array of int, optional
+        Pairs of vertices; edges between them are not drawn, such as those that cut a polygon
+        into triangles.
+    box : bool or (low, high)
+        Draw the box with its ticks; or the box's lowest and highest corner, which pictures to
+        compare should share. Lines end where they leave such a box.
     width : float
         The picture's, in inches; its height follows from the shape's.
     dpi : int
@@ -119,29 +127,43 @@ def draw_shape(
     if len(np.asarray(surface.points)) == 0 and not lines:
         raise InputError("nothing to draw: no points and no lines; give one of them")
     check_view(view)
+    corners = None if isinstance(box, bool) else _checked_box(box)
+    inner = _checked_hidden(hidden, surface)
     path = checked_filename(filename)
 
     spatial = np.asarray(surface.points)[np.asarray(surface.triangles)]
     shapes = [spatial, *(np.asarray(line.points) for line in lines)]
     if faint is not None:
         shapes.append(np.asarray(faint.points)[np.asarray(faint.triangles)])
-    low, high = bounds(shapes)
+    low, high = bounds(shapes) if corners is None else corners
     size = float(np.linalg.norm(high - low))
     near = perspective and abs(view[1]) < 85.0  # a plan is parallel, or it cannot be measured
     camera = Camera(*view, 0.5 * (low + high), 3.5 * size if near else np.inf)
-    bars = (values is not None) + (line_values is not None)
-    stage = Stage(camera, low, high, title, bars, width)
-    if box:
+
+    paint, note = _paint(values, label, limits, colours, _FABRIC)
+    of_lines = [np.asarray(line.data[line_values]) for line in lines] if line_values else []
+    every = np.concatenate([array.ravel() for array in of_lines]) if line_values else None
+    line_paint, line_note = _paint(
+        every, line_label or line_values or "", line_limits, line_colours, _CABLE
+    )
+    bars = [(m, text) for m, text in ((paint, label), (line_paint, line_label or line_values)) if m]
+    stage = Stage(camera, low, high, title, len(bars), width)
+    for place, (scale, text) in enumerate(bars):
+        stage.add_bar(scale, text or "", place)
+    if line_note:
+        line_note = f"{_called(lines)}{line_note}"
+    stage.add_legend([(_FABRIC, note, False), (_CABLE, line_note, True)])
+    if box is not False:
         stage.draw_box(unit)
 
     flat = camera.project(spatial)
+    face_colours = np.tile(_FABRIC, (len(flat), 1))
     if values is not None:
-        mappable = _mappable(colours, values, limits)
-        face_colours = mappable.to_rgba(values)[:, :3]
-        stage.add_bar(mappable, label, 0)
-    else:
-        face_colours = np.tile(_FABRIC, (len(flat), 1))
-    _paint_triangles(stage, spatial, flat, face_colours, faint, edges)
+        face_colours[~np.isfinite(values)] = NO_VALUE
+        face_colours = face_colours if paint is None else paint.to_rgba(values)[:, :3]
+    shown = np.ones((len(flat), 3), dtype=bool) if edges else np.zeros((len(flat), 3), dtype=bool)
+    shown &= ~_among(np.asarray(surface.triangles), inner)
+    _paint_triangles(stage, spatial, flat, face_colours, faint, shown)
 
     tolerance = _ON_SURFACE * size
     outline = _outline(np.asarray(surface.points), np.asarray(surface.triangles))
@@ -149,15 +171,66 @@ def draw_shape(
     if faint is not None:
         rim = _outline(np.asarray(faint.points), np.asarray(faint.triangles))
         _paint_outline(stage, rim, flat[:0], tolerance, colour=(*_GHOST, 0.6))
-    if line_values is not None:
-        of_lines = [np.asarray(line.data[line_values]) for line in lines]
-        every = np.concatenate([array.ravel() for array in of_lines])
-        mappable = _mappable(line_colours, every, line_limits)
-        stage.add_bar(mappable, line_label or line_values, bars - 1)
-        _paint_lines(stage, lines, flat, tolerance, of_lines, mappable, show_names)
-    else:
-        _paint_lines(stage, lines, flat, tolerance, None, None, show_names)
+    clip = None if corners is None else (low - 1e-6 * size, high + 1e-6 * size)
+    _paint_lines(stage, lines, flat, tolerance, of_lines, line_paint, show_names, clip)
     stage.save(path, dpi)
+
+
+def _paint(
+    values: Floats | None,
+    label: str,
+    limits: tuple[float, float] | None,
+    colours: str,
+    plain: Any,
+) -> tuple[ScalarMappable | None, str]:
+    """Return the colours of values, or else what a legend says of their common value."""
+    if values is None:
+        return None, ""
+    same = common_value(values) if limits is None else None
+    if same is not None:
+        return None, in_words(label, same)
+    return mappable(colours, values, limits), ""
+
+
+def _called(lines: Sequence[Line]) -> str:
+    if len(lines) > 1:
+        return f"{len(lines)} cables: "
+    return f"{lines[0].name}: " if lines[0].name else ""
+
+
+def _checked_box(box: tuple[ArrayLike, ArrayLike]) -> tuple[Floats, Floats]:
+    if len(box) != 2:
+        raise InputError(f"box {box!r}; give True, False or its corners (low, high)")
+    low, high = checked_points("box corners", np.array(box, dtype=np.float64))
+    if not np.all(low < high):
+        raise InputError(f"box from {low} to {high}: the first corner must be the lower one")
+    return low, high
+
+
+def _checked_hidden(hidden: ArrayLike | None, surface: Surface) -> NDArray[np.int64]:
+    pairs = np.asarray(() if hidden is None else hidden)
+    if pairs.size == 0:
+        return np.empty((0, 2), dtype=np.int64)
+    if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "iu":
+        raise InputError(
+            f"hidden has shape {pairs.shape} and type {pairs.dtype}; give pairs of vertices, (h, 2)"
+        )
+    if not 0 <= pairs.min() <= pairs.max() < len(np.asarray(surface.points)):
+        raise InputError(
+            f"hidden refers to vertices {pairs.min()} to {pairs.max()}, but there are "
+            f"{len(np.asarray(surface.points))} points"
+        )
+    return pairs.astype(np.int64)
+
+
+def _among(triangles: NDArray[np.int64], pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Say which sides of the triangles (corner k to k + 1) are among pairs of vertices, (m, 3)."""
+    if len(triangles) == 0 or len(pairs) == 0:
+        return np.zeros((len(triangles), 3), dtype=bool)
+    n = int(triangles.max()) + 1 + int(pairs.max())
+    sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1), axis=-1)
+    wanted = np.sort(pairs, axis=1)
+    return np.isin(sides[..., 0] * n + sides[..., 1], wanted[:, 0] * n + wanted[:, 1])
 
 
 def _per_triangle(values: ArrayLike | None, surface: Surface) -> Floats | None:
@@ -189,52 +262,46 @@ def _check_line_values(lines: Sequence[Line], name: str | None) -> None:
             )
 
 
-def _mappable(colours: str, values: Floats, limits: tuple[float, float] | None) -> ScalarMappable:
-    from matplotlib import colormaps
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import ListedColormap, Normalize
-
-    finite = values[np.isfinite(values)]
-    if limits is None:
-        limits = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
-        if limits[0] == limits[1]:  # one value: a bar around it
-            margin = 0.05 * abs(limits[0]) or 1.0
-            limits = (limits[0] - margin, limits[1] + margin)
-    # a little white leaves room for the shade, which dark colours would swallow
-    shades = 0.86 * colormaps[colours](np.linspace(0.0, 1.0, 256))[:, :3] + 0.14
-    colormap = ListedColormap(shades)
-    colormap.set_bad("#c8c8c8")
-    return ScalarMappable(Normalize(*limits), colormap)
-
-
 def _paint_triangles(
     stage: Stage,
     spatial: Floats,
     flat: Floats,
     colours: Floats,
     faint: Surface | None,
-    edges: bool,
+    shown: NDArray[np.bool_],
 ) -> None:
+    """Paint the surface and the faint one; `shown` (m, 3) says which sides get an edge."""
     from matplotlib.collections import PolyCollection
 
     diffuse, specular = brightness(stage.camera, spatial)
     faces = colours * (0.44 + 0.62 * diffuse)[:, None] + 0.16 * specular[:, None]
     faces = np.column_stack([np.clip(faces, 0, 1), np.ones(len(faces))])
-    strength = _edge_strength(stage, flat) if edges else 0.0
+    strength = _edge_strength(stage, flat)
+    dark = np.column_stack([faces[:, :3] * (1.0 - 0.45 * strength), faces[:, 3]])
     # without edges of their own, the faces' rims close the seams that antialiasing leaves
-    rims = np.column_stack([faces[:, :3] * (1.0 - 0.45 * strength), faces[:, 3]])
-    thick = np.full(len(faces), 0.25 + 0.2 * strength)
+    rimmed: NDArray[np.bool_] = np.all(shown, axis=1) & (strength > 0)
+    rims = np.where(rimmed[:, None], dark, faces)
+    thick = 0.25 + 0.2 * strength * rimmed
+    polygons = list(flat[..., :2])
+    depth: Floats = np.mean(flat[..., 2], axis=1)
+    # where a side has none, the others come as strokes of their own, right after the face
+    some, side = np.nonzero(shown & ~rimmed[:, None] & (strength > 0))
+    polygons += list(np.stack([flat[some, side, :2], flat[some, (side + 1) % 3, :2]], axis=1))
+    faces, rims = np.concatenate([faces, dark[some]]), np.concatenate([rims, dark[some]])
+    thick = np.concatenate([thick, np.full(len(some), 0.25 + 0.2 * strength)])
+    depth = np.concatenate([depth, depth[some]])
     if faint is not None:
         extra = stage.camera.project(np.asarray(faint.points)[np.asarray(faint.triangles)])
         strength = _edge_strength(stage, extra)
-        flat = np.concatenate([flat, extra])
+        polygons += list(extra[..., :2])
         faces = np.concatenate([faces, np.tile((*_GHOST, 0.10), (len(extra), 1))])
         rims = np.concatenate([rims, np.tile((*_GHOST, 0.5 * strength), (len(extra), 1))])
         thick = np.concatenate([thick, np.full(len(extra), 0.4)])
-    order = np.argsort(flat[..., 2].mean(axis=1), kind="stable")
+        depth = np.concatenate([depth, extra[..., 2].mean(axis=1)])
+    order = np.argsort(depth, kind="stable")
     stage.axes.add_collection(
         PolyCollection(
-            list(flat[order, :, :2]), facecolors=faces[order], edgecolors=rims[order],
+            [polygons[i] for i in order], facecolors=faces[order], edgecolors=rims[order],
             linewidths=thick[order], joinstyle="round", zorder=1,
         )
     )  # fmt: skip
@@ -260,10 +327,12 @@ def _paint_lines(
     lines: Sequence[Line],
     flat: Floats,
     tolerance: float,
-    values: Sequence[Floats] | None,
-    mappable: ScalarMappable | None,
+    values: Sequence[Floats],
+    paint: ScalarMappable | None,
     show_names: bool,
+    clip: tuple[Floats, Floats] | None,
 ) -> None:
+    """Paint what is seen of lines, within a box `clip` if there is one."""
     from matplotlib.collections import LineCollection
     from matplotlib.patheffects import withStroke
 
@@ -272,9 +341,13 @@ def _paint_lines(
     nearness: list[float] = []
     for number, line in enumerate(lines):
         nodes, segment, middle = _subdivided(stage.camera.project(line.points), 2.5 * stage.point)
-        seen = visible(0.5 * (nodes[1:] + nodes[:-1]), flat, tolerance)
+        middles = 0.5 * (nodes[1:] + nodes[:-1])
+        seen = visible(middles, flat, tolerance)
+        if clip is not None:
+            places = stage.camera.place(middles)
+            seen &= np.all((places >= clip[0]) & (places <= clip[1]), axis=1)
         of_piece: Floats = np.zeros(len(segment))
-        if values is not None:
+        if paint is not None:
             given = values[number]
             if given.shape == (len(np.asarray(line.points)),):
                 of_piece = given[segment] + middle * (given[segment + 1] - given[segment])
@@ -300,7 +373,7 @@ def _paint_lines(
         return
     order = np.argsort(nearness, kind="stable")
     paths = [runs[i] for i in order]
-    cores = _CABLE if mappable is None else mappable.to_rgba(np.array(run_values)[order])
+    cores = _CABLE if paint is None else paint.to_rgba(np.array(run_values)[order])
     for zorder, colour, thick in ((3, "#1d1f24", 2.9), (4, cores, 1.7)):
         stage.axes.add_collection(
             LineCollection(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,26 +16,80 @@ from crms_fenicsx.output.pictures import draw_shape
 from crms_fenicsx.output.plots import draw_history
 from crms_fenicsx.output.recorder import cable_lines
 from crms_fenicsx.results import MembraneResults, membrane_results
-from crms_fenicsx.shape import current_surface
+from crms_fenicsx.shape import CurrentSurface, current_surface
 
 if TYPE_CHECKING:
     from crms_fenicsx.system import System
 
 Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
 
-COLOURS: dict[str, tuple[str, Callable[[MembraneResults], Array]]] = {
-    "stress": ("larger section force", lambda results: results.true_forces[:, 0]),
-    "stress 2": ("smaller section force", lambda results: results.true_forces[:, 1]),
-    "strain": ("larger strain", lambda results: results.strains[:, 0]),
-    "state": ("0 slack, 1 wrinkled, 2 taut", lambda results: results.state.astype(float)),
+_SEEN = 0.01
+"""Share of a panel's largest value from which on a column is seen in it."""
+
+
+@dataclass(frozen=True)
+class Colour:
+    """Something that the membrane can be coloured by.
+
+    Attributes
+    ----------
+    label
+        Of the colour bar.
+    unit
+        Key of `units`, or "".
+    values
+        One for each triangle or point, from the surface and the membrane's results.
+    """
+
+    label: str
+    unit: str
+    values: Callable[[CurrentSurface, MembraneResults], Array]
+
+
+COLOURS = {
+    "height": Colour("height", "length", lambda s, r: s.points[:, 2][s.triangles].mean(axis=1)),
+    "displacement": Colour("displacement", "length", lambda s, r: _displacement(s)),
+    "stress": Colour("larger section force", "stress", lambda s, r: r.true_forces[s.parents, 0]),
+    "stress 2": Colour("smaller section force", "stress", lambda s, r: r.true_forces[s.parents, 1]),
+    "strain": Colour("larger strain", "", lambda s, r: r.strains[s.parents, 0]),
+    "state": Colour(
+        "0 slack, 1 wrinkled, 2 taut", "", lambda s, r: r.state[s.parents].astype(np.float64)
+    ),
 }
-"""What `draw_scene` can colour the membrane by: label of the colour bar, values of the cells."""
+"""What `draw_scene` can colour the membrane by."""
+
+
+def units(length: str, force: str) -> dict[str, str]:
+    """Units of the quantities that results hold, as far as those of length and force tell.
+
+    Parameters
+    ----------
+    length, force
+        As they are written, such as "cm" and "kgf"; "" where unknown.
+    """
+    found = {"length": length, "L0": length, "volume": f"{length}³" if length else ""}
+    found |= {"tension": force, "residual": force}
+    if length and force:
+        found |= {
+            "stress": f"{force}/{length}",
+            "pressure": f"{force}/{length}²",
+            "energy": f"{force} {length}",
+        }
+    return {name: unit for name, unit in found.items() if unit}
 
 
 def draw_scene(
-    system: System, filename: str | Path, *, colour: str | None = None, **options: Any
+    system: System,
+    filename: str | Path,
+    *,
+    colour: str | None = None,
+    unit: str = "",
+    force: str = "",
+    ghost: bool = False,
+    **options: Any,
 ) -> None:
-    """Draw the scene as it is, its cables coloured by their tension. Collective.
+    """Draw the scene as it is, and say or colour the cables' tensions. Collective.
 
     Parameters
     ----------
@@ -43,57 +98,82 @@ def draw_scene(
     filename
         Picture to write; its suffix (.png, .pdf, .svg ...) says the format.
     colour
-        What colours the membrane: "stress" and "stress 2" (larger and smaller principal true
-        section force), "strain" (larger principal Green-Lagrange strain), "state",
-        "displacement"; None: plain fabric.
+        What colours the membrane: "height" (z), "displacement", "stress" and "stress 2" (larger
+        and smaller principal true section force), "strain" (larger principal Green-Lagrange
+        strain), "state"; None: plain fabric.
+    unit, force
+        Names of the units of length and force, for labels.
+    ghost
+        Whether to show the stress-free shape, faintly.
     **options
-        As for `crms_fenicsx.output.draw_shape`: ``view``, ``title``, ``label``, ``unit`` ...
+        As for `crms_fenicsx.output.draw_shape`: ``view``, ``box``, ``title``, ``limits`` ...
 
     Raises
     ------
     InputError
         On all ranks: an unknown colour or option, or a file that cannot be written.
     """
-    known = [*COLOURS, "displacement"]
-    if colour is not None and colour not in known:
-        raise InputError(f"draw: colour = {colour!r} is not known; use one of {known} or None.")
+    if colour is not None and colour not in COLOURS:
+        raise InputError(
+            f"draw: colour = {colour!r} is not known; use one of {list(COLOURS)} or None."
+        )
     taken = sorted({"points", "triangles", "lines", "values", "line_values"} & set(options))
     if taken:
         raise InputError(f"draw: {taken} come from the scene; use draw_shape to draw arrays.")
-    scene = system.scene
+    scene, named = system.scene, units(unit, force)
     surface = current_surface(scene)
-    values = None
-    if colour == "displacement":
-        values = np.linalg.norm(surface.points - surface.stress_free, axis=1)
-        options.setdefault("label", "displacement")
-    elif colour is not None:
-        label, of_cells = COLOURS[colour]
-        values = of_cells(membrane_results(system))[surface.parents]
-        options.setdefault("label", label)
+    values: Array = np.empty(0)
+    if colour is not None:
+        chosen = COLOURS[colour]
+        values = chosen.values(surface, membrane_results(system))
+        options.setdefault("label", _labelled(chosen.label, named.get(chosen.unit, "")))
     if colour == "state":
         options.setdefault("limits", (0.0, 2.0))
     if any(cable.taut for cable in scene.cables):
         options |= {"line_values": "tension"}
-        options.setdefault("line_label", "tension")
-    parts = scene.comm.gather((surface.points, surface.triangles, values))
+        options.setdefault("line_label", _labelled("tension", force))
+    cells = scene.V.dofmap.list[: scene.mesh.mesh.topology.index_map(2).size_local]
+    parts = scene.comm.gather((surface, values, cells if ghost else cells[:0]))
     with raised_together(scene.comm):
         if parts is not None:
-            ends = np.cumsum([len(points) for points, _, _ in parts])
-            corners = [t + end - len(p) for (p, t, _), end in zip(parts, ends, strict=True)]
+            ends = np.cumsum([len(part.points) for part, _, _ in parts])
+            starts = [end - len(part.points) for (part, _, _), end in zip(parts, ends, strict=True)]
+            if ghost:
+                free = np.concatenate([part.stress_free for part, _, _ in parts])
+                options |= {"ghost": (free, _numbered([part[2] for part in parts], starts))}
             draw_shape(
                 filename,
-                np.concatenate([points for points, _, _ in parts]),
-                np.concatenate(corners),
+                np.concatenate([part.points for part, _, _ in parts]),
+                _numbered([part.triangles for part, _, _ in parts], starts),
                 cable_lines(scene),
-                values=None if values is None else np.concatenate([part[2] for part in parts]),
+                values=None if colour is None else np.concatenate([part[1] for part in parts]),
+                hidden=_numbered([part.inner for part, _, _ in parts], starts),
+                unit=unit,
                 **options,
             )
+
+
+def _numbered(parts: list[Integers], starts: list[int]) -> Integers:
+    """Join the ranks' vertex numbers; each rank's begin at its start."""
+    return np.concatenate([part + start for part, start in zip(parts, starts, strict=True)])
+
+
+def _displacement(surface: CurrentSurface) -> Array:
+    size: Array = np.linalg.norm(surface.points - surface.stress_free, axis=1)
+    return size[surface.triangles].mean(axis=1)
+
+
+def _labelled(label: str, unit: str) -> str:
+    return f"{label} [{unit}]" if unit else label
 
 
 def draw_scene_history(
     history: History,
     filename: str | Path,
     panels: Sequence[Sequence[str]] | None = None,
+    *,
+    unit: str = "",
+    force: str = "",
     **options: Any,
 ) -> None:
     """Plot a scene's history over its load steps. Collective.
@@ -105,8 +185,9 @@ def draw_scene_history(
     filename
         Picture to write; its suffix says the format.
     panels
-        Columns that share a panel; by default pressure, volume, energies and the cables' tensions
-        and unstressed lengths, as far as there are any.
+        Columns that share a panel; by default those of `default_panels`.
+    unit, force
+        Names of the units of length and force, for labels.
     **options
         As for `crms_fenicsx.output.draw_history`.
 
@@ -118,13 +199,34 @@ def draw_scene_history(
     with raised_together(history.comm):
         if history.comm.rank == 0:
             panels = default_panels(history) if panels is None else panels
-            draw_history(filename, history, panels=panels, **options)
+            named = units(unit, force) | dict(options.pop("units", {}))
+            draw_history(filename, history, panels=panels, units=named, **options)
 
 
 def default_panels(history: History) -> list[list[str]]:
-    """The panels that show a run: what drives it, then what it answers."""
+    """Columns that show a run: what drives it, then what it answers, as far as it changes.
+
+    These are pressure, unstressed lengths, volume, tensions and energies. An energy that would
+    not be seen beside the others is left out.
+    """
     groups = [
         [column for column in history.columns if column == name or column.startswith(f"{name} ")]
         for name in ("pressure", "L0", "volume", "tension", "energy")
     ]
-    return [group for group in groups if any(np.any(history[c] != 0.0) for c in group)]
+    shown = [[c for c in group if _span(history[c]) > 0.0] for group in groups]
+    if not any(shown):  # a single step, say
+        shown = [[c for c in group if np.any(history[c] != 0.0)] for group in groups]
+    largest = [max((_size(history[c]) for c in group), default=0.0) for group in shown]
+    seen = [
+        [c for c in group if _size(history[c]) >= _SEEN * size]
+        for group, size in zip(shown, largest, strict=True)
+    ]
+    return [group for group in seen if group]
+
+
+def _span(values: Array) -> float:
+    return float(np.nanmax(values) - np.nanmin(values))
+
+
+def _size(values: Array) -> float:
+    return float(np.nanmax(np.abs(values)))

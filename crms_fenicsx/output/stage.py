@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +25,8 @@ Floats = NDArray[np.float64]
 INK = "#2b2f36"
 _GRID = "#d3d7dc"
 _WALL = "#f4f5f7"
+APART = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+"""Colours that everybody can tell apart."""
 _SMALL = 8.5
 _POINTS_PER_INCH = 72.0
 
@@ -84,6 +86,10 @@ class Stage:
         How many colour bars stand at the right.
     width : float
         The figure's, in inches.
+    beside : float
+        Width in inches that stays free at the right, of the figure's.
+    tall : float
+        Least height in inches.
 
     Attributes
     ----------
@@ -94,16 +100,24 @@ class Stage:
     """
 
     def __init__(
-        self, camera: Camera, low: Floats, high: Floats, title: str, bars: int, width: float
+        self,
+        camera: Camera,
+        low: Floats,
+        high: Floats,
+        title: str,
+        bars: int,
+        width: float,
+        beside: float = 0.0,
+        tall: float = 2.6,
     ) -> None:
         self.camera, self.low, self.high = camera, low, high
         seen = camera.project(_corners(low, high))[:, :2]
         span = np.maximum(np.ptp(seen, axis=0), 1e-12 * np.ptp(seen))
-        left, right, bottom, top = 0.62, 0.58 + 0.95 * bars, 0.55, 0.42 if title else 0.15
+        left, right, bottom, top = 0.62, 0.58 + 0.95 * bars + beside, 0.55, 0.42 if title else 0.15
         room = np.array([width - left - right, 0.95 * width])
         scale = float((span / room).max())
         height = span[1] / scale + bottom + top
-        height = max(height, 2.6)
+        height = max(height, tall)
         self.point = scale / _POINTS_PER_INCH
         self.figure = new_figure(width, height)
         self._size = np.array([width, height])
@@ -240,6 +254,31 @@ class Stage:
             rotation=rotation, rotation_mode="anchor",
         )  # fmt: skip
         self.axes.plot(*flat.T, color=INK, linewidth=0.9, zorder=0.2)
+
+    def add_legend(self, entries: Sequence[tuple[Any, str, bool]]) -> None:
+        """Say what colours are, in the box's upper right corner.
+
+        Parameters
+        ----------
+        entries : sequence of (colour, text, is a line)
+            Those without a text are left out.
+        """
+        from matplotlib.lines import Line2D
+        from matplotlib.patches import Patch
+
+        handles = [
+            Line2D([], [], color=colour, linewidth=2.2, label=text)
+            if line
+            else Patch(facecolor=colour, edgecolor=INK, linewidth=0.6, label=text)
+            for colour, text, line in entries
+            if text
+        ]
+        if handles:
+            self.axes.legend(
+                handles=handles, loc="upper right", bbox_to_anchor=self.frame(),
+                bbox_transform=self.axes.transData, fontsize=_SMALL + 0.5, labelcolor=INK,
+                framealpha=0.6, edgecolor="none", handlelength=1.6, borderaxespad=0.0,
+            )  # fmt: skip
 
     def add_bar(self, mappable: ScalarMappable, label: str, place: int) -> None:
         """Draw a colour bar at the right, as number `place` from the shape outwards."""

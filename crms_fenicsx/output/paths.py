@@ -1,0 +1,190 @@
+"""Pictures of the ways that points have gone, step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from crms_fenicsx.errors import InputError
+from crms_fenicsx.output.camera import Camera
+from crms_fenicsx.output.shapes import Line, Surface
+from crms_fenicsx.output.stage import APART, INK, Stage, bounds, check_view, checked_filename
+
+Floats = NDArray[np.float64]
+
+_CLOSEUP = 2.3  # inches: a close-up with its labels
+_LABELS = 0.75  # inches of these
+_CABLE = "#8a8f98"
+
+
+def draw_path(
+    filename: str | Path,
+    paths: Sequence[Line],
+    *,
+    points: ArrayLike | None = None,
+    triangles: ArrayLike | None = None,
+    lines: Sequence[Line] = (),
+    view: tuple[float, float] = (-90.0, 90.0),
+    closeups: Mapping[str, Sequence[int]] | None = None,
+    unit: str = "",
+    title: str = "",
+    width: float = 6.5,
+    dpi: int = 180,
+) -> None:
+    """Draw the ways that points have gone, with a marker and a number for each step.
+
+    Made for models of a few triangles: nothing hides anything. Not collective.
+
+    Parameters
+    ----------
+    filename : str or Path
+        Picture to write; its suffix says the format.
+    paths : sequence of Line
+        The positions of a point, step 0 first; the lines' names go into a legend.
+    points, triangles : (n, 3) array of length, (m, 3) array of int, optional
+        Triangles below the paths.
+    lines : sequence of Line
+        Cables, drawn plainly.
+    view : (azimuth, elevation)
+        In degrees; by default the plan.
+    closeups : dict of numbers of paths by title, optional
+        Panels beside the picture that show some paths closely in plan, all at one scale. Where
+        paths coincide, the later ones have smaller markers.
+    unit : str
+        Of length.
+    title : str
+    width, dpi : float, int
+        Width in inches; pixels per inch.
+
+    Raises
+    ------
+    InputError
+        Without paths, for arrays that do not fit together, or a file that cannot be written.
+    """
+    if not paths:
+        raise InputError("no paths to draw; give at least one line of positions")
+    if (points is None) != (triangles is None):
+        raise InputError("points and triangles belong together; give both or neither")
+    ways = [np.asarray(path.checked().points) for path in paths]
+    cables = [np.asarray(line.checked().points) for line in lines]
+    corners = np.empty((0, 3, 3))
+    if points is not None and triangles is not None:
+        surface = Surface(points, triangles).checked()
+        corners = np.asarray(surface.points)[np.asarray(surface.triangles)]
+    for name, numbers in (closeups or {}).items():
+        if len(numbers) == 0 or not all(0 <= number < len(paths) for number in numbers):
+            raise InputError(
+                f"close-up {name!r} of the paths {list(numbers)}; give numbers from 0 to "
+                f"{len(paths) - 1}"
+            )
+    check_view(view)
+    file = checked_filename(filename)
+
+    low, high = bounds([corners, *ways, *cables])
+    size = float(np.linalg.norm(high - low))
+    plan = abs(view[1]) >= 85.0
+    camera = Camera(*view, 0.5 * (low + high), np.inf if plan else 3.5 * size)
+    room = (_CLOSEUP, 0.3 + _CLOSEUP * len(closeups)) if closeups else ()
+    stage = Stage(camera, low, high, title, 0, width, *room)
+    stage.draw_box(unit)
+    flat = camera.project(corners)
+    _draw_below(
+        stage.axes,
+        flat[np.argsort(flat[..., 2].mean(axis=1)), :, :2],
+        [camera.project(cable)[:, :2] for cable in cables],
+    )
+    for number, way in enumerate(ways):
+        at = camera.project(way)[:, :2]
+        steps = [] if closeups else _told_apart(at, 14.0 * stage.point)
+        _draw_way(stage.axes, at, number, 4.5 if len(at) < 20 else 2.5, steps)
+    stage.add_legend(
+        [
+            (APART[number % len(APART)], path.name or f"path {number + 1}", True)
+            for number, path in enumerate(paths)
+            if len(paths) > 1 or path.name
+        ]
+    )
+    if closeups:
+        _add_closeups(stage, ways, closeups, corners[..., :2], unit)
+    stage.save(file, dpi)
+
+
+def _add_closeups(
+    stage: Stage,
+    ways: Sequence[Floats],
+    closeups: Mapping[str, Sequence[int]],
+    corners: Floats,
+    unit: str,
+) -> None:
+    """Draw a panel in plan for each close-up, one below the other, all at one scale."""
+    groups = [[ways[number][:, :2] for number in numbers] for numbers in closeups.values()]
+    lows = np.array([np.min([way.min(axis=0) for way in group], axis=0) for group in groups])
+    highs = np.array([np.max([way.max(axis=0) for way in group], axis=0) for group in groups])
+    half = 0.66 * float((highs - lows).max()) or 0.5
+    width, height = stage.figure.get_size_inches()
+    side = _CLOSEUP - _LABELS
+    for row, (title, numbers) in enumerate(closeups.items()):
+        middle = 0.5 * (lows[row] + highs[row])
+        bottom = height - 0.1 - _CLOSEUP * (row + 1) + 0.5
+        axis = stage.figure.add_axes(
+            ((width - 0.15 - side) / width, bottom / height, side / width, side / height)
+        )
+        axis.set_xlim(middle[0] - half, middle[0] + half)
+        axis.set_ylim(middle[1] - half, middle[1] + half)
+        axis.set_title(title, fontsize=9, color=INK, pad=4)
+        for name, label in (("x", axis.set_xlabel), ("y", axis.set_ylabel)):
+            label(f"{name} [{unit}]" if unit else name, fontsize=8, color=INK, labelpad=2)
+        axis.tick_params(labelsize=7.5, colors=INK, width=0.7, length=3)
+        axis.locator_params(nbins=4)
+        axis.ticklabel_format(useOffset=False)
+        axis.grid(color="#e3e6ea", linewidth=0.6)
+        axis.set_axisbelow(True)
+        _draw_below(axis, corners, [])
+        point = 2.0 * half / side / 72.0
+        for place, number in enumerate(numbers):
+            at = ways[number][:, :2]
+            steps = _told_apart(at, 9.0 * point) if place == 0 else []
+            _draw_way(axis, at, number, max(6.5 - 3.0 * place, 2.0), steps)
+
+
+def _draw_below(axes: Any, triangles: Floats, cables: Sequence[Floats]) -> None:
+    from matplotlib.collections import LineCollection, PolyCollection
+
+    axes.add_collection(
+        PolyCollection(
+            list(triangles), facecolors=(0.80, 0.86, 0.93, 0.55), edgecolors="#5f6b7a",
+            linewidths=0.9, zorder=1,
+        )
+    )  # fmt: skip
+    axes.add_collection(
+        LineCollection(list(cables), colors=_CABLE, linewidths=1.6, capstyle="round", zorder=2)
+    )
+
+
+def _draw_way(axes: Any, at: Floats, number: int, size: float, steps: Sequence[int]) -> None:
+    from matplotlib.patheffects import withStroke
+
+    colour = APART[number % len(APART)]
+    axes.plot(
+        *at.T, color=colour, linewidth=1.4, marker="o", markersize=size, zorder=3,
+        markeredgecolor="white", markeredgewidth=0.6,
+    )  # fmt: skip
+    for step in steps:
+        text = axes.annotate(
+            str(step), at[step], (5, 3), textcoords="offset points", fontsize=7.5, color=INK,
+            zorder=4,
+        )  # fmt: skip
+        text.set_path_effects([withStroke(linewidth=1.8, foreground="white")])
+
+
+def _told_apart(at: Floats, apart: float) -> list[int]:
+    """Return the steps whose numbers have room, the first and the last before the others."""
+    steps: list[int] = []
+    for step in [0, len(at) - 1, *range(len(at) - 2, 0, -1)]:
+        if all(np.linalg.norm(at[step] - at[other]) >= apart for other in steps):
+            steps.append(step)
+    return steps

@@ -1,0 +1,64 @@
+"""Each demo runs as a reader would run it, and leaves what it promises."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from crms_fenicsx.output import History
+
+ROOT = Path(__file__).parents[1]
+PROMISED = {
+    "inflated_square": (["inflated", "tightened", "both", "history"], {".": 10}),
+    "single_element": (["up", "down", "sliding_nodes"], {"up": 6, "down": 6}),
+}
+"""By demo: its pictures, and the folders of its runs with their numbers of steps."""
+
+pytestmark = pytest.mark.skipif(
+    MPI.COMM_WORLD.size > 1, reason="starts processes, which MPI dislikes"
+)
+
+
+def test_every_demo_is_tested() -> None:
+    assert {path.stem for path in (ROOT / "demos").glob("*.py")} == set(PROMISED)
+
+
+@pytest.mark.parametrize("demo", PROMISED)
+def test_demo(demo: str, tmp_path: Path) -> None:
+    import meshio
+    from matplotlib.image import imread
+
+    ran = subprocess.run(
+        [sys.executable, ROOT / "demos" / f"{demo}.py"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stderr
+    assert ran.stderr == ""
+    assert "tension" in ran.stdout
+
+    pictures, runs = PROMISED[demo]
+    results = tmp_path / "results" / demo
+    assert {path.stem for path in results.glob("*.png")} == set(pictures)
+    for name in pictures:
+        image = np.asarray(imread(results / f"{name}.png"), dtype=float)[..., :3]
+        assert min(image.shape[:2]) > 250
+        assert 0.03 < (image < 0.93).any(axis=-1).mean() < 0.9
+    for folder, steps in runs.items():
+        history = History.read(results / folder / "history.csv")
+        assert len(history) == steps
+        assert np.isfinite(history["energy"]).all()
+        for series in ("surface", "cables"):
+            text = (results / folder / f"{series}.pvd").read_text()
+            files = [piece.split('"')[0] for piece in text.split('file="')[1:]]
+            assert files
+            for file in files:
+                assert len(meshio.read(results / folder / file).points) > 0
