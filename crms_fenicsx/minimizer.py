@@ -122,14 +122,15 @@ class InitialHessian:
             blocks, blocks, np.zeros((unknowns.n_owned, 9)), PETSc.InsertMode.ADD
         )
         A.assemble()
-        diagonal = A.getDiagonal()
-        largest = diagonal.max()[1]
-        diagonal.destroy()
-        largest = largest if largest > 0 else 1.0
-        A.shift(self.shift * largest)
         held = unknowns.held[: unknowns.n_owned].copy()
         if unknowns.bounds is not None:
             held |= self._at_bounds()
+        diagonal = A.getDiagonal()
+        free = diagonal.array[~held.ravel()]
+        largest = unknowns.comm.allreduce(float(free.max(initial=0.0)), op=MPI.MAX)
+        diagonal.destroy()
+        largest = largest if largest > 0 else 1.0
+        A.shift(self.shift * largest)
         rows = np.flatnonzero(held) + 3 * unknowns.start
         A.zeroRowsColumns(rows.astype(PETSc.IntType), diag=largest)
         A.setOption(PETSc.Mat.Option.SPD, True)

@@ -33,6 +33,14 @@ def test_length_is_exact_from_eps_on():
     assert slope_over_distance(0.0, 0.0) == turn_coefficient(0.0, 0.0) == 0.0
 
 
+def test_given_points_that_coincide_have_a_distance_and_no_direction():
+    for d in (0.0, 1e-17, 0.2 * EPS):
+        assert smoothed_length(d, -EPS) == d
+        assert slope_over_distance(d, -EPS) == turn_coefficient(d, -EPS) == 0.0
+    assert slope_over_distance(2.0, -EPS) == 0.5
+    assert turn_coefficient(2.0, -EPS) == 0.125
+
+
 def test_length_below_eps_is_the_polynomial():
     for u in (0.0, 0.1, 0.5, 0.99):
         twin = EPS * (-(u**4) / 8 + 3 * u**2 / 4 + 3 / 8)

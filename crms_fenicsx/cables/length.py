@@ -6,7 +6,8 @@ length eps it is replaced by a twice continuously differentiable function that i
 
     l(d) = eps (3/8 + 3/4 u^2 - 1/8 u^4),   u = d/eps < 1.
 
-With eps = 0 it is the distance, without a gradient at d = 0: for segments between held points.
+With a negative eps it is the distance everywhere, without a gradient below |eps|: for segments
+whose ends are given and may coincide.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ import numba
 
 SMOOTHING = 1e-3
 """eps relative to the size of the cells around."""
+COINCIDENT = 1e-9
+"""Distance, relative to the size of the cells around, of given points that are one place."""
 
 
 @numba.njit(cache=True, inline="always")
@@ -31,16 +34,20 @@ def smoothed_length(d: float, eps: float) -> float:
 @numba.njit(cache=True, inline="always")
 def slope_over_distance(d: float, eps: float) -> float:
     """l'(d) / d, so that the gradient is this times the difference of the points (1/length)."""
-    if d >= eps:
+    if d >= abs(eps):
         return 1.0 / d if d > 0.0 else 0.0
+    if eps < 0.0:
+        return 0.0
     return (1.5 - 0.5 * (d / eps) ** 2) / eps
 
 
 @numba.njit(cache=True, inline="always")
 def turn_coefficient(d: float, eps: float) -> float:
     """k in the Hessian ``l'(d)/d I - k r r^T`` of l, r the difference of the points."""
-    if d >= eps:
+    if d >= abs(eps):
         return 1.0 / d**3 if d > 0.0 else 0.0
+    if eps < 0.0:
+        return 0.0
     return 1.0 / eps**3
 
 

@@ -17,7 +17,7 @@ from dolfinx import fem
 
 from crms_fenicsx.cables.cable import LaidCable
 from crms_fenicsx.cables.fold import FoldedCells
-from crms_fenicsx.cables.length import SMOOTHING
+from crms_fenicsx.cables.length import COINCIDENT, SMOOTHING
 from crms_fenicsx.cables.penalty import Kinks
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.cables.volume import Facets, fan_facets, split_polygon
@@ -291,16 +291,17 @@ class Network:
 
     def _link_smoothing(self, link: tuple[int, int, tuple[int, ...] | None], sizes: Array) -> float:
         c, k, on = link
-        nodes = self.cables[c].nodes
-        if not {nodes[k].kind, nodes[k + 1].kind} & {"fold", "vertex"}:
-            return 0.0  # both ends are given: nothing slides together
+        first, second = self.cables[c].nodes[k : k + 2]
         if on is None:
-            point = nodes[k].point or nodes[k + 1].point
-            if nodes[k].kind == "vertex" or nodes[k + 1].kind == "vertex":
-                return 0.0  # the anchor of a vertex end, which may coincide with it
-            on = point.support  # type: ignore[union-attr]
+            point = first.point or second.point
+            assert point is not None, "two anchors in a row"
+            on, slides = point.support, "fold" in (first.kind, second.kind)
+        else:
+            slides = not {first.kind, second.kind} <= {"rider"}
         rows = [r for r in self.strip.rows(on) if self.strip.owner[r] == self.rank]
-        return SMOOTHING * float(min(sizes[self.strip.local[r]] for r in rows))
+        size = float(min(sizes[self.strip.local[r]] for r in rows))
+        # An anchor may lie on the held place next to it: no direction, and none is needed.
+        return SMOOTHING * size if slides else -COINCIDENT * size
 
     def points_by_edge(self, cables: set[int]) -> dict[Edge, list[tuple[float, int, int]]]:
         """Points (fraction, cable, node) on each edge, sorted from its first vertex to its last."""
