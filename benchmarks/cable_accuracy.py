@@ -33,9 +33,7 @@ def main() -> None:
             print(f"{'cells a side':>12}{'T error':>12}{'W error':>12}{'evaluations':>13}{'s':>8}")
         errors = []
         for n in sizes:
-            mesh = meshes.rectangle(
-                MPI.COMM_WORLD, 100.0, 100.0, 100.0 / n, structured=structured
-            )
+            mesh = meshes.rectangle(MPI.COMM_WORLD, 100.0, 100.0, 100.0 / n, structured=structured)
             scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
             scene.fix("boundary")
             cable = scene.lay_cable(Cable(EA=32000.0), [(0, 50), (100, 50)], L0=100.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 import numpy as np
 import numpy.typing as npt
 import ufl
@@ -83,9 +82,7 @@ class StepPressure:
     name = "pressure"
     n_sums = 1
 
-    def __init__(
-        self, u: fem.Function, plain: fem.Function, pressure: fem.Constant
-    ) -> None:
+    def __init__(self, u: fem.Function, plain: fem.Function, pressure: fem.Constant) -> None:
         mesh, V = u.function_space.mesh, u.function_space
         self.pressure = pressure
         self.u = u
@@ -123,5 +120,3 @@ class StepPressure:
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Subtract the step's nodal forces."""
         g[self.blocks] -= float(self.pressure.value) * self._forces.reshape(-1, 3)
-
-

@@ -177,7 +177,7 @@ class OrthotropicMembrane(Membrane):
     G12: float
     nu21: float
     thickness: float
-    warp: Direction = (1.0, 0.0, 0.0)  # type: ignore[assignment]
+    warp: Direction = (1.0, 0.0, 0.0)
     prestress: float | tuple[float, float] = 0.0
 
     def __post_init__(self) -> None:
@@ -199,9 +199,7 @@ class OrthotropicMembrane(Membrane):
         n, m = self.E1 / self.E2, self.G12 / self.E2
         q = 1 - n * self.nu21**2
         factor = self.E2 * self.thickness / q
-        return factor * np.array(
-            [[n, n * self.nu21, 0], [n * self.nu21, 1, 0], [0, 0, m * q]]
-        )
+        return factor * np.array([[n, n * self.nu21, 0], [n * self.nu21, 1, 0], [0, 0, m * q]])
 
     @property
     def law(self) -> int:

@@ -185,9 +185,7 @@ class MembraneEnergy:
             S = S + self.h0_prestress * ufl.Identity(2)
             dv = [ufl.dot(ufl.grad(v), e) for e in kinematics.basis]
             ddu = [ufl.dot(ufl.grad(du), e) for e in kinematics.basis]
-            geometric = sum(
-                S[i, j] * ufl.dot(dv[i], ddu[j]) for i in (0, 1) for j in (0, 1)
-            )
+            geometric = sum(S[i, j] * ufl.dot(dv[i], ddu[j]) for i in (0, 1) for j in (0, 1))
             material_part = law.tangent(a, b)
             if material.law != LINEAR:
                 material_part += self.tangent_floor * law.taut_tangent(a, b)

@@ -6,6 +6,7 @@ not in the list.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Protocol
 
@@ -69,7 +70,7 @@ class Potential:
         ends = np.cumsum([0] + [term.n_sums for term in self.terms])
         self._local_sums = np.zeros(int(ends[-1]))
         self._sums = np.zeros(int(ends[-1]))
-        self._slices = [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        self._slices = [slice(a, b) for a, b in itertools.pairwise(ends)]
         self.evaluations = 0
         self.x[self._blocks] = self._u
 

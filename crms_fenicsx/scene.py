@@ -169,8 +169,8 @@ class Scene:
                 else "folded cells lock and cables come out too tight"
             )
             warnings.warn(
-                f"Scene: penalty = {self.penalty:g} lies outside {lower:g} ... {upper:g}: {happens}; "
-                "give one in this range.",
+                f"Scene: penalty = {self.penalty:g} lies outside {lower:g} ... {upper:g}: "
+                f"{happens}; give one in this range.",
                 PenaltyWarning,
                 stacklevel=3,
             )
@@ -190,7 +190,7 @@ class Scene:
             No such group, or no vertex is marked.
         """
         mesh = self.mesh
-        dofs = np.zeros(0, dtype=np.int32)
+        dofs: npt.NDArray[np.int32] = np.zeros(0, dtype=np.int32)
         with raised_together(self.comm):
             if callable(where):
                 marks = np.asarray(where(self.V.tabulate_dof_coordinates().T))

@@ -475,8 +475,8 @@ class Solver:
                 place = cable.positions[cable.blocked[0]]
                 warnings.warn(
                     f"step {len(self.steps)}: {cable.name!r} has run into {len(cable.blocked)} "
-                    f"mesh vertices, the first at {place}; it cannot slide on into other cells, so that "
-                    "the result is that of a cable blocked there.",
+                    f"mesh vertices, the first at {place}; it cannot slide on into other cells, so "
+                    "that the result is that of a cable blocked there.",
                     PathWarning,
                     stacklevel=3,
                 )

@@ -116,13 +116,15 @@ class System:
         return StepMembraneEnergy(scene.u, scene.materials, scene.cell_tags)
 
     def _pressure_term(self) -> FollowerPressure | StepPressure:
-        if self.pressure is None:
+        term = self.pressure
+        if term is None:
             u, plain, value = self.scene.u, self.membrane.plain, self.pressure_value
             if self.scene.pressure_law == "total":
-                self.pressure = FollowerPressure(u, plain, value, self.origin)
+                term = FollowerPressure(u, plain, value, self.origin)
             else:
-                self.pressure = StepPressure(u, plain, value)
-        return self.pressure
+                term = StepPressure(u, plain, value)
+            self.pressure = term
+        return term
 
     def _cable_terms(self) -> list[Term]:
         """Terms of the cables in tension; the cells that they fold leave the membrane term."""
@@ -144,24 +146,28 @@ class System:
         taut = [cable for cable in self.scene.cables if cable.taut]
         EA, L0 = np.array([c.cable.EA for c in taut]), np.array([c.L0 for c in taut])
         starts = [cable.step_start for cable in taut]
-        if any(starts):
-            self.tension = StepCableTension(
-                tables.segments, tables.eps, tables.cable, EA, L0, starts
-            )
-        else:
-            self.tension = CableTension(tables.segments, tables.eps, tables.cable, EA, L0)
-        return self.tension
+        links = (tables.segments, tables.eps, tables.cable)
+        term = (
+            StepCableTension(*links, EA, L0, starts)
+            if any(starts)
+            else CableTension(*links, EA, L0)
+        )
+        self.tension: CableTension = term
+        return term
 
     def _fold_term(self, folded: FoldedCells) -> FoldEnergy:
         from crms_fenicsx.cables.fold import FoldEnergy
 
+        membrane = self.membrane
         if self.scene.strain_law == "total":
-            self.folds = FoldEnergy(folded, self.membrane.h0_prestress)
+            self.folds = FoldEnergy(folded, membrane.h0_prestress)
         else:
             from crms_fenicsx.cables.step_fold import StepFoldEnergy
+            from crms_fenicsx.incremental import StepMembraneEnergy
 
+            assert isinstance(membrane, StepMembraneEnergy)
             self.folds = StepFoldEnergy(
-                folded, self.membrane.h0_prestress, self.membrane, self._folded_energy
+                folded, membrane.h0_prestress, membrane, self._folded_energy
             )
         return self.folds
 

@@ -67,9 +67,7 @@ class Unknowns:
         starts = np.concatenate([[0], np.cumsum(sizes.sum(axis=1))])
         owners = vertices.owners
         ghosts = np.empty(self.n_local - self.n_owned, dtype=PETSc.IntType)
-        ghosts[: self.n_ghost_vertices] = (
-            vertices.ghosts - vertex_starts[owners] + starts[owners]
-        )
+        ghosts[: self.n_ghost_vertices] = vertices.ghosts - vertex_starts[owners] + starts[owners]
         for k, (owner, index) in enumerate(ghost_points):
             ghosts[self.n_ghost_vertices + k] = starts[owner] + sizes[owner, 0] + index
         self.ghosts = ghosts

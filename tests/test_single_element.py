@@ -18,7 +18,7 @@ from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 
 Array = npt.NDArray[np.float64]
 
-I, J, K = np.array([0.0, 0.0, 0.0]), np.array([25.0, 60.0, 0.0]), np.array([70.0, 0.0, 0.0])
+P_I, P_J, P_K = np.array([0.0, 0.0, 0.0]), np.array([25.0, 60.0, 0.0]), np.array([70.0, 0.0, 0.0])
 A, B = np.array([-20.0, 30.0, 0.0]), np.array([90.0, 24.0, 0.0])
 EA, E, NU, T = 32000.0, 300.0, 0.25, 0.08
 MU = 5.0
@@ -41,8 +41,8 @@ def corner(ik: complex, ij: complex, kj: complex) -> tuple[complex, complex]:
 
 def penalty(p: Array, q: Array, mu: float) -> complex:
     """(2.5-1) with mu = nu."""
-    at_p = angle(I - p, q - p) + angle(J - p, q - p) - np.pi
-    at_q = angle(J - q, p - q) + angle(K - q, p - q) - np.pi
+    at_p = angle(P_I - p, q - p) + angle(P_J - p, q - p) - np.pi
+    at_q = angle(P_J - q, p - q) + angle(P_K - q, p - q) - np.pi
     return mu * at_p**2 + mu * at_q**2
 
 
@@ -59,14 +59,14 @@ class Literal:
     @classmethod
     def start(cls, p: Array, q: Array) -> Literal:
         length = norm(p - A) + norm(q - p) + norm(B - q)
-        return cls(norm(J - I), norm(K - J), length, 0.0, np.zeros(3))
+        return cls(norm(P_J - P_I), norm(P_K - P_J), length, 0.0, np.zeros(3))
 
     def increments(self, x: Array, a: Array, b: Array) -> tuple:
         p, q = x[:3], x[3:]
         delta_ab = norm(p - a) + norm(q - p) + norm(b - q) - self.length  # (2.2-1)
         dT = EA / self.length * delta_ab  # (2.2-2)
-        ik = norm(K - I)
-        r1, r2 = norm(p - I) + norm(J - p), norm(q - K) + norm(J - q)  # (2.3-4, 5)
+        ik = norm(P_K - P_I)
+        r1, r2 = norm(p - P_I) + norm(P_J - p), norm(q - P_K) + norm(P_J - q)  # (2.3-4, 5)
         xj, yj = corner(ik, self.r1, self.r2)
         xj1, yj1 = corner(ik, r1, r2)
         du_j, dv_j = xj1 - xj, yj1 - yj  # (2.3-6, 7); du_k = 0, as i and k are held
@@ -90,27 +90,30 @@ class Literal:
 
 @dataclass
 class Total:
-    """Green-Lagrange strain of the unfolded triangle, W = EA/(2 L0) (L - L0)^2, weighted penalty."""
+    """Green-Lagrange strain of the unfolded triangle, W = EA/(2 L0) (L - L0)^2, weighted
+    penalty."""
 
     L0: float
 
     def parts(self, x: Array, a: Array, b: Array) -> tuple:
         p, q = x[:3], x[3:]
         length = norm(p - a) + norm(q - p) + norm(b - q)
-        xj, yj = corner(norm(K - I), norm(p - I) + norm(J - p), norm(q - K) + norm(J - q))
-        reference = np.array([[K[0], J[0]], [0.0, J[1]]])
-        F = np.array([[K[0], xj], [0.0, yj]]) @ np.linalg.inv(reference)
+        xj, yj = corner(
+            norm(P_K - P_I), norm(p - P_I) + norm(P_J - p), norm(q - P_K) + norm(P_J - q)
+        )
+        reference = np.array([[P_K[0], P_J[0]], [0.0, P_J[1]]])
+        F = np.array([[P_K[0], xj], [0.0, yj]]) @ np.linalg.inv(reference)
         green = (F.T @ F - np.eye(2)) / 2
         return length, np.array([green[0, 0], green[1, 1], 2 * green[0, 1]])
 
     def energy(self, x: Array, a: Array, b: Array) -> complex:
         length, e = self.parts(x, a, b)
-        area = K[0] * J[1] / 2
+        area = P_K[0] * P_J[1] / 2
         p, q = x[:3], x[3:]
-        w_p = 4 * norm(p - I) * norm(J - p) / (norm(p - I) + norm(J - p)) ** 2
-        w_q = 4 * norm(q - J) * norm(K - q) / (norm(q - J) + norm(K - q)) ** 2
-        r_p = angle(I - p, q - p) + angle(J - p, q - p) - np.pi
-        r_q = angle(J - q, p - q) + angle(K - q, p - q) - np.pi
+        w_p = 4 * norm(p - P_I) * norm(P_J - p) / (norm(p - P_I) + norm(P_J - p)) ** 2
+        w_q = 4 * norm(q - P_J) * norm(P_K - q) / (norm(q - P_J) + norm(P_K - q)) ** 2
+        r_p = angle(P_I - p, q - p) + angle(P_J - p, q - p) - np.pi
+        r_q = angle(P_J - q, p - q) + angle(P_K - q, p - q) - np.pi
         bending = 0.1 * E * T * area * ((w_p * r_p) ** 2 + (w_q * r_q) ** 2)
         return EA / (2 * self.L0) * (length - self.L0) ** 2 + 0.5 * e @ D @ e * area + bending
 
@@ -129,10 +132,8 @@ def minimum(energy, x: Array) -> Array:
 
 
 def scene(law: str) -> tuple[Scene, object]:
-    cells, points = [[0, 2, 1]], np.array([I, J, K])
-    mesh = meshes.from_arrays(
-        MPI.COMM_SELF, points, cells, point_groups={"corners": [0, 1, 2]}
-    )
+    cells, points = [[0, 2, 1]], np.array([P_I, P_J, P_K])
+    mesh = meshes.from_arrays(MPI.COMM_SELF, points, cells, point_groups={"corners": [0, 1, 2]})
     material = IsotropicMembrane(E, NU, T, wrinkling=False)
     literal = MU if law == "step" else None
     scene = Scene(mesh, material, strain=law, literal_penalty=literal)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from taylor import gradient_order
@@ -74,7 +76,7 @@ def test_plain_cells_follow_the_equations(comm) -> None:
         X = mesh.geometry.x[geometry_dofmap(mesh)[cell]]
         blocks = f.unknowns.vertex_blocks()[V.dofmap.cell_dofs(cell)]
         stress = np.zeros(3)
-        for old, new in zip(shapes[:-1], shapes[1:], strict=True):
+        for old, new in itertools.pairwise(shapes):
             sides = []
             for x in (old, new):
                 i, k, j = X + x[blocks]

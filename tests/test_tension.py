@@ -11,6 +11,7 @@ from taylor import (
 )
 from term_scene import cable_square, directions, displaced, moved, on_mesh
 
+from crms_fenicsx.cables.cable import StepStart
 from crms_fenicsx.cables.length import (
     add_segment_forces,
     segment_lengths,
@@ -19,7 +20,6 @@ from crms_fenicsx.cables.length import (
     smoothed_length,
     turn_coefficient,
 )
-from crms_fenicsx.cables.cable import StepStart
 from crms_fenicsx.cables.tension import CableTension, StepCableTension
 
 EPS = 0.3

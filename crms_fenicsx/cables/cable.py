@@ -71,7 +71,7 @@ class CableNode:
 
 @dataclass(frozen=True)
 class CableEnd:
-    """One end of a laid cable, as a key for movements: ``solver.advance(move={cable.start: v})``."""
+    """An end of a laid cable, a key for movements: ``solver.advance(move={cable.start: v})``."""
 
     cable: LaidCable = field(repr=False)
     which: Literal["start", "end"]

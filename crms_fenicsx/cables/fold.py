@@ -69,13 +69,15 @@ class FoldedCells:
     def areas(self) -> Array:
         """Stress-free areas, (n,)."""
         a, b = self.side_vectors[:, 0], self.side_vectors[:, 1]
-        return 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+        areas: Array = 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+        return areas
 
     @property
     def strain_maps(self) -> Array:
         """Matrices (n, 3, 3) from changes of the squared sides to (E11, E22, 2 E12)."""
         d1, d2 = self.side_vectors[..., 0], self.side_vectors[..., 1]
-        return np.linalg.inv(np.stack([2 * d1**2, 2 * d2**2, 2 * d1 * d2], axis=-1))
+        rows = np.stack([2 * d1**2, 2 * d2**2, 2 * d1 * d2], axis=-1)
+        return np.asarray(np.linalg.inv(rows), dtype=float)
 
     @property
     def squared_sides(self) -> Array:

@@ -54,7 +54,7 @@ def lay(
     traced = trace(ids, positions, rows, route)
     held = _held_places(scene, strip)
     nodes = _nodes(traced, held)
-    at = dict(zip(ids.tolist(), positions, strict=True))
+    at: dict[int, Array] = {int(vertex): positions[k] for k, vertex in enumerate(ids)}
     places = np.array([_position(node, traced, k, at) for k, node in enumerate(nodes)])
     strip = _used(strip, traced)
     for other in scene.cables:
@@ -101,12 +101,12 @@ def _held_places(scene: Scene, strip: Strip) -> set[tuple[int, ...]]:
     own = np.flatnonzero(strip.owner == scene.comm.rank)
     cells, local = strip.cells[own], strip.local[own]
     vertices = scene.held[scene.V.dofmap.list[local]].all(axis=2)
-    mine: set[tuple[int, ...]] = {(v,) for v in cells[vertices].tolist()}
+    mine: set[tuple[int, ...]] = {(int(v),) for v in cells[vertices]}
     edges = scene.mesh.mesh.topology.connectivity(2, 1)
-    for cell, number in zip(cells.tolist(), local.tolist(), strict=True):
+    for cell, number in zip(cells, local, strict=True):
         for k, edge in enumerate(edges.links(number)):
             if scene.held_edges[edge]:  # edge k lies opposite to vertex k
-                a, b = sorted(cell[:k] + cell[k + 1 :])
+                a, b = sorted(int(vertex) for vertex in np.delete(cell, k))
                 mine.add((a, b))
     return set().union(*scene.comm.allgather(mine))
 

@@ -7,6 +7,7 @@ cables' paths and the strip of crossed cells, so they number alike without commu
 
 from __future__ import annotations
 
+import itertools
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -264,7 +265,7 @@ class Network:
             if cable.taut:
                 cable.fractions[fold] = part[fold, 3]
             close = (cable.fractions < BLOCKED) | (cable.fractions > 1 - BLOCKED)
-            cable.blocked = tuple(np.flatnonzero(fold & close).tolist()) if cable.taut else ()
+            cable.blocked = tuple(int(k) for k in np.flatnonzero(fold & close) if cable.taut)
 
     def tables(self, membrane: MembraneEnergy) -> CableTables:
         """Tables of the cables in tension."""
@@ -379,7 +380,7 @@ class Network:
         strip, rows = self.strip, self._folded_rows(on_edge)
         mesh = self.u.function_space.mesh
         local = strip.local[rows].astype(np.int32)
-        X = mesh.geometry.x[geometry_dofmap(mesh)[local]]
+        X: Array = np.asarray(mesh.geometry.x[geometry_dofmap(mesh)[local]], dtype=float)
         vectors = np.roll(X, -1, axis=1) - X
         axes = membrane.material_axes(local)
         tags = membrane.material_tags(local)
@@ -401,7 +402,7 @@ class Network:
                     sides[edge] = len(side_segments)
                     length = float(np.linalg.norm(vectors[n, k]))
                     own = []
-                    for pair in zip(line[:-1], line[1:], strict=True):
+                    for pair in itertools.pairwise(line):
                         own.append(segments.setdefault(pair, len(segments)))
                         if own[-1] == len(eps):
                             eps.append(SMOOTHING * length if nodes else 0.0)

@@ -148,7 +148,10 @@ class StepFoldEnergy(FoldEnergy):
         a = np.linalg.norm(side, axis=1)
         e = np.sum(side * back, axis=1) / a
         results[:, 3:6] = second_piola(
-            self._after[:, :3], self._after[:, 3:], np.stack([a, e, 2 * self.areas / a], axis=1), side
+            self._after[:, :3],
+            self._after[:, 3:],
+            np.stack([a, e, 2 * self.areas / a], axis=1),
+            side,
         )
         results[:, 6] = 2
         return results

@@ -41,8 +41,8 @@ class Strip:
     def around(self) -> dict[tuple[int, ...], list[int]]:
         """Rows of the cells around each vertex (a,), edge (a, b) and cell (a, b, c), sorted."""
         table: dict[tuple[int, ...], list[int]] = defaultdict(list)
-        for row, cell in enumerate(self.cells.tolist()):
-            a, b, c = sorted(cell)
+        for row in range(len(self.cells)):
+            a, b, c = sorted(int(vertex) for vertex in self.cells[row])
             for key in ((a,), (b,), (c,), (a, b), (a, c), (b, c), (a, b, c)):
                 table[key].append(row)
         return dict(table)

@@ -79,9 +79,7 @@ class CableTension:
         couples all points of a cable; it is left to the quasi-Newton updates.
         """
         forces = np.maximum(self.tensions(sums), 0.0)[self.cable]
-        segment_stiffness(
-            self.unknowns.X, x, self.segments, self.eps, forces, self.pattern.values
-        )
+        segment_stiffness(self.unknowns.X, x, self.segments, self.eps, forces, self.pattern.values)
         self.pattern.add(A, self.unknowns)
 
 

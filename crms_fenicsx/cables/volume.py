@@ -148,9 +148,7 @@ class FoldedFollowerPressure:
         """Subtract the pressure's nodal forces."""
         t, factor = self.table, -float(self.pressure.value)
         if factor != 0.0:
-            _add_volume_gradient(
-                self.unknowns.X, x, t.corners, t.weights, self.origin, factor, g
-            )
+            _add_volume_gradient(self.unknowns.X, x, t.corners, t.weights, self.origin, factor, g)
 
 
 class FoldedStepPressure:
