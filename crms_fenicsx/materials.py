@@ -25,6 +25,10 @@ Direction = tuple[float, float, float] | Callable[[Array], Array]
 LINEAR, TENSION_FIELD = 0, 1
 """Codes of the stress laws, shared with the compiled kernels of the folded cells."""
 
+UNSTRAINED = 1e-12
+"""Strain that is rounding. Where a membrane starts without strain its tangent is that of the taut
+membrane, whatever the signs that rounding gives the strain."""
+
 
 def _check_positive(owner: str, **values: float) -> None:
     for name, value in values.items():
@@ -289,7 +293,9 @@ def law_terms(law: int, E: Any, p: Any) -> LawTerms:
     def tangent(a: Any, b: Any) -> Any:
         stretch = ufl.inner(along, a) * ufl.inner(along, b)
         turn = larger / radius * ufl.inner(across, a) * ufl.inner(across, b)
-        return select(taut_tangent(a, b), Et * (stretch + turn), 0.0)
+        wrinkling = ufl.conditional(wrinkled, Et * (stretch + turn), 0.0)
+        nearly_taut = ufl.ge(smaller + nu * larger, -UNSTRAINED)
+        return ufl.conditional(nearly_taut, taut_tangent(a, b), wrinkling)
 
     return LawTerms(
         energy - ufl.dot(elastic, D * elastic) / 2,

@@ -15,7 +15,7 @@ which is accurate to the rounding of the forces.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +23,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.errors import InputError
+from crms_fenicsx.hessian import InitialHessian, at_bounds
 from crms_fenicsx.potential import Potential
 
 Array = npt.NDArray[np.float64]
@@ -83,71 +84,6 @@ class Outcome:
         )
 
 
-@dataclass
-class InitialHessian:
-    """The sparse matrix H0: stiffness of all terms, held components decoupled.
-
-    Parameters
-    ----------
-    potential
-        Its terms' stiffness is assembled.
-    shift
-        Added to the diagonal, relative to its largest entry.
-    """
-
-    potential: Potential
-    shift: float = 1e-7
-    matrix: PETSc.Mat = field(init=False)
-
-    def __post_init__(self) -> None:
-        unknowns = self.potential.unknowns
-        self.matrix = PETSc.Mat().create(unknowns.comm)
-        self.matrix.setSizes(((3 * unknowns.n_owned, 3 * unknowns.n_global),) * 2)
-        self.matrix.setBlockSize(3)
-        self.matrix.setType(PETSc.Mat.Type.AIJ)
-        lgmap = unknowns.lgmap()
-        self.matrix.setLGMap(lgmap, lgmap)
-        lgmap.destroy()
-        self.matrix.setUp()
-        self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-
-    def rebuild(self) -> None:
-        """Assemble at the potential's current state (its sums must be up to date)."""
-        A, unknowns = self.matrix, self.potential.unknowns
-        A.zeroEntries()
-        self.potential.add_stiffness(A)
-        # Every diagonal entry must exist, also of points that no term touches.
-        blocks = unknowns.matrix_numbers[: unknowns.n_owned, None]
-        A.setValuesBlockedLocalRCV(
-            blocks, blocks, np.zeros((unknowns.n_owned, 9)), PETSc.InsertMode.ADD
-        )
-        A.assemble()
-        held = unknowns.held[: unknowns.n_owned].copy()
-        if unknowns.bounds is not None:
-            held |= self._at_bounds()
-        diagonal = A.getDiagonal()
-        free = diagonal.array[~held.ravel()]
-        largest = unknowns.comm.allreduce(float(free.max(initial=0.0)), op=MPI.MAX)
-        diagonal.destroy()
-        largest = largest if largest > 0 else 1.0
-        A.shift(self.shift * largest)
-        rows = np.flatnonzero(held) + 3 * unknowns.start
-        A.zeroRowsColumns(rows.astype(PETSc.IntType), diag=largest)
-        A.setOption(PETSc.Mat.Option.SPD, True)
-
-    def _at_bounds(self) -> npt.NDArray[np.bool_]:
-        """Components pressed against an obstacle; they are decoupled like held ones."""
-        potential = self.potential
-        n = potential.unknowns.n_owned
-        lower, upper = potential.unknowns.bounds  # type: ignore[misc]
-        x, g = potential.x[:n], potential.g[:n]
-        return ((x <= lower[:n]) & (g > 0)) | ((x >= upper[:n]) & (g < 0))
-
-    def destroy(self) -> None:
-        """Free the matrix."""
-        self.matrix.destroy()
-
-
 class Minimizer:
     """TAO's BLMVM on a potential, in stages with a fresh H0 each.
 
@@ -180,7 +116,7 @@ class Minimizer:
         self.potential = potential
         self.rtol, self.atol, self.max_stages = rtol, atol, max_stages
         comm = potential.comm
-        self.h0 = InitialHessian(potential)
+        self.h0 = InitialHessian(potential, prefix + "h0_")
         self._x, self._g, self._x0, self._g0, self._step = (
             potential.x_vector.duplicate() for _ in range(5)
         )
@@ -208,7 +144,6 @@ class Minimizer:
             )
         self._uses_h0 = kind in ("blmvm", "lmvm")
         self._h0_set = False
-        self._prefix = prefix
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
@@ -231,19 +166,12 @@ class Minimizer:
         return 0.5 * (self._step.dot(G) + self._step.dot(self._g0))
 
     def _set_h0(self) -> None:
-        """Hand H0 to TAO and choose its solver: CHOLMOD on one process, MUMPS on several."""
+        """Rebuild H0 at the current state, and hand it to TAO the first time."""
         self.h0.rebuild()
-        if self._h0_set:
-            return
-        self.tao.setLMVMH0(self.h0.matrix)
-        ksp = self.tao.getLMVMH0KSP()
-        ksp.setOptionsPrefix(self._prefix + "h0_")
-        ksp.setType(PETSc.KSP.Type.PREONLY)
-        pc = ksp.getPC()
-        pc.setType(PETSc.PC.Type.CHOLESKY)
-        pc.setFactorSolverType("cholmod" if self.potential.comm.size == 1 else "mumps")
-        ksp.setFromOptions()
-        self._h0_set = True
+        if not self._h0_set:
+            self.tao.setLMVMH0(self.h0.matrix)
+            self.h0.solve_for(self.tao.getLMVMH0KSP())
+            self._h0_set = True
 
     def _place_bounds(self) -> None:
         if self._bounds is not None:
@@ -259,7 +187,7 @@ class Minimizer:
         n = potential.unknowns.n_owned
         g = potential.g[:n].copy()
         if potential.unknowns.bounds is not None:
-            g[self.h0._at_bounds()] = 0.0
+            g[at_bounds(potential)] = 0.0
         return float(potential.comm.allreduce(float(np.sum(g * g)), op=MPI.SUM) ** 0.5)
 
     @np.errstate(over="ignore", invalid="ignore")  # the residual tells

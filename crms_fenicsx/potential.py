@@ -7,7 +7,7 @@ not in the list.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -30,6 +30,9 @@ class Term(Protocol):
 
     ``add_stiffness(x, sums, A)``
         Add a positive semidefinite stiffness, blocks of three by local numbers, to the matrix.
+    ``dyads(sums)`` and ``add_dyad_column(k, x, g)``
+        Stiffness of the form ``value * column column^T`` that couples many points: the values,
+        and this rank's part of column k.
     ``begin_step(x)`` and ``commit(x, sums)``
         Start and end of an accepted load step, for terms with history.
 
@@ -135,6 +138,21 @@ class Potential:
             add = getattr(term, "add_stiffness", None)
             if add is not None:
                 add(self.x, self._sums[part], A)
+
+    def dyads(self) -> Iterator[tuple[Term, int, float]]:
+        """Stiffness dyads of all terms at the sums last computed: term, number, value."""
+        for term, part in zip(self.terms, self._slices, strict=True):
+            values = getattr(term, "dyads", None)
+            if values is not None:
+                for k, value in enumerate(values(self._sums[part])):
+                    if value > 0.0:
+                        yield term, k, float(value)
+
+    def dyad_column(self, term: Term, k: int) -> None:
+        """Leave the column of a term's dyad at the current state in `g`."""
+        self.g[:] = 0.0
+        term.add_dyad_column(k, self.x, self.g)  # type: ignore[attr-defined]
+        self.unknowns.gather_forces(self.g_vector, self.g)
 
     def begin_step(self) -> None:
         """Tell the terms with history that a load step starts at the current state."""

@@ -6,7 +6,7 @@ import math
 
 import numba
 
-from crms_fenicsx.materials import TENSION_FIELD
+from crms_fenicsx.materials import TENSION_FIELD, UNSTRAINED
 
 
 @numba.njit(cache=True)
@@ -59,7 +59,7 @@ def tangent(law, p, e, floor, C):  # type: ignore[no-untyped-def]
     mean, half, shear = 0.5 * (e0 + e1), 0.5 * (e0 - e1), 0.5 * e2
     radius = math.sqrt(half * half + shear * shear)
     larger, smaller = mean + radius, mean - radius
-    if smaller + p[16] * larger >= 0.0:
+    if smaller + p[16] * larger >= -UNSTRAINED:
         for i in range(3):
             for j in range(3):
                 C[i, j] *= 1 + floor

@@ -73,14 +73,19 @@ class CableTension:
         add_segment_forces(self.unknowns.X, x, self.segments, self.eps, self._forces, g)
 
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
-        """Add the geometric stiffness.
-
-        The term of the whole cable's elongation, EA/L0 times the dyad of the length's gradient,
-        couples all points of a cable; it is left to the quasi-Newton updates.
-        """
+        """Add the geometric stiffness."""
         forces = np.maximum(self.tensions(sums), 0.0)[self.cable]
         segment_stiffness(self.unknowns.X, x, self.segments, self.eps, forces, self.pattern.values)
         self.pattern.add(A, self.unknowns)
+
+    def dyads(self, sums: Array) -> Array:
+        """Stiffness EA/L0 against the elongation of each cable in tension (force/length)."""
+        return np.where(self.tensions(sums) > 0, self.EA / self.L0, 0.0)
+
+    def add_dyad_column(self, k: int, x: Array, g: Array) -> None:
+        """Add the gradient of a cable's length."""
+        self._forces[:] = self.cable == k
+        add_segment_forces(self.unknowns.X, x, self.segments, self.eps, self._forces, g)
 
 
 class StepCableTension(CableTension):
@@ -121,6 +126,10 @@ class StepCableTension(CableTension):
         """Tension of each cable (force)."""
         grown = self._tension_n + self.EA / self._length_n * (lengths - self._length_n)
         return np.where(self._stepwise, grown, super().tensions(lengths))
+
+    def dyads(self, sums: Array) -> Array:
+        """Stiffness against the elongation of each cable (force/length)."""
+        return np.where(self._stepwise, self.EA / self._length_n, super().dyads(sums))
 
     def energies(self, lengths: Array) -> Array:
         """Strain energy of each cable, over all steps (force x length)."""
