@@ -1,0 +1,92 @@
+"""The initial Hessian: sparse part, dyads of the cables, and its solver."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from taylor import noise
+from term_scene import cable_square, displaced
+
+from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.hessian import SHIFT, InitialHessian
+
+
+def at_some_state(comm):
+    """The square with three cables in tension, displaced, and its H0 there."""
+    system = cable_square(comm)
+    potential = system.potential
+    n = system.unknowns.n_owned
+    potential.x[:n] = displaced(system.unknowns, 0.5) * ~system.unknowns.held[:n]
+    potential.place()
+    potential.evaluate()
+    h0 = InitialHessian(potential, "crms_test_h0_")
+    h0.rebuild()
+    return potential, h0
+
+
+def dense(potential, h0):
+    """H0 = K + sum of value x column x column^T, entry by entry, from the terms themselves."""
+    K = h0.matrix[:, :].copy()
+    n = potential.unknowns.n_owned
+    free = ~potential.unknowns.held[:n]
+    for term, k, value in list(potential.dyads()):
+        potential.dyad_column(term, k)
+        column = (potential.g[:n] * free).ravel()
+        K += value * np.outer(column, column)
+    return K
+
+
+def test_solver_inverts_stiffness_and_dyads() -> None:
+    potential, h0 = at_some_state(MPI.COMM_SELF)
+    assert len(list(potential.dyads())) >= 2
+    b, y = potential.x_vector.duplicate(), potential.x_vector.duplicate()
+    b.array[:] = noise(potential.unknowns.X, 4).ravel()
+    h0.solve(b, y)
+    np.testing.assert_allclose(dense(potential, h0) @ y.array, b.array, atol=1e-8)
+
+
+def test_it_is_symmetric_positive_definite() -> None:
+    potential, h0 = at_some_state(MPI.COMM_SELF)
+    H = dense(potential, h0)
+    np.testing.assert_allclose(H, H.T, atol=1e-12 * np.abs(H).max())
+    assert np.linalg.eigvalsh(H).min() > 0.5 * SHIFT
+
+
+def test_dyad_columns_are_gradients_of_the_lengths(comm) -> None:
+    system = cable_square(comm)
+    potential, n = system.potential, system.unknowns.n_owned
+    x, d = displaced(system.unknowns, 0.5), noise(system.unknowns.X[: system.unknowns.n_owned], 7)
+    lengths, step = [], 1e-5
+    for sign in (1, -1):
+        potential.x[:n] = x + sign * step * d
+        potential.place()
+        lengths.append(system.network.lengths(system.unknowns, potential.x))
+    potential.x[:n] = x
+    potential.place()
+    potential.sum_up()
+    # riders go with their vertices, whatever d says of them
+    for k, (term, number, _) in enumerate(list(potential.dyads())):
+        potential.dyad_column(term, number)
+        slope = comm.allreduce(float(np.vdot(potential.g[:n], d)))
+        assert slope == pytest.approx((lengths[0][k] - lengths[1][k]) / (2 * step), rel=1e-6)
+
+
+def test_a_scene_without_tension_has_no_dyads(comm) -> None:
+    assert list(cable_square(comm, taut=False).potential.dyads()) == []
+
+
+def test_held_anchors_do_not_set_its_size(comm) -> None:
+    """An anchor within rounding of its held place has a stiff link to it, which must not count."""
+    mesh = meshes.rectangle(comm, 100.0, 100.0, 25.0, structured=True)
+    scene = Scene(mesh, IsotropicMembrane(300.0, 0.25, 0.08))
+    scene.fix("boundary")
+    cable = scene.lay_cable(Cable(32000.0), [(0.0, 51.0), (100.0, 31.0)], tension=10.0)
+    solver = Solver(scene)
+    cable.positions[0] += 1e-15
+    potential = solver.system.potential
+    solver.system.pull()
+    potential.evaluate()
+    h0 = InitialHessian(potential, "crms_test_h0_")
+    h0.rebuild()
+    assert h0.matrix.getDiagonal().max()[1] < 1e4
