@@ -71,7 +71,7 @@ class InitialHessian:
         self.ksp.setFromOptions()
         self._columns: list[PETSc.Vec] = []
         self._solved: list[PETSc.Vec] = []
-        self._inner = np.zeros((0, 0))
+        self._inner: Array = np.zeros((0, 0))
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
