@@ -128,7 +128,8 @@ class InitialHessian:
             stiffness.append(value)
         products = [[g.dot(z) for z in self._solved] for g in self._columns]
         if stiffness:
-            self._inner = np.linalg.inv(np.diag(1 / np.array(stiffness)) + np.array(products))
+            inner = np.diag(1 / np.array(stiffness)) + np.array(products)
+            self._inner = np.asarray(np.linalg.inv(inner), dtype=float)
 
     def solve_for(self, ksp: PETSc.KSP) -> None:
         """Make `ksp` a solver of H0."""

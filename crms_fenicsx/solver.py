@@ -15,7 +15,8 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from crms_fenicsx import checks
-from crms_fenicsx.errors import ConvergenceError, InputError, PathWarning, raised_together
+from crms_fenicsx.errors import ConvergenceError, InputError, PathWarning
+from crms_fenicsx.loading import Target, checked_target
 from crms_fenicsx.minimizer import Outcome
 from crms_fenicsx.output.recorder import Recorder
 from crms_fenicsx.scene import Marker, Scene
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 logger = logging.getLogger("crms_fenicsx")
-
-TYPE_OF_MOVE = "a laid cable, one of its ends, or the name of a group of held vertices"
 
 
 @dataclass(frozen=True)
@@ -60,16 +59,6 @@ class Step:
     def energy(self) -> float:
         """Total potential energy (force x length)."""
         return sum(self.energies.values())
-
-
-@dataclass(frozen=True)
-class Target:
-    """Loads to reach, and those to start from."""
-
-    pressure: tuple[float, float]
-    cable_ends: list[tuple[int, int, Array]]
-    moved: Array
-    lengths: list[tuple[int, float, float]]
 
 
 class Solver:
@@ -258,12 +247,11 @@ class Solver:
         """
         from crms_fenicsx.progress import progress
 
-        target = self._target(
-            pressure, {} if move is None else move, {} if L0 is None else L0, steps
-        )
         scene = self.scene
-        if target.pressure[1] != 0.0:
-            self._check_boundary_held()
+        checks.whole("advance: steps", steps, 1)
+        target = checked_target(
+            scene, pressure, {} if move is None else move, {} if L0 is None else L0
+        )
         first = State.of(scene)
         done, increment, halvings = 0.0, 1.0, 0
         began = time.perf_counter()
@@ -272,7 +260,7 @@ class Solver:
             while done < steps - 1e-9:
                 goal = min(done + increment, np.floor(done + 1e-9) + 1.0)
                 good = State.of(scene)
-                self._apply(first, target, goal / steps)
+                target.apply(scene, first, goal / steps)
                 try:
                     outcome = self.system.solve(self._h0_prestress(target, (goal - done) / steps))
                 except BaseException:  # also an interrupt leaves a state that is one
@@ -282,7 +270,6 @@ class Solver:
                 if not outcome.converged:
                     self._go_back(good)
                     halvings += 1
-                    self.system.rebuild()  # cables may have switched on the way
                     increment = (goal - done) / 2
                     if increment < 0.5**self.max_halvings * (1 - 1e-9):
                         raise self._failure(outcome, done / steps)
@@ -314,142 +301,6 @@ class Solver:
             "state. Try more steps, check that the cables can carry tension where they lie, and "
             "look at the state reached."
         )
-
-    def _target(
-        self,
-        pressure: float | None,
-        move: Mapping[object, tuple[float, float, float]],
-        L0: Mapping[object, float],
-        steps: int,
-    ) -> Target:
-        """Check the loads and say what they change. Raises InputError."""
-        from crms_fenicsx.cables.cable import CableEnd, LaidCable
-
-        scene = self.scene
-        checks.whole("advance: steps", steps, 1)
-        scene.check_finite("advance")
-        if not scene.comm.allreduce(int(scene.held.any())):
-            raise InputError(
-                "advance: nothing of the membrane is held; hold its boundary with "
-                'scene.fix("boundary").'
-            )
-        value = scene.pressure if pressure is None else pressure
-        value = checks.finite("advance: pressure", value)
-        for name, given in (("move", move), ("L0", L0)):
-            if not isinstance(given, Mapping):
-                raise InputError(
-                    f"advance: {name} = {given!r} is no mapping; write {name}={{what: value}}."
-                )
-        ends: list[tuple[int, int, Array]] = []
-        vertices: list[tuple[npt.NDArray[np.int32], Array]] = []
-        for key, vector in move.items():
-            displacement = checks.vector(f"advance: move of {key!r}", vector)
-            if isinstance(key, LaidCable):
-                wanted = [key.start, key.end]
-            elif isinstance(key, CableEnd):
-                wanted = [key]
-            elif isinstance(key, str):
-                vertices.append((self._held_group(key, displacement), displacement))
-                continue
-            else:
-                raise InputError(f"advance: cannot move {key!r}; give {TYPE_OF_MOVE}.")
-            for end in wanted:
-                c, k = self._number(end.cable), end.cable.node_of(end.which)
-                if end.cable.nodes[k].kind != "anchor":
-                    raise InputError(
-                        f"advance: the {end.which} of {end.cable.name!r} is tied to the membrane, "
-                        "which is not held there; hold it with scene.fix before laying the cable, "
-                        "or lay the cable to an anchor off the membrane."
-                    )
-                ends.append((c, k, displacement))
-        moved = self._moved(vertices)
-        self._check_above_floor(moved)
-        lengths = []
-        for key, length in L0.items():
-            if not isinstance(key, LaidCable):
-                raise InputError(f"advance: L0 of {key!r}; give a laid cable.")
-            if key.cable.law == "step":
-                raise InputError(
-                    f"advance: {key.name!r} has the step-wise law (2.2-2), which has no unstressed "
-                    'length; use Cable(law="total").'
-                )
-            length = checks.positive(f"advance: L0 of {key.name!r}", length)
-            lengths.append((self._number(key), key.L0, length))
-        return Target((scene.pressure, value), ends, moved, lengths)
-
-    def _number(self, cable: object) -> int:
-        for c, other in enumerate(self.scene.cables):
-            if other is cable:
-                return c
-        raise InputError(f"advance: {cable!r} is not a cable of this scene.")
-
-    def _held_group(self, name: str, displacement: Array) -> npt.NDArray[np.int32]:
-        dofs = self.scene.vertices(name)
-        moving = displacement != 0.0
-        with raised_together(self.scene.comm):
-            if not self.scene.held[dofs][:, moving].all():
-                letters = "".join(np.array(list("xyz"))[moving])
-                raise InputError(
-                    f"advance: {name!r} is not held in {letters}, so that it cannot be moved by "
-                    f"{displacement}; call scene.fix({name!r}, {letters!r}) first."
-                )
-        return dofs
-
-    def _check_above_floor(self, moved: Array) -> None:
-        """The floor is for the free vertices; held ones must not be moved through it."""
-        scene = self.scene
-        if scene.floor_level is None:
-            return
-        with raised_together(scene.comm):
-            places = scene.positions()
-            heights = places[:, 2] + moved[:, 2]
-            through = np.flatnonzero((moved[:, 2] < 0) & (heights < scene.floor_level))
-            if len(through):
-                raise InputError(
-                    f"advance: move brings the vertex at {places[through[0]]} to z = "
-                    f"{heights[through[0]]:g}, below the floor z = {scene.floor_level:g}; move it "
-                    "less."
-                )
-
-    def _moved(self, vertices: list[tuple[npt.NDArray[np.int32], Array]]) -> Array:
-        """Movements of all vertices, (n, 3); those of a vertex in several groups add up."""
-        moved = np.zeros_like(self.scene.held, dtype=np.float64)
-        for dofs, displacement in vertices:
-            moved[dofs] += displacement
-        return moved
-
-    def _check_boundary_held(self) -> None:
-        """The exact follower pressure has a potential only if the boundary is held."""
-        scene = self.scene
-        if scene.pressure_law != "total":
-            return
-        dofs = scene.vertices("boundary") if self._has_boundary() else np.zeros(0, dtype=np.int32)
-        with raised_together(scene.comm):
-            free = dofs[~scene.held[dofs].all(axis=1)]
-            if len(free):
-                place = scene.V.tabulate_dof_coordinates()[free[0]]
-                raise InputError(
-                    f"advance: pressure on a membrane whose boundary is free at {place}: the "
-                    'follower pressure needs it held (scene.fix("boundary")); with free edges '
-                    'use Scene(..., pressure="step").'
-                )
-
-    def _has_boundary(self) -> bool:
-        return bool(self.scene.comm.allreduce(len(self.scene.mesh.edges["boundary"])))
-
-    def _apply(self, first: State, target: Target, share: float) -> None:
-        """Set the loads at a share of this call's increments."""
-        scene = self.scene
-        scene.pressure = target.pressure[0] + share * (target.pressure[1] - target.pressure[0])
-        u = scene.u.x.array.reshape(-1, 3)
-        some = target.moved != 0.0
-        u[some] = first.u.reshape(-1, 3)[some] + share * target.moved[some]
-        for c, k, _ in target.cable_ends:
-            scene.cables[c].positions[k] = first.cables[c].positions[k]
-        for c, k, displacement in target.cable_ends:
-            scene.cables[c].positions[k] += share * displacement
-        for c, start, end in target.lengths:
-            scene.cables[c].L0 = start + share * (end - start)
 
     def _h0_prestress(self, target: Target, share: float) -> tuple[float, ...]:
         """Extra prestress in H0 for the first stages of a solve.

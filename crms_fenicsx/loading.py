@@ -1,0 +1,182 @@
+"""The loads of a call to `Solver.advance`: checked before anything is computed, then applied."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from crms_fenicsx import checks
+from crms_fenicsx.cables.cable import CableEnd, LaidCable
+from crms_fenicsx.errors import InputError, raised_together
+from crms_fenicsx.scene import Scene
+from crms_fenicsx.state import State
+
+Array = npt.NDArray[np.float64]
+
+TYPE_OF_MOVE = "a laid cable, one of its ends, or the name of a group of held vertices"
+
+
+@dataclass(frozen=True)
+class Target:
+    """Loads to reach, and those to start from.
+
+    Attributes
+    ----------
+    pressure
+        First and last pressure (force per area).
+    cable_ends
+        Number of the cable, of its node, and the node's displacement (length).
+    moved : (n, 3)
+        Displacements of the vertices (length).
+    lengths
+        Number of the cable, its first and last unstressed length (length).
+    """
+
+    pressure: tuple[float, float]
+    cable_ends: list[tuple[int, int, Array]]
+    moved: Array
+    lengths: list[tuple[int, float, float]]
+
+    def apply(self, scene: Scene, first: State, share: float) -> None:
+        """Set the loads at a share of the way from the state `first`."""
+        scene.pressure = self.pressure[0] + share * (self.pressure[1] - self.pressure[0])
+        u = scene.u.x.array.reshape(-1, 3)
+        some = self.moved != 0.0
+        u[some] = first.u.reshape(-1, 3)[some] + share * self.moved[some]
+        for c, k, _ in self.cable_ends:
+            scene.cables[c].positions[k] = first.cables[c].positions[k]
+        for c, k, displacement in self.cable_ends:
+            scene.cables[c].positions[k] += share * displacement
+        for c, start, end in self.lengths:
+            scene.cables[c].L0 = start + share * (end - start)
+
+
+def checked_target(
+    scene: Scene,
+    pressure: float | None,
+    move: Mapping[object, tuple[float, float, float]],
+    L0: Mapping[object, float],
+) -> Target:
+    """Check the loads and say what they change; see `Solver.advance`. Collective.
+
+    Raises
+    ------
+    InputError
+        A load that cannot be applied, on all ranks.
+    """
+    scene.check_finite("advance")
+    if not scene.comm.allreduce(int(scene.held.any())):
+        raise InputError(
+            "advance: nothing of the membrane is held; hold its boundary with "
+            'scene.fix("boundary").'
+        )
+    value = scene.pressure if pressure is None else pressure
+    value = checks.finite("advance: pressure", value)
+    for name, given in (("move", move), ("L0", L0)):
+        if not isinstance(given, Mapping):
+            raise InputError(
+                f"advance: {name} = {given!r} is no mapping; write {name}={{what: value}}."
+            )
+    ends: list[tuple[int, int, Array]] = []
+    vertices: list[tuple[npt.NDArray[np.int32], Array]] = []
+    for key, vector in move.items():
+        displacement = checks.vector(f"advance: move of {key!r}", vector)
+        if isinstance(key, LaidCable):
+            wanted = [key.start, key.end]
+        elif isinstance(key, CableEnd):
+            wanted = [key]
+        elif isinstance(key, str):
+            vertices.append((_held_group(scene, key, displacement), displacement))
+            continue
+        else:
+            raise InputError(f"advance: cannot move {key!r}; give {TYPE_OF_MOVE}.")
+        for end in wanted:
+            c, k = _number(scene, end.cable), end.cable.node_of(end.which)
+            if end.cable.nodes[k].kind != "anchor":
+                raise InputError(
+                    f"advance: the {end.which} of {end.cable.name!r} is tied to the membrane, "
+                    "which is not held there; hold it with scene.fix before laying the cable, "
+                    "or lay the cable to an anchor off the membrane."
+                )
+            ends.append((c, k, displacement))
+    if value != 0.0:
+        _check_boundary_held(scene)
+    moved = _moved(scene, vertices)
+    _check_above_floor(scene, moved)
+    lengths = []
+    for key, length in L0.items():
+        if not isinstance(key, LaidCable):
+            raise InputError(f"advance: L0 of {key!r}; give a laid cable.")
+        if key.cable.law == "step":
+            raise InputError(
+                f"advance: {key.name!r} has the step-wise law (2.2-2), which has no unstressed "
+                'length; use Cable(law="total").'
+            )
+        length = checks.positive(f"advance: L0 of {key.name!r}", length)
+        lengths.append((_number(scene, key), key.L0, length))
+    return Target((scene.pressure, value), ends, moved, lengths)
+
+
+def _number(scene: Scene, cable: object) -> int:
+    for c, other in enumerate(scene.cables):
+        if other is cable:
+            return c
+    raise InputError(f"advance: {cable!r} is not a cable of this scene.")
+
+
+def _held_group(scene: Scene, name: str, displacement: Array) -> npt.NDArray[np.int32]:
+    dofs = scene.vertices(name)
+    moving = displacement != 0.0
+    with raised_together(scene.comm):
+        if not scene.held[dofs][:, moving].all():
+            letters = "".join(np.array(list("xyz"))[moving])
+            raise InputError(
+                f"advance: {name!r} is not held in {letters}, so that it cannot be moved by "
+                f"{displacement}; call scene.fix({name!r}, {letters!r}) first."
+            )
+    return dofs
+
+
+def _check_above_floor(scene: Scene, moved: Array) -> None:
+    """The floor is for the free vertices; held ones must not be moved through it."""
+    if scene.floor_level is None:
+        return
+    with raised_together(scene.comm):
+        places = scene.positions()
+        heights = places[:, 2] + moved[:, 2]
+        through = np.flatnonzero((moved[:, 2] < 0) & (heights < scene.floor_level))
+        if len(through):
+            raise InputError(
+                f"advance: move brings the vertex at {places[through[0]]} to z = "
+                f"{heights[through[0]]:g}, below the floor z = {scene.floor_level:g}; move it "
+                "less."
+            )
+
+
+def _moved(scene: Scene, vertices: list[tuple[npt.NDArray[np.int32], Array]]) -> Array:
+    """Movements of all vertices, (n, 3); those of a vertex in several groups add up."""
+    moved = np.zeros_like(scene.held, dtype=np.float64)
+    for dofs, displacement in vertices:
+        moved[dofs] += displacement
+    return moved
+
+
+def _check_boundary_held(scene: Scene) -> None:
+    """The exact follower pressure has a potential only if the boundary is held."""
+    if scene.pressure_law != "total":
+        return
+    if scene.comm.allreduce(len(scene.mesh.edges["boundary"])) == 0:
+        return  # a closed membrane
+    dofs = scene.vertices("boundary")
+    with raised_together(scene.comm):
+        free = dofs[~scene.held[dofs].all(axis=1)]
+        if len(free):
+            place = scene.V.tabulate_dof_coordinates()[free[0]]
+            raise InputError(
+                f"advance: pressure on a membrane whose boundary is free at {place}: the "
+                'follower pressure needs it held (scene.fix("boundary")); with free edges '
+                'use Scene(..., pressure="step").'
+            )
