@@ -53,7 +53,7 @@ class FollowerPressure:
 
     def attach(self, unknowns: Unknowns) -> None:
         """Use this layout."""
-        self.blocks = unknowns.vertex_blocks()
+        self.unknowns = unknowns
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the volume gained, V - V0 (length cubed)."""
@@ -69,7 +69,8 @@ class FollowerPressure:
             return
         self._work[:] = 0.0
         fem.assemble_vector(self._work, self._gradient)
-        g[self.blocks] -= self._work.reshape(-1, 3)
+        self._work *= -1.0
+        self.unknowns.add_to_vertices(self._work.reshape(-1, 3), g)
 
 
 class StepPressure:
@@ -92,12 +93,12 @@ class StepPressure:
         dx = one_point(mesh)
         self._volume = fem.form(plain * ufl.dot(n, u - self.u_n) * dx)
         self._force = fem.form(plain * ufl.dot(n, ufl.TestFunction(V)) * dx)
-        self._forces = np.zeros_like(u.x.array)
+        self._forces, self._scaled = np.zeros_like(u.x.array), np.zeros_like(u.x.array)
         self._volume_n = 0.0
 
     def attach(self, unknowns: Unknowns) -> None:
         """Use this layout."""
-        self.blocks = unknowns.vertex_blocks()
+        self.unknowns = unknowns
 
     def begin_step(self, x: Array) -> None:
         """Take the current shape as the step's start."""
@@ -119,4 +120,5 @@ class StepPressure:
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Subtract the step's nodal forces."""
-        g[self.blocks] -= float(self.pressure.value) * self._forces.reshape(-1, 3)
+        np.multiply(self._forces, -float(self.pressure.value), out=self._scaled)
+        self.unknowns.add_to_vertices(self._scaled.reshape(-1, 3), g)

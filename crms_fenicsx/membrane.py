@@ -198,7 +198,7 @@ class MembraneEnergy:
 
     def attach(self, unknowns: Unknowns) -> None:
         """Use this layout."""
-        self.blocks = unknowns.vertex_blocks()
+        self.unknowns = unknowns
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the energy."""
@@ -214,7 +214,7 @@ class MembraneEnergy:
         """Add the nodal forces of this rank's cells."""
         self._work[:] = 0.0
         fem.assemble_vector(self._work, self._gradient)
-        g[self.blocks] += self._work.reshape(-1, 3)
+        self.unknowns.add_to_vertices(self._work.reshape(-1, 3), g)
 
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add the positive semidefinite stiffness of this rank's cells."""

@@ -66,7 +66,6 @@ class Potential:
         self.comm = unknowns.comm
         self.x_vector, self.x = unknowns.vector()
         self.g_vector, self.g = unknowns.vector()
-        self._blocks = unknowns.vertex_blocks()
         self._u = u.x.array.reshape(-1, 3)
         for term in self.terms:
             term.attach(unknowns)
@@ -75,7 +74,7 @@ class Potential:
         self._sums = np.zeros(int(ends[-1]))
         self._slices = [slice(a, b) for a, b in itertools.pairwise(ends)]
         self.evaluations = 0
-        self.x[self._blocks] = self._u
+        unknowns.add_to_vertices(self._u, self.x)
 
     def destroy(self) -> None:
         """Free the PETSc vectors."""
@@ -88,7 +87,7 @@ class Potential:
             X.copy(self.x_vector)
         self.unknowns.update_ghosts(self.x_vector)
         self.unknowns.place_riders(self.x)
-        np.take(self.x, self._blocks, axis=0, out=self._u, mode="clip")
+        self.unknowns.read_vertices(self.x, self._u)
 
     def sum_up(self) -> None:
         """Global sums of all terms at the current state: the one reduction of an evaluation."""
@@ -129,7 +128,7 @@ class Potential:
     def free_gradient(self, G: PETSc.Vec) -> None:
         """Set held components of the gradient last computed to zero, and copy it to G."""
         owned = self.unknowns.n_owned
-        self.g[:owned][self.unknowns.held[:owned]] = 0.0
+        np.copyto(self.g[:owned], 0.0, where=self.unknowns.held[:owned])
         self.g_vector.copy(G)
 
     def add_stiffness(self, A: PETSc.Mat) -> None:

@@ -87,6 +87,18 @@ class Unknowns:
         ghosts = self.n_owned + np.arange(self.n_ghost_vertices)
         return np.concatenate([np.arange(self.n_vertices), ghosts]).astype(np.int32)
 
+    def read_vertices(self, x: Array, out: Array) -> None:
+        """Copy the vertices' rows of x to `out`, in DOLFINx's order; allocates nothing."""
+        n, end = self.n_vertices, self.n_owned + self.n_ghost_vertices
+        out[:n] = x[:n]
+        out[n:] = x[self.n_owned : end]
+
+    def add_to_vertices(self, values: Array, g: Array) -> None:
+        """Add values in DOLFINx's order to the vertices' rows of g; allocates nothing."""
+        n, end = self.n_vertices, self.n_owned + self.n_ghost_vertices
+        g[:n] += values[:n]
+        g[self.n_owned : end] += values[n:]
+
     def owned_point_blocks(self) -> Indices:
         """Local blocks of the cable points that this rank owns."""
         return np.arange(self.n_vertices, self.n_owned, dtype=np.int32)
