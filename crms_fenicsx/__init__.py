@@ -1,7 +1,8 @@
 """Cable-reinforced membrane structures with foldable finite elements on FEniCSx.
 
-A load step runs through the modules in one direction: `scene` (what there is) -> `system` and
-`potential` (its energy) -> `solver` and `minimizer` (its equilibrium) -> `state` -> `output`.
+A load step runs through the modules in one direction: `scene` (what there is) -> `loading` and
+`solver` (the step) -> `system` and `potential` (its energy) -> `minimizer` (its equilibrium) ->
+`state` and `results` -> `output`.
 """
 
 from crms_fenicsx import meshes

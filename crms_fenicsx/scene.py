@@ -234,16 +234,29 @@ class Scene:
             As for `vertices`; "boundary" is the membrane's whole boundary.
         directions
             Held components of the displacement, out of "xyz".
+
+        Raises
+        ------
+        InputError
+            No such vertices or directions, or edges that cables have been laid over already.
         """
         if not directions or set(directions) - set(COMPONENTS):
             raise InputError(
                 f"fix: directions = {directions!r} must be made of the letters x, y and z."
             )
         dofs = self.vertices(where)
+        edges: npt.NDArray[np.int32] = np.zeros(0, dtype=np.int32)
+        if isinstance(where, str) and where in self.mesh.edges and set(directions) == set("xyz"):
+            edges = self.mesh.edges[where]
+        new = self.comm.allreduce(int(np.count_nonzero(~self.held_edges[edges])))
+        if new and self.cables:
+            raise InputError(
+                f"fix: {where!r} would be held after cables have been laid, which pass held edges "
+                "at fixed places; hold edges first."
+            )
         for letter in directions:
             self.held[dofs, COMPONENTS[letter]] = True
-        if not callable(where) and where in self.mesh.edges and set(directions) == set("xyz"):
-            self.held_edges[self.mesh.edges[where]] = True
+        self.held_edges[edges] = True
         self.changes += 1
 
     def floor(self, z: float = 0.0) -> None:

@@ -227,7 +227,8 @@ class Solver:
             Displacements (length) of cables (both ends), cable ends (``cable.start``) or held
             groups of vertices, by which they move during this call. What is named twice, as a
             corner of two groups, moves by the sum. Groups need to be held only in the directions
-            in which they move.
+            in which they move. Cable ends on a moved group stay where they are unless they are
+            moved as well.
         L0
             Unstressed lengths of cables to reach (length).
         steps

@@ -20,8 +20,9 @@ from crms_fenicsx.unknowns import Unknowns
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.fold import FoldedCells, FoldEnergy
-    from crms_fenicsx.cables.network import CableTables, Network
+    from crms_fenicsx.cables.network import Network
     from crms_fenicsx.cables.penalty import KinkPenalty
+    from crms_fenicsx.cables.tables import CableTables
     from crms_fenicsx.cables.tension import CableTension
 
 Array = npt.NDArray[np.float64]
@@ -128,8 +129,10 @@ class System:
 
     def _cable_terms(self) -> list[Term]:
         """Terms of the cables in tension; the cells that they fold leave the membrane term."""
+        from crms_fenicsx.cables.tables import cable_tables
+
         assert self.network is not None
-        self.tables = self.network.tables(self.membrane)
+        self.tables = cable_tables(self.network, self.membrane)
         folded = self.tables.folded
         self.membrane.plain.x.array[folded.cells] = 0.0
         terms: list[Term] = [self._tension_term(self.tables)]

@@ -444,3 +444,12 @@ def test_an_error_on_one_rank_reaches_all(scene: Scene, error: Exception) -> Non
         scene.fix(marker)
     assert str(error) in str(caught.value)
     assert snapshot(scene) == before
+
+
+def test_edges_are_held_before_cables_are_laid(comm) -> None:
+    mesh = meshes.rectangle(comm, 100.0, 100.0, 25.0, structured=True)
+    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
+    scene.fix("left")
+    scene.lay_cable(Cable(EA=32000.0), [(0.0, 50.0), (100.0, 52.0)])
+    scene.fix("left")  # nothing new
+    refused(lambda: scene.fix("right"), "'right'", "cables", "first", scene=scene)

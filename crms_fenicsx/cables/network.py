@@ -1,4 +1,4 @@
-"""From laid cables to tables: who owns which point, and what each rank computes.
+"""The points of all cables: who owns which, what its number is, and where it is now.
 
 A crossed cell is evaluated by the rank that owns it, with all segments, chords and facets in it.
 Cable points belong to one rank and are ghosts on the others that need them. All ranks know the
@@ -7,23 +7,18 @@ cables' paths and the strip of crossed cells, so they number alike without commu
 
 from __future__ import annotations
 
-import itertools
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
 from crms_fenicsx.cables.cable import LaidCable
-from crms_fenicsx.cables.fold import FoldedCells
-from crms_fenicsx.cables.length import COINCIDENT, SMOOTHING
-from crms_fenicsx.cables.penalty import Kinks
+from crms_fenicsx.cables.length import SMOOTHING
 from crms_fenicsx.cables.strip import Strip
-from crms_fenicsx.cables.volume import Facets, fan_facets, split_polygon
-from crms_fenicsx.compat import geometry_dofmap
-from crms_fenicsx.membrane import MembraneEnergy
+from crms_fenicsx.cables.volume import split_polygon
 from crms_fenicsx.unknowns import Unknowns
 
 Array = npt.NDArray[np.float64]
@@ -32,47 +27,31 @@ Edge = tuple[int, int]
 Corner = int | tuple[int, int]
 """A corner of a piece of a folded cell: a vertex by its id, or a cable's point (cable, node)."""
 
+Member = tuple[int, int]
+"""A node of a cable: the cable's number, the node's number."""
+
+
+class Link(NamedTuple):
+    """A segment of a cable's polyline, from a node to the next.
+
+    Attributes
+    ----------
+    cable, node
+        Numbers of the cable and of the first node.
+    vertices
+        Ids of the cell (3) or edge (2) that it lies on; None off the membrane.
+    """
+
+    cable: int
+    node: int
+    vertices: tuple[int, ...] | None
+
+
 BLOCKED = SMOOTHING
 """A fold point nearer than this to an end of its side (fraction) has run into the vertex.
 
 Farther off lengths are exact, so that nothing but the cable and the membrane holds it there.
 """
-
-
-@dataclass(frozen=True)
-class CableTables:
-    """What this rank computes for the cables in tension.
-
-    Attributes
-    ----------
-    segments : (n, 2), eps : (n,), cable : (n,)
-        Segments of the cables' polylines, their smoothing, and the cable's place among the taut.
-    folded : FoldedCells
-        Cells with folded sides.
-    kinks : tuple of (corner blocks (4,), row of `folded`)
-        Where chords meet sides at fold points that are free.
-    facets : Facets
-        Facets of the folded cells.
-    """
-
-    segments: Indices
-    eps: Array
-    cable: Indices
-    folded: FoldedCells
-    kinks: list[tuple[tuple[int, int, int, int], int]]
-    facets: Facets
-
-    def penalty(self, factor: float, moduli: Array) -> Kinks:
-        """Weighted penalty with mu = factor x E t x A; `moduli` (n,) is E t of the folded cells."""
-        rows = np.array([row for _, row in self.kinks], dtype=np.int64)
-        return Kinks(self._corners(), (factor * moduli * self.folded.areas)[rows], True)
-
-    def literal_penalty(self, mu: float) -> Kinks:
-        """The paper's penalty with one coefficient for all, (2.5-1)."""
-        return Kinks(self._corners(), np.full(len(self.kinks), mu), False)
-
-    def _corners(self) -> Indices:
-        return np.array([k for k, _ in self.kinks], dtype=np.int32).reshape(-1, 4)
 
 
 class Network:
@@ -91,14 +70,14 @@ class Network:
     def __init__(self, cables: Sequence[LaidCable], strip: Strip, u: fem.Function) -> None:
         self.cables, self.strip, self.u = tuple(cables), strip, u
         self.rank = u.function_space.mesh.comm.rank
-        self._find_edges()
+        self._number_points()
         self._find_owners()
         self._number_vertices()
 
-    def _find_edges(self) -> None:
-        """Points on each mesh edge, and the links of each cable with what they lie on."""
+    def _number_points(self) -> None:
+        """Numbers of the points that are no vertices, and the links between nodes."""
         self.numbers: dict[tuple[int, int], int] = {}  # (cable, node) -> point
-        self.links: list[tuple[int, int, tuple[int, ...] | None]] = []  # cable, node, vertices
+        self.links: list[Link] = []
         for c, cable in enumerate(self.cables):
             for k, node in enumerate(cable.nodes):
                 if node.kind != "vertex":
@@ -106,7 +85,7 @@ class Network:
             for k in range(len(cable.nodes) - 1):
                 a, b = cable.nodes[k].point, cable.nodes[k + 1].point
                 on = None if a is None or b is None else tuple({*a.support, *b.support})
-                self.links.append((c, k, on))
+                self.links.append(Link(c, k, on))
 
     def _find_owners(self) -> None:
         strip = self.strip
@@ -119,7 +98,7 @@ class Network:
             assert point is not None, "two anchors in a row"
             self.owners[number] = strip.owner_of(point.support)
 
-    def link_owner(self, link: tuple[int, int, tuple[int, ...] | None]) -> int:
+    def link_owner(self, link: Link) -> int:
         """The rank that computes a link of a cable."""
         c, k, on = link
         if on is not None:
@@ -191,7 +170,7 @@ class Network:
         node = self.cables[c].nodes[k]
         return node.masters()[0][0] if node.kind == "vertex" else (c, k)
 
-    def _corner_block(self, corner: Corner) -> int:
+    def corner_block(self, corner: Corner) -> int:
         return self.vertex(corner) if isinstance(corner, int) else self.block(*corner)
 
     def hold(self, unknowns: Unknowns) -> None:
@@ -267,43 +246,6 @@ class Network:
             close = (cable.fractions < BLOCKED) | (cable.fractions > 1 - BLOCKED)
             cable.blocked = tuple(int(k) for k in np.flatnonzero(fold & close) if cable.taut)
 
-    def tables(self, membrane: MembraneEnergy) -> CableTables:
-        """Tables of the cables in tension."""
-        taut = {c: n for n, c in enumerate(c for c, k in enumerate(self.cables) if k.taut)}
-        sizes = _cell_sizes(self.u)
-        segments: list[tuple[int, int]] = []
-        eps: list[float] = []
-        number: list[int] = []
-        for link in self.links:
-            c, k, _ = link
-            if c in taut and self.link_owner(link) == self.rank:
-                segments.append((self.block(c, k), self.block(c, k + 1)))
-                number.append(taut[c])
-                eps.append(self._link_smoothing(link, sizes))
-        folded, kinks, facets = self._cell_tables(membrane, set(taut))
-        return CableTables(
-            np.array(segments, dtype=np.int32).reshape(-1, 2),
-            np.array(eps),
-            np.array(number, dtype=np.int32),
-            folded,
-            kinks,
-            facets,
-        )
-
-    def _link_smoothing(self, link: tuple[int, int, tuple[int, ...] | None], sizes: Array) -> float:
-        c, k, on = link
-        first, second = self.cables[c].nodes[k : k + 2]
-        if on is None:
-            point = first.point or second.point
-            assert point is not None, "two anchors in a row"
-            on, slides = point.support, "fold" in (first.kind, second.kind)
-        else:
-            slides = not {first.kind, second.kind} <= {"rider"}
-        rows = [r for r in self.strip.rows(on) if self.strip.owner[r] == self.rank]
-        size = float(min(sizes[self.strip.local[r]] for r in rows))
-        # An anchor may lie on the held place next to it: no direction, and none is needed.
-        return SMOOTHING * size if slides else -COINCIDENT * size
-
     def points_by_edge(self, cables: set[int]) -> dict[Edge, list[tuple[float, int, int]]]:
         """Points (fraction, cable, node) on each edge, sorted from its first vertex to its last."""
         table: dict[Edge, list[tuple[float, int, int]]] = defaultdict(list)
@@ -331,16 +273,16 @@ class Network:
             sides that no chord leaves are corners too.
         """
         taut = {c for c, cable in enumerate(self.cables) if cable.taut}
-        on_edge, chords = self.points_by_edge(taut), self._chords(taut)
+        on_edge, chords = self.points_by_edge(taut), self.chords_by_row(taut)
         return [
             (int(self.strip.local[row]), polygon)
-            for row in self._folded_rows(on_edge)
-            for polygon in self._cut(row, on_edge, chords.get(row, []), number)
+            for row in self.folded_rows(on_edge)
+            for polygon in self.cut(row, on_edge, chords.get(row, []), number)
         ]
 
-    def _chords(self, taut: set[int]) -> dict[int, list[tuple[tuple[int, int], tuple[int, int]]]]:
+    def chords_by_row(self, taut: set[int]) -> dict[int, list[tuple[Member, Member]]]:
         """Links, as their two (cable, node), through the inside of this rank's cells, by row."""
-        chords: dict[int, list[tuple[tuple[int, int], tuple[int, int]]]] = defaultdict(list)
+        chords: dict[int, list[tuple[Member, Member]]] = defaultdict(list)
         for c, k, on in self.links:
             if c in taut and on is not None and len(on) == 3:
                 row = self.strip.rows(on)[0]
@@ -348,110 +290,33 @@ class Network:
                     chords[row].append(((c, k), (c, k + 1)))
         return chords
 
-    def _folded_rows(self, on_edge: dict[Edge, list[tuple[float, int, int]]]) -> list[int]:
+    def folded_rows(self, on_edge: dict[Edge, list[tuple[float, int, int]]]) -> list[int]:
+        """Rows of this rank's cells with points on a side."""
         cells = self.strip.cells
         return [
             int(row)
             for row in self.own_rows
-            if any(_edge(cells[row], k)[0] in on_edge for k in range(3))
+            if any(side_of(cells[row], k)[0] in on_edge for k in range(3))
         ]
 
-    def _cut(
+    def cut(
         self,
         row: int,
         on_edge: dict[Edge, list[tuple[float, int, int]]],
-        chords: list[tuple[tuple[int, int], tuple[int, int]]],
+        chords: Sequence[tuple[Member, Member]],
         number: Callable[[Corner], int],
     ) -> list[list[int]]:
         """Polygons of one cell."""
         around: list[Corner] = []
         for k in range(3):
-            edge, forward = _edge(self.strip.cells[row], k)
+            edge, forward = side_of(self.strip.cells[row], k)
             line: list[Corner] = [edge[0], *((c, i) for _, c, i in on_edge.get(edge, [])), edge[1]]
             around += (line if forward else line[::-1])[:-1]
         ends = [(number(self._corner(*a)), number(self._corner(*b))) for a, b in chords]
         return split_polygon([number(corner) for corner in around], ends)
 
-    def _cell_tables(
-        self, membrane: MembraneEnergy, taut: set[int]
-    ) -> tuple[FoldedCells, list[tuple[tuple[int, int, int, int], int]], Facets]:
-        """Tables of this rank's folded cells."""
-        on_edge, chords = self.points_by_edge(taut), self._chords(taut)
-        strip, rows = self.strip, self._folded_rows(on_edge)
-        mesh = self.u.function_space.mesh
-        local = strip.local[rows].astype(np.int32)
-        X: Array = np.asarray(mesh.geometry.x[geometry_dofmap(mesh)[local]], dtype=float)
-        vectors = np.roll(X, -1, axis=1) - X
-        axes = membrane.material_axes(local)
-        tags = membrane.material_tags(local)
-        segments: dict[tuple[int, int], int] = {}
-        eps: list[float] = []
-        sides: dict[Edge, int] = {}
-        side_segments: list[list[int]] = []
-        cell_sides = np.zeros((len(rows), 3), dtype=np.int32)
-        kinks: list[tuple[tuple[int, int, int, int], int]] = []
-        facets: list[tuple[tuple[int, int, int], float]] = []
-        for n, row in enumerate(rows):
-            neighbours: dict[int, tuple[int, int]] = {}
-            for k in range(3):
-                edge, _ = _edge(strip.cells[row], k)
-                nodes = [(c, i) for _, c, i in on_edge.get(edge, [])]
-                inner = [self.block(*m) for m in nodes]
-                line = [self.vertex(edge[0]), *inner, self.vertex(edge[1])]
-                if edge not in sides:
-                    sides[edge] = len(side_segments)
-                    length = float(np.linalg.norm(vectors[n, k]))
-                    own = []
-                    for pair in itertools.pairwise(line):
-                        own.append(segments.setdefault(pair, len(segments)))
-                        if own[-1] == len(eps):
-                            eps.append(SMOOTHING * length if nodes else 0.0)
-                    side_segments.append(own)
-                cell_sides[n, k] = sides[edge]
-                for i in range(1, len(line) - 1):
-                    neighbours[line[i]] = (line[i - 1], line[i + 1])
-            for a, b in chords.get(row, []):
-                p, q = self.block(*a), self.block(*b)
-                for node, end, other in ((a, p, q), (b, q, p)):
-                    if self.cables[node[0]].nodes[node[1]].kind == "fold" and end in neighbours:
-                        before, after = neighbours[end]
-                        kinks.append(((before, end, after, other), n))
-            for part in self._cut(row, on_edge, chords.get(row, []), self._corner_block):
-                facets += fan_facets(part)
-        pointers = np.cumsum([0] + [len(own) for own in side_segments])
-        materials = [membrane.materials[int(tag)] for tag in tags]
-        folded = FoldedCells(
-            cells=local,
-            segments=np.array(list(segments), dtype=np.int32).reshape(-1, 2),
-            eps=np.array(eps),
-            side_pointers=pointers.astype(np.int32),
-            side_segments=np.array([s for own in side_segments for s in own], dtype=np.int32),
-            sides=cell_sides,
-            side_vectors=np.einsum("nki,nai->nka", vectors, axes),
-            laws=np.array([m.law for m in materials], dtype=np.int32),
-            parameters=np.array([m.parameters for m in materials]).reshape(-1, 17),
-        )
-        corners = [[self.vertex(v) for v in strip.cells[row].tolist()] for row in rows]
-        return (
-            folded,
-            kinks,
-            Facets(
-                np.array([f for f, _ in facets], dtype=np.int32).reshape(-1, 3),
-                np.array([w for _, w in facets]),
-                np.array(corners, dtype=np.int32).reshape(-1, 3),
-            ),
-        )
 
-
-def _edge(cell: npt.NDArray[np.int64], k: int) -> tuple[Edge, bool]:
+def side_of(cell: npt.NDArray[np.int64], k: int) -> tuple[Edge, bool]:
     """Side k of a cell with its ids ascending, and whether that is the cell's own direction."""
     a, b = int(cell[k]), int(cell[(k + 1) % 3])
     return ((a, b), True) if a < b else ((b, a), False)
-
-
-def _cell_sizes(u: fem.Function) -> Array:
-    """Square roots of twice the stress-free areas of the local cells (length)."""
-    mesh = u.function_space.mesh
-    x = mesh.geometry.x[geometry_dofmap(mesh)]
-    cross = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    return np.sqrt(np.linalg.norm(cross, axis=1))

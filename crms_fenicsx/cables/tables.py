@@ -1,0 +1,193 @@
+"""Tables of what a rank computes for the cables in tension: segments, folded cells, kinks, facets.
+
+Nodes of cables and vertices become local blocks of the unknowns here; see `network` for who owns
+what.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+
+from crms_fenicsx.cables.fold import FoldedCells
+from crms_fenicsx.cables.length import COINCIDENT, SMOOTHING
+from crms_fenicsx.cables.network import Edge, Link, Member, Network, side_of
+from crms_fenicsx.cables.penalty import Kinks
+from crms_fenicsx.cables.volume import Facets, fan_facets
+from crms_fenicsx.compat import geometry_dofmap
+from crms_fenicsx.membrane import MembraneEnergy
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class CableTables:
+    """What this rank computes for the cables in tension.
+
+    Attributes
+    ----------
+    segments : (n, 2), eps : (n,), cable : (n,)
+        Segments of the cables' polylines, their smoothing, and the cable's place among the taut.
+    folded : FoldedCells
+        Cells with folded sides.
+    kinks : tuple of (corner blocks (4,), row of `folded`)
+        Where chords meet sides at fold points that are free.
+    facets : Facets
+        Facets of the folded cells.
+    """
+
+    segments: Indices
+    eps: Array
+    cable: Indices
+    folded: FoldedCells
+    kinks: list[tuple[tuple[int, int, int, int], int]]
+    facets: Facets
+
+    def penalty(self, factor: float, moduli: Array) -> Kinks:
+        """Weighted penalty with mu = factor x E t x A; `moduli` (n,) is E t of the folded cells."""
+        rows = np.array([row for _, row in self.kinks], dtype=np.int64)
+        return Kinks(self._corners(), (factor * moduli * self.folded.areas)[rows], True)
+
+    def literal_penalty(self, mu: float) -> Kinks:
+        """The paper's penalty with one coefficient for all, (2.5-1)."""
+        return Kinks(self._corners(), np.full(len(self.kinks), mu), False)
+
+    def _corners(self) -> Indices:
+        return np.array([k for k, _ in self.kinks], dtype=np.int32).reshape(-1, 4)
+
+
+def cable_tables(network: Network, membrane: MembraneEnergy) -> CableTables:
+    """Tables of the cables in tension."""
+    taut = {c: n for n, c in enumerate(c for c, k in enumerate(network.cables) if k.taut)}
+    sizes = _cell_sizes(network.u)
+    own = [k for k in network.links if k.cable in taut and network.link_owner(k) == network.rank]
+    segments = [(network.block(c, k), network.block(c, k + 1)) for c, k, _ in own]
+    cells = _FoldedCellsOf(network, set(taut))
+    return CableTables(
+        np.array(segments, dtype=np.int32).reshape(-1, 2),
+        np.array([_smoothing(network, link, sizes) for link in own]),
+        np.array([taut[link.cable] for link in own], dtype=np.int32),
+        cells.folded(membrane),
+        cells.kinks(),
+        cells.facets(),
+    )
+
+
+def _smoothing(network: Network, link: Link, sizes: Array) -> float:
+    """Smoothing of a link's length; negative where its ends are given."""
+    first, second = network.cables[link.cable].nodes[link.node : link.node + 2]
+    if link.vertices is None:
+        point = first.point or second.point
+        assert point is not None, "two anchors in a row"
+        around, slides = point.support, "fold" in (first.kind, second.kind)
+    else:
+        around, slides = link.vertices, not {first.kind, second.kind} <= {"rider"}
+    strip = network.strip
+    rows = [row for row in strip.rows(around) if strip.owner[row] == network.rank]
+    size = float(min(sizes[strip.local[row]] for row in rows))
+    # An anchor may lie on the held place next to it: no direction, and none is needed.
+    return SMOOTHING * size if slides else -COINCIDENT * size
+
+
+class _FoldedCellsOf:
+    """This rank's cells that the cables in tension fold, cell by cell."""
+
+    def __init__(self, network: Network, taut: set[int]) -> None:
+        self.network = network
+        self.on_edge = network.points_by_edge(taut)
+        self.chords = network.chords_by_row(taut)
+        self.rows = network.folded_rows(self.on_edge)
+
+    def line(self, edge: Edge) -> list[int]:
+        """Blocks along an edge: its first vertex, the points on it, its last vertex."""
+        network = self.network
+        inner = [network.block(c, k) for _, c, k in self.on_edge.get(edge, [])]
+        return [network.vertex(edge[0]), *inner, network.vertex(edge[1])]
+
+    def sides(self, row: int) -> list[Edge]:
+        """The three sides of a cell."""
+        return [side_of(self.network.strip.cells[row], k)[0] for k in range(3)]
+
+    def folded(self, membrane: MembraneEnergy) -> FoldedCells:
+        """Sides in segments, and the cells' material."""
+        mesh = self.network.u.function_space.mesh
+        cells = self.network.strip.local[self.rows].astype(np.int32)
+        X: Array = np.asarray(mesh.geometry.x[geometry_dofmap(mesh)[cells]], dtype=float)
+        vectors = np.roll(X, -1, axis=1) - X
+        lengths = np.linalg.norm(vectors, axis=2)
+        segments: list[tuple[int, int]] = []
+        eps: list[float] = []
+        numbers: dict[Edge, int] = {}
+        pointers = [0]
+        sides = np.zeros((len(self.rows), 3), dtype=np.int32)
+        for n, row in enumerate(self.rows):
+            for k, edge in enumerate(self.sides(row)):
+                if edge not in numbers:
+                    numbers[edge] = len(numbers)
+                    parts = list(itertools.pairwise(self.line(edge)))
+                    segments += parts
+                    pointers.append(len(segments))
+                    smoothing = SMOOTHING * float(lengths[n, k]) if len(parts) > 1 else 0.0
+                    eps += [smoothing] * len(parts)
+                sides[n, k] = numbers[edge]
+        materials = [membrane.materials[int(tag)] for tag in membrane.material_tags(cells)]
+        return FoldedCells(
+            cells=cells,
+            segments=np.array(segments, dtype=np.int32).reshape(-1, 2),
+            eps=np.array(eps),
+            side_pointers=np.array(pointers, dtype=np.int32),
+            side_segments=np.arange(len(segments), dtype=np.int32),
+            sides=sides,
+            side_vectors=np.einsum("nki,nai->nka", vectors, membrane.material_axes(cells)),
+            laws=np.array([m.law for m in materials], dtype=np.int32),
+            parameters=np.array([m.parameters for m in materials]).reshape(-1, 17),
+        )
+
+    def kinks(self) -> list[tuple[tuple[int, int, int, int], int]]:
+        """Where chords meet sides at free fold points: corner blocks and the cell's place."""
+        network, kinks = self.network, []
+        for n, row in enumerate(self.rows):
+            beside: dict[int, tuple[int, int]] = {}
+            for edge in self.sides(row):
+                line = self.line(edge)
+                beside |= {line[i]: (line[i - 1], line[i + 1]) for i in range(1, len(line) - 1)}
+            for chord in self.chords.get(row, []):
+                for member, other in (chord, chord[::-1]):
+                    block = network.block(*member)
+                    if self._slides(member) and block in beside:
+                        before, after = beside[block]
+                        kinks.append(((before, block, after, network.block(*other)), n))
+        return kinks
+
+    def _slides(self, member: Member) -> bool:
+        cable, node = member
+        return self.network.cables[cable].nodes[node].kind == "fold"
+
+    def facets(self) -> Facets:
+        """Facets of the polygons into which chords cut the cells."""
+        network = self.network
+        facets: list[tuple[tuple[int, int, int], float]] = []
+        for row in self.rows:
+            chords: Sequence[tuple[Member, Member]] = self.chords.get(row, [])
+            for polygon in network.cut(row, self.on_edge, chords, network.corner_block):
+                facets += fan_facets(polygon)
+        plain = [[network.vertex(int(v)) for v in network.strip.cells[row]] for row in self.rows]
+        return Facets(
+            np.array([corners for corners, _ in facets], dtype=np.int32).reshape(-1, 3),
+            np.array([weight for _, weight in facets]),
+            np.array(plain, dtype=np.int32).reshape(-1, 3),
+        )
+
+
+def _cell_sizes(u: fem.Function) -> Array:
+    """Square roots of twice the stress-free areas of the local cells (length)."""
+    mesh = u.function_space.mesh
+    x = mesh.geometry.x[geometry_dofmap(mesh)]
+    cross = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    return np.sqrt(np.linalg.norm(cross, axis=1))
