@@ -47,7 +47,7 @@ class FollowerPressure:
         n0, n = ufl.cross(e1, e2), ufl.cross(F[0], F[1])
         change = ufl.dot(u, n) + ufl.dot(X, n - n0)
         self._volume = fem.form(plain * change / 3 * dx)
-        gradient = ufl.derivative(pressure * plain * change / 3 * dx, u)
+        gradient = ufl.derivative(-pressure * plain * change / 3 * dx, u)
         self._gradient = fem.form(gradient)
         self._work = np.zeros_like(u.x.array)
 
@@ -64,12 +64,11 @@ class FollowerPressure:
         return -float(self.pressure.value) * float(sums[0])
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
-        """Subtract the pressure's nodal forces."""
+        """Add the pressure's nodal forces, with the sign of a gradient."""
         if float(self.pressure.value) == 0.0:
             return
         self._work[:] = 0.0
         fem.assemble_vector(self._work, self._gradient)
-        self._work *= -1.0
         self.unknowns.add_to_vertices(self._work.reshape(-1, 3), g)
 
 

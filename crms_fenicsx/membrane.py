@@ -65,10 +65,15 @@ def warp_field(mesh: Any, material: Membrane, cells: npt.NDArray[np.int32]) -> f
     return field
 
 
+def area_vectors(mesh: Any) -> Array:
+    """Normals of the stress-free cells, as long as their areas, (n, 3), ghosts included."""
+    x = mesh.geometry.x[geometry_dofmap(mesh)]
+    return np.asarray(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) / 2, dtype=float)
+
+
 def cell_normals(mesh: Any) -> Array:
     """Unit normals of the stress-free cells, (n, 3), ghosts included."""
-    x = mesh.geometry.x[geometry_dofmap(mesh)]
-    normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    normal = area_vectors(mesh)
     return normal / np.linalg.norm(normal, axis=1)[:, None]
 
 

@@ -255,16 +255,12 @@ def gained_volume(scene: Scene) -> float:
     membrane's centre counts too.
     """
     V, mesh = scene.V, scene.mesh.mesh
-    vertices = V.dofmap.index_map.size_local
-    sums = _sum_over_ranks(scene, V.tabulate_dof_coordinates()[:vertices])
-    centre = sums / V.dofmap.index_map.size_global
-
     shape = folded_shape(scene)
     owned = mesh.topology.index_map(2).size_local
     plain = np.ones(owned, dtype=bool)
     plain[shape.cells] = False
     cells = V.dofmap.list[:owned]
-    X, u = shape.stress_free - centre, shape.points - shape.stress_free
+    X, u = shape.stress_free - scene.centre, shape.points - shape.stress_free
     local = _volume_change(X, u, cells[plain]).sum()
     if shape.pieces:
         from crms_fenicsx.cables.volume import fan_facets

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -14,6 +15,7 @@ from dolfinx.mesh import meshtags
 from crms_fenicsx import checks
 from crms_fenicsx.errors import InputError, PenaltyWarning, raised_together
 from crms_fenicsx.materials import LINEAR, Membrane
+from crms_fenicsx.membrane import area_vectors
 from crms_fenicsx.meshes import MembraneMesh
 
 if TYPE_CHECKING:
@@ -130,6 +132,22 @@ class Scene:
         from crms_fenicsx.results import gained_volume
 
         return gained_volume(self)
+
+    @cached_property
+    def centre(self) -> Array:
+        """Mean stress-free position (length), from which volumes count. Collective."""
+        vertices = self.V.dofmap.index_map
+        total = self.comm.allreduce(
+            self.V.tabulate_dof_coordinates()[: vertices.size_local].sum(axis=0)
+        )
+        return np.asarray(total / vertices.size_global)
+
+    @cached_property
+    def size(self) -> float:
+        """Square root of the stress-free area (length). Collective."""
+        owned = self.mesh.mesh.topology.index_map(2).size_local
+        areas = np.linalg.norm(area_vectors(self.mesh.mesh)[:owned], axis=1)
+        return float(np.sqrt(self.comm.allreduce(float(areas.sum()))))
 
     def positions(self) -> Array:
         """Current positions of the vertices by local degree of freedom, (n, 3), with ghosts."""

@@ -309,7 +309,7 @@ class Solver:
         A flat sheet has no stiffness against pressure. The stress that it will have is estimated
         from the load, 0.3 (p^2 L^2 E t)^(1/3), and from the movement; a stressed sheet gets none.
         """
-        scene, size = self.scene, self.system.size
+        scene, size = self.scene, self.scene.size
         modulus = max(m.reference_modulus for m in scene.materials.values())
         moves = [float(np.linalg.norm(d)) for *_, d in target.cable_ends]
         moves.append(float(np.max(np.linalg.norm(target.moved, axis=1), initial=0.0)))

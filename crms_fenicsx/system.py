@@ -52,19 +52,11 @@ class System:
         self.membrane = self._membrane_term()
         self.pressure: FollowerPressure | StepPressure | None = None
         self.pressure_value = fem.Constant(scene.mesh.mesh, PETSc.ScalarType(0.0))
-        self.origin = self._centre()
         self.network: Network | None = None
         self.tables: CableTables | None = None
         self.minimizer: Minimizer | None = None
         self._folded_volume, self._folded_energy = np.zeros(1), np.zeros(1)
         self.rebuild()
-
-    def _centre(self) -> Array:
-        """Mean stress-free position: volumes are counted from it, against rounding."""
-        V = self.scene.V
-        owned = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local]
-        total = self.scene.comm.allreduce(owned.sum(axis=0))
-        return np.asarray(total / V.dofmap.index_map.size_global)
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
@@ -121,7 +113,7 @@ class System:
         if term is None:
             u, plain, value = self.scene.u, self.membrane.plain, self.pressure_value
             if self.scene.pressure_law == "total":
-                term = FollowerPressure(u, plain, value, self.origin)
+                term = FollowerPressure(u, plain, value, self.scene.centre)
             else:
                 term = StepPressure(u, plain, value)
             self.pressure = term
@@ -188,24 +180,13 @@ class System:
         from crms_fenicsx.cables.volume import FoldedFollowerPressure, FoldedStepPressure
 
         if self.scene.pressure_law == "total":
-            return FoldedFollowerPressure(tables.facets, self.pressure_value, self.origin)
+            return FoldedFollowerPressure(tables.facets, self.pressure_value, self.scene.centre)
         return FoldedStepPressure(tables.facets, self.pressure_value, self._folded_volume)
 
     def _tiny_force(self) -> float:
         """A force that is nothing for this membrane: tolerance of scenes without any load."""
         modulus = max(m.reference_modulus for m in self.scene.materials.values())
-        return 1e-12 * modulus * self.size
-
-    @property
-    def size(self) -> float:
-        """Square root of the stress-free area (length)."""
-        if not hasattr(self, "_size"):
-            from crms_fenicsx.membrane import one_point
-
-            one = fem.Constant(self.scene.mesh.mesh, PETSc.ScalarType(1.0))
-            area = fem.assemble_scalar(fem.form(one * one_point(self.scene.mesh.mesh)))
-            self._size = float(np.sqrt(self.scene.comm.allreduce(area)))
-        return self._size
+        return 1e-12 * modulus * self.scene.size
 
     def pull(self) -> None:
         """Take state and loads from the scene."""

@@ -50,7 +50,7 @@ def lay(
         if value is not None:
             checks.positive(f"lay_cable: {name!r} with {key}", value)
     route = _route(path)
-    strip, ids, positions, rows = gather_strip(scene.u, route)
+    strip, ids, positions, rows = gather_strip(scene, route)
     traced = trace(ids, positions, rows, route)
     held = _held_places(scene, strip)
     nodes = _nodes(traced, held)

@@ -9,13 +9,16 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem
 
 from crms_fenicsx.cables.trace import near_section
 from crms_fenicsx.compat import geometry_dofmap
+
+if TYPE_CHECKING:
+    from crms_fenicsx.scene import Scene
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -75,7 +78,7 @@ class Strip:
 EMPTY = Strip(np.zeros((0, 3), dtype=np.int64), *(np.zeros(0, dtype=np.int64),) * 2)
 
 
-def gather_strip(u: fem.Function, route: Array) -> tuple[Strip, Integers, Array, Array]:
+def gather_strip(scene: Scene, route: Array) -> tuple[Strip, Integers, Array, Array]:
     """Gather the cells near a route on the current shape.
 
     Returns
@@ -87,13 +90,13 @@ def gather_strip(u: fem.Function, route: Array) -> tuple[Strip, Integers, Array,
     rows : (m, 3)
         The cells as rows of `vertices`.
     """
-    mesh = u.function_space.mesh
+    mesh = scene.mesh.mesh
     comm = mesh.comm
     owned = mesh.topology.index_map(2).size_local
     nodes = geometry_dofmap(mesh)[:owned]
     ids = np.asarray(mesh.geometry.input_global_indices, dtype=np.int64)
-    current = current_positions(u)
-    dofs = u.function_space.dofmap.list[:owned]
+    current = scene.positions()
+    dofs = scene.V.dofmap.list[:owned]
     positions = np.zeros((mesh.geometry.x.shape[0], 3))
     positions[nodes] = current[dofs]
     near = np.flatnonzero(near_section(positions, nodes, route, comm=comm))
@@ -105,8 +108,3 @@ def gather_strip(u: fem.Function, route: Array) -> tuple[Strip, Integers, Array,
     vertices, first, rows = np.unique(cells.ravel(), return_index=True, return_inverse=True)
     strip = Strip(cells, owner.astype(np.int64), local.astype(np.int64))
     return strip, vertices, corners[first], rows.reshape(-1, 3)
-
-
-def current_positions(u: fem.Function) -> Array:
-    """Current positions of the vertices by local degree of freedom, (n, 3), ghosts included."""
-    return u.function_space.tabulate_dof_coordinates() + u.x.array.reshape(-1, 3)

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem
 
 from crms_fenicsx.cables.fold import FoldedCells
 from crms_fenicsx.cables.length import COINCIDENT, SMOOTHING
@@ -20,7 +19,7 @@ from crms_fenicsx.cables.network import Edge, Link, Member, Network, side_of
 from crms_fenicsx.cables.penalty import Kinks
 from crms_fenicsx.cables.volume import Facets, fan_facets
 from crms_fenicsx.compat import geometry_dofmap
-from crms_fenicsx.membrane import MembraneEnergy
+from crms_fenicsx.membrane import MembraneEnergy, area_vectors
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
@@ -65,7 +64,8 @@ class CableTables:
 def cable_tables(network: Network, membrane: MembraneEnergy) -> CableTables:
     """Tables of the cables in tension."""
     taut = {c: n for n, c in enumerate(c for c, k in enumerate(network.cables) if k.taut)}
-    sizes = _cell_sizes(network.u)
+    mesh = network.u.function_space.mesh
+    sizes = np.sqrt(2 * np.linalg.norm(area_vectors(mesh), axis=1))
     own = [k for k in network.links if k.cable in taut and network.link_owner(k) == network.rank]
     segments = [(network.block(c, k), network.block(c, k + 1)) for c, k, _ in own]
     cells = _FoldedCellsOf(network, set(taut))
@@ -183,11 +183,3 @@ class _FoldedCellsOf:
             np.array([weight for _, weight in facets]),
             np.array(plain, dtype=np.int32).reshape(-1, 3),
         )
-
-
-def _cell_sizes(u: fem.Function) -> Array:
-    """Square roots of twice the stress-free areas of the local cells (length)."""
-    mesh = u.function_space.mesh
-    x = mesh.geometry.x[geometry_dofmap(mesh)]
-    cross = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    return np.sqrt(np.linalg.norm(cross, axis=1))
