@@ -15,6 +15,7 @@ which is accurate to the rounding of the forces.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +34,9 @@ STAGE_LENGTHS = (4, 6, 10, 20)
 
 CLOSE = 1e-5
 """Residual, relative to the force scale, from which on energy counts from the stage's start."""
+
+COARSE = 1e-5
+"""Residual, relative to the force scale, at which `solve` asks whether to go on."""
 
 BOUNDED_TYPES, UNBOUNDED_TYPES = ("blmvm", "bqnls", "bncg"), ("lmvm", "cg")
 """Minimisers that need energy and gradient only, with bounds and without."""
@@ -61,6 +65,10 @@ class Outcome:
         Norm of the gradient and what was asked for (force).
     iterations, evaluations, factorizations
         Quasi-Newton iterations, evaluations of energy and gradient, factorisations of H0.
+    solves
+        Minimisations: more than one where cables turned slack or taut, lifted off or slid.
+    flips
+        Mesh vertices over which cables slid sideways, those of rejected paths included.
     """
 
     converged: bool
@@ -70,6 +78,8 @@ class Outcome:
     iterations: int
     evaluations: int
     factorizations: int
+    solves: int = 1
+    flips: int = 0
 
     def __add__(self, other: Outcome) -> Outcome:
         """The outcome of `other`, after the work of both."""
@@ -81,6 +91,8 @@ class Outcome:
             self.iterations + other.iterations,
             self.evaluations + other.evaluations,
             self.factorizations + other.factorizations,
+            self.solves + other.solves,
+            self.flips + other.flips,
         )
 
 
@@ -122,11 +134,14 @@ class Minimizer:
         )
         self._close = self._at_start = False
         self._energy0 = 0.0
+        self._interrupt: Callable[[], bool] | None = None
+        self._look_at = 0.0
         self.tao = PETSc.TAO().create(comm)
         self.tao.setOptionsPrefix(prefix)
         self.tao.setType(PETSc.TAO.Type.BLMVM)
         self.tao.setObjectiveGradient(self._objective_gradient, self._g)
         self.tao.setSolution(self._x)
+        self.tao.setMonitor(self._monitor)
         self._bounds: tuple[PETSc.Vec, PETSc.Vec] | None = None
         if potential.unknowns.bounds is not None:
             self._bounds = (self._x.duplicate(), self._x.duplicate())
@@ -165,6 +180,15 @@ class Minimizer:
         self._step.axpy(-1.0, self._x0)
         return 0.5 * (self._step.dot(G) + self._step.dot(self._g0))
 
+    def _monitor(self, tao: PETSc.TAO) -> None:
+        """Called by TAO after each iteration: near the minimum, ask once whether to go on."""
+        if self._interrupt is None or tao.getSolutionStatus()[2] > self._look_at:
+            return
+        self.potential.place(self._x)
+        if self._interrupt():
+            tao.setConvergedReason(PETSc.TAO.ConvergedReason.CONVERGED_USER)
+        self._interrupt = None
+
     def _set_h0(self) -> None:
         """Rebuild H0 at the current state, and hand it to TAO the first time."""
         self.h0.rebuild()
@@ -191,7 +215,11 @@ class Minimizer:
         return float(potential.comm.allreduce(float(np.sum(g * g)), op=MPI.SUM) ** 0.5)
 
     @np.errstate(over="ignore", invalid="ignore")  # the residual tells
-    def solve(self, h0_prestress: tuple[float, ...] = (0.0,)) -> Outcome:
+    def solve(
+        self,
+        h0_prestress: tuple[float, ...] = (0.0,),
+        interrupt: Callable[[], bool] | None = None,
+    ) -> Outcome:
         """Minimise from the potential's current state; the state is then the minimiser.
 
         Parameters
@@ -199,8 +227,12 @@ class Minimizer:
         h0_prestress
             Extra section force in the stiffness of the plain cells in the first stages (force
             per length); the last value repeats.
+        interrupt
+            Called once, when the state is near the minimum and placed in the potential. If it
+            returns true the solve ends there, with the reason "interrupted", as converged.
         """
         potential = self.potential
+        self._interrupt = interrupt
         membrane = [term for term in potential.terms if hasattr(term, "h0_prestress")]
         self._place_bounds()
         potential.place()
@@ -220,6 +252,8 @@ class Minimizer:
                 break
             if failures >= 3 and residual > 0.5 * best:
                 break
+            if reason == "interrupted":
+                break
             best = min(best, residual)
             if self._uses_h0:
                 for term in membrane:
@@ -230,6 +264,7 @@ class Minimizer:
             potential.x_vector.copy(self._x0)
             self._close = residual <= CLOSE * scale
             self._at_start = self._bounds is None
+            self._look_at = COARSE * scale
             self.tao.setTolerances(gatol=tolerance, grtol=0.0, gttol=0.0)
             length = STAGE_LENGTHS[min(stage, len(STAGE_LENGTHS) - 1)]
             self.tao.setMaximumIterations(length if self._uses_h0 else 100000)
@@ -237,13 +272,15 @@ class Minimizer:
             iterations += self.tao.getIterationNumber()
             potential.place(self._x)
             ended = int(self.tao.getConvergedReason())
+            if ended == PETSc.TAO.ConvergedReason.CONVERGED_USER:
+                reason = "interrupted"
             if ended < 0:
                 reason = REASONS.get(ended, f"TAO reason {ended}")
             failures = failures + 1 if ended == -6 else 0
         for term in membrane:
             term.h0_prestress.value = 0.0
         return Outcome(
-            reason == "converged",
+            reason in ("converged", "interrupted"),
             reason,
             residual,
             tolerance,

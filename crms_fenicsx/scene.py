@@ -19,7 +19,7 @@ from crms_fenicsx.membrane import area_vectors
 from crms_fenicsx.meshes import MembraneMesh
 
 if TYPE_CHECKING:
-    from crms_fenicsx.cables.cable import Cable, LaidCable
+    from crms_fenicsx.cables.cable import Cable, Crossing, LaidCable
     from crms_fenicsx.cables.strip import Strip
 
 Array = npt.NDArray[np.float64]
@@ -113,6 +113,7 @@ class Scene:
         """Current pressure (force per area)."""
         self.cables: list[LaidCable] = []
         self.strip: Strip | None = None
+        self.crossings: list[Crossing] = []
         self.energies: dict[str, float] = {}
         """Energy of each kind of term in the current state (force x length)."""
         self.changes = 0
@@ -304,6 +305,8 @@ class Scene:
         *,
         L0: float | None = None,
         tension: float | None = None,
+        sleeve: bool = False,
+        level: int = 0,
         name: str | None = None,
     ) -> LaidCable:
         """Lay a cable on the membrane's current shape.
@@ -323,6 +326,11 @@ class Scene:
             Unstressed length (length).
         tension
             Tension at laying (force), from which the unstressed length follows.
+        sleeve
+            Whether a sleeve holds the cable to the membrane: it slides, but cannot lift off.
+        level
+            Of two cables that cross the one with the higher level lies on top; of equal ones the
+            one laid later.
         name
             Name in results; "cable 1", "cable 2" ... by default.
 
@@ -334,14 +342,17 @@ class Scene:
         Raises
         ------
         PathError
-            The path cannot be laid, or crosses another cable inside a cell.
+            The path cannot be laid.
         InputError
             L0 or tension that is not positive, or both, or a name that is taken.
         """
         from crms_fenicsx.cables.laying import lay
 
         self.check_finite("lay_cable")
-        laid = lay(self, cable, path, L0=L0, tension=tension, name=name)
+        level = checks.whole("lay_cable: level", level, 0)
+        laid = lay(
+            self, cable, path, L0=L0, tension=tension, sleeve=sleeve, level=level, name=name
+        )
         self.changes += 1
         return laid
 

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from crms_fenicsx import checks
+from crms_fenicsx.equilibrium import EquilibriumSearch
 from crms_fenicsx.errors import ConvergenceError, InputError, PathWarning
 from crms_fenicsx.loading import Target, checked_target
 from crms_fenicsx.minimizer import Outcome
@@ -78,6 +79,9 @@ class Solver:
         forces.
     max_halvings
         How often an increment is halved before the solver gives up.
+    slide
+        Whether cables may slide sideways into other cells than those that they cross. Without it
+        they slide inside their cells only, and a `PathWarning` tells when they run into a vertex.
 
     Attributes
     ----------
@@ -93,6 +97,7 @@ class Solver:
         prefix: str = "crms_",
         rtol: float = 1e-9,
         max_halvings: int = 8,
+        slide: bool = True,
     ) -> None:
         if not isinstance(scene, Scene):
             raise InputError(f"Solver: scene is of type {type(scene).__name__}; give a Scene.")
@@ -105,6 +110,7 @@ class Solver:
             )
         self.scene, self.prefix, self.rtol = scene, prefix, float(rtol)
         self.max_halvings = checks.whole("Solver: max_halvings", max_halvings, 0)
+        self.slide = bool(slide)
         self.steps: list[Step] = []
         self._system: System | None = None
         self._recorder = Recorder(scene, results)
@@ -263,7 +269,8 @@ class Solver:
                 good = State.of(scene)
                 target.apply(scene, first, goal / steps)
                 try:
-                    outcome = self.system.solve(self._h0_prestress(target, (goal - done) / steps))
+                    prestress = self._h0_prestress(target, (goal - done) / steps)
+                    outcome = EquilibriumSearch(self.system, self.slide).find(prestress)
                 except BaseException:  # also an interrupt leaves a state that is one
                     self._go_back(good)
                     raise
@@ -322,6 +329,8 @@ class Solver:
         return (coming, 0.1 * coming, 0.01 * coming, 0.0)
 
     def _warn_of_blocked(self) -> None:
+        if self.slide:
+            return
         for cable in self.scene.cables:
             if cable.blocked and self.scene.comm.rank == 0:
                 place = cable.positions[cable.blocked[0]]

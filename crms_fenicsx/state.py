@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.scene import Scene
+
+if TYPE_CHECKING:
+    from crms_fenicsx.cables.cable import CableNode, Crossing
 
 Array = npt.NDArray[np.float64]
 
@@ -16,8 +21,11 @@ Array = npt.NDArray[np.float64]
 class CableState:
     """What changes of a laid cable."""
 
+    nodes: tuple[CableNode, ...]
     positions: Array
     fractions: Array
+    lifted: npt.NDArray[np.bool_]
+    material: Array
     L0: float
     length: float
     tension: float
@@ -33,6 +41,7 @@ class State:
     pressure: float
     energies: dict[str, float]
     cables: tuple[CableState, ...]
+    crossings: tuple[tuple[Crossing, bool], ...]
 
     @classmethod
     def of(cls, scene: Scene) -> State:
@@ -43,18 +52,46 @@ class State:
             dict(scene.energies),
             tuple(
                 CableState(
-                    c.positions.copy(), c.fractions.copy(), c.L0, c.length, c.tension, c.taut,
-                    c.blocked,
+                    c.nodes, c.positions.copy(), c.fractions.copy(), c.lifted.copy(),
+                    c.material.copy(), c.L0, c.length, c.tension, c.taut, c.blocked,
                 )
                 for c in scene.cables
             ),
+            tuple((crossing, crossing.apart) for crossing in scene.crossings),
         )  # fmt: skip
 
     def restore_shape(self, scene: Scene) -> None:
-        """Bring only the positions of membrane and cables back to this state."""
+        """Bring the positions of membrane and cables, and the paths, back to this state."""
         scene.u.x.array[:] = self.u
         for cable, was in zip(scene.cables, self.cables, strict=True):
-            cable.positions[:], cable.fractions[:] = was.positions, was.fractions
+            cable.set_nodes(
+                was.nodes, was.positions.copy(), was.fractions.copy(), was.lifted.copy()
+            )
+            cable.material[:] = was.material
+        scene.crossings = [crossing for crossing, _ in self.crossings]
+        for crossing, apart in self.crossings:
+            crossing.apart = apart
+
+    def restore_positions(self, scene: Scene) -> None:
+        """Bring membrane and cables to where they were, the cables on their new paths. Collective.
+
+        Points that the paths had are where they were; others lie on the membrane of then.
+        """
+        from crms_fenicsx.cables.strip import StripShape
+
+        scene.u.x.array[:] = self.u
+        assert scene.strip is not None
+        shape = StripShape.of(scene, scene.strip)
+        for cable, was in zip(scene.cables, self.cables, strict=True):
+            known = {_key(was.nodes, k): k for k in range(len(was.nodes)) if not was.lifted[k]}
+            for k, node in enumerate(cable.nodes):
+                old = known.get(_key(cable.nodes, k))
+                if old is not None:
+                    cable.positions[k], cable.fractions[k] = was.positions[old], was.fractions[old]
+                else:
+                    fraction = float(cable.fractions[k])
+                    ids, weights = node.masters(None if np.isnan(fraction) else fraction)
+                    cable.positions[k] = np.dot(weights, [shape.at(i) for i in ids])
 
     def restore(self, scene: Scene) -> None:
         """Bring the scene back to this state."""
@@ -64,3 +101,9 @@ class State:
         for cable, was in zip(scene.cables, self.cables, strict=True):
             cable.L0, cable.length, cable.tension = was.L0, was.length, was.tension
             cable.taut, cable.blocked = was.taut, was.blocked
+
+
+def _key(nodes: Sequence[CableNode], k: int) -> object:
+    """What a node is known by while a path changes."""
+    point = nodes[k].point
+    return ("end", k > 0) if point is None else (nodes[k].kind, point.support)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,12 +11,12 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from crms_fenicsx.cables.cable import polyline_length
 from crms_fenicsx.loads import FollowerPressure, StepPressure
 from crms_fenicsx.membrane import MembraneEnergy
 from crms_fenicsx.minimizer import Minimizer, Outcome
 from crms_fenicsx.potential import Potential, Term
 from crms_fenicsx.scene import Scene
-from crms_fenicsx.state import State
 from crms_fenicsx.unknowns import Unknowns
 
 if TYPE_CHECKING:
@@ -26,9 +27,6 @@ if TYPE_CHECKING:
     from crms_fenicsx.cables.tension import CableTension
 
 Array = npt.NDArray[np.float64]
-
-MAX_SWITCHES = 6
-"""How often each cable may turn from slack to taut or back in one solve."""
 
 
 class System:
@@ -75,9 +73,11 @@ class System:
         scene = self.scene
         self.tables = None
         if scene.cables:
+            from crms_fenicsx.cables.crossings import arrange
             from crms_fenicsx.cables.network import Network
 
             assert scene.strip is not None
+            scene.crossings = arrange(scene.cables, scene.strip, scene.crossings)
             self.network = Network(scene.cables, scene.strip, scene.u)
             self.unknowns = self.network.unknowns()
             self.network.hold(self.unknowns)
@@ -209,10 +209,9 @@ class System:
         scene.energies = self.potential.energies()
         if network is None:
             return
-        lengths = network.lengths(self.unknowns, self.potential.x)
         network.update_cables(self.unknowns, self.potential.x)
-        for cable, length in zip(scene.cables, lengths, strict=True):
-            cable.length = float(length)
+        for cable in scene.cables:
+            cable.length = polyline_length(cable.positions[cable.contacts()])
             cable.tension = 0.0
         if self.tables is not None:
             part = self.potential.sums_of(self.tension)
@@ -220,64 +219,33 @@ class System:
             for cable, length, force in zip(taut, part, self.tension.tensions(part), strict=True):
                 cable.length, cable.tension = float(length), float(force)
 
-    def _switch_cables(self) -> list[str]:
-        """Tighten slack cables that have become too long for their path, slacken the others."""
-        if self.network is None:
-            return []
-        lengths = self.network.lengths(self.unknowns, self.potential.x)
-        switched = []
-        for cable, length in zip(self.scene.cables, lengths, strict=True):
-            taut = cable.cable.law == "step" or bool(length > cable.L0 * (1 + 1e-12))
-            if taut != cable.taut:
-                switched.append(cable.name)
-                cable.taut = taut
-        return switched
-
-    def solve(self, h0_prestress: tuple[float, ...]) -> Outcome:
-        """Find the equilibrium at the scene's loads, starting from its state.
-
-        Cables that turn taut or slack on the way are switched and the solve repeated.
-        """
-        total: Outcome | None = None
-        if self.built_for != self.scene.changes or self._needs_pressure():
+    def prepare(self) -> None:
+        """Bring the potential up to date with the scene's parts and loads."""
+        if self.built_for != self.scene.changes or (
+            self.scene.pressure != 0.0 and self.pressure is None
+        ):
             self.rebuild()
-        start = State.of(self.scene)
-        self.pull()
-        switched = self._switch_cables()
-        counts: dict[str, int] = {}
-        while True:
-            for name in switched:
-                counts[name] = counts.get(name, 0) + 1
-            if switched:
-                if self._has_history():
-                    start.restore_shape(self.scene)  # the step starts there for all its terms
-                self.rebuild()
-                self.pull()
-            self.potential.begin_step()
-            assert self.minimizer is not None
-            outcome = self.minimizer.solve(h0_prestress)
-            total = outcome if total is None else total + outcome
-            if not outcome.converged:
-                return total
-            self.push()
-            switched = self._switch_cables()
-            if not switched:
-                return total
-            if max(counts.get(name, 0) for name in switched) >= MAX_SWITCHES:
-                reason = f"{switched[0]} keeps turning from slack to taut and back"
-                return Outcome(
-                    False, reason, total.residual, total.tolerance, total.iterations,
-                    total.evaluations, total.factorizations,
-                )  # fmt: skip
 
-    def _has_history(self) -> bool:
+    def locate_cables(self) -> None:
+        """Tell all ranks where the cables' points are."""
+        if self.network is not None:
+            self.network.update_cables(self.unknowns, self.potential.x)
+
+    def minimize(
+        self, h0_prestress: tuple[float, ...], interrupt: Callable[[], bool] | None = None
+    ) -> Outcome:
+        """Minimise the potential from the state pulled; see `Minimizer.solve`."""
+        assert self.minimizer is not None
+        self.potential.begin_step()
+        return self.minimizer.solve(h0_prestress, interrupt)
+
+    @property
+    def has_history(self) -> bool:
+        """Whether some law depends on the state at the start of a load step."""
         scene = self.scene
         return "step" in (scene.strain_law, scene.pressure_law) or any(
             cable.cable.law == "step" for cable in scene.cables
         )
-
-    def _needs_pressure(self) -> bool:
-        return self.scene.pressure != 0.0 and self.pressure is None
 
     def commit(self) -> None:
         """End a load step, for terms with history."""

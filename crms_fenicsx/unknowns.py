@@ -2,7 +2,7 @@
 
 Everything is counted in *blocks* of three components. On each rank the local blocks are
 
-    [ owned vertices | owned cable points | ghost vertices | ghost cable points ]
+    [ owned vertices | owned cable points | ghost vertices | ghost cable points | far vertices ]
 
 and the PETSc vectors hold the first two groups. Cable points are fold points on edges, anchors and
 other points that cables pass without being mesh vertices. Terms of the potential see one local
@@ -34,6 +34,9 @@ class Unknowns:
     ghost_points
         For each cable point that this rank needs but does not own: its owner and its index among
         the owner's points, (n, 2).
+    far_vertices
+        For each vertex of other ranks that is none of this rank's ghosts, but the end of a span
+        of cable that this rank computes: its owner and its local degree of freedom there, (n, 2).
 
     Attributes
     ----------
@@ -51,6 +54,7 @@ class Unknowns:
         V: fem.FunctionSpace,
         owned_points: int = 0,
         ghost_points: Sequence[tuple[int, int]] = (),
+        far_vertices: Sequence[tuple[int, int]] = (),
     ) -> None:
         self.V = V
         self.comm = V.mesh.comm
@@ -59,7 +63,10 @@ class Unknowns:
         self.n_points = owned_points
         self.n_owned = self.n_vertices + self.n_points
         self.n_ghost_vertices = vertices.num_ghosts
-        self.n_local = self.n_owned + self.n_ghost_vertices + len(ghost_points)
+        self.n_ghost_points = len(ghost_points)
+        self.n_local = (
+            self.n_owned + self.n_ghost_vertices + self.n_ghost_points + len(far_vertices)
+        )
 
         # The combined global numbering: rank by rank, vertices first.
         vertex_starts = np.array(self.comm.allgather(vertices.local_range[0]))
@@ -70,6 +77,8 @@ class Unknowns:
         ghosts[: self.n_ghost_vertices] = vertices.ghosts - vertex_starts[owners] + starts[owners]
         for k, (owner, index) in enumerate(ghost_points):
             ghosts[self.n_ghost_vertices + k] = starts[owner] + sizes[owner, 0] + index
+        for k, (owner, dof) in enumerate(far_vertices, start=len(ghosts) - len(far_vertices)):
+            ghosts[k] = starts[owner] + dof
         self.ghosts = ghosts
         self.start = int(starts[self.comm.rank])
         self.n_global = int(starts[-1])
@@ -105,7 +114,13 @@ class Unknowns:
 
     def ghost_point_blocks(self) -> Indices:
         """Local blocks of the cable points of other ranks."""
-        return np.arange(self.n_owned + self.n_ghost_vertices, self.n_local, dtype=np.int32)
+        first = self.n_owned + self.n_ghost_vertices
+        return np.arange(first, first + self.n_ghost_points, dtype=np.int32)
+
+    def far_vertex_blocks(self) -> Indices:
+        """Local blocks of the vertices at far ends of spans."""
+        first = self.n_owned + self.n_ghost_vertices + self.n_ghost_points
+        return np.arange(first, self.n_local, dtype=np.int32)
 
     def vector(self) -> tuple[PETSc.Vec, Array]:
         """A ghosted vector and its local array (n, 3), ghosts included, which share memory."""
@@ -118,10 +133,9 @@ class Unknowns:
 
     def matrix_order(self) -> Indices:
         """Local blocks in the order that matrices count them: all vertices, as DOLFINx's forms
-        number them, then all cable points."""
-        return np.concatenate(
-            [self.vertex_blocks(), self.owned_point_blocks(), self.ghost_point_blocks()]
-        )
+        number them, then all else."""
+        rest = np.arange(self.n_owned + self.n_ghost_vertices, self.n_local, dtype=np.int32)
+        return np.concatenate([self.vertex_blocks(), self.owned_point_blocks(), rest])
 
     def lgmap(self) -> PETSc.LGMap:
         """Local to global map of the blocks in matrix order."""

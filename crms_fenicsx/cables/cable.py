@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -41,6 +42,32 @@ class Cable:
             raise InputError(f"Cable: law = {self.law!r} is not known; use 'total' or 'step'.")
 
 
+@dataclass(eq=False)
+class Crossing:
+    """A place where two cables cross: one free point that both share.
+
+    Attributes
+    ----------
+    lower, upper
+        Numbers of the cables, the upper one on top.
+    support
+        Ids of the vertices of the cell (3) or edge (2) that it is in.
+    links
+        Where it is on the lower and on the upper cable: after which node, crossings not counted.
+    place : (3,)
+        Where they cross, or would (length).
+    apart
+        Whether the upper cable has lifted off the lower one; they share no point then.
+    """
+
+    lower: int
+    upper: int
+    support: tuple[int, ...]
+    links: tuple[int, int]
+    place: Array
+    apart: bool = False
+
+
 @dataclass(frozen=True)
 class CableNode:
     """A point of a cable's polyline.
@@ -49,13 +76,18 @@ class CableNode:
     ----------
     kind
         "vertex": a mesh vertex. "fold": slides freely on an edge, which folds there. "rider": is
-        tied to a place of the membrane. "anchor": held in space.
+        tied to a place of the membrane. "anchor": held in space. "crossing": free, shared with
+        another cable.
     point
         Its place on the mesh; None for an anchor.
+    crossing
+        The crossing that it belongs to; a fold point on an edge that another cable follows has one
+        as well.
     """
 
-    kind: Literal["vertex", "fold", "rider", "anchor"]
+    kind: Literal["vertex", "fold", "rider", "anchor", "crossing"]
     point: SurfacePoint | None = None
+    crossing: Crossing | None = None
 
     def masters(self, fraction: float | None = None) -> tuple[tuple[int, ...], tuple[float, ...]]:
         """Vertices (ids) and weights that give the place on the unfolded mesh."""
@@ -120,14 +152,17 @@ class LaidCable:
         Name in tables and pictures.
     cable
         Its data.
-    path
-        Typed points on the mesh.
     nodes
-        Points of the polyline, anchors included.
+        Points of the polyline, anchors and crossings included.
     positions : (n, 3)
         Current positions of the nodes, on all ranks.
     fractions : (n,)
         Current places of fold points on their unfolded edges; NaN for other nodes.
+    lifted : (n,) bool
+        Nodes at which the cable is off the membrane. They take no part: it passes them straight.
+    material : (n, 3)
+        Where the nodes are on the stress-free membrane: the cable's material curve. NaN where the
+        cable is off the membrane.
     L0
         Unstressed length (length).
     length, tension
@@ -136,22 +171,35 @@ class LaidCable:
         State at the start of a step, where the cable has the step-wise law.
     taut
         Whether it has tension; the fold points of a slack cable take no part.
+    sleeve
+        Whether a sleeve holds it to the membrane, so that it slides but cannot lift off.
+    level
+        Of two cables that cross the one with the higher level lies on top; of equal ones the one
+        laid later.
+    traced
+        Whether its path has been pulled taut once: it has been in tension, free to slide.
     blocked
         Nodes that have run into a mesh vertex.
     """
 
     name: str
     cable: Cable
-    path: Path
     nodes: tuple[CableNode, ...]
     positions: Array
     fractions: Array
+    lifted: npt.NDArray[np.bool_]
     L0: float
     length: float
     tension: float
     step_start: StepStart | None = None
     taut: bool = False
+    sleeve: bool = False
+    level: int = 0
+    traced: bool = False
     blocked: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        self.material = np.full_like(self.positions, np.nan)
 
     @property
     def start(self) -> CableEnd:
@@ -162,6 +210,38 @@ class LaidCable:
     def end(self) -> CableEnd:
         """Its last end."""
         return CableEnd(self, "end")
+
+    @property
+    def path(self) -> Path:
+        """Its way over the mesh as it is now; where it is lifted, over the cells under it."""
+        points: list[SurfacePoint] = []
+        for node, fraction in zip(self.nodes, self.fractions, strict=True):
+            if isinstance(node.point, EdgePoint) and not np.isnan(fraction):
+                points.append(EdgePoint(node.point.edge, fraction))
+            elif node.point is not None and node.kind != "crossing":
+                points.append(node.point)
+        first, last = (
+            tuple(self.positions[k].tolist()) if self.nodes[k].kind == "anchor" else None
+            for k in (0, -1)
+        )
+        return Path(tuple(points), start_anchor=first, end_anchor=last)
+
+    def set_nodes(
+        self,
+        nodes: Sequence[CableNode],
+        positions: Array,
+        fractions: Array,
+        lifted: npt.NDArray[np.bool_],
+    ) -> None:
+        """Replace the points of the polyline."""
+        self.nodes, self.positions = tuple(nodes), positions
+        self.fractions, self.lifted = fractions, lifted
+        self.material = np.full_like(positions, np.nan)
+        self.blocked = ()
+
+    def contacts(self) -> list[int]:
+        """Nodes that the cable touches, its ends included, in order."""
+        return [int(k) for k in np.flatnonzero(~self.lifted)]
 
     def node_of(self, which: Literal["start", "end"]) -> int:
         """Index of an end among the nodes."""

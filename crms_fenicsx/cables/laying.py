@@ -10,8 +10,9 @@ import numpy.typing as npt
 
 from crms_fenicsx import checks
 from crms_fenicsx.cables.cable import Cable, CableNode, LaidCable, StepStart, polyline_length
-from crms_fenicsx.cables.path import CellPoint, EdgePoint, Path, VertexPoint, chords_cross
-from crms_fenicsx.cables.strip import EMPTY, Strip, gather_strip
+from crms_fenicsx.cables.contact import drape
+from crms_fenicsx.cables.path import CellPoint, EdgePoint, Path, SurfacePoint, VertexPoint
+from crms_fenicsx.cables.strip import Strip, StripShape, cells_near, grow
 from crms_fenicsx.cables.trace import trace
 from crms_fenicsx.errors import InputError, PathError
 
@@ -28,6 +29,8 @@ def lay(
     *,
     L0: float | None,
     tension: float | None,
+    sleeve: bool,
+    level: int,
     name: str | None,
 ) -> LaidCable:
     """Trace the path, decide what each of its points is, and add the cable to the scene.
@@ -50,34 +53,36 @@ def lay(
         if value is not None:
             checks.positive(f"lay_cable: {name!r} with {key}", value)
     route = _route(path)
-    strip, ids, positions, rows = gather_strip(scene, route)
-    traced = trace(ids, positions, rows, route)
-    held = _held_places(scene, strip)
-    nodes = _nodes(traced, held)
-    at: dict[int, Array] = {int(vertex): positions[k] for k, vertex in enumerate(ids)}
-    places = np.array([_position(node, traced, k, at) for k, node in enumerate(nodes)])
-    strip = _used(strip, traced)
-    for other in scene.cables:
-        _refuse_crossing(name, traced, other, strip.merged(scene.strip or EMPTY))
-    length = polyline_length(places)
+    near = cells_near(scene, route)
+    shape = StripShape.of(scene, near)
+    rows = np.searchsorted(near.vertices, near.cells)
+    traced = trace(near.vertices, shape.current, rows, route)
+    grow(scene, [v for point in traced.points for v in point.support])
+    assert scene.strip is not None
+    strip, shape = scene.strip, StripShape.of(scene, scene.strip)
+    held = _held_ends(scene, strip, traced)
+    nodes = nodes_of(traced.points, strip, held)
+    laid = LaidCable(
+        name, cable, nodes,
+        np.array([_position(node, k, traced, shape) for k, node in enumerate(nodes)]),
+        fractions_of(nodes), np.zeros(len(nodes), dtype=bool), 1.0, 0.0, 0.0,
+        sleeve=bool(sleeve), level=level,
+    )  # fmt: skip
+    if not sleeve:
+        drape(laid, shape)
+    length = polyline_length(laid.positions[laid.contacts()])
     if length == 0.0:
         raise PathError(f"lay_cable: the path of {name!r} has no length.")
     if tension is not None:
         L0 = length / (1 + tension / cable.EA)
-    unstressed = length if L0 is None else float(L0)
-    force = cable.EA / unstressed * max(length - unstressed, 0.0)
-    fractions = np.array(
-        [n.point.fraction if isinstance(n.point, EdgePoint) else np.nan for n in nodes]
-    )
-    stepwise = cable.law == "step"
-    energy = force * (length - unstressed) / 2
-    laid = LaidCable(
-        name, cable, traced, nodes, places, fractions, unstressed, length, force,
-        step_start=StepStart(force, length, energy) if stepwise else None,
-        taut=stepwise or force > 0,
-    )  # fmt: skip
+    laid.L0 = length if L0 is None else float(L0)
+    laid.length = length
+    laid.tension = cable.EA / laid.L0 * max(length - laid.L0, 0.0)
+    if cable.law == "step":
+        energy = laid.tension * (length - laid.L0) / 2
+        laid.step_start = StepStart(laid.tension, length, energy)
+    laid.taut = cable.law == "step" or laid.tension > 0
     scene.cables.append(laid)
-    scene.strip = strip.merged(scene.strip or EMPTY)
     return laid
 
 
@@ -96,41 +101,66 @@ def _route(path: Sequence[Sequence[float]] | Array) -> Array:
     return route
 
 
-def _held_places(scene: Scene, strip: Strip) -> set[tuple[int, ...]]:
-    """Ids of the strip's vertices, (a,), and edges, (a, b), that are held in all directions."""
-    own = np.flatnonzero(strip.owner == scene.comm.rank)
-    cells, local = strip.cells[own], strip.local[own]
-    vertices = scene.held[scene.V.dofmap.list[local]].all(axis=2)
-    mine: set[tuple[int, ...]] = {(int(v),) for v in cells[vertices]}
-    edges = scene.mesh.mesh.topology.connectivity(2, 1)
-    for cell, number in zip(cells, local, strict=True):
-        for k, edge in enumerate(edges.links(number)):
-            if scene.held_edges[edge]:  # edge k lies opposite to vertex k
-                a, b = sorted(int(vertex) for vertex in np.delete(cell, k))
-                mine.add((a, b))
-    return set().union(*scene.comm.allgather(mine))
+def _held_ends(scene: Scene, strip: Strip, path: Path) -> tuple[bool, bool]:
+    """Whether the cable's first and last end have an anchor: off the membrane, or held on it."""
+    held = {vertex: False for point in (path.points[0], path.points[-1]) for vertex in point.support}
+    own = strip.owner == scene.comm.rank
+    for vertices, dofs in zip(
+        strip.cells[own], scene.V.dofmap.list[strip.local[own]], strict=True
+    ):
+        for vertex, dof in zip(vertices.tolist(), dofs.tolist(), strict=True):
+            if vertex in held:
+                held[vertex] = bool(scene.held[dof].all())
+    vertices = {v for part in scene.comm.allgather(held) for v, is_held in part.items() if is_held}
+
+    def anchored(anchor: object, point: SurfacePoint) -> bool:
+        if anchor is not None:
+            return True
+        if isinstance(point, VertexPoint):
+            return point.vertex in vertices
+        return isinstance(point, EdgePoint) and point.edge in strip.held_edges
+
+    return (
+        anchored(path.start_anchor, path.points[0]),
+        anchored(path.end_anchor, path.points[-1]),
+    )
 
 
-def _nodes(path: Path, held: set[tuple[int, ...]]) -> tuple[CableNode, ...]:
-    """The points of the polyline, with anchors at ends that are held."""
+def nodes_of(
+    points: Sequence[SurfacePoint], strip: Strip, anchored: tuple[bool, bool]
+) -> tuple[CableNode, ...]:
+    """The points of a polyline, with anchors at its ends where it has them."""
     nodes: list[CableNode] = []
-    last = len(path.points) - 1
-    for k, point in enumerate(path.points):
-        at_end = (k == 0 and path.start_anchor is None) or (k == last and path.end_anchor is None)
+    last = len(points) - 1
+    for k, point in enumerate(points):
+        tied = (k == 0 and not anchored[0]) or (k == last and not anchored[1])
+        held = isinstance(point, EdgePoint) and point.edge in strip.held_edges
         if isinstance(point, VertexPoint):
             nodes.append(CableNode("vertex", point))
-        elif at_end or isinstance(point, CellPoint) or point.support in held:
+        elif tied or held or isinstance(point, CellPoint):
             nodes.append(CableNode("rider", point))
         else:
             nodes.append(CableNode("fold", point))
-    if path.start_anchor is not None or path.points[0].support in held:
+    if anchored[0]:
         nodes.insert(0, CableNode("anchor"))
-    if path.end_anchor is not None or path.points[-1].support in held:
+    if anchored[1]:
         nodes.append(CableNode("anchor"))
     return tuple(nodes)
 
 
-def _position(node: CableNode, path: Path, k: int, at: dict[int, Array]) -> Array:
+def fractions_of(nodes: Sequence[CableNode]) -> Array:
+    """Places of the fold points on their edges; NaN for other nodes."""
+    return np.array(
+        [
+            node.point.fraction
+            if node.kind == "fold" and isinstance(node.point, EdgePoint)
+            else np.nan
+            for node in nodes
+        ]
+    )
+
+
+def _position(node: CableNode, k: int, path: Path, shape: StripShape) -> Array:
     """Where a node is at laying; an anchor without a place of its own is where the path ends."""
     if node.kind == "anchor":
         anchor, point = (
@@ -140,30 +170,4 @@ def _position(node: CableNode, path: Path, k: int, at: dict[int, Array]) -> Arra
             return np.array(anchor, dtype=float)
         node = CableNode("rider", point)
     ids, weights = node.masters()
-    return np.sum([w * at[i] for i, w in zip(ids, weights, strict=True)], axis=0)
-
-
-def _used(strip: Strip, path: Path) -> Strip:
-    """The cells that the cable crosses or touches along edges, and those around its ends."""
-    rows: set[int] = set()
-    for point in path.points:
-        rows.update(strip.rows(point.support))
-    keep = np.zeros(len(strip.cells), dtype=bool)
-    keep[sorted(rows)] = True
-    return strip.select(keep)
-
-
-def _refuse_crossing(name: str, path: Path, other: LaidCable, strip: Strip) -> None:
-    """Two cables may share edges, cells and vertices, but not cross elsewhere."""
-    for meeting in chords_cross(path, other.path, strip.cells):
-        if isinstance(meeting.at, VertexPoint):
-            continue
-        where = (
-            f"the cell of vertices {tuple(strip.cells[meeting.cell].tolist())}"
-            if meeting.cell is not None
-            else str(meeting.at)
-        )
-        raise PathError(
-            f"lay_cable: {name!r} crosses or touches {other.name!r} in {where}; cables may only "
-            "meet at mesh vertices: lead them past each other, or put a vertex there."
-        )
+    return np.sum([w * shape.at(i) for i, w in zip(ids, weights, strict=True)], axis=0)

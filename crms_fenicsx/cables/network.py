@@ -7,6 +7,7 @@ cables' paths and the strip of crossed cells, so they number alike without commu
 
 from __future__ import annotations
 
+import itertools
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -15,8 +16,9 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from crms_fenicsx.cables.cable import LaidCable
+from crms_fenicsx.cables.cable import CableNode, LaidCable
 from crms_fenicsx.cables.length import SMOOTHING
+from crms_fenicsx.cables.path import SurfacePoint
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.cables.volume import split_polygon
 from crms_fenicsx.unknowns import Unknowns
@@ -32,18 +34,19 @@ Member = tuple[int, int]
 
 
 class Link(NamedTuple):
-    """A segment of a cable's polyline, from a node to the next.
+    """A straight part of a cable's polyline, from a node that it touches to the next.
 
     Attributes
     ----------
-    cable, node
-        Numbers of the cable and of the first node.
+    cable, first, second
+        Numbers of the cable and of the two nodes.
     vertices
         Ids of the cell (3) or edge (2) that it lies on; None off the membrane.
     """
 
     cable: int
-    node: int
+    first: int
+    second: int
     vertices: tuple[int, ...] | None
 
 
@@ -76,59 +79,71 @@ class Network:
 
     def _number_points(self) -> None:
         """Numbers of the points that are no vertices, and the links between nodes."""
-        self.numbers: dict[tuple[int, int], int] = {}  # (cable, node) -> point
+        self.numbers: dict[Member, int] = {}  # the two sides of a crossing have the same one
         self.links: list[Link] = []
+        self._first: list[Member] = []  # a node of each point
+        shared: dict[int, int] = {}
         for c, cable in enumerate(self.cables):
-            for k, node in enumerate(cable.nodes):
-                if node.kind != "vertex":
-                    self.numbers[c, k] = len(self.numbers)
-            for k in range(len(cable.nodes) - 1):
-                a, b = cable.nodes[k].point, cable.nodes[k + 1].point
-                on = None if a is None or b is None else tuple({*a.support, *b.support})
-                self.links.append(Link(c, k, on))
+            # The points of a slack cable ride on the membrane, all of them.
+            contacts = cable.contacts() if cable.taut else list(range(len(cable.nodes)))
+            for k in contacts:
+                node = cable.nodes[k]
+                if node.kind == "vertex":
+                    continue
+                number = len(self._first)
+                if node.crossing is not None:
+                    number = shared.setdefault(id(node.crossing), number)
+                if number == len(self._first):
+                    self._first.append((c, k))
+                self.numbers[c, k] = number
+            for k, m in itertools.pairwise(contacts):
+                self.links.append(Link(c, k, m, self._shared_simplex(cable.nodes[k], cable.nodes[m])))
+
+    def _shared_simplex(self, a: CableNode, b: CableNode) -> tuple[int, ...] | None:
+        """The cell or edge that two nodes of a cable lie on."""
+        if a.point is None or b.point is None:
+            return None
+        both = tuple({*a.point.support, *b.point.support})
+        return both if self.strip.rows(both) else None
+
+    def place_of(self, c: int, k: int) -> SurfacePoint:
+        """The place of the mesh that says which rank a node belongs to.
+
+        An anchor belongs to whom the point next to it belongs.
+        """
+        nodes = self.cables[c].nodes
+        point = nodes[k].point or nodes[1 if k == 0 else k - 1].point
+        assert point is not None, "two anchors in a row"
+        return point
 
     def _find_owners(self) -> None:
-        strip = self.strip
-        self.owners = np.zeros(len(self.numbers), dtype=np.int64)
-        for (c, k), number in self.numbers.items():
-            nodes = self.cables[c].nodes
-            # An anchor belongs to whom the point next to it belongs.
-            near = k if nodes[k].point is not None else (1 if k == 0 else k - 1)
-            point = nodes[near].point
-            assert point is not None, "two anchors in a row"
-            self.owners[number] = strip.owner_of(point.support)
+        self.owners = np.array(
+            [self.strip.owner_of(self.place_of(c, k).support) for c, k in self._first],
+            dtype=np.int64,
+        )
 
     def link_owner(self, link: Link) -> int:
         """The rank that computes a link of a cable."""
-        c, k, on = link
-        if on is not None:
-            return self.strip.owner_of(on)
-        anchor = k if self.cables[c].nodes[k].point is None else k + 1
-        return int(self.owners[self.numbers[c, anchor]])
+        on = link.vertices or self.place_of(link.cable, link.first).support
+        return self.strip.owner_of(on)
 
     def _number_vertices(self) -> None:
         """Degrees of freedom of the vertices of this rank's cells of the strip, by id."""
         strip, dofmap = self.strip, self.u.function_space.dofmap
         self.own_rows = np.flatnonzero(strip.owner == self.rank)
-        self._dof: dict[int, int] = {}
-        for row in self.own_rows:
-            for vertex, dof in zip(
-                strip.cells[row].tolist(), dofmap.list[strip.local[row]].tolist(), strict=True
-            ):
-                self._dof[vertex] = dof
+        ids = strip.cells[self.own_rows].ravel()
+        dofs = dofmap.list[strip.local[self.own_rows]].ravel()
+        self._dof: dict[int, int] = {int(i): int(dof) for i, dof in zip(ids, dofs, strict=True)}
         # Points that this rank needs: those on its links and on the edges of its cells.
-        needed = set()
+        needed = {number for number, (c, k) in enumerate(self._first) if self._near(c, k)}
+        far: set[tuple[int, int]] = set()  # vertices at ends of spans, on ranks without them
         for link in self.links:
-            if self.link_owner(link) == self.rank:
-                c, k, _ = link
-                needed |= {self.numbers.get((c, k), -1), self.numbers.get((c, k + 1), -1)}
-        for (c, k), number in self.numbers.items():
-            point = self.cables[c].nodes[k].point
-            if point is not None and any(
-                strip.owner[row] == self.rank for row in strip.rows(point.support)
-            ):
-                needed.add(number)
-        needed -= {-1}
+            owner = self.link_owner(link)
+            for member in ((link.cable, link.first), (link.cable, link.second)):
+                if member in self.numbers:
+                    needed |= {self.numbers[member]} if owner == self.rank else set()
+                elif link.vertices is None:
+                    far.add((owner, self._vertex_of(*member)))
         self.owned = np.flatnonzero(self.owners == self.rank)
         index = np.zeros(len(self.owners), dtype=np.int64)
         for rank in np.unique(self.owners):
@@ -138,14 +153,57 @@ class Network:
             sorted(n for n in needed if self.owners[n] != self.rank), dtype=np.int64
         )
         self.ghosts = [(int(self.owners[n]), int(index[n])) for n in self.foreign]
+        self._find_far_vertices(sorted(far))
+
+    def _near(self, c: int, k: int) -> bool:
+        """Whether a node lies on a cell of this rank."""
+        point = self.cables[c].nodes[k].point
+        return point is not None and bool(
+            np.any(self.strip.owner[self.strip.rows(point.support)] == self.rank)
+        )
+
+    def _vertex_of(self, c: int, k: int) -> int:
+        return self.cables[c].nodes[k].masters()[0][0]
+
+    def _find_far_vertices(self, far: Sequence[tuple[int, int]]) -> None:
+        """Owner and number there of the vertices at ends of spans that this rank has not."""
+        strip = self.strip
+        far = [
+            (rank, v) for rank, v in far if not np.any(strip.owner[strip.rows((v,))] == rank)
+        ]  # fmt: skip
+        self.far_vertices: dict[int, tuple[int, int]] = {}
+        self._far_X: list[Array] = []
+        if not far:  # all ranks know the same
+            return
+        vertices = self.u.function_space.dofmap.index_map
+        wanted = {v for _, v in far if self._dof.get(v, vertices.size_local) < vertices.size_local}
+        X = self.u.function_space.tabulate_dof_coordinates()
+        mine = {v: (self.rank, self._dof[v], X[self._dof[v]]) for v in wanted if v in self._dof}
+        known = {
+            v: place
+            for part in self.u.function_space.mesh.comm.allgather(mine)
+            for v, place in part.items()
+        }
+        for rank, v in far:
+            if rank == self.rank:
+                owner, dof, place = known[v]
+                self.far_vertices[v] = (owner, dof)
+                self._far_X.append(place)
 
     def unknowns(self) -> Unknowns:
         """A layout with all cables' points, at their current positions."""
-        unknowns = Unknowns(self.u.function_space, len(self.owned), self.ghosts)
-        self.blocks = np.full(len(self.numbers), -1, dtype=np.int32)
+        unknowns = Unknowns(
+            self.u.function_space, len(self.owned), self.ghosts, list(self.far_vertices.values())
+        )
+        self.blocks = np.full(len(self.owners), -1, dtype=np.int32)
         self.blocks[self.owned] = unknowns.owned_point_blocks()
         self.blocks[self.foreign] = unknowns.ghost_point_blocks()
-        self._vertex_blocks = unknowns.vertex_blocks()
+        blocks = unknowns.vertex_blocks()
+        self._vertex_blocks = {v: int(blocks[dof]) for v, dof in self._dof.items()}
+        far = unknowns.far_vertex_blocks()
+        for v, block in zip(self.far_vertices, far, strict=True):
+            self._vertex_blocks[v] = int(block)
+        unknowns.X[far] = np.array(self._far_X).reshape(-1, 3)
         for (c, k), number in self.numbers.items():
             if self.blocks[number] >= 0:
                 unknowns.X[self.blocks[number]] = self.cables[c].positions[k]
@@ -157,7 +215,7 @@ class Network:
 
     def vertex(self, vertex: int) -> int:
         """Local block of a vertex, by id."""
-        return int(self._vertex_blocks[self._dof[vertex]])
+        return self._vertex_blocks[vertex]
 
     def block(self, c: int, k: int) -> int:
         """Local block of a cable's node."""
@@ -168,7 +226,7 @@ class Network:
 
     def _corner(self, c: int, k: int) -> Corner:
         node = self.cables[c].nodes[k]
-        return node.masters()[0][0] if node.kind == "vertex" else (c, k)
+        return node.masters()[0][0] if node.kind == "vertex" else self._first[self.numbers[c, k]]
 
     def corner_block(self, corner: Corner) -> int:
         return self.vertex(corner) if isinstance(corner, int) else self.block(*corner)
@@ -194,26 +252,6 @@ class Network:
             np.array(weights, dtype=float).reshape(-1, 3),
         )
 
-    def _all_segments(self) -> tuple[Indices, Indices]:
-        """Segments of all cables, taut or slack, that this rank computes; number of the cable."""
-        own = [link for link in self.links if self.link_owner(link) == self.rank]
-        segments = [(self.block(c, k), self.block(c, k + 1)) for c, k, _ in own]
-        return (
-            np.array(segments, dtype=np.int32).reshape(-1, 2),
-            np.array([c for c, _, _ in own], dtype=np.int32),
-        )
-
-    def lengths(self, unknowns: Unknowns, x: Array) -> Array:
-        """Lengths of all cables' polylines, (n_cables,)."""
-        if not hasattr(self, "_segments"):
-            self._segments, self._segment_cables = self._all_segments()
-        ends = unknowns.X[self._segments] + x[self._segments]
-        distances = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-        local = np.bincount(self._segment_cables, distances, minlength=len(self.cables))
-        total = np.zeros(len(self.cables))
-        unknowns.comm.Allreduce(local.astype(float), total)
-        return total
-
     def update_cables(self, unknowns: Unknowns, x: Array) -> None:
         """Tell all ranks where the cables' points and fold points on their edges are."""
         taut = {c for c, cable in enumerate(self.cables) if cable.taut}
@@ -221,6 +259,8 @@ class Network:
         local = np.zeros((int(sizes[-1]), 4))
         for c, cable in enumerate(self.cables):
             for k, node in enumerate(cable.nodes):
+                if cable.taut and cable.lifted[k]:
+                    continue
                 if node.kind == "vertex":
                     mine = self.strip.owner_of(node.masters()[0]) == self.rank
                 else:
@@ -239,8 +279,9 @@ class Network:
         unknowns.comm.Allreduce(local, total)
         for c, cable in enumerate(self.cables):
             part = total[sizes[c] : sizes[c + 1]]
-            cable.positions[:] = part[:, :3]
-            fold = np.array([node.kind == "fold" for node in cable.nodes])
+            known = ~cable.lifted if cable.taut else slice(None)
+            cable.positions[known] = part[known, :3]
+            fold = np.array([node.kind == "fold" for node in cable.nodes]) & ~cable.lifted
             if cable.taut:
                 cable.fractions[fold] = part[fold, 3]
             close = (cable.fractions < BLOCKED) | (cable.fractions > 1 - BLOCKED)
@@ -252,7 +293,9 @@ class Network:
         for c in cables:
             cable = self.cables[c]
             for k, node in enumerate(cable.nodes):
-                if node.kind in ("fold", "rider") and len(node.masters()[0]) == 2:
+                if cable.lifted[k] or node.kind not in ("fold", "rider"):
+                    continue
+                if len(node.masters()[0]) == 2:
                     edge = node.masters()[0]
                     fraction = cable.fractions[k] if node.kind == "fold" else node.masters()[1][1]
                     table[edge[0], edge[1]].append((float(fraction), c, k))
@@ -280,14 +323,20 @@ class Network:
             for polygon in self.cut(row, on_edge, chords.get(row, []), number)
         ]
 
-    def chords_by_row(self, taut: set[int]) -> dict[int, list[tuple[Member, Member]]]:
-        """Links, as their two (cable, node), through the inside of this rank's cells, by row."""
-        chords: dict[int, list[tuple[Member, Member]]] = defaultdict(list)
-        for c, k, on in self.links:
+    def chords_by_row(self, taut: set[int]) -> dict[int, list[list[Member]]]:
+        """Chords through the inside of this rank's cells, by row: nodes from rim to rim.
+
+        Between its two ends a chord has the crossings on it.
+        """
+        chords: dict[int, list[list[Member]]] = defaultdict(list)
+        for c, k, m, on in self.links:
             if c in taut and on is not None and len(on) == 3:
                 row = self.strip.rows(on)[0]
                 if self.strip.owner[row] == self.rank:
-                    chords[row].append(((c, k), (c, k + 1)))
+                    if chords[row] and chords[row][-1][-1] == (c, k):
+                        chords[row][-1].append((c, m))
+                    else:
+                        chords[row].append([(c, k), (c, m)])
         return chords
 
     def folded_rows(self, on_edge: dict[Edge, list[tuple[float, int, int]]]) -> list[int]:
@@ -303,7 +352,7 @@ class Network:
         self,
         row: int,
         on_edge: dict[Edge, list[tuple[float, int, int]]],
-        chords: Sequence[tuple[Member, Member]],
+        chords: Sequence[Sequence[Member]],
         number: Callable[[Corner], int],
     ) -> list[list[int]]:
         """Polygons of one cell."""
@@ -312,8 +361,8 @@ class Network:
             edge, forward = side_of(self.strip.cells[row], k)
             line: list[Corner] = [edge[0], *((c, i) for _, c, i in on_edge.get(edge, [])), edge[1]]
             around += (line if forward else line[::-1])[:-1]
-        ends = [(number(self._corner(*a)), number(self._corner(*b))) for a, b in chords]
-        return split_polygon([number(corner) for corner in around], ends)
+        lines = [[number(self._corner(*member)) for member in chord] for chord in chords]
+        return split_polygon([number(corner) for corner in around], lines)
 
 
 def side_of(cell: npt.NDArray[np.int64], k: int) -> tuple[Edge, bool]:

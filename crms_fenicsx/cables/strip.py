@@ -1,7 +1,7 @@
-"""The strip of cells that cables cross, known to all ranks.
+"""The strip of cells around the cables, known to all ranks.
 
 Its size is that of the cables, not of the mesh: each rank selects among its own cells, and only
-those are gathered.
+those are gathered. It grows as cables slide.
 """
 
 from __future__ import annotations
@@ -34,21 +34,42 @@ class Strip:
         Vertex ids (numbers in the mesh as it was given), in the cells' own order.
     owner, local : (n,)
         Owning rank and the cell's local number on it.
+    complete
+        Ids of the vertices all of whose cells are here.
+    held_edges
+        Edges (a, b), a < b, of these cells that are held over their whole length.
     """
 
     cells: Integers
     owner: Integers
     local: Integers
+    complete: frozenset[int] = frozenset()
+    held_edges: frozenset[tuple[int, int]] = frozenset()
 
     @cached_property
     def around(self) -> dict[tuple[int, ...], list[int]]:
         """Rows of the cells around each vertex (a,), edge (a, b) and cell (a, b, c), sorted."""
         table: dict[tuple[int, ...], list[int]] = defaultdict(list)
-        for row in range(len(self.cells)):
-            a, b, c = sorted(int(vertex) for vertex in self.cells[row])
+        for row, cell in enumerate(self.corners):
+            a, b, c = sorted(cell)
             for key in ((a,), (b,), (c,), (a, b), (a, c), (b, c), (a, b, c)):
                 table[key].append(row)
         return dict(table)
+
+    @cached_property
+    def corners(self) -> list[list[int]]:
+        """`cells` as lists of numbers, which loops read faster."""
+        return [[int(vertex) for vertex in cell] for cell in self.cells]
+
+    @cached_property
+    def vertices(self) -> Integers:
+        """Ids of all vertices, ascending, (k,)."""
+        return np.unique(self.cells)
+
+    @cached_property
+    def row_of(self) -> dict[int, int]:
+        """Place of each vertex in `vertices`."""
+        return {int(vertex): row for row, vertex in enumerate(self.vertices)}
 
     def rows(self, vertices: tuple[int, ...]) -> list[int]:
         """Rows of the cells that hold all these vertices."""
@@ -57,10 +78,6 @@ class Strip:
     def owner_of(self, vertices: tuple[int, ...]) -> int:
         """The rank that owns what lies on these vertices: the lowest one with a cell there."""
         return int(min(self.owner[row] for row in self.rows(vertices)))
-
-    def select(self, rows: npt.NDArray[np.bool_]) -> Strip:
-        """The strip of some rows."""
-        return Strip(self.cells[rows], self.owner[rows], self.local[rows])
 
     def merged(self, other: Strip) -> Strip:
         """Cells of both."""
@@ -72,39 +89,122 @@ class Strip:
             np.concatenate([self.cells, other.cells])[first],
             np.concatenate([self.owner, other.owner])[first],
             np.concatenate([self.local, other.local])[first],
+            self.complete | other.complete,
+            self.held_edges | other.held_edges,
         )
 
 
 EMPTY = Strip(np.zeros((0, 3), dtype=np.int64), *(np.zeros(0, dtype=np.int64),) * 2)
 
 
-def gather_strip(scene: Scene, route: Array) -> tuple[Strip, Integers, Array, Array]:
-    """Gather the cells near a route on the current shape.
+class StripShape:
+    """Positions of a strip's vertices, on all ranks.
 
-    Returns
-    -------
+    Attributes
+    ----------
     strip
-        Cells near the route.
-    vertices : (n,), positions : (n, 3)
-        Their vertices' ids and current positions.
-    rows : (m, 3)
-        The cells as rows of `vertices`.
+        The cells.
+    current, stress_free : (k, 3)
+        Positions (length) of `strip.vertices`.
     """
+
+    def __init__(self, strip: Strip, current: Array, stress_free: Array) -> None:
+        self.strip, self.current, self.stress_free = strip, current, stress_free
+
+    @classmethod
+    def of(cls, scene: Scene, strip: Strip) -> StripShape:
+        """Gather the scene's positions. Collective."""
+        rank, n = scene.comm.rank, len(strip.vertices)
+        rows = np.searchsorted(strip.vertices, strip.cells)
+        giver = np.full(n, scene.comm.size)
+        np.minimum.at(giver, rows, np.broadcast_to(strip.owner[:, None], rows.shape))
+        own = strip.owner == rank
+        dofs = np.zeros(n, dtype=np.int64)
+        dofs[rows[own]] = scene.V.dofmap.list[strip.local[own]]
+        mine = giver == rank
+        given = np.zeros((2, n, 3))
+        given[0, mine] = scene.positions()[dofs[mine]]
+        given[1, mine] = scene.V.tabulate_dof_coordinates()[dofs[mine]]
+        found = np.zeros_like(given)
+        scene.comm.Allreduce(given, found)
+        return cls(strip, found[0], found[1])
+
+    def at(self, vertex: int) -> Array:
+        """Current position of a vertex, by id, (3,)."""
+        return self.current[self.strip.row_of[vertex]]
+
+    @cached_property
+    def normals(self) -> Array:
+        """Current normals of the cells, twice as long as their areas, (n, 3)."""
+        x = self.current[np.searchsorted(self.strip.vertices, self.strip.cells)]
+        return np.asarray(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), dtype=float)
+
+    def normal(self, support: tuple[int, ...]) -> Array:
+        """Current unit normal at a vertex, an edge or a cell: that of the cells around, (3,)."""
+        total = self.normals[self.strip.rows(support)].sum(axis=0)
+        return np.asarray(total / np.linalg.norm(total))
+
+
+def cells_at(scene: Scene, vertices: npt.ArrayLike) -> Strip:
+    """Gather the cells around some vertices, given by id and alike on all ranks. Collective."""
+    wanted = np.unique(np.asarray(vertices, dtype=np.int64))
+    ids = _own_cells(scene)
+    chosen = np.flatnonzero(np.isin(ids, wanted).any(axis=1))
+    strip = _gathered(scene, ids, chosen)
+    complete = frozenset(int(vertex) for vertex in wanted)
+    return Strip(strip.cells, strip.owner, strip.local, complete, strip.held_edges)
+
+
+def grow(scene: Scene, vertices: npt.ArrayLike, rings: int = 1) -> None:
+    """Add the cells around some vertices to the scene's strip. Collective.
+
+    Parameters
+    ----------
+    scene
+        Its strip is replaced if it lacks some.
+    vertices
+        Ids, the same on all ranks.
+    rings
+        How many rings of cells to add.
+    """
+    strip = scene.strip or EMPTY
+    wanted = np.unique(np.asarray(vertices, dtype=np.int64))
+    for _ in range(rings):
+        lacking = [int(v) for v in wanted if int(v) not in strip.complete]
+        if lacking:
+            strip = strip.merged(cells_at(scene, lacking))
+        wanted = np.unique(strip.cells[np.isin(strip.cells, wanted).any(axis=1)])
+    scene.strip = strip
+
+
+def cells_near(scene: Scene, route: Array) -> Strip:
+    """Gather the cells that tracing a route on the current shape needs. Collective."""
     mesh = scene.mesh.mesh
-    comm = mesh.comm
     owned = mesh.topology.index_map(2).size_local
     nodes = geometry_dofmap(mesh)[:owned]
-    ids = np.asarray(mesh.geometry.input_global_indices, dtype=np.int64)
-    current = scene.positions()
-    dofs = scene.V.dofmap.list[:owned]
     positions = np.zeros((mesh.geometry.x.shape[0], 3))
-    positions[nodes] = current[dofs]
-    near = np.flatnonzero(near_section(positions, nodes, route, comm=comm))
-    parts = comm.allgather((ids[nodes[near]], near, positions[nodes[near]]))
-    cells = np.concatenate([part[0].reshape(-1, 3) for part in parts])
-    owner = np.concatenate([np.full(len(part[1]), rank) for rank, part in enumerate(parts)])
-    local = np.concatenate([part[1] for part in parts])
-    corners = np.concatenate([part[2].reshape(-1, 3) for part in parts])
-    vertices, first, rows = np.unique(cells.ravel(), return_index=True, return_inverse=True)
-    strip = Strip(cells, owner.astype(np.int64), local.astype(np.int64))
-    return strip, vertices, corners[first], rows.reshape(-1, 3)
+    positions[nodes] = scene.positions()[scene.V.dofmap.list[:owned]]
+    near = np.flatnonzero(near_section(positions, nodes, route, comm=scene.comm))
+    return _gathered(scene, _own_cells(scene), near)
+
+
+def _own_cells(scene: Scene) -> Integers:
+    """Vertex ids of this rank's cells, (n, 3)."""
+    mesh = scene.mesh.mesh
+    owned = mesh.topology.index_map(2).size_local
+    ids = np.asarray(mesh.geometry.input_global_indices, dtype=np.int64)
+    return ids[geometry_dofmap(mesh)[:owned]]
+
+
+def _gathered(scene: Scene, ids: Integers, chosen: npt.NDArray[np.int64]) -> Strip:
+    """Chosen cells of all ranks."""
+    edges = scene.mesh.mesh.topology.connectivity(2, 1).array.reshape(-1, 3)[chosen]
+    cell, k = np.nonzero(scene.held_edges[edges])  # edge k lies opposite to vertex k
+    ends = np.stack([ids[chosen[cell], (k + 1) % 3], ids[chosen[cell], (k + 2) % 3]], axis=1)
+    parts = scene.comm.allgather((ids[chosen], chosen, np.sort(ends, axis=1)))
+    return Strip(
+        np.concatenate([part[0] for part in parts]).reshape(-1, 3),
+        np.concatenate([np.full(len(part[1]), rank) for rank, part in enumerate(parts)]),
+        np.concatenate([part[1] for part in parts]),
+        held_edges=frozenset((int(a), int(b)) for part in parts for a, b in part[2]),
+    )

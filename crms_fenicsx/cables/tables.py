@@ -7,7 +7,6 @@ what.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,7 +66,7 @@ def cable_tables(network: Network, membrane: MembraneEnergy) -> CableTables:
     mesh = network.u.function_space.mesh
     sizes = np.sqrt(2 * np.linalg.norm(area_vectors(mesh), axis=1))
     own = [k for k in network.links if k.cable in taut and network.link_owner(k) == network.rank]
-    segments = [(network.block(c, k), network.block(c, k + 1)) for c, k, _ in own]
+    segments = [(network.block(c, k), network.block(c, m)) for c, k, m, _ in own]
     cells = _FoldedCellsOf(network, set(taut))
     return CableTables(
         np.array(segments, dtype=np.int32).reshape(-1, 2),
@@ -81,16 +80,13 @@ def cable_tables(network: Network, membrane: MembraneEnergy) -> CableTables:
 
 def _smoothing(network: Network, link: Link, sizes: Array) -> float:
     """Smoothing of a link's length; negative where its ends are given."""
-    first, second = network.cables[link.cable].nodes[link.node : link.node + 2]
-    if link.vertices is None:
-        point = first.point or second.point
-        assert point is not None, "two anchors in a row"
-        around, slides = point.support, "fold" in (first.kind, second.kind)
-    else:
-        around, slides = link.vertices, not {first.kind, second.kind} <= {"rider"}
+    nodes = network.cables[link.cable].nodes
+    kinds = {nodes[link.first].kind, nodes[link.second].kind}
+    around = link.vertices or network.place_of(link.cable, link.first).support
     strip = network.strip
     rows = [row for row in strip.rows(around) if strip.owner[row] == network.rank]
     size = float(min(sizes[strip.local[row]] for row in rows))
+    slides = bool(kinds & {"fold", "crossing"}) or (link.vertices is not None and "vertex" in kinds)
     # An anchor may lie on the held place next to it: no direction, and none is needed.
     return SMOOTHING * size if slides else -COINCIDENT * size
 
@@ -158,7 +154,8 @@ class _FoldedCellsOf:
                 line = self.line(edge)
                 beside |= {line[i]: (line[i - 1], line[i + 1]) for i in range(1, len(line) - 1)}
             for chord in self.chords.get(row, []):
-                for member, other in (chord, chord[::-1]):
+                # From rim to rim: a crossing may come as near to the rim as it likes.
+                for member, other in ((chord[0], chord[-1]), (chord[-1], chord[0])):
                     block = network.block(*member)
                     if self._slides(member) and block in beside:
                         before, after = beside[block]
@@ -174,7 +171,7 @@ class _FoldedCellsOf:
         network = self.network
         facets: list[tuple[tuple[int, int, int], float]] = []
         for row in self.rows:
-            chords: Sequence[tuple[Member, Member]] = self.chords.get(row, [])
+            chords = self.chords.get(row, [])
             for polygon in network.cut(row, self.on_edge, chords, network.corner_block):
                 facets += fan_facets(polygon)
         plain = [[network.vertex(int(v)) for v in network.strip.cells[row]] for row in self.rows]

@@ -8,6 +8,7 @@ its nodes is lost; this is our reading: each facet gives a third of its area to 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numba
@@ -56,18 +57,45 @@ def fan_facets(polygon: list[int]) -> list[tuple[tuple[int, int, int], float]]:
     return list(facets.items())
 
 
-def split_polygon(polygon: list[int], chords: list[tuple[int, int]]) -> list[list[int]]:
-    """Cut a polygon along chords, pairs of its corners that do not cross each other."""
+def split_polygon(polygon: list[int], chords: Sequence[Sequence[int]]) -> list[list[int]]:
+    """Cut a polygon along chords.
+
+    Parameters
+    ----------
+    polygon
+        Its corners.
+    chords
+        Points from one corner to another; those between are inside, and shared by the chords that
+        cross there. A chord's end that is neither a corner nor shared is left out.
+    """
     parts = [polygon]
-    for a, b in chords:
-        for part in parts:
-            if a in part and b in part:
-                i, j = sorted((part.index(a), part.index(b)))
-                if j - i > 1 and (i, j) != (0, len(part) - 1):
-                    parts.remove(part)
-                    parts += [part[i : j + 1], part[j:] + part[: i + 1]]
-                break
+    for chord in chords:
+        line: list[int] = []
+        for point in chord:
+            if any(point in part for part in parts):
+                if line:
+                    _split(parts, [*line, point])
+                line = [point]
+            elif line:
+                line.append(point)
     return parts
+
+
+def _split(parts: list[list[int]], line: list[int]) -> None:
+    """Cut the one part that holds both ends of a line along it."""
+    a, b, inner = line[0], line[-1], line[1:-1]
+    for n, part in enumerate(parts):
+        if a in part and b in part:
+            i, j = part.index(a), part.index(b)
+            if i > j:
+                i, j, inner = j, i, inner[::-1]
+            if not inner and (j - i == 1 or (i, j) == (0, len(part) - 1)):
+                continue  # a side of it
+            parts[n : n + 1] = [
+                [*part[i : j + 1], *inner[::-1]],
+                [*part[j:], *part[: i + 1], *inner],
+            ]
+            return
 
 
 @numba.njit(cache=True)

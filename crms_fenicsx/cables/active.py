@@ -1,0 +1,133 @@
+"""What is active in one solve: which cables are in tension, where they touch, which cross.
+
+All this is decided from a solved state, and the solve repeated until nothing changes. Everything
+may change back and forth only a few times in a solve, so that it ends.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from crms_fenicsx.cables import contact
+from crms_fenicsx.cables.cable import LaidCable, polyline_length
+from crms_fenicsx.cables.path import EdgePoint
+from crms_fenicsx.cables.strip import StripShape
+
+if TYPE_CHECKING:
+    from crms_fenicsx.scene import Scene
+
+Array = npt.NDArray[np.float64]
+Edge = tuple[int, int]
+
+MAX_SWITCHES = 6
+"""How often each cable may turn from slack to taut or back in one solve."""
+
+
+def bends(cables: list[LaidCable], but: LaidCable | None = None) -> dict[Edge, list[Array]]:
+    """Positions of the points of cables in tension on each edge, in order.
+
+    Parameters
+    ----------
+    cables
+        All cables.
+    but
+        A cable to leave out.
+    """
+    found: dict[Edge, list[tuple[float, int, Array]]] = defaultdict(list)
+    for c, cable in enumerate(cables):
+        if not cable.taut or cable is but:
+            continue
+        for k in cable.contacts():
+            point = cable.nodes[k].point
+            if isinstance(point, EdgePoint) and cable.nodes[k].kind != "crossing":
+                fraction = float(cable.fractions[k])
+                fraction = point.fraction if np.isnan(fraction) else fraction
+                found[point.edge].append((fraction, c, cable.positions[k]))
+    return {
+        edge: [place for *_, place in sorted(points, key=lambda point: point[:2])]
+        for edge, points in found.items()
+    }
+
+
+class ActiveSet:
+    """Decides what is active in one solve.
+
+    Parameters
+    ----------
+    scene
+        The scene; its cables and crossings are changed.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self._switches: Counter[str] = Counter()
+        self._released: set[object] = set()
+        self._settled: set[object] = set()
+
+    def update(self) -> list[str]:
+        """Switch what the current state asks for; say what, in words. Collective."""
+        scene = self.scene
+        assert scene.strip is not None
+        shape = StripShape.of(scene, scene.strip)
+        changes = [text for cable in scene.cables for text in self._switch(cable, shape)]
+        if not changes:
+            for cable in scene.cables:
+                if cable.taut and not cable.sleeve:
+                    changes += self._contacts(cable, shape)
+        if not changes and scene.crossings:
+            changes = self._crossings(shape)
+        return changes
+
+    def restless(self) -> str:
+        """A cable that keeps turning from slack to taut and back; empty if there is none."""
+        return next((name for name, n in self._switches.items() if n > MAX_SWITCHES), "")
+
+    def _switch(self, cable: LaidCable, shape: StripShape) -> list[str]:
+        """Tighten a slack cable that has become too short for its path, slacken another."""
+        if cable.cable.law == "step":
+            return []
+        if not cable.taut and not cable.sleeve:
+            contact.drape(cable, shape)
+        length = polyline_length(cable.positions[cable.contacts()])
+        taut = bool(length > cable.L0 * (1 + 1e-12))
+        if taut == cable.taut:
+            return []
+        cable.taut = taut
+        self._switches[cable.name] += 1
+        return [f"{cable.name} {'tightens' if taut else 'slackens'}"]
+
+    def _contacts(self, cable: LaidCable, shape: StripShape) -> list[str]:
+        def key(k: int) -> object:
+            point = cable.nodes[k].point
+            assert point is not None
+            return cable.name, point.support
+
+        free = [k for k in contact.released(cable, shape) if key(k) not in self._settled]
+        places = contact.captured(cable, shape, bends(self.scene.cables, cable))
+        cable.lifted[free] = True
+        contact.touch(cable, places)
+        self._settled |= {key(k) for k in places} & self._released
+        self._released |= {key(k) for k in free}
+        texts = [f"{cable.name} lifts off at {cable.nodes[k].point}" for k in free]
+        return texts + [f"{cable.name} touches down at {cable.nodes[k].point}" for k in places]
+
+    def _crossings(self, shape: StripShape) -> list[str]:
+        changes = []
+        scene = self.scene
+        for crossing in scene.crossings:
+            names = tuple(scene.cables[c].name for c in (crossing.upper, crossing.lower))
+            key = (*names, crossing.support)
+            if contact.parts(crossing, scene.cables, shape) and key not in self._settled:
+                crossing.apart = True
+                self._released.add(key)
+                changes.append("{} lifts off {}".format(*names))
+            elif contact.joins(crossing, scene.cables, shape):
+                crossing.apart = False
+                if key in self._released:
+                    self._settled.add(key)
+                changes.append("{} touches {}".format(*names))
+        return changes

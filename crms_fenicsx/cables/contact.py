@@ -1,0 +1,249 @@
+"""Lift-off and recontact: at which of its points a cable touches the membrane.
+
+A cable lies on the outside of the membrane and can push it in, but not pull it out. Where its two
+parts at a point pull outward together, it is let go there and passes straight above; where the
+straight cable would run below the membrane, it touches down again. The same holds between two
+cables that cross: the upper one cannot pull the lower one up.
+
+Points that are let go and touch down again in one solve stay where they touch, so that the set of
+contacts cannot flicker.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from crms_fenicsx.cables.cable import COINCIDENT, CableNode, Crossing, LaidCable
+from crms_fenicsx.cables.path import CellPoint
+from crms_fenicsx.cables.strip import StripShape
+
+Array = npt.NDArray[np.float64]
+Edge = tuple[int, int]
+
+PULL = 1e-6
+"""Outward force, relative to the tension, from which on a cable is let go."""
+DEPTH = 1e-6
+"""Depth below the membrane, relative to the cells' size, from which on a cable touches down."""
+INSIDE = 0.02
+"""Fractions nearer to an edge's end than this are no places to start from."""
+
+
+class Under(NamedTuple):
+    """The place of the membrane under a free span, at one of the cable's nodes.
+
+    Attributes
+    ----------
+    gap
+        Height of the span above it, along the membrane's normal (length).
+    fraction
+        On the edge; NaN at a vertex.
+    place, above : (3,)
+        The place, and the point of the span above it.
+    inside
+        Whether the place is on the edge and the point on the span, both within their ends.
+    """
+
+    gap: float
+    fraction: float
+    place: Array
+    above: Array
+    inside: bool
+
+
+def may_lift(cable: LaidCable) -> Iterator[int]:
+    """Nodes at which a cable may leave the membrane: all but its ends and its crossings."""
+    for k in range(1, len(cable.nodes) - 1):
+        if cable.nodes[k].kind != "crossing":
+            yield k
+
+
+def is_foot(cable: LaidCable, k: int) -> bool:
+    """Whether a node only marks the place under an anchor, where no cable can touch."""
+    node = cable.nodes[k]
+    beside = cable.nodes[k - 1].kind == "anchor" or cable.nodes[k + 1].kind == "anchor"
+    return isinstance(node.point, CellPoint) and beside
+
+
+def outward_pull(cable: LaidCable, k: int, normal: Array, reach: float) -> float:
+    """Force of the cable around its node k along the normal, relative to the tension.
+
+    Points close together, as those around a vertex, share one contact: what counts is the turn of
+    the cable between a distance `reach` before and after the node.
+    """
+    contacts = cable.contacts()
+    x, i = cable.positions[contacts], contacts.index(k)
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1))])
+    if min(arc[i], arc[-1] - arc[i]) <= COINCIDENT * arc[-1]:
+        return -1.0  # it lies on its anchor
+    near = [arc[i] - reach, arc[i] + reach]
+    ends = np.stack([np.interp(near, arc, x[:, m]) for m in range(3)], axis=1) - x[i]
+    sizes = np.linalg.norm(ends, axis=1)
+    return float(np.sum(ends / sizes[:, None], axis=0) @ normal)
+
+
+def size_at(shape: StripShape, support: tuple[int, ...]) -> float:
+    """Size of the cells around a vertex or an edge (length)."""
+    areas = np.linalg.norm(shape.normals[shape.strip.rows(support)], axis=1)
+    return float(np.sqrt(areas.mean()))
+
+
+def under(
+    node: CableNode, span: tuple[Array, Array], shape: StripShape, bends: Sequence[Array] = ()
+) -> Under:
+    """The place of the membrane on a node's edge or vertex that a free span passes.
+
+    Parameters
+    ----------
+    node
+        A vertex, or a point of an edge.
+    span
+        The ends of the span.
+    shape
+        Positions of the vertices around.
+    bends
+        Positions of the fold points that other cables have on the edge, in order.
+    """
+    assert node.point is not None
+    support = node.point.support
+    normal = shape.normal(support)
+    start, end = span
+    line = [shape.at(support[0]), *bends, shape.at(support[-1])]
+    if len(support) == 1:
+        t = float((line[0] - start) @ (end - start) / ((end - start) @ (end - start)))
+        above = start + min(max(t, 0.0), 1.0) * (end - start)
+        gap = float((above - line[0]) @ normal)
+        return Under(gap, np.nan, line[0], above, 0.0 < t < 1.0)
+    sizes = [float(np.linalg.norm(b - a)) for a, b in pairwise(line)]
+    found: Under | None = None
+    before = 0.0
+    for (a, b), size in zip(pairwise(line), sizes, strict=True):
+        s, t = _nearest(a, b, start, end, normal)
+        first, last = before == 0.0, before + size >= sum(sizes) * (1 - 1e-12)
+        inside = (s > 0.0 or not first) and (s < 1.0 or not last) and 0.0 < t < 1.0
+        s, t = min(max(s, 0.0), 1.0), min(max(t, 0.0), 1.0)
+        place, above = a + s * (b - a), start + t * (end - start)
+        fraction = (before + s * size) / sum(sizes)
+        gap = float((above - place) @ normal)
+        if found is None or gap < found.gap:
+            found = Under(gap, fraction, place, above, inside)
+        before += size
+    assert found is not None
+    return found
+
+
+def _nearest(a: Array, b: Array, c: Array, d: Array, normal: Array) -> tuple[float, float]:
+    """Where the lines ab and cd cross, seen along the normal: their parameters."""
+    u, v = (x - (x @ normal) * normal for x in (b - a, d - c))
+    w = (c - a) - ((c - a) @ normal) * normal
+    cross = float(np.cross(u, v) @ normal)
+    if abs(cross) <= 1e-12 * float(np.linalg.norm(u) * np.linalg.norm(v)):
+        return 0.5, 0.5  # the span runs along the edge
+    return float(np.cross(w, v) @ normal) / cross, float(np.cross(w, u) @ normal) / cross
+
+
+def spans(cable: LaidCable) -> Iterator[tuple[int, int]]:
+    """Pairs of contacts between which the cable is off the membrane."""
+    for a, b in pairwise(cable.contacts()):
+        if b - a > 1:
+            yield a, b
+
+
+def released(cable: LaidCable, shape: StripShape) -> list[int]:
+    """Nodes at which the cable pulls the membrane outward."""
+    if cable.sleeve:
+        return []
+    found = []
+    for k in may_lift(cable):
+        if cable.lifted[k]:
+            continue
+        point = cable.nodes[k].point
+        assert point is not None
+        normal, reach = shape.normal(point.support), size_at(shape, point.support)
+        if is_foot(cable, k) or outward_pull(cable, k, normal, reach) > PULL:
+            found.append(k)
+    return found
+
+
+def captured(
+    cable: LaidCable, shape: StripShape, bends: Mapping[Edge, Sequence[Array]]
+) -> dict[int, Under]:
+    """Nodes at which a free span runs below the membrane, with the places where it touches.
+
+    Leaves the positions of lifted nodes on their span.
+    """
+    found = {}
+    for a, b in spans(cable):
+        span = (cable.positions[a], cable.positions[b])
+        for k in range(a + 1, b):
+            node = cable.nodes[k]
+            if node.kind == "crossing" or is_foot(cable, k):
+                cable.positions[k] = span[0] + (k - a) / (b - a) * (span[1] - span[0])
+                continue
+            assert node.point is not None
+            support = node.point.support
+            on_edge = bends.get((support[0], support[1]), ()) if len(support) == 2 else ()
+            place = under(node, span, shape, on_edge)
+            cable.positions[k] = place.above
+            if node.kind == "fold":  # so that the path stays below the span
+                cable.fractions[k] = min(max(place.fraction, INSIDE), 1 - INSIDE)
+            if place.inside and place.gap < -DEPTH * size_at(shape, support):
+                found[k] = place
+    return found
+
+
+def touch(cable: LaidCable, places: Mapping[int, Under]) -> None:
+    """Let the cable touch the membrane at some nodes."""
+    for k, place in places.items():
+        cable.lifted[k] = False
+        cable.positions[k] = place.place
+        if cable.nodes[k].kind == "fold":
+            cable.fractions[k] = min(max(place.fraction, INSIDE), 1 - INSIDE)
+
+
+def parts(crossing: Crossing, cables: Sequence[LaidCable], shape: StripShape) -> bool:
+    """Whether at a crossing the upper cable pulls the lower one up."""
+    if crossing.apart:
+        return False
+    upper = cables[crossing.upper]
+    k = next(k for k, node in enumerate(upper.nodes) if node.crossing is crossing)
+    normal, reach = shape.normal(crossing.support), size_at(shape, crossing.support)
+    return not upper.lifted[k] and outward_pull(upper, k, normal, reach) > PULL
+
+
+def joins(crossing: Crossing, cables: Sequence[LaidCable], shape: StripShape) -> bool:
+    """Whether two cables that have parted would run through each other."""
+    if not crossing.apart:
+        return False
+    normal = shape.normal(crossing.support)
+    (a, b), (c, d) = (
+        link_at(cables[number], k)
+        for number, k in zip((crossing.lower, crossing.upper), crossing.links, strict=True)
+    )
+    s, t = (min(max(x, 0.0), 1.0) for x in _nearest(a, b, c, d, normal))
+    gap = float((c + t * (d - c) - a - s * (b - a)) @ normal)
+    return gap < -DEPTH * float(np.linalg.norm(b - a))
+
+
+def link_at(cable: LaidCable, k: int) -> tuple[Array, Array]:
+    """Ends of the straight part of a cable after its node k, crossings not counted."""
+    own = [i for i, node in enumerate(cable.nodes) if node.kind != "crossing"]
+    contacts = cable.contacts()
+    first = max(i for i in contacts if i <= own[k])
+    last = min(i for i in contacts if i >= own[k + 1])
+    return cable.positions[first], cable.positions[last]
+
+
+def drape(cable: LaidCable, shape: StripShape) -> None:
+    """Find the contacts of a cable that is pulled over the membrane as if that were rigid."""
+    for _ in range(len(cable.nodes) + 1):
+        free = released(cable, shape)
+        cable.lifted[free] = True
+        places = {} if free else captured(cable, shape, {})
+        touch(cable, places)
+        if not free and not places:
+            return

@@ -1,0 +1,247 @@
+"""Crossing cables: where they cross, found from their paths alone.
+
+Two cables that cross inside a cell share one free point there; without it the folds of one would
+cut through the other. Which cells those are follows from the order of the cables' points around
+each cell, and so it changes by itself as paths and fold points move: a crossing that slides over
+an edge is found in the next cell, one that slides off is gone.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from itertools import combinations, pairwise
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from crms_fenicsx.cables.cable import CableNode, Crossing, LaidCable
+from crms_fenicsx.cables.path import CellPoint, EdgePoint
+from crms_fenicsx.cables.strip import Strip
+
+Array = npt.NDArray[np.float64]
+Edge = tuple[int, int]
+Member = tuple[int, int]
+"""A node of a cable, crossings not counted: the cable's number, the node's number."""
+
+
+class _Meeting(NamedTuple):
+    """Two links that cross: their first nodes, how far along each, and the place in the cell."""
+
+    first: Member
+    second: Member
+    along: tuple[float, float]
+    point: CellPoint | EdgePoint
+
+
+def arrange(
+    cables: Sequence[LaidCable], strip: Strip, known: Sequence[Crossing]
+) -> list[Crossing]:
+    """Find the crossings of the cables in tension, and insert their points into the cables.
+
+    Parameters
+    ----------
+    cables
+        All cables; their nodes are replaced where crossings come or go.
+    strip
+        Cells around them.
+    known
+        The crossings before: which of them are apart is kept.
+    """
+    for cable in cables:
+        _remove_crossings(cable)
+    meetings = _meetings(cables, strip)
+    inserted: dict[Member, list[tuple[float, CableNode, Array]]] = defaultdict(list)
+    left = list(known)
+    crossings = []
+    for first, second, along, point in sorted(meetings, key=lambda m: (m.first, m.along[0])):
+        links = [_link(cables, member) for member in (first, second)]
+        places = [a + t * (b - a) for (a, b), t in zip(links, along, strict=True)]
+        (lower, t_lower), (upper, t_upper) = sorted(
+            zip((first, second), along, strict=True), key=lambda side: _level(cables, side[0][0])
+        )
+        crossing = Crossing(
+            lower[0], upper[0], point.support, (lower[1], upper[1]), np.mean(places, axis=0)
+        )
+        _inherit(crossing, left, cables)
+        crossings.append(crossing)
+        if crossing.apart:
+            continue
+        node = CableNode("crossing", point, crossing)
+        for member, t in ((lower, t_lower), (upper, t_upper)):
+            if not _give(cables, member, crossing, point):
+                inserted[member].append((t, node, crossing.place))
+    for c, cable in enumerate(cables):
+        _insert(cable, {k: new for (d, k), new in inserted.items() if d == c})
+    return crossings
+
+
+def _level(cables: Sequence[LaidCable], c: int) -> tuple[int, int]:
+    return cables[c].level, c
+
+
+def _link(cables: Sequence[LaidCable], member: Member) -> tuple[Array, Array]:
+    c, k = member
+    return cables[c].positions[k], cables[c].positions[min(k + 1, len(cables[c].nodes) - 1)]
+
+
+def _inherit(crossing: Crossing, left: list[Crossing], cables: Sequence[LaidCable]) -> None:
+    """Go on from the nearest known crossing of these cables; a new one starts as they lie."""
+    same = [k for k in left if (k.lower, k.upper) == (crossing.lower, crossing.upper)]
+    if not same:
+        upper, k = cables[crossing.upper], crossing.links[1]
+        crossing.apart = bool(upper.lifted[k : k + 2].all())
+        return
+    old = min(same, key=lambda k: float(np.linalg.norm(k.place - crossing.place)))
+    left.remove(old)
+    crossing.apart = old.apart
+    if old.support == crossing.support:
+        crossing.place = old.place
+
+
+def _give(
+    cables: Sequence[LaidCable], member: Member, crossing: Crossing, point: CellPoint | EdgePoint
+) -> bool:
+    """Let a fold point on an edge that another cable follows be the crossing's point."""
+    cable, k = cables[member[0]], member[1]
+    node = cable.nodes[k]
+    if not isinstance(point, EdgePoint) or node.kind == "vertex":
+        return False
+    nodes = list(cable.nodes)
+    nodes[k] = CableNode(node.kind, node.point, crossing)
+    cable.nodes = tuple(nodes)
+    return True
+
+
+def _remove_crossings(cable: LaidCable) -> None:
+    keep = np.array([node.kind != "crossing" for node in cable.nodes])
+    if not keep.all() or any(node.crossing for node in cable.nodes):
+        for node, position in zip(cable.nodes, cable.positions, strict=True):
+            if node.crossing is not None:
+                node.crossing.place = position.copy()
+        cable.set_nodes(
+            [
+                CableNode(node.kind, node.point)
+                for node, kept in zip(cable.nodes, keep, strict=True)
+                if kept
+            ],
+            cable.positions[keep], cable.fractions[keep], cable.lifted[keep],
+        )  # fmt: skip
+
+
+def _insert(cable: LaidCable, new: dict[int, list[tuple[float, CableNode, Array]]]) -> None:
+    if not new:
+        return
+    nodes: list[CableNode] = []
+    positions, fractions, lifted = [], [], []
+    for k, node in enumerate(cable.nodes):
+        nodes.append(node)
+        positions.append(cable.positions[k])
+        fractions.append(float(cable.fractions[k]))
+        lifted.append(bool(cable.lifted[k]))
+        for _, shared, place in sorted(new.get(k, []), key=lambda entry: entry[0]):
+            nodes.append(shared)
+            positions.append(place)
+            fractions.append(np.nan)
+            lifted.append(False)
+    cable.set_nodes(nodes, np.array(positions), np.array(fractions), np.array(lifted))
+
+
+def _meetings(cables: Sequence[LaidCable], strip: Strip) -> list[_Meeting]:
+    """Where the paths of cables in tension cross, lifted parts by the cells under them."""
+    on_edge: dict[Edge, list[tuple[float, int, int]]] = defaultdict(list)
+    chords: dict[int, list[Member]] = defaultdict(list)
+    followed: dict[Edge, list[Member]] = defaultdict(list)
+    for c, cable in enumerate(cables):
+        if not cable.taut:
+            continue
+        for k, node in enumerate(cable.nodes):
+            if isinstance(node.point, EdgePoint):
+                on_edge[node.point.edge].append((_fraction(cable, k), c, k))
+        for k, (a, b) in enumerate(pairwise(cable.nodes)):
+            if a.point is None or b.point is None:
+                continue
+            both = tuple(sorted({*a.point.support, *b.point.support}))
+            if len(both) == 2:
+                followed[both[0], both[1]].append((c, k))
+            else:
+                chords[strip.rows(both)[0]].append((c, k))
+    found = []
+    for edge, links in followed.items():
+        for fraction, c, k in on_edge.get(edge, []):
+            for link in links:
+                if link[0] != c:
+                    ascending = cables[link[0]].nodes[link[1]].point.support == (edge[0],)  # type: ignore[union-attr]
+                    along = fraction if ascending else 1 - fraction
+                    found.append(_Meeting(link, (c, k), (along, 0.0), EdgePoint(edge, fraction)))
+    for row, members in chords.items():
+        if len({c for c, _ in members}) > 1:
+            cell = [int(vertex) for vertex in strip.cells[row]]
+            found += _meetings_in_cell(cables, cell, members, on_edge)
+    return found
+
+
+def _fraction(cable: LaidCable, k: int) -> float:
+    point, fraction = cable.nodes[k].point, float(cable.fractions[k])
+    assert isinstance(point, EdgePoint)
+    return point.fraction if np.isnan(fraction) else fraction
+
+
+def _meetings_in_cell(
+    cables: Sequence[LaidCable],
+    cell: list[int],
+    chords: Sequence[Member],
+    on_edge: dict[Edge, list[tuple[float, int, int]]],
+) -> list[_Meeting]:
+    """Chords of one cell that cross: their ends alternate around it."""
+    around: dict[Member | int, int] = {}  # places on the rim, of corners and of points
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        i, j = cell[a], cell[b]
+        around[i] = len(around)
+        line = sorted(on_edge.get((min(i, j), max(i, j)), []))
+        for _, c, k in line if i < j else line[::-1]:
+            around[c, k] = len(around)
+
+    def rim(member: Member) -> int | None:
+        node = cables[member[0]].nodes[member[1]]
+        assert node.point is not None
+        return around.get(node.point.support[0] if node.kind == "vertex" else member)
+
+    def flat(member: Member) -> Array:
+        """Barycentric weights."""
+        ids, weights = cables[member[0]].nodes[member[1]].masters(
+            None if np.isnan(f := float(cables[member[0]].fractions[member[1]])) else f
+        )
+        share = dict(zip(ids, weights, strict=True))
+        return np.array([share.get(vertex, 0.0) for vertex in cell])
+
+    found = []
+    for first, second in combinations(chords, 2):
+        if first[0] == second[0]:
+            continue
+        ends = [(c, k + i) for c, k in (first, second) for i in (0, 1)]
+        a, b, p, q = (rim(end) for end in ends)
+        t = _intersection(*(flat(end) for end in ends))
+        if a is None or b is None or p is None or q is None:
+            crosses = 0.0 < t[0] < 1.0 and 0.0 < t[1] < 1.0
+        else:
+            low, high = sorted((a, b))
+            crosses = len({a, b, p, q}) == 4 and (low < p < high) != (low < q < high)
+        if crosses:
+            t = (min(max(t[0], 0.0), 1.0), min(max(t[1], 0.0), 1.0))
+            start, end = flat(ends[0]), flat(ends[1])
+            weights: Array = np.maximum(start + t[0] * (end - start), 0.0)
+            u, v, w = (float(x) for x in weights / weights.sum())
+            point = CellPoint((cell[0], cell[1], cell[2]), (u, v, w))
+            found.append(_Meeting(first, second, t, point))
+    return found
+
+
+def _intersection(a: Array, b: Array, p: Array, q: Array) -> tuple[float, float]:
+    """Where lines ab and pq, in barycentric weights, cross: their parameters."""
+    u, v, w = (b - a)[:2], (q - p)[:2], (p - a)[:2]
+    cross = u[0] * v[1] - u[1] * v[0]
+    if cross == 0.0:
+        return 0.5, 0.5
+    return float((w[0] * v[1] - w[1] * v[0]) / cross), float((w[0] * u[1] - w[1] * u[0]) / cross)

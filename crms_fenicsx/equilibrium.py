@@ -1,0 +1,174 @@
+"""The equilibrium of a load step: what changes the potential itself, around its minimisation.
+
+Three loops, one inside the other:
+
+    paths        cables without friction slide into other cells where that lowers the energy,
+    active set   cables turn slack or taut, lift off and touch down, part and join at crossings,
+    minimiser    of the potential of these cables on these paths.
+
+Each outer loop looks at a state that is near its minimum, before the last digits are worked out,
+so that a change costs little and none costs nothing.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from crms_fenicsx.minimizer import Outcome
+from crms_fenicsx.state import State
+from crms_fenicsx.system import System
+
+if TYPE_CHECKING:
+    from crms_fenicsx.cables.active import ActiveSet
+    from crms_fenicsx.cables.retrace import Retracer
+
+logger = logging.getLogger("crms_fenicsx")
+
+MAX_PATHS = 60
+"""How many sets of paths are tried in one load step before it is given up."""
+
+
+@dataclass(frozen=True)
+class _Try:
+    """The equilibrium on some paths, perhaps not to the last digit, and how they want to change."""
+
+    outcome: Outcome
+    state: State
+    energy: float
+    flips: int
+
+
+class EquilibriumSearch:
+    """Finds the equilibrium at a scene's loads, starting from its state.
+
+    Parameters
+    ----------
+    system
+        The scene's potential.
+    slide
+        Whether cables may slide into other cells than those that they cross.
+    """
+
+    def __init__(self, system: System, slide: bool) -> None:
+        self.system, self.scene = system, system.scene
+        self.slide = slide
+
+    def find(self, h0_prestress: tuple[float, ...]) -> Outcome:
+        """Find the equilibrium; the scene is then in it. Collective.
+
+        Parameters
+        ----------
+        h0_prestress
+            As for `Minimizer.solve`.
+        """
+        self.system.prepare()
+        self.start = State.of(self.scene)
+        if not self.scene.cables:
+            self.system.pull()
+            outcome = self.system.minimize(h0_prestress)
+            self.system.push()
+            return outcome
+        from crms_fenicsx.cables.active import ActiveSet
+
+        self.active: ActiveSet = ActiveSet(self.scene)
+        if not self.slide:
+            return self._settle(h0_prestress)
+        from crms_fenicsx.cables.retrace import Retracer
+
+        return self._slide(Retracer(self.scene), h0_prestress)
+
+    def _slide(self, paths: Retracer, h0_prestress: tuple[float, ...]) -> Outcome:
+        """Try new paths while the energy falls."""
+        best = self._try(paths, h0_prestress)
+        total, flips = best.outcome, best.flips
+        for _ in range(MAX_PATHS):
+            if not (best.outcome.converged and flips):
+                break
+            self.system.rebuild()
+            new = self._try(paths, (0.0,))
+            total = total + new.outcome
+            if new.outcome.converged and new.energy < best.energy:
+                best, flips = new, new.flips
+                continue
+            best.state.restore(self.scene)
+            self.system.rebuild()
+            # Half of the flips; one alone cannot be halved.
+            flips = paths.retrace(flips // 2) if flips > 1 else 0
+            if not flips:
+                return total + self._settle((0.0,))
+        else:
+            reason = f"after {MAX_PATHS} changes the paths of the cables still want to change"
+            return replace(total, converged=False, reason=reason)
+        return total
+
+    def _try(self, paths: Retracer, h0_prestress: tuple[float, ...]) -> _Try:
+        """Equilibrium on the paths that there are; the scene then has those to try next."""
+        flips = 0
+        state, energy = self.start, 0.0
+
+        def look() -> bool:
+            nonlocal flips, state, energy
+            state, energy = State.of(self.scene), self.scene.energy
+            flips = paths.retrace()
+            return flips > 0
+
+        if paths.straighten():
+            self.system.rebuild()
+        outcome = self._settle(h0_prestress, look)
+        return _Try(replace(outcome, flips=flips), state, energy, flips)
+
+    def _settle(
+        self, h0_prestress: tuple[float, ...], look: Callable[[], bool] | None = None
+    ) -> Outcome:
+        """Equilibrium on the paths that there are.
+
+        Parameters
+        ----------
+        h0_prestress
+            As for `Minimizer.solve`.
+        look
+            Called once the active set has settled, near the equilibrium; if it returns true, the
+            solve ends there.
+        """
+        system, active = self.system, self.active
+        system.pull()
+        system.locate_cables()
+        changes = active.update()
+        total: Outcome | None = None
+        looked = False
+
+        def interrupt() -> bool:
+            nonlocal changes, looked
+            system.push()
+            changes = active.update()
+            if changes:
+                return True
+            looked = True
+            return look is not None and look()
+
+        while True:
+            if changes:
+                logger.debug("%s", "; ".join(changes))
+                system.rebuild()
+                system.pull()
+            if system.has_history:  # the step starts there for all its terms
+                self.start.restore_positions(self.scene)
+                system.pull()
+            changes = []
+            outcome = system.minimize(h0_prestress, interrupt)
+            total = outcome if total is None else total + outcome
+            if not outcome.converged:
+                return total
+            if outcome.reason != "interrupted":
+                system.push()
+                changes = active.update()
+            if not changes:
+                if not looked and look is not None:
+                    look()
+                return total
+            if active.restless():
+                reason = f"{active.restless()} keeps turning from slack to taut and back"
+                return replace(total, converged=False, reason=reason)
