@@ -233,16 +233,6 @@ def test_what_a_cable_is_called_and_made_of(scene: Scene) -> None:
     assert scene.lay_cable(CABLE, below).name == "cable 3"
 
 
-def test_crossing_cables(scene: Scene) -> None:
-    scene.lay_cable(CABLE, ACROSS, name="first")
-    for path in ([(47.0, 0.0), (53.0, 100.0)], ACROSS, ACROSS[::-1]):
-        refused(
-            lambda path=path: scene.lay_cable(CABLE, path, name="second"),
-            "'second'", "'first'", "vertices",
-            kind=PathError, scene=scene,
-        )  # fmt: skip
-
-
 @pytest.mark.parametrize("steps", [0, -1, 1.5, "2", None, True])
 @pytest.mark.usefixtures("idle")
 def test_number_of_steps(scene: Scene, steps: Any) -> None:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from crms_fenicsx.cables import contact
 from crms_fenicsx.cables.cable import LaidCable, polyline_length
-from crms_fenicsx.cables.path import EdgePoint
+from crms_fenicsx.cables.path import EdgePoint, VertexPoint
 from crms_fenicsx.cables.strip import StripShape
 
 if TYPE_CHECKING:
@@ -106,7 +106,8 @@ class ActiveSet:
             assert point is not None
             return cable.name, point.support
 
-        free = [k for k in contact.released(cable, shape) if key(k) not in self._settled]
+        released = contact.released(cable, shape, self._covered(cable))
+        free = [k for k in released if key(k) not in self._settled]
         places = contact.captured(cable, shape, bends(self.scene.cables, cable))
         cable.lifted[free] = True
         contact.touch(cable, places)
@@ -114,6 +115,17 @@ class ActiveSet:
         self._released |= {key(k) for k in free}
         texts = [f"{cable.name} lifts off at {cable.nodes[k].point}" for k in free]
         return texts + [f"{cable.name} touches down at {cable.nodes[k].point}" for k in places]
+
+    def _covered(self, cable: LaidCable) -> set[int]:
+        """Vertices at which a cable in tension lies on top of this one."""
+        order = {id(other): (other.level, c) for c, other in enumerate(self.scene.cables)}
+        return {
+            node.point.vertex
+            for other in self.scene.cables
+            if other.taut and order[id(other)] > order[id(cable)]
+            for node in (other.nodes[k] for k in other.contacts())
+            if isinstance(node.point, VertexPoint)
+        }
 
     def _crossings(self, shape: StripShape) -> list[str]:
         changes = []

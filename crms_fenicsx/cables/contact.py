@@ -11,7 +11,7 @@ contacts cannot flicker.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -73,14 +73,18 @@ def outward_pull(cable: LaidCable, k: int, normal: Array, reach: float) -> float
     """Force of the cable around its node k along the normal, relative to the tension.
 
     Points close together, as those around a vertex, share one contact: what counts is the turn of
-    the cable between a distance `reach` before and after the node.
+    the cable between a distance `reach` before and after the node, but not that at a crossing,
+    where another cable presses.
     """
     contacts = cable.contacts()
     x, i = cable.positions[contacts], contacts.index(k)
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1))])
-    if min(arc[i], arc[-1] - arc[i]) <= COINCIDENT * arc[-1]:
-        return -1.0  # it lies on its anchor
-    near = [arc[i] - reach, arc[i] + reach]
+    stops = [m for m, node in enumerate(contacts) if cable.nodes[node].kind == "crossing"]
+    first = max([0, *(m for m in stops if m < i)])
+    last = min([len(arc) - 1, *(m for m in stops if m > i)])
+    near = [max(arc[i] - reach, arc[first]), min(arc[i] + reach, arc[last])]
+    if min(arc[i] - near[0], near[1] - arc[i]) <= COINCIDENT * arc[-1]:
+        return -1.0  # it lies on its anchor, or on another cable
     ends = np.stack([np.interp(near, arc, x[:, m]) for m in range(3)], axis=1) - x[i]
     sizes = np.linalg.norm(ends, axis=1)
     return float(np.sum(ends / sizes[:, None], axis=0) @ normal)
@@ -153,16 +157,28 @@ def spans(cable: LaidCable) -> Iterator[tuple[int, int]]:
             yield a, b
 
 
-def released(cable: LaidCable, shape: StripShape) -> list[int]:
-    """Nodes at which the cable pulls the membrane outward."""
+def released(
+    cable: LaidCable, shape: StripShape, covered: Set[int] = frozenset()
+) -> list[int]:
+    """Nodes at which the cable pulls the membrane outward.
+
+    Parameters
+    ----------
+    cable
+        A cable on the membrane.
+    shape
+        Positions of the vertices around.
+    covered
+        Vertices at which another cable lies on top of it.
+    """
     if cable.sleeve:
         return []
     found = []
     for k in may_lift(cable):
-        if cable.lifted[k]:
-            continue
         point = cable.nodes[k].point
         assert point is not None
+        if cable.lifted[k] or (len(point.support) == 1 and point.support[0] in covered):
+            continue
         normal, reach = shape.normal(point.support), size_at(shape, point.support)
         if is_foot(cable, k) or outward_pull(cable, k, normal, reach) > PULL:
             found.append(k)

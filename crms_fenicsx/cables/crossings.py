@@ -91,7 +91,7 @@ def _inherit(crossing: Crossing, left: list[Crossing], cables: Sequence[LaidCabl
     same = [k for k in left if (k.lower, k.upper) == (crossing.lower, crossing.upper)]
     if not same:
         upper, k = cables[crossing.upper], crossing.links[1]
-        crossing.apart = bool(upper.lifted[k : k + 2].all())
+        crossing.apart = all(upper.lifted[k : k + 2])
         return
     old = min(same, key=lambda k: float(np.linalg.norm(k.place - crossing.place)))
     left.remove(old)
@@ -117,9 +117,9 @@ def _give(
 def _remove_crossings(cable: LaidCable) -> None:
     keep = np.array([node.kind != "crossing" for node in cable.nodes])
     if not keep.all() or any(node.crossing for node in cable.nodes):
-        for node, position in zip(cable.nodes, cable.positions, strict=True):
+        for k, node in enumerate(cable.nodes):
             if node.crossing is not None:
-                node.crossing.place = position.copy()
+                node.crossing.place = cable.positions[k].copy()
         cable.set_nodes(
             [
                 CableNode(node.kind, node.point)
@@ -221,8 +221,8 @@ def _meetings_in_cell(
         if first[0] == second[0]:
             continue
         ends = [(c, k + i) for c, k in (first, second) for i in (0, 1)]
-        a, b, p, q = (rim(end) for end in ends)
-        t = _intersection(*(flat(end) for end in ends))
+        a, b, p, q = (rim(member) for member in ends)
+        t = _intersection(*(flat(member) for member in ends))
         if a is None or b is None or p is None or q is None:
             crosses = 0.0 < t[0] < 1.0 and 0.0 < t[1] < 1.0
         else:
