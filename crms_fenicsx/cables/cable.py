@@ -48,14 +48,20 @@ class CableNode:
     Attributes
     ----------
     kind
-        "vertex": a mesh vertex. "fold": slides freely on an edge, which folds there. "rider": is
-        tied to a place of the membrane. "anchor": held in space.
+        "vertex": a mesh vertex. "fold": slides freely on an edge, which folds there. "rail":
+        slides freely along an edge that is held, and so stays straight. "rider": is tied to a
+        place of the membrane. "anchor": held in space.
     point
         Its place on the mesh; None for an anchor.
     """
 
-    kind: Literal["vertex", "fold", "rider", "anchor"]
+    kind: Literal["vertex", "fold", "rail", "rider", "anchor"]
     point: SurfacePoint | None = None
+
+    @property
+    def slides(self) -> bool:
+        """Whether its place on its edge is an unknown."""
+        return self.kind in ("fold", "rail")
 
     def masters(self, fraction: float | None = None) -> tuple[tuple[int, ...], tuple[float, ...]]:
         """Vertices (ids) and weights that give the place on the unfolded mesh."""
@@ -127,7 +133,8 @@ class LaidCable:
     positions : (n, 3)
         Current positions of the nodes, on all ranks.
     fractions : (n,)
-        Current places of fold points on their unfolded edges; NaN for other nodes.
+        Current places of fold points on their unfolded edges and of rails on their held ones,
+        where one that is pulled beyond an end lies outside 0 ... 1; NaN for nodes off edges.
     L0
         Unstressed length (length).
     length, tension
@@ -135,7 +142,7 @@ class LaidCable:
     step_start
         State at the start of a step, where the cable has the step-wise law.
     taut
-        Whether it has tension; the fold points of a slack cable take no part.
+        Whether it has tension; the sliding points of a slack cable take no part.
     blocked
         Nodes that have run into a mesh vertex.
     """

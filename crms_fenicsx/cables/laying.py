@@ -119,8 +119,10 @@ def _nodes(path: Path, held: set[tuple[int, ...]]) -> tuple[CableNode, ...]:
         at_end = (k == 0 and path.start_anchor is None) or (k == last and path.end_anchor is None)
         if isinstance(point, VertexPoint):
             nodes.append(CableNode("vertex", point))
-        elif at_end or isinstance(point, CellPoint) or point.support in held:
+        elif at_end or isinstance(point, CellPoint):
             nodes.append(CableNode("rider", point))
+        elif point.support in held:
+            nodes.append(CableNode("rail", point))
         else:
             nodes.append(CableNode("fold", point))
     if path.start_anchor is not None or path.points[0].support in held:

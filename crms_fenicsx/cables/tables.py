@@ -85,7 +85,7 @@ def _smoothing(network: Network, link: Link, sizes: Array) -> float:
     if link.vertices is None:
         point = first.point or second.point
         assert point is not None, "two anchors in a row"
-        around, slides = point.support, "fold" in (first.kind, second.kind)
+        around, slides = point.support, first.slides or second.slides
     else:
         around, slides = link.vertices, not {first.kind, second.kind} <= {"rider"}
     strip = network.strip
