@@ -33,7 +33,7 @@ def at_bounds(potential: Potential) -> npt.NDArray[np.bool_]:
 
 
 class InitialHessian:
-    """H0 of a potential, positive definite; held components are decoupled.
+    """H0 of a potential, positive definite; held components and those across rails are decoupled.
 
     Parameters
     ----------
@@ -107,12 +107,25 @@ class InitialHessian:
         # The trace of a block does not depend on how the scene is turned in space.
         traces = np.where(held, 0.0, diagonal.array.reshape(-1, 3)).sum(axis=1)
         diagonal.destroy()
-        largest = unknowns.comm.allreduce(float(traces.max(initial=0.0)), op=MPI.MAX)
-        largest = largest if largest > 0 else 1.0
+        sizes = np.array([traces.max(initial=0.0), unknowns.n_rails])
+        unknowns.comm.Allreduce(MPI.IN_PLACE, sizes, op=MPI.MAX)
+        largest = float(sizes[0]) if sizes[0] > 0 else 1.0
         A.shift(SHIFT * largest)
+        if sizes[1]:
+            self._stiffen_across_rails(largest)
         rows = np.flatnonzero(held) + 3 * unknowns.start
         A.zeroRowsColumns(rows.astype(PETSc.IntType), diag=largest)
         A.setOption(PETSc.Mat.Option.SPD, True)
+
+    def _stiffen_across_rails(self, value: float) -> None:
+        """Give the components across the rails, which have no stiffness, this one."""
+        A, unknowns = self.matrix, self.potential.unknowns
+        own = unknowns.rails < unknowns.n_owned
+        d = unknowns.directions[own]
+        across = value * (np.eye(3) - d[:, :, None] * d[:, None, :])
+        blocks = unknowns.matrix_numbers[unknowns.rails[own], None]
+        A.setValuesBlockedLocalRCV(blocks, blocks, across.reshape(-1, 9), PETSc.InsertMode.ADD)
+        A.assemble()
 
     def _add_dyads(self, held: npt.NDArray[np.bool_]) -> None:
         """Columns G, Z = K^-1 G and (C^-1 + G^T Z)^-1."""

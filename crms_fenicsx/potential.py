@@ -87,6 +87,7 @@ class Potential:
             X.copy(self.x_vector)
         self.unknowns.update_ghosts(self.x_vector)
         self.unknowns.place_riders(self.x)
+        self.unknowns.project(self.x)
         self.unknowns.read_vertices(self.x, self._u)
 
     def sum_up(self) -> None:
@@ -116,6 +117,7 @@ class Potential:
             energy += term.energy(self._sums[part])
             term.add_gradient(self.x, self._sums[part], self.g)
         self.unknowns.gather_forces(self.g_vector, self.g)
+        self.unknowns.project(self.g)
         return energy
 
     def objective_gradient(self, tao: PETSc.TAO | None, X: PETSc.Vec, G: PETSc.Vec) -> float:
@@ -152,6 +154,7 @@ class Potential:
         self.g[:] = 0.0
         term.add_dyad_column(k, self.x, self.g)  # type: ignore[attr-defined]
         self.unknowns.gather_forces(self.g_vector, self.g)
+        self.unknowns.project(self.g)
 
     def begin_step(self) -> None:
         """Tell the terms with history that a load step starts at the current state."""
@@ -176,7 +179,8 @@ class Potential:
         energy
             Energy at the current state (force x length).
         scale
-            Largest norm of one term's free nodal forces: the scene's own force.
+            Largest norm of one term's free nodal forces: the scene's own force. Those across
+            rails count, as there may be no other that does not vanish.
         """
         self.evaluations += 1
         self.sum_up()
@@ -192,4 +196,5 @@ class Potential:
             squares[k] = np.sum(self.g[:n][free] ** 2)
             total += self.g
         self.g[:] = total
+        self.unknowns.project(self.g)
         return energy, float(np.sqrt(np.max(self.comm.allreduce(squares, op=MPI.SUM))))

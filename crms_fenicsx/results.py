@@ -195,6 +195,7 @@ def reactions(system: System, where: str | Marker) -> Reactions:
     if potential_only and system.scene.pressure != 0.0:
         _subtract_pressure(system, g)
     _leave_ends_to_anchors(system, g)
+    _hand_on_rails(system, g)
     unknowns.gather_forces(vector, g)
     owned = dofs[dofs < unknowns.n_vertices]
     forces = np.where(system.scene.held[owned], g[owned], 0.0)
@@ -238,6 +239,16 @@ def _leave_ends_to_anchors(system: System, g: Array) -> None:
                 beside = network.block(c, 1 if k == 0 else k - 1)
                 g[beside] += g[block] - end.reaction
                 g[block] = end.reaction
+
+
+def _hand_on_rails(system: System, g: Array) -> None:
+    """Give the forces of cables on held edges that they slide along to the edges' ends."""
+    if system.unknowns.n_rails:
+        assert system.network is not None
+        blocks, ends, s = system.network.rail_table()
+        share = np.stack([1 - s, s], axis=1)
+        np.add.at(g, ends, share[:, :, None] * g[blocks][:, None, :])
+        g[blocks] = 0.0
 
 
 def _sum_over_ranks(scene: Scene, vectors: Array) -> Array:

@@ -243,9 +243,9 @@ class Scene:
     def fix(self, where: str | Marker, directions: str = "xyz") -> None:
         """Hold vertices at their current displacement.
 
-        A group of edges that is held in all directions is held over its whole length: cables pass
-        it at a fixed place. Of points and marked vertices only these are held; edges between them
-        can fold.
+        A group of edges that is held in all directions is held over its whole length: its edges
+        stay straight, and cables that pass over them slide along them. Of points and marked
+        vertices only these are held; edges between them can fold.
 
         Parameters
         ----------
@@ -270,8 +270,8 @@ class Scene:
         new = self.comm.allreduce(int(np.count_nonzero(~self.held_edges[edges])))
         if new and self.cables:
             raise InputError(
-                f"fix: {where!r} would be held after cables have been laid, which pass held edges "
-                "at fixed places; hold edges first."
+                f"fix: {where!r} would be held after cables have been laid, which slide along held "
+                "edges without folding them; hold edges first."
             )
         for letter in directions:
             self.held[dofs, COMPONENTS[letter]] = True
@@ -312,8 +312,9 @@ class Scene:
         """Lay a cable on the membrane's current shape.
 
         It gets the length that makes it just taut, unless `L0` or `tension` is given. Where it
-        ends on a held part of the membrane it is held there and can be moved off; where it ends
-        elsewhere on the membrane it is tied to that place. It passes held edges at a fixed place.
+        ends on a held part of the membrane it is held there; it can be moved off, and then still
+        passes that place. Where it ends elsewhere on the membrane it is tied to that place. It
+        slides freely over edges and, inside each of them, along held edges.
 
         Parameters
         ----------

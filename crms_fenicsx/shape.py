@@ -91,7 +91,8 @@ def folded_shape(scene: Scene) -> FoldedShape:
 
 
 def _fraction(value: float) -> float | None:
-    return None if np.isnan(value) else float(value)
+    """A place on an edge; what is pulled beyond its end is there in the stress-free shape."""
+    return None if np.isnan(value) else float(np.clip(value, 0.0, 1.0))
 
 
 def current_surface(scene: Scene) -> CurrentSurface:

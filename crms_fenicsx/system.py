@@ -95,6 +95,7 @@ class System:
             lower = np.full_like(self.unknowns.X, -np.inf)
             lower[:, 2] = scene.floor_level - self.unknowns.X[:, 2]
             lower[self.unknowns.held] = -np.inf
+            lower[self.unknowns.rails] = -np.inf
             self.unknowns.bounds = (lower, np.full_like(lower, np.inf))
         self.potential = Potential(self.unknowns, scene.u, terms)
         self.minimizer = Minimizer(self.potential, self.prefix, self.rtol, self._tiny_force())
@@ -198,6 +199,7 @@ class System:
                 block = self.network.blocks[number]
                 if block >= 0:
                     potential.x[block] = scene.cables[c].positions[k] - self.unknowns.X[block]
+            self.network.place_rails(self.unknowns, potential.x)
             if self.tables is not None:
                 self.tension.L0[:] = [cable.L0 for cable in scene.cables if cable.taut]
         potential.place()

@@ -7,6 +7,11 @@ Everything is counted in *blocks* of three components. On each rank the local bl
 and the PETSc vectors hold the first two groups. Cable points are fold points on edges, anchors and
 other points that cables pass without being mesh vertices. Terms of the potential see one local
 array (n, 3) of displacements, ghosts included, and address its blocks.
+
+Some cable points have less freedom than three components. *Riders* are weighted means of vertices,
+*rails* move along a straight line in space. Both are a change of variables x = P y: positions are
+put where P has them, forces and stiffness become P^T g and P^T K P. For a rail P = d d^T, d the
+line's direction; so what starts on the line stays there.
 """
 
 from __future__ import annotations
@@ -90,6 +95,7 @@ class Unknowns:
         self.bounds: tuple[Array, Array] | None = None
         none = np.zeros(0, dtype=np.int32)
         self.set_riders(none, none.reshape(0, 3), np.zeros((0, 3)))
+        self.set_rails(none, np.zeros((0, 3)))
 
     def vertex_blocks(self) -> Indices:
         """Local blocks of the vertices in DOLFINx's local order (owned, then ghosts)."""
@@ -173,6 +179,31 @@ class Unknowns:
             positions = self.X[self.masters] + x[self.masters]
             x[self.riders] = np.einsum("nk,nki->ni", self.weights, positions) - self.X[self.riders]
 
+    def set_rails(self, rails: Indices, directions: Array) -> None:
+        """Let points be displaced along a direction only.
+
+        Parameters
+        ----------
+        rails
+            Local blocks of cable points, (n,). Ghosts too: a rank projects what it adds to them.
+        directions
+            Unit vectors, (n, 3), the same on all ranks that have the point.
+        """
+        self.rails, self.directions = np.asarray(rails, dtype=np.intp), directions
+        self.n_rails = len(rails)
+        self._at_rails, self._along = np.zeros((self.n_rails, 3)), np.zeros(self.n_rails)
+
+    def project(self, values: Array) -> None:
+        """Leave of the rails' vectors in `values` (n_local, 3) the part along their lines.
+
+        Allocates nothing.
+        """
+        if self.n_rails:
+            np.take(values, self.rails, axis=0, out=self._at_rails, mode="clip")
+            np.einsum("ni,ni->n", self._at_rails, self.directions, out=self._along)
+            np.einsum("ni,n->ni", self.directions, self._along, out=self._at_rails)
+            values[self.rails] = self._at_rails
+
     def gather_forces(self, vector: PETSc.Vec, g: Array) -> None:
         """Hand the riders' forces to their vertices and those of ghosts to their owners."""
         if self.n_riders:
@@ -194,3 +225,16 @@ class Unknowns:
             blocks[cols[entry], j],
             weights[entry, i, j][:, None, None] * values[entry],
         )
+
+    def project_blocks(self, rows: Indices, cols: Indices, values: Array) -> Array:
+        """Stiffness blocks (n, 3, 3) with those of rails projected: P_row K P_col."""
+        number = np.full(self.n_local, -1)
+        number[self.rails] = np.arange(self.n_rails)
+        values = values.copy()
+        at = np.flatnonzero(number[rows] >= 0)
+        d = self.directions[number[rows[at]]]
+        values[at] = np.einsum("ni,nk,nkj->nij", d, d, values[at])
+        at = np.flatnonzero(number[cols] >= 0)
+        d = self.directions[number[cols[at]]]
+        values[at] = np.einsum("nik,nk,nj->nij", values[at], d, d)
+        return values

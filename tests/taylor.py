@@ -42,7 +42,7 @@ class Points:
 
     def __init__(self, X: Array) -> None:
         self.X = X
-        self.n_riders = 0
+        self.n_riders = self.n_rails = 0
         self.matrix_numbers = np.arange(len(X), dtype=PETSc.IntType)
 
 
@@ -114,11 +114,9 @@ class OnMesh:
     def matrix(self, x: Array) -> Array:
         """Dense stiffness, the same on all ranks."""
         A = self.assembled(x)
-        indptr, columns, values = A.getValuesCSR()
-        rows = np.zeros((len(indptr) - 1, A.getSize()[1]))
-        rows[np.repeat(np.arange(len(rows)), np.diff(indptr)), columns] = values
+        entries = dense(A)
         A.destroy()
-        return np.concatenate(self.unknowns.comm.allgather(rows))
+        return entries
 
     def times(self, x: Array, d: Array) -> Array:
         A = self.assembled(x)
@@ -133,6 +131,15 @@ class OnMesh:
 
     def dot(self, a: Array, b: Array) -> float:
         return float(self.unknowns.comm.allreduce(float(np.vdot(a, b))))
+
+
+def dense(A: PETSc.Mat) -> Array:
+    """All entries of a distributed matrix, the same on all ranks."""
+    indptr, columns, values = A.getValuesCSR()
+    rows = np.zeros((len(indptr) - 1, A.getSize()[1]))
+    rows[np.repeat(np.arange(len(rows)), np.diff(indptr)), columns] = values
+    entries: Array = np.concatenate(A.getComm().tompi4py().allgather(rows))
+    return entries
 
 
 def fitted_order(steps: Sequence[float], remainders: Sequence[float]) -> float:

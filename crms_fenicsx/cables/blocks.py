@@ -17,10 +17,13 @@ def add_blocks(
 ) -> None:
     """Add blocks (n, 3, 3) at local block rows and columns (n,).
 
-    Points that ride on vertices hand their part on to them.
+    Points that ride on vertices hand their part on to them; of rails the part along their lines
+    counts.
     """
     if unknowns.n_riders:
         rows, cols, values = unknowns.spread(rows, cols, values)
+    if unknowns.n_rails:
+        values = unknowns.project_blocks(rows, cols, values)
     A.setValuesBlockedLocalRCV(
         unknowns.matrix_numbers[rows][:, None],
         unknowns.matrix_numbers[cols][:, None],

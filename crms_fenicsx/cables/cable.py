@@ -15,6 +15,9 @@ from crms_fenicsx.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
+LEAST, MOST = float(np.finfo(float).tiny), float(1.0 - np.finfo(float).epsneg)
+"""Places on an edge of points that run into its ends."""
+
 COINCIDENT = 1e-9
 """An anchor this near to the cable's next point, relative to its length, lies on it."""
 
@@ -40,6 +43,11 @@ class Cable:
         checks.positive("Cable: EA", self.EA)
         if self.law not in ("total", "step"):
             raise InputError(f"Cable: law = {self.law!r} is not known; use 'total' or 'step'.")
+
+
+End = Literal["tied", "held", "off"]
+"""How a cable's end is held: tied to a place of the membrane, held at its place on a held part of
+the membrane, or by an anchor off the membrane."""
 
 
 @dataclass(eq=False)
@@ -75,9 +83,10 @@ class CableNode:
     Attributes
     ----------
     kind
-        "vertex": a mesh vertex. "fold": slides freely on an edge, which folds there. "rider": is
-        tied to a place of the membrane. "anchor": held in space. "crossing": free, shared with
-        another cable.
+        "vertex": a mesh vertex. "fold": slides freely on an edge, which folds there. "rail":
+        slides freely along an edge that is held, and so stays straight. "rider": is tied to a
+        place of the membrane. "anchor": held in space. "crossing": free, shared with another
+        cable.
     point
         Its place on the mesh; None for an anchor.
     crossing
@@ -85,9 +94,14 @@ class CableNode:
         as well.
     """
 
-    kind: Literal["vertex", "fold", "rider", "anchor", "crossing"]
+    kind: Literal["vertex", "fold", "rail", "rider", "anchor", "crossing"]
     point: SurfacePoint | None = None
     crossing: Crossing | None = None
+
+    @property
+    def slides(self) -> bool:
+        """Whether its place on its edge is an unknown."""
+        return self.kind in ("fold", "rail")
 
     def masters(self, fraction: float | None = None) -> tuple[tuple[int, ...], tuple[float, ...]]:
         """Vertices (ids) and weights that give the place on the unfolded mesh."""
@@ -157,7 +171,8 @@ class LaidCable:
     positions : (n, 3)
         Current positions of the nodes, on all ranks.
     fractions : (n,)
-        Current places of fold points on their unfolded edges; NaN for other nodes.
+        Current places of fold points on their unfolded edges and of rails on their held ones,
+        where one that is pulled beyond an end lies outside 0 ... 1; NaN for nodes off edges.
     lifted : (n,) bool
         Nodes at which the cable is off the membrane. They take no part: it passes them straight.
     material : (n, 3)
@@ -170,7 +185,7 @@ class LaidCable:
     step_start
         State at the start of a step, where the cable has the step-wise law.
     taut
-        Whether it has tension; the fold points of a slack cable take no part.
+        Whether it has tension; the sliding points of a slack cable take no part.
     sleeve
         Whether a sleeve holds it to the membrane, so that it slides but cannot lift off.
     level
@@ -216,8 +231,8 @@ class LaidCable:
         """Its way over the mesh as it is now; where it is lifted, over the cells under it."""
         points: list[SurfacePoint] = []
         for node, fraction in zip(self.nodes, self.fractions, strict=True):
-            if isinstance(node.point, EdgePoint) and not np.isnan(fraction):
-                points.append(EdgePoint(node.point.edge, fraction))
+            if node.slides and isinstance(node.point, EdgePoint):
+                points.append(EdgePoint(node.point.edge, min(max(fraction, LEAST), MOST)))
             elif node.point is not None and node.kind != "crossing":
                 points.append(node.point)
         first, last = (
@@ -238,6 +253,18 @@ class LaidCable:
         self.fractions, self.lifted = fractions, lifted
         self.material = np.full_like(positions, np.nan)
         self.blocked = ()
+
+    @property
+    def ends(self) -> tuple[End, End]:
+        """How its two ends are held."""
+
+        def end(anchor: int, beside: int) -> End:
+            if self.nodes[anchor].kind != "anchor":
+                return "tied"
+            away = np.linalg.norm(self.positions[anchor] - self.positions[beside])
+            return "held" if away <= COINCIDENT * self.length else "off"
+
+        return end(0, 1), end(-1, -2)
 
     def contacts(self) -> list[int]:
         """Nodes that the cable touches, its ends included, in order."""

@@ -205,7 +205,7 @@ def captured(
             on_edge = bends.get((support[0], support[1]), ()) if len(support) == 2 else ()
             place = under(node, span, shape, on_edge)
             cable.positions[k] = place.above
-            if node.kind == "fold":  # so that the path stays below the span
+            if node.slides:  # so that the path stays below the span
                 cable.fractions[k] = min(max(place.fraction, INSIDE), 1 - INSIDE)
             if place.inside and place.gap < -DEPTH * size_at(shape, support):
                 found[k] = place
@@ -217,7 +217,7 @@ def touch(cable: LaidCable, places: Mapping[int, Under]) -> None:
     for k, place in places.items():
         cable.lifted[k] = False
         cable.positions[k] = place.place
-        if cable.nodes[k].kind == "fold":
+        if cable.nodes[k].slides:
             cable.fractions[k] = min(max(place.fraction, INSIDE), 1 - INSIDE)
 
 

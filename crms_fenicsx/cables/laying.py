@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx import checks
-from crms_fenicsx.cables.cable import Cable, CableNode, LaidCable, StepStart, polyline_length
+from crms_fenicsx.cables.cable import Cable, CableNode, End, LaidCable, StepStart, polyline_length
 from crms_fenicsx.cables.contact import drape
 from crms_fenicsx.cables.path import CellPoint, EdgePoint, Path, SurfacePoint, VertexPoint
 from crms_fenicsx.cables.strip import Strip, StripShape, cells_near, grow
@@ -60,8 +60,7 @@ def lay(
     grow(scene, [v for point in traced.points for v in point.support])
     assert scene.strip is not None
     strip, shape = scene.strip, StripShape.of(scene, scene.strip)
-    held = _held_ends(scene, strip, traced)
-    nodes = nodes_of(traced.points, strip, held)
+    nodes = nodes_of(traced.points, strip, _ends(scene, strip, traced))
     laid = LaidCable(
         name, cable, nodes,
         np.array([_position(node, k, traced, shape) for k, node in enumerate(nodes)]),
@@ -101,63 +100,54 @@ def _route(path: Sequence[Sequence[float]] | Array) -> Array:
     return route
 
 
-def _held_ends(scene: Scene, strip: Strip, path: Path) -> tuple[bool, bool]:
-    """Whether the cable's first and last end have an anchor: off the membrane, or held on it."""
+def _ends(scene: Scene, strip: Strip, path: Path) -> tuple[End, End]:
+    """How the cable's first and last end are held."""
     held = {vertex: False for point in (path.points[0], path.points[-1]) for vertex in point.support}
     own = strip.owner == scene.comm.rank
-    for vertices, dofs in zip(
-        strip.cells[own], scene.V.dofmap.list[strip.local[own]], strict=True
-    ):
-        for vertex, dof in zip(vertices.tolist(), dofs.tolist(), strict=True):
-            if vertex in held:
-                held[vertex] = bool(scene.held[dof].all())
+    dofs = scene.V.dofmap.list[strip.local[own]]
+    for vertex, dof in zip(strip.cells[own].ravel(), dofs.ravel(), strict=True):
+        if int(vertex) in held:
+            held[int(vertex)] = bool(scene.held[dof].all())
     vertices = {v for part in scene.comm.allgather(held) for v, is_held in part.items() if is_held}
 
-    def anchored(anchor: object, point: SurfacePoint) -> bool:
+    def end(anchor: object, point: SurfacePoint) -> End:
         if anchor is not None:
-            return True
+            return "off"
         if isinstance(point, VertexPoint):
-            return point.vertex in vertices
-        return isinstance(point, EdgePoint) and point.edge in strip.held_edges
+            return "held" if point.vertex in vertices else "tied"
+        on_edge = isinstance(point, EdgePoint) and point.edge in strip.held_edges
+        return "held" if on_edge else "tied"
 
-    return (
-        anchored(path.start_anchor, path.points[0]),
-        anchored(path.end_anchor, path.points[-1]),
-    )
+    return end(path.start_anchor, path.points[0]), end(path.end_anchor, path.points[-1])
 
 
 def nodes_of(
-    points: Sequence[SurfacePoint], strip: Strip, anchored: tuple[bool, bool]
+    points: Sequence[SurfacePoint], strip: Strip, ends: tuple[End, End]
 ) -> tuple[CableNode, ...]:
     """The points of a polyline, with anchors at its ends where it has them."""
     nodes: list[CableNode] = []
     last = len(points) - 1
     for k, point in enumerate(points):
-        tied = (k == 0 and not anchored[0]) or (k == last and not anchored[1])
-        held = isinstance(point, EdgePoint) and point.edge in strip.held_edges
+        in_place = (k == 0 and ends[0] != "off") or (k == last and ends[1] != "off")
         if isinstance(point, VertexPoint):
             nodes.append(CableNode("vertex", point))
-        elif tied or held or isinstance(point, CellPoint):
+        elif in_place or isinstance(point, CellPoint):
             nodes.append(CableNode("rider", point))
+        elif point.edge in strip.held_edges:
+            nodes.append(CableNode("rail", point))
         else:
             nodes.append(CableNode("fold", point))
-    if anchored[0]:
+    if ends[0] != "tied":
         nodes.insert(0, CableNode("anchor"))
-    if anchored[1]:
+    if ends[1] != "tied":
         nodes.append(CableNode("anchor"))
     return tuple(nodes)
 
 
 def fractions_of(nodes: Sequence[CableNode]) -> Array:
-    """Places of the fold points on their edges; NaN for other nodes."""
-    return np.array(
-        [
-            node.point.fraction
-            if node.kind == "fold" and isinstance(node.point, EdgePoint)
-            else np.nan
-            for node in nodes
-        ]
-    )
+    """Places of the nodes on edges; NaN for other nodes."""
+    points = (node.point for node in nodes)
+    return np.array([p.fraction if isinstance(p, EdgePoint) else np.nan for p in points])
 
 
 def _position(node: CableNode, k: int, path: Path, shape: StripShape) -> Array:

@@ -51,7 +51,7 @@ class Link(NamedTuple):
 
 
 BLOCKED = SMOOTHING
-"""A fold point nearer than this to an end of its side (fraction) has run into the vertex.
+"""A sliding point nearer than this to an end of its side (fraction) has run into the vertex.
 
 Farther off lengths are exact, so that nothing but the cable and the membrane holds it there.
 """
@@ -232,16 +232,19 @@ class Network:
         return self.vertex(corner) if isinstance(corner, int) else self.block(*corner)
 
     def hold(self, unknowns: Unknowns) -> None:
-        """Hold the anchors; let tied points and the fold points of slack cables ride."""
+        """Hold the anchors; let tied points and the sliding points of slack cables ride."""
         riders, masters, weights = [], [], []
+        self.rails: list[Member] = []
         for (c, k), number in self.numbers.items():
             block, cable = int(self.blocks[number]), self.cables[c]
             if block < 0:
                 continue
             node = cable.nodes[k]
             unknowns.held[block] = node.kind == "anchor"
-            if node.kind == "rider" or (node.kind == "fold" and not cable.taut):
-                ids, share = node.masters(cable.fractions[k] if node.kind == "fold" else None)
+            if node.kind == "rail" and cable.taut:
+                self.rails.append((c, k))
+            if node.kind == "rider" or (node.slides and not cable.taut):
+                ids, share = node.masters(cable.fractions[k] if node.slides else None)
                 own = [self.vertex(i) for i in ids]
                 riders.append(block)
                 masters.append(own + own[:1] * (3 - len(own)))
@@ -251,9 +254,42 @@ class Network:
             np.array(masters, dtype=np.int32).reshape(-1, 3),
             np.array(weights, dtype=float).reshape(-1, 3),
         )
+        if self.rails:
+            x = np.zeros_like(unknowns.X)
+            x[unknowns.vertex_blocks()] = self.u.x.array.reshape(-1, 3)
+            self.place_rails(unknowns, x)
+
+    def rail_table(self) -> tuple[Indices, Indices, Array]:
+        """Rails: blocks (n,), blocks of their edges' ends (n, 2), places on the edges (n,)."""
+        edges = [self.cables[c].nodes[k].masters()[0] for c, k in self.rails]
+        ends = [(self.vertex(a), self.vertex(b)) for a, b in edges]
+        return (
+            np.array([self.block(c, k) for c, k in self.rails], dtype=np.int32),
+            np.array(ends, dtype=np.int32).reshape(-1, 2),
+            np.array([self.cables[c].fractions[k] for c, k in self.rails], dtype=float),
+        )
+
+    def place_rails(self, unknowns: Unknowns, x: Array) -> None:
+        """Put the rails where they were on their edges, which may have been moved with x."""
+        if not self.rails:
+            return
+        blocks, ends, fractions = self.rail_table()
+        places = unknowns.X[ends] + x[ends]
+        sides = places[:, 1] - places[:, 0]
+        unknowns.X[blocks] = places[:, 0] + fractions[:, None] * sides
+        x[blocks] = 0.0
+        unknowns.set_rails(blocks, sides / np.linalg.norm(sides, axis=1)[:, None])
+
+    def _rail_fractions(self, unknowns: Unknowns, x: Array) -> Array:
+        """Current places of the rails on their edges, (n,)."""
+        blocks, ends, _ = self.rail_table()
+        start, end = (unknowns.X[own] + x[own] for own in ends.T)
+        side, way = end - start, unknowns.X[blocks] + x[blocks] - start
+        fractions: Array = np.sum(way * side, axis=1) / np.sum(side**2, axis=1)
+        return fractions
 
     def update_cables(self, unknowns: Unknowns, x: Array) -> None:
-        """Tell all ranks where the cables' points and fold points on their edges are."""
+        """Tell all ranks where the cables' points are, and the sliding ones on their edges."""
         taut = {c for c, cable in enumerate(self.cables) if cable.taut}
         sizes = np.cumsum([0] + [len(cable.nodes) for cable in self.cables])
         local = np.zeros((int(sizes[-1]), 4))
@@ -275,17 +311,20 @@ class Network:
                 steps = np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))
                 for (_, c, k), run in zip(points, steps[:-1], strict=True):
                     local[sizes[c] + k, 3] = run / steps[-1]
+        for (c, k), fraction in zip(self.rails, self._rail_fractions(unknowns, x), strict=True):
+            if self.owners[self.numbers[c, k]] == self.rank:
+                local[sizes[c] + k, 3] = fraction
         total = np.zeros_like(local)
         unknowns.comm.Allreduce(local, total)
         for c, cable in enumerate(self.cables):
             part = total[sizes[c] : sizes[c + 1]]
             known = ~cable.lifted if cable.taut else slice(None)
             cable.positions[known] = part[known, :3]
-            fold = np.array([node.kind == "fold" for node in cable.nodes]) & ~cable.lifted
+            slides = np.array([node.slides for node in cable.nodes]) & ~cable.lifted
             if cable.taut:
-                cable.fractions[fold] = part[fold, 3]
+                cable.fractions[slides] = part[slides, 3]
             close = (cable.fractions < BLOCKED) | (cable.fractions > 1 - BLOCKED)
-            cable.blocked = tuple(int(k) for k in np.flatnonzero(fold & close) if cable.taut)
+            cable.blocked = tuple(int(k) for k in np.flatnonzero(slides & close) if cable.taut)
 
     def points_by_edge(self, cables: set[int]) -> dict[Edge, list[tuple[float, int, int]]]:
         """Points (fraction, cable, node) on each edge, sorted from its first vertex to its last."""
@@ -293,11 +332,11 @@ class Network:
         for c in cables:
             cable = self.cables[c]
             for k, node in enumerate(cable.nodes):
-                if cable.lifted[k] or node.kind not in ("fold", "rider"):
+                if cable.lifted[k] or not (node.slides or node.kind == "rider"):
                     continue
                 if len(node.masters()[0]) == 2:
                     edge = node.masters()[0]
-                    fraction = cable.fractions[k] if node.kind == "fold" else node.masters()[1][1]
+                    fraction = cable.fractions[k] if node.slides else node.masters()[1][1]
                     table[edge[0], edge[1]].append((float(fraction), c, k))
         return {edge: sorted(points) for edge, points in table.items()}
 

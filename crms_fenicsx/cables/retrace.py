@@ -204,20 +204,19 @@ class Retracer:
         before = {
             _key(node): k
             for k, node in enumerate(cable.nodes)
-            if cable.traced or node.kind not in ("fold", "crossing")
+            if node.kind != "crossing" and (cable.traced or not node.slides)
         }
-        anchored = (cable.nodes[0].kind == "anchor", cable.nodes[-1].kind == "anchor")
-        nodes = nodes_of([_clipped(point) for point in points], surface.strip, anchored)
+        nodes = nodes_of([_clipped(point) for point in points], surface.strip, cable.ends)
         fractions = fractions_of(nodes)
         flags = np.zeros(len(nodes), dtype=bool)
-        flags[int(anchored[0]) : len(nodes) - int(anchored[1])] = lifted
+        flags[[k for k, node in enumerate(nodes) if node.point is not None]] = lifted
         positions = np.zeros((len(nodes), 3))
         for k, node in enumerate(nodes):
             old = before.get(_key(node))
             if node.kind == "anchor":
                 positions[k] = cable.positions[0 if k == 0 else -1]
             elif old is not None and (
-                node.kind != "fold" or INSIDE <= cable.fractions[old] <= 1 - INSIDE
+                not node.slides or INSIDE <= cable.fractions[old] <= 1 - INSIDE
             ):
                 positions[k], fractions[k] = cable.positions[old], cable.fractions[old]
             elif isinstance(node.point, EdgePoint):

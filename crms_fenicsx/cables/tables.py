@@ -81,12 +81,14 @@ def cable_tables(network: Network, membrane: MembraneEnergy) -> CableTables:
 def _smoothing(network: Network, link: Link, sizes: Array) -> float:
     """Smoothing of a link's length; negative where its ends are given."""
     nodes = network.cables[link.cable].nodes
-    kinds = {nodes[link.first].kind, nodes[link.second].kind}
+    first, second = nodes[link.first], nodes[link.second]
     around = link.vertices or network.place_of(link.cable, link.first).support
+    slides = "crossing" in (first.kind, second.kind) or first.slides or second.slides
+    if link.vertices is not None:
+        slides = not {first.kind, second.kind} <= {"rider"}
     strip = network.strip
     rows = [row for row in strip.rows(around) if strip.owner[row] == network.rank]
     size = float(min(sizes[strip.local[row]] for row in rows))
-    slides = bool(kinds & {"fold", "crossing"}) or (link.vertices is not None and "vertex" in kinds)
     # An anchor may lie on the held place next to it: no direction, and none is needed.
     return SMOOTHING * size if slides else -COINCIDENT * size
 
