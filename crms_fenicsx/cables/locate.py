@@ -82,21 +82,6 @@ def as_text(position: Floats) -> str:
 
 
 @dataclass(frozen=True)
-class Place:
-    """A route point: on the surface, or an anchor (then `point` is None)."""
-
-    point: SurfacePoint | None
-    position: Floats
-    normal: Floats
-
-    @property
-    def anchor(self) -> tuple[float, float, float] | None:
-        """Its position if it is an anchor."""
-        x, y, z = (float(c) for c in self.position)
-        return None if self.point is not None else (x, y, z)
-
-
-@dataclass(frozen=True)
 class Foot:
     """The place of a surface nearest to a point in space, in a cell of a certain size."""
 
@@ -104,6 +89,32 @@ class Foot:
     distance: float
     normal: Floats
     size: float
+
+
+@dataclass(frozen=True)
+class Place:
+    """A route point: on the surface, or an anchor (then `point` is None), over it or beyond it.
+
+    Anchors have a foot, the nearest place of the surface.
+    """
+
+    point: SurfacePoint | None
+    position: Floats
+    normal: Floats
+    foot: Foot | None = None
+    beyond: bool = False
+
+    @property
+    def anchor(self) -> tuple[float, float, float] | None:
+        """Its position if it is an anchor."""
+        x, y, z = (float(c) for c in self.position)
+        return None if self.point is not None else (x, y, z)
+
+    def is_straight_over(self, position: Floats, snap: float) -> bool:
+        """Say whether it is an anchor with its foot at a place of the surface."""
+        return self.foot is not None and bool(
+            norm(self.foot.position - position) <= snap * self.foot.size
+        )
 
 
 def place_in_plan(surface: Surface, xy: Floats, index: int, snap: float) -> Place:
@@ -235,28 +246,29 @@ def places_in_space(surface: Surface, course: Floats, snap: float) -> list[Place
         triangles = surface.points[surface.cells[rows]]
         point, position = locate(surface, rows, triangles, foot.position, snap)
         offset = target - foot.position
-        height = abs(float(dot(offset, foot.normal)))
-        aside = float(norm(offset - float(dot(offset, foot.normal)) * foot.normal))
+        height = float(dot(offset, foot.normal))
+        aside = float(norm(offset - height * foot.normal))
         rim = on_boundary(surface, point)
         # an offset along the normal is that of a faceted surface from a smooth one
-        beyond = rim and aside > max(snap * float(altitudes(triangles).max()), 0.5 * height)
+        beyond = rim and aside > max(snap * float(altitudes(triangles).max()), 0.5 * abs(height))
         off = foot.distance > ON_SURFACE * float(longest_sides(triangles).max())
-        where = f"route point {i} at {as_text(target)}"
         if not off and not beyond:
             places.append(Place(point, position, foot.normal))
         elif i not in (0, len(course) - 1):
             raise PathError(
-                f"{where} leaves the membrane: it is {foot.distance:.6g} from its nearest place "
-                f"{as_text(foot.position)}; move it there, only a first or last point may be off"
+                f"route point {i} at {as_text(target)} leaves the membrane: it is "
+                f"{foot.distance:.6g} from its nearest place {as_text(foot.position)}; move it "
+                "there, only a first or last point may be off"
             )
-        elif not rim:
+        elif height < 0.0 and not rim:
             raise PathError(
-                f"{where} is {foot.distance:.6g} off the membrane's interior at "
-                f"{as_text(foot.position)}; begin or end the route where the cable meets the "
-                "membrane and add this point to the path with Path.with_anchors"
+                f"route point {i} at {as_text(target)} lies {foot.distance:.6g} inside the "
+                f"membrane, behind {as_text(foot.position)}, and a cable lies on the outside, "
+                "where the normals point; move this anchor outside or beyond the boundary, or "
+                "turn the membrane with the `outside` of its mesh"
             )
         else:
-            places.append(Place(None, target, foot.normal))
+            places.append(Place(None, target, foot.normal, foot, beyond=rim))
     return places
 
 

@@ -25,7 +25,16 @@ from crms_fenicsx.cables.locate import (
     places_in_space,
 )
 from crms_fenicsx.cables.path import CellPoint, Path, SurfacePoint, without_backtracking
-from crms_fenicsx.cables.section import Plane, Section, in_strip, section_with, shortest
+from crms_fenicsx.cables.section import (
+    END,
+    START,
+    Plane,
+    Section,
+    in_strip,
+    section_with,
+    shortest,
+    way_back,
+)
 from crms_fenicsx.cables.triangles import (
     Bools,
     Floats,
@@ -36,6 +45,10 @@ from crms_fenicsx.cables.triangles import (
     vectors,
 )
 from crms_fenicsx.errors import PathError
+
+# The direct way is shorter than one around the back by more than this: two ways around a tube that
+# are about as long are as good as each other.
+DETOUR = 0.95
 
 
 def trace(
@@ -62,8 +75,9 @@ def trace(
         lie on the uppermost sheet. Or (k, 3) points in space: points go to the nearest place of
         the surface, and the plane of a leg holds both its ends and the mean of the surface's
         normals there, so that a turned surface has the same path, turned.
-        In space, a first or last point beyond the boundary is an anchor: the path begins where
-        the leg's section first meets the boundary, seen from the anchor.
+        In space, a first or last point off the membrane is an anchor. Beyond the boundary, the
+        path begins where the leg's section first meets the boundary, seen from the anchor; over
+        the membrane, at the section's place nearest to the anchor.
     snap
         Vertices nearer to a section than this part of the smallest altitude of the cells around
         them count as lying in it; route points as near to a vertex or an edge lie on it.
@@ -76,8 +90,8 @@ def trace(
     Raises
     ------
     PathError
-        The input is no surface or no route, the route leaves the membrane, or its legs have no
-        section; the message names the place.
+        The input is no surface or no route, the route leaves the membrane or could only go around
+        its back, an anchor lies inside, or a leg has no section; the message names the place.
     """
     surface = Surface.checked(vertices, points, cells)
     course = _checked_route(route, snap)
@@ -161,11 +175,10 @@ def near_section(
             mask |= norm(centre - target) - radius <= least * (1.0 + 1e-9)
         return mask
     feet = [foot_of(x, rows, target, comm) for target in vectors(course)]
-    for target, foot in zip(vectors(course), feet, strict=True):
-        centre, radius = balls(x[rows])
-        nearest = norm(centre - target) - radius
+    centre, radius = balls(x[rows])
+    for foot in feet:
         # all around the vertices of the nearest cell, which make the normal
-        mask |= nearest <= (foot.distance + foot.size) * (1.0 + 1e-9) + 2.0 * snap * size
+        mask |= norm(centre - foot.position) - radius <= foot.size * (1.0 + 1e-9) + snap * size
     for i in range(len(course) - 1):
         # whether an end is an anchor depends on the boundary, which one rank may not see
         starts = [feet[i].position] + ([course[i]] if i == 0 else [])
@@ -208,12 +221,21 @@ def _leg_points(
             f"{name} has no length: both its ends lie at {as_text(first.position)} of the membrane;"
             " move them apart"
         )
-    if first.point is not None and last.point is not None:
-        both = np.isin(surface.ids, [*first.point.support, *last.point.support])
-        if (both[surface.cells].sum(axis=1) == both.sum()).any():
-            return [first.point, last.point]
+    known = [place.point for place in (first, last) if place.point is not None]
+    if len(known) == 2 and _in_one_cell(surface, known):
+        return known
+    for anchor, other in ((first, last), (last, first)):
+        if other.point is not None and anchor.is_straight_over(other.position, snap):
+            return [other.point]
     plane = Plane.of(first.position, last.position, first.normal, last.normal)
-    section, (start, end) = section_with(surface, plane, (first, last), name, snap)
+    section = section_with(surface, plane, (first, last), name, snap)
+    gaps = section.gaps()
+    start = _end_node(section, first, START, surface, snap)
+    end = _end_node(section, last, END, surface, snap)
+    if start is not None and end is not None:
+        points = [section.points[node] for node in dict.fromkeys((start, end))]
+        if _in_one_cell(surface, points):
+            return points
     advance = {node: float(plane.advances(x)) for node, x in section.positions.items()}
     if start is None or end is None:
         # seen from an anchor, only what lies between the leg's ends
@@ -230,13 +252,31 @@ def _leg_points(
             )
         start = seen[0][1] if start is None else start
         end = seen[-1][1] if end is None else end
-    reached, before = shortest(section, start)
+    reached, before = shortest(section.arcs, start)
     if end not in reached:
         _raise_leaves(section, reached, start, advance, name)
-    nodes = [end]
-    while nodes[-1] != start:
-        nodes.append(before[nodes[-1]])
-    return [section.points[node] for node in reversed(nodes)]
+    _refuse_detour(section, gaps, start, end, reached[end], name)
+    return [section.points[node] for node in way_back(before, end)]
+
+
+def _in_one_cell(surface: Surface, points: list[SurfacePoint]) -> bool:
+    """Say whether a cell holds all the points."""
+    held = np.isin(surface.ids, [vertex for point in points for vertex in point.support])
+    return bool((held[surface.cells].sum(axis=1) == held.sum()).any())
+
+
+def _end_node(
+    section: Section, place: Place, own: Node, surface: Surface, snap: float
+) -> Node | None:
+    """Return the section's node at an end of the leg; None for an anchor beyond the boundary."""
+    if place.point is not None:
+        return section.put(place.point, place.position, own)
+    if place.beyond:
+        return None
+    # not at the foot itself, which in general lies beside the plane: what hangs straight from the
+    # anchor shall hang over the path
+    found = section.nearest(place.position, surface, snap)
+    return None if found is None else section.put(*found, own)
 
 
 def _raise_leaves(
@@ -252,3 +292,31 @@ def _raise_leaves(
         f"{name} leaves the membrane at {as_text(section.positions[node])} ({section.points[node]})"
         " before its end; lead the route around, through points on the membrane"
     )
+
+
+def _refuse_detour(
+    section: Section,
+    gaps: dict[tuple[Node, Node], float],
+    start: Node,
+    end: Node,
+    length: float,
+    name: str,
+) -> None:
+    """Refuse a way around the back, where the direct one is interrupted by an opening."""
+    if not gaps:
+        return
+    arcs = {node: dict(others) for node, others in section.arcs.items()}
+    for (a, b), width in gaps.items():
+        arcs[a][b] = arcs[b][a] = width
+    reached, before = shortest(arcs, start)
+    if reached[end] >= DETOUR * length:
+        return
+    for a, b in pairwise(way_back(before, end)):
+        if (a, b) in gaps or (b, a) in gaps:
+            raise PathError(
+                f"{name} leaves the membrane at {as_text(section.positions[a])} "
+                f"({section.points[a]}) before its end, comes back at "
+                f"{as_text(section.positions[b])} and could only go around the back, "
+                f"{length:.6g} long instead of {reached[end]:.6g}; lead the route around the "
+                "opening, or the back, through points on the membrane"
+            )
