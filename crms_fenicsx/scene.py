@@ -318,7 +318,9 @@ class Scene:
             Its data.
         path
             Points of its path: in plan, (k, 2), or in space, (k, 3). A first or last point in
-            space that lies off the membrane is an anchor.
+            space that lies off the membrane is an anchor, from which the cable runs straight to
+            the membrane: beyond the boundary to where it first meets it, over the membrane to the
+            place below.
         L0
             Unstressed length (length).
         tension
@@ -334,7 +336,8 @@ class Scene:
         Raises
         ------
         PathError
-            The path cannot be laid, or crosses another cable inside a cell.
+            The path cannot be laid, as one that leaves the membrane, could only go around its
+            back or begins inside of it; or it crosses another cable inside a cell.
         InputError
             L0 or tension that is not positive, or both, or a name that is taken.
         """
