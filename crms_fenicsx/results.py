@@ -236,7 +236,8 @@ def _leave_ends_to_anchors(system: System, g: Array) -> None:
             anchor = network.numbers[c, k]
             if network.owners[anchor] == network.rank:
                 block = network.block(c, k)
-                beside = network.block(c, 1 if k == 0 else k - 1)
+                contacts = cable.contacts()
+                beside = network.block(c, contacts[1] if k == 0 else contacts[-2])
                 g[beside] += g[block] - end.reaction
                 g[block] = end.reaction
 

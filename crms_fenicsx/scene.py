@@ -322,7 +322,9 @@ class Scene:
             Its data.
         path
             Points of its path: in plan, (k, 2), or in space, (k, 3). A first or last point in
-            space that lies off the membrane is an anchor.
+            space that lies off the membrane is an anchor, from which the cable runs straight to
+            the membrane: beyond the boundary to where it first meets it, over the membrane to the
+            place below.
         L0
             Unstressed length (length).
         tension
@@ -343,7 +345,8 @@ class Scene:
         Raises
         ------
         PathError
-            The path cannot be laid.
+            The path cannot be laid, as one that leaves the membrane, could only go around its
+            back or begins inside of it.
         InputError
             L0 or tension that is not positive, or both, or a name that is taken.
         """
@@ -351,9 +354,7 @@ class Scene:
 
         self.check_finite("lay_cable")
         level = checks.whole("lay_cable: level", level, 0)
-        laid = lay(
-            self, cable, path, L0=L0, tension=tension, sleeve=sleeve, level=level, name=name
-        )
+        laid = lay(self, cable, path, L0=L0, tension=tension, sleeve=sleeve, level=level, name=name)
         self.changes += 1
         return laid
 

@@ -204,7 +204,7 @@ def test_marker_functions(scene: Scene, marker: Any, words: str) -> None:
         ("left", ("'left'", "no list of points")),
         (None, ("shape ()",)),
         ([(0.0, 50.0, 0.0), (50.0, 50.0, 30.0), (100.0, 50.0, 0.0)], ("point 1", "only a first")),
-        ([(0.0, 50.0, 0.0), (50.0, 50.0, 30.0)], ("point 1", "off", "interior")),
+        ([(0.0, 50.0, 0.0), (50.0, 50.0, -30.0)], ("point 1", "30 inside", "outside")),
     ],
 )
 def test_paths(scene: Scene, path: Any, words: tuple[str, ...]) -> None:

@@ -157,9 +157,7 @@ def spans(cable: LaidCable) -> Iterator[tuple[int, int]]:
             yield a, b
 
 
-def released(
-    cable: LaidCable, shape: StripShape, covered: Set[int] = frozenset()
-) -> list[int]:
+def released(cable: LaidCable, shape: StripShape, covered: Set[int] = frozenset()) -> list[int]:
     """Nodes at which the cable pulls the membrane outward.
 
     Parameters

@@ -35,9 +35,7 @@ class _Meeting(NamedTuple):
     point: CellPoint | EdgePoint
 
 
-def arrange(
-    cables: Sequence[LaidCable], strip: Strip, known: Sequence[Crossing]
-) -> list[Crossing]:
+def arrange(cables: Sequence[LaidCable], strip: Strip, known: Sequence[Crossing]) -> list[Crossing]:
     """Find the crossings of the cables in tension, and insert their points into the cables.
 
     Parameters
@@ -210,8 +208,10 @@ def _meetings_in_cell(
 
     def flat(member: Member) -> Array:
         """Barycentric weights."""
-        ids, weights = cables[member[0]].nodes[member[1]].masters(
-            None if np.isnan(f := float(cables[member[0]].fractions[member[1]])) else f
+        ids, weights = (
+            cables[member[0]]
+            .nodes[member[1]]
+            .masters(None if np.isnan(f := float(cables[member[0]].fractions[member[1]])) else f)
         )
         share = dict(zip(ids, weights, strict=True))
         return np.array([share.get(vertex, 0.0) for vertex in cell])

@@ -102,7 +102,9 @@ def _route(path: Sequence[Sequence[float]] | Array) -> Array:
 
 def _ends(scene: Scene, strip: Strip, path: Path) -> tuple[End, End]:
     """How the cable's first and last end are held."""
-    held = {vertex: False for point in (path.points[0], path.points[-1]) for vertex in point.support}
+    held = {
+        vertex: False for point in (path.points[0], path.points[-1]) for vertex in point.support
+    }
     own = strip.owner == scene.comm.rank
     dofs = scene.V.dofmap.list[strip.local[own]]
     for vertex, dof in zip(strip.cells[own].ravel(), dofs.ravel(), strict=True):

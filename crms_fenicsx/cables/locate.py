@@ -1,7 +1,4 @@
-"""Where points are on a triangulated surface: the places that a route's points take on it.
-
-The geometry is elementwise over many triangles, so that a part of a mesh rounds as the whole.
-"""
+"""Where points are on a triangulated surface: the places that a route's points take on it."""
 
 from __future__ import annotations
 
@@ -10,13 +7,26 @@ from dataclasses import dataclass
 
 import numpy as np
 from mpi4py import MPI
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from crms_fenicsx.cables.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
+from crms_fenicsx.cables.triangles import (
+    WALL,
+    Floats,
+    Ints,
+    altitudes,
+    balls,
+    closest,
+    dot,
+    double_areas,
+    flattened,
+    lists,
+    longest_sides,
+    mix,
+    norm,
+    vectors,
+)
 from crms_fenicsx.errors import PathError
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # A point in space counts as lying on the surface up to this part of the local mesh size: a
 # faceted dome of three cells per radius is nowhere farther from the smooth one.
@@ -25,9 +35,6 @@ ON_SURFACE = 0.1
 # A route point in plan that lies outside by up to this part of the mesh size is meant to lie on the
 # rim: the circle through the vertices of a disc of 20 edges is nowhere farther from them.
 RIM = 0.05
-
-# Cells whose projection keeps less than this part of their area are walls.
-WALL = 1e-6
 
 # A vertex (id,) or an edge (smaller, larger).
 Node = tuple[int, ...]
@@ -74,118 +81,6 @@ def as_text(position: Floats) -> str:
     return "(" + ", ".join(f"{x:.6g}" for x in position) + ")"
 
 
-def vectors(rows: Floats) -> list[Floats]:
-    """Return the rows of an array, for loops."""
-    return [rows[i] for i in range(len(rows))]
-
-
-def lists(rows: Ints) -> list[list[int]]:
-    """Return the rows of an array as lists of Python integers."""
-    return [[int(v) for v in rows[i]] for i in range(len(rows))]
-
-
-def norm(a: Floats) -> Floats:
-    """Return the lengths of the vectors in the last axis."""
-    return np.asarray(np.sqrt(dot(a, a)), dtype=np.float64)
-
-
-def cross(a: Floats, b: Floats) -> Floats:
-    """Return the cross products of the vectors in the last axes."""
-    # by components: the library's cross product takes longer to set up than to compute
-    c = np.empty(np.broadcast_shapes(a.shape, b.shape))
-    c[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
-    c[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
-    c[..., 2] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    return c
-
-
-def dot(a: Floats, b: Floats) -> Floats:
-    """Return the scalar products of the vectors in the last axes."""
-    total = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
-    return np.asarray(total, dtype=np.float64)
-
-
-def side_lengths(triangles: Floats) -> Floats:
-    """Return (m, 3) lengths of the sides of (m, 3, 3) triangles."""
-    return norm(triangles[:, [1, 2, 0]] - triangles)
-
-
-def longest_sides(triangles: Floats) -> Floats:
-    """Return (m,) lengths of the longest sides."""
-    return np.asarray(np.max(side_lengths(triangles), axis=1, initial=0.0))
-
-
-def double_areas(triangles: Floats) -> Floats:
-    """Return (m, 3) normals, as long as twice the area."""
-    return cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-
-
-def altitudes(triangles: Floats) -> Floats:
-    """Return (m,) smallest altitudes."""
-    longest = longest_sides(triangles)
-    quotient = norm(double_areas(triangles)) / np.where(longest > 0.0, longest, 1.0)
-    return np.asarray(quotient, dtype=np.float64)
-
-
-def balls(triangles: Floats) -> tuple[Floats, Floats]:
-    """Return (m, 3) centres and (m,) radii of balls around the triangles."""
-    centre = np.asarray(triangles.sum(axis=1) / 3.0, dtype=np.float64)
-    return centre, np.asarray(np.max(norm(triangles - centre[:, None]), axis=1, initial=0.0))
-
-
-def closest(triangles: Floats, target: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the places nearest to `target` in each of (m, 3, 3) triangles.
-
-    As (m, 3) weights of the corners, (m, 3) positions and (m,) distances. In slivers the weights
-    are badly conditioned, the positions and distances are not.
-    """
-    every = np.arange(len(triangles))
-    sides = triangles[:, [1, 2, 0]] - triangles
-    square = dot(sides, sides)
-    t = dot(target - triangles, sides) / np.where(square > 0.0, square, 1.0)
-    t = np.clip(t, 0.0, 1.0)
-    on_sides = triangles + t[..., None] * sides
-    to_sides = norm(on_sides - target)
-    side = np.argmin(to_sides, axis=1)
-    gaps, places, t = to_sides[every, side], on_sides[every, side], t[every, side]
-    weights = np.zeros((len(triangles), 3))
-    weights[every, side], weights[every, (side + 1) % 3] = 1.0 - t, t
-
-    normal = double_areas(triangles)
-    square = dot(normal, normal)
-    to_corners = triangles - target
-    opposite = cross(to_corners[:, [1, 2, 0]], to_corners[:, [2, 0, 1]])
-    inner = dot(opposite, normal[:, None]) / np.where(square > 0.0, square, 1.0)[:, None]
-    inside = (inner >= 0.0).all(axis=1) & (square > 0.0)
-    weights[inside] = inner[inside] / inner[inside].sum(axis=1)[:, None]
-    height = dot(triangles[inside, 0] - target, normal[inside]) / square[inside]
-    places[inside] = target + height[:, None] * normal[inside]
-    gaps[inside] = norm(places[inside] - target)
-    return weights, places, gaps
-
-
-def mix(weights: Floats, triangles: Floats) -> Floats:
-    """Return (m, 3) positions from (m, 3) weights of the corners of (m, 3, 3) triangles."""
-    product = weights[:, :, None] * triangles
-    mixed: Floats = product[:, 0] + product[:, 1] + product[:, 2]
-    return mixed
-
-
-@dataclass(frozen=True)
-class Place:
-    """A route point: on the surface, or an anchor (then `point` is None)."""
-
-    point: SurfacePoint | None
-    position: Floats
-    normal: Floats
-
-    @property
-    def anchor(self) -> tuple[float, float, float] | None:
-        """Its position if it is an anchor."""
-        x, y, z = (float(c) for c in self.position)
-        return None if self.point is not None else (x, y, z)
-
-
 @dataclass(frozen=True)
 class Foot:
     """The place of a surface nearest to a point in space, in a cell of a certain size."""
@@ -194,6 +89,32 @@ class Foot:
     distance: float
     normal: Floats
     size: float
+
+
+@dataclass(frozen=True)
+class Place:
+    """A route point: on the surface, or an anchor (then `point` is None), over it or beyond it.
+
+    Anchors have a foot, the nearest place of the surface.
+    """
+
+    point: SurfacePoint | None
+    position: Floats
+    normal: Floats
+    foot: Foot | None = None
+    beyond: bool = False
+
+    @property
+    def anchor(self) -> tuple[float, float, float] | None:
+        """Its position if it is an anchor."""
+        x, y, z = (float(c) for c in self.position)
+        return None if self.point is not None else (x, y, z)
+
+    def is_straight_over(self, position: Floats, snap: float) -> bool:
+        """Say whether it is an anchor with its foot at a place of the surface."""
+        return self.foot is not None and bool(
+            norm(self.foot.position - position) <= snap * self.foot.size
+        )
 
 
 def place_in_plan(surface: Surface, xy: Floats, index: int, snap: float) -> Place:
@@ -219,13 +140,6 @@ def place_in_plan(surface: Surface, xy: Floats, index: int, snap: float) -> Plac
     sheet = np.isin(surface.cells[near], top).any(axis=1)
     point, position = locate(surface, near[sheet], flattened(triangles[sheet]), target, snap)
     return Place(point, position, np.array([0.0, 0.0, 1.0]))
-
-
-def flattened(triangles: Floats) -> Floats:
-    """Return the triangles' plans: z = 0."""
-    flat = triangles.copy()
-    flat[..., 2] = 0.0
-    return flat
 
 
 def _on_the_rim(surface: Surface, xy: Floats, index: int) -> Floats:
@@ -332,28 +246,29 @@ def places_in_space(surface: Surface, course: Floats, snap: float) -> list[Place
         triangles = surface.points[surface.cells[rows]]
         point, position = locate(surface, rows, triangles, foot.position, snap)
         offset = target - foot.position
-        height = abs(float(dot(offset, foot.normal)))
-        aside = float(norm(offset - float(dot(offset, foot.normal)) * foot.normal))
+        height = float(dot(offset, foot.normal))
+        aside = float(norm(offset - height * foot.normal))
         rim = on_boundary(surface, point)
         # an offset along the normal is that of a faceted surface from a smooth one
-        beyond = rim and aside > max(snap * float(altitudes(triangles).max()), 0.5 * height)
+        beyond = rim and aside > max(snap * float(altitudes(triangles).max()), 0.5 * abs(height))
         off = foot.distance > ON_SURFACE * float(longest_sides(triangles).max())
-        where = f"route point {i} at {as_text(target)}"
         if not off and not beyond:
             places.append(Place(point, position, foot.normal))
         elif i not in (0, len(course) - 1):
             raise PathError(
-                f"{where} leaves the membrane: it is {foot.distance:.6g} from its nearest place "
-                f"{as_text(foot.position)}; move it there, only a first or last point may be off"
+                f"route point {i} at {as_text(target)} leaves the membrane: it is "
+                f"{foot.distance:.6g} from its nearest place {as_text(foot.position)}; move it "
+                "there, only a first or last point may be off"
             )
-        elif not rim:
+        elif height < 0.0 and not rim:
             raise PathError(
-                f"{where} is {foot.distance:.6g} off the membrane's interior at "
-                f"{as_text(foot.position)}; begin or end the route where the cable meets the "
-                "membrane and add this point to the path with Path.with_anchors"
+                f"route point {i} at {as_text(target)} lies {foot.distance:.6g} inside the "
+                f"membrane, behind {as_text(foot.position)}, and a cable lies on the outside, "
+                "where the normals point; move this anchor outside or beyond the boundary, or "
+                "turn the membrane with the `outside` of its mesh"
             )
         else:
-            places.append(Place(None, target, foot.normal))
+            places.append(Place(None, target, foot.normal, foot, beyond=rim))
     return places
 
 

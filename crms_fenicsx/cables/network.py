@@ -97,7 +97,9 @@ class Network:
                     self._first.append((c, k))
                 self.numbers[c, k] = number
             for k, m in itertools.pairwise(contacts):
-                self.links.append(Link(c, k, m, self._shared_simplex(cable.nodes[k], cable.nodes[m])))
+                self.links.append(
+                    Link(c, k, m, self._shared_simplex(cable.nodes[k], cable.nodes[m]))
+                )
 
     def _shared_simplex(self, a: CableNode, b: CableNode) -> tuple[int, ...] | None:
         """The cell or edge that two nodes of a cable lie on."""

@@ -52,9 +52,7 @@ class FoldedSurface:
 
     def line(self, edge: Edge) -> Array:
         """Positions along an edge: its vertices and the fold points between, (n, 3)."""
-        return np.array(
-            [self.shape.at(edge[0]), *self.bends.get(edge, ()), self.shape.at(edge[1])]
-        )
+        return np.array([self.shape.at(edge[0]), *self.bends.get(edge, ()), self.shape.at(edge[1])])
 
     def length(self, edge: Edge) -> float:
         """Length of an edge through all fold points on it."""

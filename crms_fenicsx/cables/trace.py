@@ -1,67 +1,54 @@
 """Tracing: the path of a cable from a route given in plan or in space.
 
-Each leg of a route is the section of the surface with one plane. Which edges and vertices that
-section meets is decided once, by the sign of every vertex's distance to the plane, with a small
-neighbourhood of the plane counted as zero; after that no coordinate can contradict it. A leg is
-then the shortest way from its start to its end within its section.
+Each leg of a route is the shortest way from its start to its end within the section of the surface
+with one plane.
 """
 
 from __future__ import annotations
 
-import heapq
-from collections import Counter
 from contextlib import suppress
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import NoReturn
 
 import numpy as np
 from mpi4py import MPI
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from crms_fenicsx.cables.locate import (
     RIM,
-    WALL,
-    Floats,
-    Ints,
     Node,
     Place,
     Surface,
-    altitudes,
     as_text,
-    balls,
-    cross,
-    dot,
-    double_areas,
-    edge_count,
-    flattened,
     foot_of,
-    lists,
-    longest_sides,
-    norm,
     place_in_plan,
     places_in_space,
-    vectors,
 )
-from crms_fenicsx.cables.path import (
-    CellPoint,
-    EdgePoint,
-    Path,
-    SurfacePoint,
-    VertexPoint,
-    without_backtracking,
+from crms_fenicsx.cables.path import CellPoint, Path, SurfacePoint, without_backtracking
+from crms_fenicsx.cables.section import (
+    END,
+    START,
+    Plane,
+    Section,
+    in_strip,
+    section_with,
+    shortest,
+    way_back,
+)
+from crms_fenicsx.cables.triangles import (
+    Bools,
+    Floats,
+    balls,
+    flattened,
+    longest_sides,
+    norm,
+    vectors,
 )
 from crms_fenicsx.errors import PathError
 
-Bools = NDArray[np.bool_]
-
-# A fraction that rounding has put on a vertex, where the signs say that it is not, goes here.
-LEAST, MOST = float(np.finfo(float).tiny), float(1.0 - np.finfo(float).epsneg)
-
-# Nodes of a section: (vertex,), (smaller, larger) for an edge, and the two ends of a leg where
-# they are neither.
-START: Node = (-1,)
-END: Node = (-2,)
+# The direct way is shorter than one around the back by more than this: two ways around a tube that
+# are about as long are as good as each other.
+DETOUR = 0.95
 
 
 def trace(
@@ -88,8 +75,9 @@ def trace(
         lie on the uppermost sheet. Or (k, 3) points in space: points go to the nearest place of
         the surface, and the plane of a leg holds both its ends and the mean of the surface's
         normals there, so that a turned surface has the same path, turned.
-        In space, a first or last point beyond the boundary is an anchor: the path begins where
-        the leg's section first meets the boundary, seen from the anchor.
+        In space, a first or last point off the membrane is an anchor. Beyond the boundary, the
+        path begins where the leg's section first meets the boundary, seen from the anchor; over
+        the membrane, at the section's place nearest to the anchor.
     snap
         Vertices nearer to a section than this part of the smallest altitude of the cells around
         them count as lying in it; route points as near to a vertex or an edge lie on it.
@@ -102,8 +90,8 @@ def trace(
     Raises
     ------
     PathError
-        The input is no surface or no route, the route leaves the membrane, or its legs have no
-        section; the message names the place.
+        The input is no surface or no route, the route leaves the membrane or could only go around
+        its back, an anchor lies inside, or a leg has no section; the message names the place.
     """
     surface = Surface.checked(vertices, points, cells)
     course = _checked_route(route, snap)
@@ -177,7 +165,7 @@ def near_section(
     if course.shape[1] == 2:
         ends = np.column_stack([course, np.zeros(len(course))])
         for a, b in pairwise(vectors(ends)):  # trace may move ends to the rim, and the plane along
-            mask |= _strip(_Plane.of(a, b, up, up), x, rows, (RIM + snap) * size)
+            mask |= in_strip(Plane.of(a, b, up, up), x, rows, (RIM + snap) * size)
         flat = flattened(x[rows])
         centre, radius = balls(flat)
         for target in vectors(ends):  # what trace names when the route leaves the membrane
@@ -187,11 +175,10 @@ def near_section(
             mask |= norm(centre - target) - radius <= least * (1.0 + 1e-9)
         return mask
     feet = [foot_of(x, rows, target, comm) for target in vectors(course)]
-    for target, foot in zip(vectors(course), feet, strict=True):
-        centre, radius = balls(x[rows])
-        nearest = norm(centre - target) - radius
+    centre, radius = balls(x[rows])
+    for foot in feet:
         # all around the vertices of the nearest cell, which make the normal
-        mask |= nearest <= (foot.distance + foot.size) * (1.0 + 1e-9) + 2.0 * snap * size
+        mask |= norm(centre - foot.position) - radius <= foot.size * (1.0 + 1e-9) + snap * size
     for i in range(len(course) - 1):
         # whether an end is an anchor depends on the boundary, which one rank may not see
         starts = [feet[i].position] + ([course[i]] if i == 0 else [])
@@ -201,8 +188,8 @@ def near_section(
                 if norm(b - a) == 0.0:
                     continue
                 with suppress(PathError):  # if this is the leg, trace says so
-                    plane = _Plane.of(a, b, feet[i].normal, feet[i + 1].normal)
-                    mask |= _strip(plane, x, rows, snap * size)
+                    plane = Plane.of(a, b, feet[i].normal, feet[i + 1].normal)
+                    mask |= in_strip(plane, x, rows, snap * size)
     return mask
 
 
@@ -225,83 +212,6 @@ def _checked_route(route: ArrayLike, snap: float) -> Floats:
     return course
 
 
-# ---- one leg: the section with a plane ----------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Plane:
-    """The plane of a leg: an origin and unit vectors along the leg and across the plane."""
-
-    origin: Floats
-    along: Floats
-    across: Floats
-    length: float
-
-    @classmethod
-    def of(cls, a: Floats, b: Floats, normal_a: Floats, normal_b: Floats) -> _Plane:
-        """Return the plane through two points and the mean of two directions."""
-        length = float(norm(b - a))
-        along: Floats = np.asarray((b - a) / length, dtype=np.float64)
-        across: Floats = cross(normal_a + normal_b, along)
-        size = float(norm(across))
-        if size < 1e-6:
-            raise PathError(
-                f"the leg from {as_text(a)} to {as_text(b)} has no section plane, as the surface's "
-                "normals there are opposite or point along it; put a route point between them"
-            )
-        return cls(a, along, np.asarray(across / size, dtype=np.float64), length)
-
-    def offsets(self, points: Floats) -> Floats:
-        """Return the distances (n,) of (n, 3) points from the plane, with sign."""
-        return dot(points - self.origin, self.across)
-
-    def advances(self, points: Floats) -> Floats:
-        """Return how far (n,) along the leg (n, 3) points are."""
-        return dot(points - self.origin, self.along)
-
-    def altitudes(self, triangles: Floats) -> Floats:
-        """Return the smallest altitudes (m,) of the projections of (m, 3, 3) triangles.
-
-        A wall has none: it counts with its true one, if it is not parallel to the plane.
-        """
-        flat = np.zeros_like(triangles)
-        flat[..., 0], flat[..., 1] = self.advances(triangles), self.offsets(triangles)
-        wall = norm(double_areas(flat)) <= WALL * norm(double_areas(triangles))
-        spread = flat[..., 1].max(axis=1) - flat[..., 1].min(axis=1)
-        upright = np.minimum(altitudes(triangles), spread)
-        return np.where(wall, upright, altitudes(flat))
-
-
-def _strip(plane: _Plane, points: Floats, cells: Ints, reach: float) -> Bools:
-    """Mark the cells that the plane crosses or passes within `reach`.
-
-    `reach` covers what the ends may be moved when they snap, and grows beyond the ends, where
-    that turns the plane farther away.
-    """
-    offset = plane.offsets(points)
-    advance = plane.advances(points)
-    beyond = np.maximum(np.maximum(-advance, advance - plane.length), 0.0) / plane.length
-    rounding = 1e-14 * float(np.max(np.abs(points), initial=0.0))
-    margin = 2.0 * reach * (1.0 + 2.0 * beyond) + rounding
-    near = (np.abs(offset) <= margin)[cells].any(axis=1)
-    positive = (offset > 0.0)[cells]
-    return np.asarray(near | (positive.any(axis=1) & ~positive.all(axis=1)))
-
-
-@dataclass(frozen=True)
-class _Section:
-    """The section of a surface with a plane, as a graph of the points it meets."""
-
-    points: dict[Node, SurfacePoint]
-    positions: dict[Node, Floats]
-    arcs: dict[Node, dict[Node, float]]
-    rim: set[Node]
-
-    def join(self, a: Node, b: Node) -> None:
-        length = float(norm(self.positions[a] - self.positions[b]))
-        self.arcs[a][b] = self.arcs[b][a] = length
-
-
 def _leg_points(
     surface: Surface, first: Place, last: Place, name: str, snap: float
 ) -> list[SurfacePoint]:
@@ -311,12 +221,21 @@ def _leg_points(
             f"{name} has no length: both its ends lie at {as_text(first.position)} of the membrane;"
             " move them apart"
         )
-    if first.point is not None and last.point is not None:
-        both = np.isin(surface.ids, [*first.point.support, *last.point.support])
-        if (both[surface.cells].sum(axis=1) == both.sum()).any():
-            return [first.point, last.point]
-    plane = _Plane.of(first.position, last.position, first.normal, last.normal)
-    section, (start, end) = _section(surface, plane, (first, last), name, snap)
+    known = [place.point for place in (first, last) if place.point is not None]
+    if len(known) == 2 and _in_one_cell(surface, known):
+        return known
+    for anchor, other in ((first, last), (last, first)):
+        if other.point is not None and anchor.is_straight_over(other.position, snap):
+            return [other.point]
+    plane = Plane.of(first.position, last.position, first.normal, last.normal)
+    section = section_with(surface, plane, (first, last), name, snap)
+    gaps = section.gaps()
+    start = _end_node(section, first, START, surface, snap)
+    end = _end_node(section, last, END, surface, snap)
+    if start is not None and end is not None:
+        points = [section.points[node] for node in dict.fromkeys((start, end))]
+        if _in_one_cell(surface, points):
+            return points
     advance = {node: float(plane.advances(x)) for node, x in section.positions.items()}
     if start is None or end is None:
         # seen from an anchor, only what lies between the leg's ends
@@ -333,126 +252,35 @@ def _leg_points(
             )
         start = seen[0][1] if start is None else start
         end = seen[-1][1] if end is None else end
-    reached, before = _shortest(section, start)
+    reached, before = shortest(section.arcs, start)
     if end not in reached:
         _raise_leaves(section, reached, start, advance, name)
-    nodes = [end]
-    while nodes[-1] != start:
-        nodes.append(before[nodes[-1]])
-    return [section.points[node] for node in reversed(nodes)]
+    _refuse_detour(section, gaps, start, end, reached[end], name)
+    return [section.points[node] for node in way_back(before, end)]
 
 
-def _section(
-    surface: Surface,
-    plane: _Plane,
-    ends: tuple[Place, Place],
-    name: str,
-    snap: float,
-) -> tuple[_Section, tuple[Node | None, Node | None]]:
-    """Return the section as a graph, and its nodes at the leg's two ends."""
-    strip = surface.cells[_strip(plane, surface.points, surface.cells, snap * surface.size)]
-    offset = plane.offsets(surface.points)
-    tolerance = np.full(len(surface.ids), np.inf)
-    np.minimum.at(
-        tolerance, strip, snap * plane.altitudes(surface.points[strip])[:, None].repeat(3, axis=1)
-    )
-    sign = np.where(np.abs(offset) <= tolerance, 0, np.sign(offset)).astype(np.int64)
-    for place in ends:
-        if isinstance(place.point, VertexPoint):
-            sign[surface.ids == place.point.vertex] = 0
-
-    section = _Section({}, {}, {}, set())
-    strip = strip[np.abs(sign[strip].sum(axis=1)) < 3]
-    rows = {int(surface.ids[row]): int(row) for row in np.unique(strip)}
-    ids = lists(surface.ids[strip])
-    count = edge_count(ids)
-    rim_vertices = {v for edge, n in count.items() if n == 1 for v in edge}
-    on_cell: dict[Node, list[Node]] = {}
-    for corners, signs in zip(ids, lists(sign[strip]), strict=True):
-        nodes: list[Node] = [(v,) for v, s in zip(corners, signs, strict=True) if s == 0]
-        for i, j in ((0, 1), (1, 2), (2, 0)):
-            if signs[i] * signs[j] < 0:
-                nodes.append((min(corners[i], corners[j]), max(corners[i], corners[j])))
-        for node in nodes:
-            if node in section.points:
-                continue
-            section.arcs[node] = {}
-            here = [rows[v] for v in node]
-            x = surface.points[here]
-            if len(node) == 1:
-                section.points[node], section.positions[node] = VertexPoint(node[0]), x[0]
-                on_rim = node[0] in rim_vertices
-            else:
-                t = float(offset[here[0]] / (offset[here[0]] - offset[here[1]]))
-                t = min(max(t, LEAST), MOST)
-                section.points[node] = EdgePoint((node[0], node[1]), t)
-                section.positions[node] = (1.0 - t) * x[0] + t * x[1]
-                on_rim = count[node] == 1
-            if on_rim:
-                section.rim.add(node)
-        if len(nodes) == 3:
-            raise PathError(
-                f"{name} runs in the plane of cell {tuple(corners)} near "
-                f"{as_text(section.positions[nodes[0]])}, a wall or a cell without area; "
-                "turn the leg a little or put a route point beside it"
-            )
-        if len(nodes) == 2:
-            section.join(nodes[0], nodes[1])
-        on_cell[tuple(corners)] = nodes
-
-    found: list[Node | None] = []
-    for place, own in zip(ends, (START, END), strict=True):
-        found.append(_end_node(section, place, own, on_cell, count))
-    return section, (found[0], found[1])
+def _in_one_cell(surface: Surface, points: list[SurfacePoint]) -> bool:
+    """Say whether a cell holds all the points."""
+    held = np.isin(surface.ids, [vertex for point in points for vertex in point.support])
+    return bool((held[surface.cells].sum(axis=1) == held.sum()).any())
 
 
 def _end_node(
-    section: _Section,
-    place: Place,
-    own: Node,
-    on_cell: dict[Node, list[Node]],
-    count: Counter[Node],
+    section: Section, place: Place, own: Node, surface: Surface, snap: float
 ) -> Node | None:
-    """Return the section's node at an end of the leg, put in where it has none there."""
-    if place.point is None:
+    """Return the section's node at an end of the leg; None for an anchor beyond the boundary."""
+    if place.point is not None:
+        return section.put(place.point, place.position, own)
+    if place.beyond:
         return None
-    support = place.point.support
-    known = not isinstance(place.point, CellPoint) and support in section.points
-    node = support if known else own
-    section.points[node], section.positions[node] = place.point, place.position
-    if known:
-        for other in list(section.arcs[node]):
-            section.join(node, other)
-        return node
-    section.arcs[node] = {}
-    for corners, nodes in on_cell.items():
-        if set(support) <= set(corners):
-            for other in nodes:
-                section.join(node, other)
-    if count.get(support) == 1:
-        section.rim.add(node)
-    return node
-
-
-def _shortest(section: _Section, start: Node) -> tuple[dict[Node, float], dict[Node, Node]]:
-    """Return lengths from `start` to all that hangs together with it, and the node before."""
-    reached: dict[Node, float] = {}
-    before: dict[Node, Node] = {}
-    queue: list[tuple[float, Node, Node]] = [(0.0, start, start)]
-    while queue:
-        length, node, previous = heapq.heappop(queue)
-        if node in reached:
-            continue
-        reached[node] = length
-        before[node] = previous
-        for other, step in section.arcs[node].items():
-            if other not in reached:
-                heapq.heappush(queue, (length + step, other, node))
-    return reached, before
+    # not at the foot itself, which in general lies beside the plane: what hangs straight from the
+    # anchor shall hang over the path
+    found = section.nearest(place.position, surface, snap)
+    return None if found is None else section.put(*found, own)
 
 
 def _raise_leaves(
-    section: _Section,
+    section: Section,
     reached: dict[Node, float],
     start: Node,
     advance: dict[Node, float],
@@ -464,3 +292,31 @@ def _raise_leaves(
         f"{name} leaves the membrane at {as_text(section.positions[node])} ({section.points[node]})"
         " before its end; lead the route around, through points on the membrane"
     )
+
+
+def _refuse_detour(
+    section: Section,
+    gaps: dict[tuple[Node, Node], float],
+    start: Node,
+    end: Node,
+    length: float,
+    name: str,
+) -> None:
+    """Refuse a way around the back, where the direct one is interrupted by an opening."""
+    if not gaps:
+        return
+    arcs = {node: dict(others) for node, others in section.arcs.items()}
+    for (a, b), width in gaps.items():
+        arcs[a][b] = arcs[b][a] = width
+    reached, before = shortest(arcs, start)
+    if reached[end] >= DETOUR * length:
+        return
+    for a, b in pairwise(way_back(before, end)):
+        if (a, b) in gaps or (b, a) in gaps:
+            raise PathError(
+                f"{name} leaves the membrane at {as_text(section.positions[a])} "
+                f"({section.points[a]}) before its end, comes back at "
+                f"{as_text(section.positions[b])} and could only go around the back, "
+                f"{length:.6g} long instead of {reached[end]:.6g}; lead the route around the "
+                "opening, or the back, through points on the membrane"
+            )
