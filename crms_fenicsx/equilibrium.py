@@ -27,6 +27,14 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger("crms_fenicsx")
 
+CAUGHT, STUCK = 0.05, 0.15
+"""Kinks of a folded edge (rad) from which on its cable is laid anew, and the state is refused.
+
+Two fold points on edges that meet in a vertex can close in on each other away from it: their chord
+has no direction any more, and a cable caught there can look as if it were in equilibrium. Kinks
+of sound states are below 0.01 on meshes of 9 cells a side.
+"""
+
 MAX_PATHS = 60
 """How many sets of paths are tried in one load step before it is given up."""
 
@@ -55,6 +63,7 @@ class EquilibriumSearch:
     def __init__(self, system: System, slide: bool) -> None:
         self.system, self.scene = system, system.scene
         self.slide = slide
+        self.paths: Retracer | None = None
 
     def find(self, h0_prestress: tuple[float, ...]) -> Outcome:
         """Find the equilibrium; the scene is then in it. Collective.
@@ -78,33 +87,49 @@ class EquilibriumSearch:
             return self._settle(h0_prestress)
         from crms_fenicsx.cables.retrace import Retracer
 
-        return self._slide(Retracer(self.scene), h0_prestress)
+        self.paths = Retracer(self.scene)
+        return self._slide(h0_prestress)
 
-    def _slide(self, paths: Retracer, h0_prestress: tuple[float, ...]) -> Outcome:
+    def _slide(self, h0_prestress: tuple[float, ...]) -> Outcome:
         """Try new paths while the energy falls."""
-        best = self._try(paths, h0_prestress)
+        paths, best = self.paths, self._try(h0_prestress)
+        assert paths is not None
         total, flips = best.outcome, best.flips
-        for _ in range(MAX_PATHS):
-            if not (best.outcome.converged and flips):
-                break
+        laid_again: set[int] = set()
+        tries = 0
+        while best.outcome.converged:
+            if not flips:
+                caught = self.system.caught_cables(CAUGHT) - laid_again
+                if not caught:
+                    break
+                laid_again |= caught
+                best = replace(best, state=State.of(self.scene), energy=self.scene.energy)
+                paths.lay_again(caught)
+            if tries == MAX_PATHS:
+                reason = f"after {tries} changes the paths of the cables still want to change"
+                return replace(total, converged=False, reason=reason)
+            tries += 1
             self.system.rebuild()
-            new = self._try(paths, (0.0,))
+            new = self._try((0.0,))
             total = total + new.outcome
             if new.outcome.converged and new.energy < best.energy:
                 best, flips = new, new.flips
                 continue
             best.state.restore(self.scene)
-            self.system.rebuild()
             # Half of the flips; one alone cannot be halved.
             flips = paths.retrace(flips // 2) if flips > 1 else 0
             if not flips:
-                return total + self._settle((0.0,))
-        else:
-            reason = f"after {MAX_PATHS} changes the paths of the cables still want to change"
+                self.system.rebuild()
+                total = total + self._settle((0.0,))
+                best = replace(best, outcome=total)
+        caught = self.system.caught_cables(STUCK) if total.converged else set()
+        if caught:
+            names = ", ".join(self.scene.cables[c].name for c in sorted(caught))
+            reason = f"{names}: caught between edges of the mesh, which is too coarse there"
             return replace(total, converged=False, reason=reason)
         return total
 
-    def _try(self, paths: Retracer, h0_prestress: tuple[float, ...]) -> _Try:
+    def _try(self, h0_prestress: tuple[float, ...]) -> _Try:
         """Equilibrium on the paths that there are; the scene then has those to try next."""
         flips = 0
         state, energy = self.start, 0.0
@@ -112,11 +137,9 @@ class EquilibriumSearch:
         def look() -> bool:
             nonlocal flips, state, energy
             state, energy = State.of(self.scene), self.scene.energy
-            flips = paths.retrace()
+            flips = self.paths.retrace() if self.paths else 0
             return flips > 0
 
-        if paths.straighten():
-            self.system.rebuild()
         outcome = self._settle(h0_prestress, look)
         return _Try(replace(outcome, flips=flips), state, energy, flips)
 
@@ -137,6 +160,8 @@ class EquilibriumSearch:
         system.pull()
         system.locate_cables()
         changes = active.update()
+        if self.paths is not None and not changes and self.paths.straighten():
+            changes = ["paths pulled taut"]
         total: Outcome | None = None
         looked = False
 
@@ -152,6 +177,8 @@ class EquilibriumSearch:
         while True:
             if changes:
                 logger.debug("%s", "; ".join(changes))
+                if self.paths is not None:
+                    self.paths.straighten()
                 system.rebuild()
                 system.pull()
             if system.has_history:  # the step starts there for all its terms

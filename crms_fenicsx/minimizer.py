@@ -135,6 +135,7 @@ class Minimizer:
         self._close = self._at_start = False
         self._energy0 = 0.0
         self._interrupt: Callable[[], bool] | None = None
+        self._interrupted = False
         self._look_at = 0.0
         self.tao = PETSc.TAO().create(comm)
         self.tao.setOptionsPrefix(prefix)
@@ -185,9 +186,10 @@ class Minimizer:
         if self._interrupt is None or tao.getSolutionStatus()[2] > self._look_at:
             return
         self.potential.place(self._x)
-        if self._interrupt():
-            tao.setConvergedReason(PETSc.TAO.ConvergedReason.CONVERGED_USER)
+        self._interrupted = self._interrupt()
         self._interrupt = None
+        if self._interrupted:
+            tao.setConvergedReason(PETSc.TAO.ConvergedReason.CONVERGED_USER)
 
     def _set_h0(self) -> None:
         """Rebuild H0 at the current state, and hand it to TAO the first time."""
@@ -232,7 +234,7 @@ class Minimizer:
             returns true the solve ends there, with the reason "interrupted", as converged.
         """
         potential = self.potential
-        self._interrupt = interrupt
+        self._interrupt, self._interrupted = interrupt, False
         membrane = [term for term in potential.terms if hasattr(term, "h0_prestress")]
         self._place_bounds()
         potential.place()
@@ -247,12 +249,13 @@ class Minimizer:
             if not np.isfinite(residual):
                 reason = "energy or gradient not finite"
                 break
+            if self._interrupted:
+                reason = "interrupted"
+                break
             if residual <= tolerance:
                 reason = "converged"
                 break
             if failures >= 3 and residual > 0.5 * best:
-                break
-            if reason == "interrupted":
                 break
             best = min(best, residual)
             if self._uses_h0:
@@ -272,8 +275,6 @@ class Minimizer:
             iterations += self.tao.getIterationNumber()
             potential.place(self._x)
             ended = int(self.tao.getConvergedReason())
-            if ended == PETSc.TAO.ConvergedReason.CONVERGED_USER:
-                reason = "interrupted"
             if ended < 0:
                 reason = REASONS.get(ended, f"TAO reason {ended}")
             failures = failures + 1 if ended == -6 else 0

@@ -171,11 +171,13 @@ class System:
         from crms_fenicsx.cables.penalty import KinkPenalty
 
         if self.scene.literal_penalty is not None:
-            return KinkPenalty(tables.literal_penalty(self.scene.literal_penalty))
+            self.kinks = KinkPenalty(tables.literal_penalty(self.scene.literal_penalty))
+            return self.kinks
         materials = self.membrane.materials
         tags = self.membrane.material_tags(tables.folded.cells)
         moduli = np.array([materials[int(tag)].reference_modulus for tag in tags])
-        return KinkPenalty(tables.penalty(self.scene.penalty, moduli))
+        self.kinks = KinkPenalty(tables.penalty(self.scene.penalty, moduli))
+        return self.kinks
 
     def _folded_pressure_term(self, tables: CableTables) -> Term:
         from crms_fenicsx.cables.volume import FoldedFollowerPressure, FoldedStepPressure
@@ -240,6 +242,20 @@ class System:
         assert self.minimizer is not None
         self.potential.begin_step()
         return self.minimizer.solve(h0_prestress, interrupt)
+
+    def caught_cables(self, limit: float) -> set[int]:
+        """Numbers of the cables with a kink of a folded edge of more than a limit (rad).
+
+        Judged at the state last evaluated; not for the paper's literal penalty. Collective.
+        """
+        if self.tables is None or self.scene.literal_penalty is not None:
+            return set()
+        most = np.zeros(len(self.scene.cables))
+        if self.tables.kinks:
+            numbers = [cable for *_, cable in self.tables.kinks]
+            np.maximum.at(most, numbers, np.abs(self.kinks.residuals))
+        self.scene.comm.Allreduce(MPI.IN_PLACE, most, op=MPI.MAX)
+        return {int(c) for c in np.flatnonzero(most > limit)}
 
     @property
     def has_history(self) -> bool:

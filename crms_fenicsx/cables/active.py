@@ -7,6 +7,7 @@ may change back and forth only a few times in a solve, so that it ends.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,7 +28,7 @@ MAX_SWITCHES = 6
 """How often each cable may turn from slack to taut or back in one solve."""
 
 
-def bends(cables: list[LaidCable], but: LaidCable | None = None) -> dict[Edge, list[Array]]:
+def bends(cables: Sequence[LaidCable], but: LaidCable | None = None) -> dict[Edge, list[Array]]:
     """Positions of the points of cables in tension on each edge, in order.
 
     Parameters
@@ -132,14 +133,14 @@ class ActiveSet:
         scene = self.scene
         for crossing in scene.crossings:
             names = tuple(scene.cables[c].name for c in (crossing.upper, crossing.lower))
-            key = (*names, crossing.support)
-            if contact.parts(crossing, scene.cables, shape) and key not in self._settled:
+            # Not by place: a crossing may come back in another cell than that where it was left.
+            if contact.parts(crossing, scene.cables, shape) and names not in self._settled:
                 crossing.apart = True
-                self._released.add(key)
+                self._released.add(names)
                 changes.append("{} lifts off {}".format(*names))
             elif contact.joins(crossing, scene.cables, shape):
                 crossing.apart = False
-                if key in self._released:
-                    self._settled.add(key)
+                if names in self._released:
+                    self._settled.add(names)
                 changes.append("{} touches {}".format(*names))
         return changes

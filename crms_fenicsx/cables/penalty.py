@@ -83,8 +83,8 @@ def residual(X, x, points, weighted, r, dr):  # type: ignore[no-untyped-def]
         beta, cb, sb = _angle(rb, rq)
         value = alpha + beta - math.pi
         w, wa, wb = 1.0, 0.0, 0.0
-        if weighted:
-            total = a + b
+        total = a + b
+        if weighted and total > 0.0:
             w = 4 * a * b / total**2
             wa, wb = 4 * b * (b - a) / total**3, 4 * a * (a - b) / total**3
         r[k] = w * value
@@ -125,7 +125,8 @@ class KinkPenalty:
     def __init__(self, table: Kinks) -> None:
         self.table = table
         n = len(table.points)
-        self._r, self._dr = np.zeros(n), np.zeros((n, 4, 3))
+        self.residuals, self._dr = np.zeros(n), np.zeros((n, 4, 3))
+        """``w r`` of each place at the last sums (rad)."""
         pointers = np.arange(0, 4 * n + 1, 4, dtype=np.int32)
         self.pattern = ElementPattern(pointers, table.points.reshape(-1))
 
@@ -136,8 +137,8 @@ class KinkPenalty:
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the penalty; keeps residuals for the gradient."""
         t = self.table
-        residual(self.unknowns.X, x, t.points, t.weighted, self._r, self._dr)
-        out[0] = np.dot(t.coefficients, self._r * self._r)
+        residual(self.unknowns.X, x, t.points, t.weighted, self.residuals, self._dr)
+        out[0] = np.dot(t.coefficients, self.residuals * self.residuals)
 
     def energy(self, sums: Array) -> float:
         """The penalty (force x length)."""
@@ -145,7 +146,7 @@ class KinkPenalty:
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Add the penalty's nodal forces."""
-        _add_forces(self.table.points, self.table.coefficients, self._r, self._dr, g)
+        _add_forces(self.table.points, self.table.coefficients, self.residuals, self._dr, g)
 
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add the Gauss-Newton stiffness ``2 mu grad(w r) grad(w r)^T``."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,9 +19,9 @@ import numpy.typing as npt
 from crms_fenicsx.cables.active import bends
 from crms_fenicsx.cables.cable import CableNode, LaidCable
 from crms_fenicsx.cables.contact import INSIDE
-from crms_fenicsx.cables.intrinsic import MissingStars, Ring, edge_of
+from crms_fenicsx.cables.intrinsic import MissingStars, Ring
 from crms_fenicsx.cables.laying import fractions_of, nodes_of
-from crms_fenicsx.cables.path import CellPoint, EdgePoint, SurfacePoint
+from crms_fenicsx.cables.path import EdgePoint, SurfacePoint
 from crms_fenicsx.cables.shorten import Corridor, corridor, shorten
 from crms_fenicsx.cables.strip import StripShape, grow
 
@@ -103,20 +103,29 @@ class Retracer:
         self.scene = scene
         self.refused: dict[str, set[Corridor]] = {}
 
-    def straighten(self) -> int:
+    def straighten(self) -> bool:
         """Pull the paths of cables taut that have not been in equilibrium yet. Collective.
 
         A taut cable on a bad path would cut into the membrane, and nothing converge.
 
         Returns
         -------
-        How many vertices they have passed.
+        Whether there were any.
         """
         fresh = [cable for cable in self.scene.cables if cable.taut and not cable.traced]
-        flips = self._retrace(fresh) if fresh else 0
+        if not fresh:
+            return False
+        others = [cable for cable in self.scene.cables if cable not in fresh]
+        self._retrace(fresh, folded_by=others, always=True)
         for cable in fresh:
             cable.traced = True
-        return flips
+        return True
+
+    def lay_again(self, numbers: Set[int]) -> None:
+        """Forget where the fold points of some cables are, given by number, so that `straighten`
+        puts them on straight edges."""
+        for c in numbers:
+            self.scene.cables[c].traced = False
 
     def retrace(self, max_flips: int | None = None) -> int:
         """Pull the paths of all cables in tension taut on the current surface. Collective.
@@ -132,23 +141,34 @@ class Retracer:
         """
         return self._retrace([cable for cable in self.scene.cables if cable.taut], max_flips)
 
-    def _retrace(self, cables: Sequence[LaidCable], max_flips: int | None = None) -> int:
+    def _retrace(
+        self,
+        cables: Sequence[LaidCable],
+        max_flips: int | None = None,
+        folded_by: Sequence[LaidCable] | None = None,
+        always: bool = False,
+    ) -> int:
         scene = self.scene
-        for rings in itertools.count(1):
-            assert scene.strip is not None
-            shape = StripShape.of(scene, scene.strip)
-            surface = FoldedSurface(shape, bends(scene.cables))
-            try:
-                done = [(cable, self._pulled(cable, surface, max_flips)) for cable in cables]
-                break
-            except MissingStars as missing:
-                grow(scene, missing.vertices, rings)
+        assert scene.strip is not None
+        folds = bends(scene.cables if folded_by is None else folded_by)
+        shape = StripShape.of(scene, scene.strip)
+        surface = FoldedSurface(shape, folds)
+        done: list[tuple[LaidCable, tuple[list[SurfacePoint], list[bool], int]]] = []
+        for cable in cables:
+            for rings in itertools.count(1):
+                try:
+                    done.append((cable, self._pulled(cable, surface, max_flips)))
+                    break
+                except MissingStars as missing:
+                    grow(scene, missing.vertices, rings)
+                    shape = StripShape.of(scene, scene.strip)
+                    surface = FoldedSurface(shape, folds)
         most = 0
         for cable, (points, lifted, flips) in done:
-            if flips:
+            if flips or always:
                 self._adopt(cable, points, lifted, surface)
                 most = max(most, flips)
-        if most:
+        if most or always:
             nodes = [node.point for cable in cables for node in cable.nodes]
             grow(scene, [v for point in nodes if point is not None for v in point.support])
         return most
@@ -204,7 +224,7 @@ class Retracer:
             for k, node in enumerate(cable.nodes)
             if node.kind != "crossing" and (cable.traced or not node.slides)
         }
-        nodes = nodes_of([_clipped(point) for point in points], surface.strip, cable.ends)
+        nodes = nodes_of([self._clipped(cable, p) for p in points], surface.strip, cable.ends)
         fractions = fractions_of(nodes)
         flags = np.zeros(len(nodes), dtype=bool)
         flags[[k for k, node in enumerate(nodes) if node.point is not None]] = lifted
@@ -224,16 +244,17 @@ class Retracer:
                 positions[k] = np.dot(weights, [surface.shape.at(i) for i in ids])
         cable.set_nodes(nodes, positions, fractions, flags)
 
+    def _clipped(self, cable: LaidCable, point: SurfacePoint) -> SurfacePoint:
+        """Keep a point of a string off the vertices.
+
+        Strings of several cables may touch one vertex: there, too, no two of their points may be
+        in one place, and their order must be the same all around.
+        """
+        if not isinstance(point, EdgePoint):
+            return point
+        least = INSIDE * (1 + 0.02 * self.scene.cables.index(cable))
+        return EdgePoint(point.edge, min(max(point.fraction, least), 1 - least))
+
 
 def _key(node: CableNode) -> object:
     return None if node.point is None else node.point.support
-
-
-def _clipped(point: SurfacePoint) -> SurfacePoint:
-    """Keep a point of a string off the vertices."""
-    if isinstance(point, EdgePoint):
-        return EdgePoint(point.edge, min(max(point.fraction, INSIDE), 1 - INSIDE))
-    return point
-
-
-__all__ = ["CellPoint", "FoldedSurface", "Retracer", "edge_of"]

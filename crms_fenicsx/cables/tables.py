@@ -34,7 +34,7 @@ class CableTables:
         Segments of the cables' polylines, their smoothing, and the cable's place among the taut.
     folded : FoldedCells
         Cells with folded sides.
-    kinks : tuple of (corner blocks (4,), row of `folded`)
+    kinks : tuple of (corner blocks (4,), row of `folded`, number of the cable)
         Where chords meet sides at fold points that are free.
     facets : Facets
         Facets of the folded cells.
@@ -44,12 +44,12 @@ class CableTables:
     eps: Array
     cable: Indices
     folded: FoldedCells
-    kinks: list[tuple[tuple[int, int, int, int], int]]
+    kinks: list[tuple[tuple[int, int, int, int], int, int]]
     facets: Facets
 
     def penalty(self, factor: float, moduli: Array) -> Kinks:
         """Weighted penalty with mu = factor x E t x A; `moduli` (n,) is E t of the folded cells."""
-        rows = np.array([row for _, row in self.kinks], dtype=np.int64)
+        rows = np.array([row for _, row, _ in self.kinks], dtype=np.int64)
         return Kinks(self._corners(), (factor * moduli * self.folded.areas)[rows], True)
 
     def literal_penalty(self, mu: float) -> Kinks:
@@ -57,7 +57,7 @@ class CableTables:
         return Kinks(self._corners(), np.full(len(self.kinks), mu), False)
 
     def _corners(self) -> Indices:
-        return np.array([k for k, _ in self.kinks], dtype=np.int32).reshape(-1, 4)
+        return np.array([k for k, _, _ in self.kinks], dtype=np.int32).reshape(-1, 4)
 
 
 def cable_tables(network: Network, membrane: MembraneEnergy) -> CableTables:
@@ -147,8 +147,8 @@ class _FoldedCellsOf:
             parameters=np.array([m.parameters for m in materials]).reshape(-1, 17),
         )
 
-    def kinks(self) -> list[tuple[tuple[int, int, int, int], int]]:
-        """Where chords meet sides at free fold points: corner blocks and the cell's place."""
+    def kinks(self) -> list[tuple[tuple[int, int, int, int], int, int]]:
+        """Where chords meet sides at free fold points: corner blocks, the cell's place, cable."""
         network, kinks = self.network, []
         for n, row in enumerate(self.rows):
             beside: dict[int, tuple[int, int]] = {}
@@ -161,7 +161,8 @@ class _FoldedCellsOf:
                     block = network.block(*member)
                     if self._slides(member) and block in beside:
                         before, after = beside[block]
-                        kinks.append(((before, block, after, network.block(*other)), n))
+                        corners = (before, block, after, network.block(*other))
+                        kinks.append((corners, n, member[0]))
         return kinks
 
     def _slides(self, member: Member) -> bool:
