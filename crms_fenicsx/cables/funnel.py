@@ -25,6 +25,11 @@ Far above rounding (some 1e-13 after hundreds of cells), so that it does not dep
 of the vertices' ids whether a string that runs through a vertex in exact arithmetic bends there;
 a string that touches is longer by a fraction of less than 1e-18 only.
 """
+APART = 1e-10
+"""Least distance of an end on an edge from a vertex, relative to the edge.
+
+Nearer by, rounding would hide on which side of the vertex it is.
+"""
 
 
 @dataclass(frozen=True)
@@ -117,6 +122,15 @@ def _cross(a: complex, b: complex) -> float:
     return (a.conjugate() * b).imag
 
 
+def _turns(a: complex, b: complex, sign: float) -> bool:
+    """Say whether b turns from a to one side (1 left, -1 right), or goes on as a does.
+
+    It does neither where it goes straight back, nor where one of the two is nothing.
+    """
+    turn = a.conjugate() * b
+    return sign * turn.imag > -TOUCHES * turn.real
+
+
 def _angle(a: complex, b: complex) -> float:
     """Return the angle (rad) between two directions, from 0 to pi."""
     turn = a.conjugate() * b
@@ -127,7 +141,8 @@ def _at(point: SurfacePoint, places: Mapping[int, complex]) -> complex:
     """Return where a point is whose cell has been placed."""
     if isinstance(point, EdgePoint):
         a, b = point.edge
-        return (1.0 - point.fraction) * places[a] + point.fraction * places[b]
+        fraction = min(max(point.fraction, APART), 1.0 - APART)
+        return (1.0 - fraction) * places[a] + fraction * places[b]
     if isinstance(point, CellPoint):
         return sum(w * places[v] for v, w in zip(point.cell, point.weights, strict=True))
     return places[point.vertex]
@@ -219,13 +234,13 @@ class _Strip:
             own, other = chains[side], chains[1 - side]
             while own:
                 a, b = at[own[-1]] - at[own[-2] if len(own) > 1 else apex], at[new] - at[own[-1]]
-                if sign * _cross(a, b) >= -TOUCHES * abs(a) * abs(b):
+                if _turns(a, b, sign):
                     break
                 own.pop()
             if not own:
                 while other:
-                    a, b = at[other[0]] - at[apex], at[new] - at[apex]
-                    if sign * _cross(a, b) > TOUCHES * abs(a) * abs(b):
+                    a, b = at[other[0]] - at[apex], at[new] - at[other[0]]
+                    if not _turns(a, b, -sign):
                         break
                     apex = other.popleft()
             parent[new] = own[-1] if own else apex
@@ -290,14 +305,24 @@ def _fractions(
     fractions = [math.nan] * len(edges)  # from left to right
     for (p, q), (before, after) in zip(pairwise(nodes), pairwise(touched), strict=True):
         for k in range(before[1] + 1, after[0]):
-            a, b = (_cross(at[q] - at[p], at[n] - at[p]) for n in (left[k], right[k]))
-            fractions[k] = min(max(a / (a - b), 0.0), 1.0) if a != b else 0.5
+            fractions[k] = _crossing(at[p], at[q], at[left[k]], at[right[k]])
         for k in range(after[0], min(after[1] + 1, len(edges))):
             fractions[k] = 0.5 if k == before[1] else float(right[k] == q)
     return tuple(
         t if strip.vertex[n] == edge[0] else 1.0 - t
         for t, n, edge in zip(fractions, left, edges, strict=True)
     )
+
+
+def _crossing(p: complex, q: complex, a: complex, b: complex) -> float:
+    """Return where a string from p to q crosses an edge, from a (0) to b (1)."""
+    string, edge = q - p, b - a
+    across = _cross(string, edge)
+    if abs(across) > TOUCHES * abs(string) * abs(edge):
+        t = _cross(string, p - a) / across
+    else:  # along the edge, on which an end lies: where it comes to the edge
+        t = ((p - a) * edge.conjugate()).real / abs(edge) ** 2
+    return min(max(t, 0.0), 1.0)
 
 
 def _towards(end: SurfacePoint, beyond: tuple[int, complex]) -> dict[int, complex]:
