@@ -190,6 +190,16 @@ def test_ends_on_the_first_and_last_edge():
         assert string.fractions[0] == pytest.approx(expected, abs=1e-12)
 
 
+def test_a_string_along_an_edge_from_an_end_on_it_crosses_it_there():
+    points = np.array([0, 1 + 1j, 1 - 1j, 2 + 0j])
+    for weight in (1.0, 0.75, 0.5):
+        start = CellPoint((0, 1, 2), (0.0, weight, 1.0 - weight))
+        end = CellPoint((1, 2, 3), (0.25, 0.75, 0.0))
+        string = pull_taut(start, [(1, 2)], end, all_lengths(points))
+        assert string.fractions[0] == pytest.approx(1.0 - weight, abs=1e-12)
+        assert string.length == pytest.approx(2 * (weight - 0.25), rel=ROUNDING)
+
+
 def test_an_end_however_near_to_a_vertex_has_its_edges_direction():
     points = np.array([0, 2 + 0j, 1 - 1j, 0 - 1j])  # around vertex 0: edges to 1, 2 and 3
     for near in (0.3, 1e-6, 1e-12, 1e-300):

@@ -25,11 +25,6 @@ Far above rounding (some 1e-13 after hundreds of cells), so that it does not dep
 of the vertices' ids whether a string that runs through a vertex in exact arithmetic bends there;
 a string that touches is longer by a fraction of less than 1e-18 only.
 """
-APART = 1e-10
-"""Least distance of an end on an edge from a vertex, relative to the edge.
-
-Nearer by, rounding would hide on which side of the vertex it is.
-"""
 
 
 @dataclass(frozen=True)
@@ -101,7 +96,7 @@ def pull_taut(
 
 def corner_angle(at: int, b: int, c: int, lengths: Lengths) -> float:
     """Return the angle (rad) of cell (at, b, c) at its first vertex."""
-    p, q, r = (lengths[edge_of(*e)] for e in ((at, b), (at, c), (b, c)))
+    p, q, r = lengths[edge_of(at, b)], lengths[edge_of(at, c)], lengths[edge_of(b, c)]
     return math.atan2(_four_areas(p, q, r), p * p + (q - r) * (q + r))
 
 
@@ -141,8 +136,7 @@ def _at(point: SurfacePoint, places: Mapping[int, complex]) -> complex:
     """Return where a point is whose cell has been placed."""
     if isinstance(point, EdgePoint):
         a, b = point.edge
-        fraction = min(max(point.fraction, APART), 1.0 - APART)
-        return (1.0 - fraction) * places[a] + fraction * places[b]
+        return (1.0 - point.fraction) * places[a] + point.fraction * places[b]
     if isinstance(point, CellPoint):
         return sum(w * places[v] for v, w in zip(point.cell, point.weights, strict=True))
     return places[point.vertex]
@@ -210,8 +204,8 @@ class _Strip:
 
     def _third(self, a: int, b: int, new: int, lengths: Lengths) -> complex:
         va, vb = self.vertex[a], self.vertex[b]
-        sides = (lengths[edge_of(*e)] for e in ((va, vb), (va, new), (vb, new)))
-        return _apex(self.at[a], self.at[b], *sides)
+        ab, ac, bc = lengths[edge_of(va, vb)], lengths[edge_of(va, new)], lengths[edge_of(vb, new)]
+        return _apex(self.at[a], self.at[b], ab, ac, bc)
 
     def _beyond(self, point: SurfacePoint, a: int, b: int, lengths: Lengths) -> tuple[int, complex]:
         (new,) = {*point.support} - {self.vertex[a], self.vertex[b]}
