@@ -1,0 +1,137 @@
+"""Corridors: which vertices a path visits and which edges it crosses, without where.
+
+A corridor is the tuple of the supports of a path's points: a vertex (a,), an edge (a, b), or,
+at its ends, a cell (a, b, c). It is pure combinatorics, so two paths through the same corridor
+have the same taut string.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
+from crms_fenicsx.cables.intrinsic import Edge
+from crms_fenicsx.cables.path import SurfacePoint
+
+Support = tuple[int, ...]
+Corridor = tuple[Support, ...]
+
+
+def corridor(points: Sequence[SurfacePoint]) -> Corridor:
+    """Return the combinatorial identity of a path: the supports of its points."""
+    return tuple(point.support for point in points)
+
+
+def cell_between(a: Support, b: Support) -> Support:
+    """Return the vertices of the cell through which a path goes from a to b, ascending.
+
+    Two vertices where it follows an edge.
+    """
+    return tuple(sorted({*a, *b}))
+
+
+def without_detours(supports: Sequence[Support]) -> Corridor:
+    """Return a corridor without its detours; both ends stay.
+
+    What goes: an edge that is crossed to and fro, a visit from which the path turns straight
+    back, and an edge crossed next to a visit to one of its vertices.
+    """
+    kept: list[Support] = []
+    for i, new in enumerate(supports):
+        _append(kept, new, last=i == len(supports) - 1)
+    return tuple(kept)
+
+
+def _append(kept: list[Support], new: Support, *, last: bool) -> None:
+    """Append a support to a corridor without detours, and keep it so."""
+    while kept:
+        top, only = kept[-1], len(kept) == 1
+        if top == new:
+            if only and last:
+                break
+            if not only and len(top) == 2 and not last:
+                kept.pop()  # crossed to and fro: both go
+                return
+            if not last:
+                return
+            kept.pop()
+        elif len(top) == 1 and len(new) == 2 and top[0] in new and not last:
+            return
+        elif len(top) == 2 and len(new) == 1 and new[0] in top and not only:
+            kept.pop()
+        elif not only and _turns_back(kept[-2], top, new):
+            kept.pop()
+        else:
+            break
+    kept.append(new)
+
+
+def _turns_back(a: Support, b: Support, c: Support) -> bool:
+    """Say whether a path from a to b goes on to c through where it came from."""
+    there, back = cell_between(a, b), cell_between(b, c)
+    if _along_edge(a, b):
+        return set(there) <= set(back)
+    return set(back) <= set(there) if _along_edge(c, b) else there == back
+
+
+def _along_edge(end: Support, vertex: Support) -> bool:
+    """Say whether the way between two supports is a part of an edge."""
+    return len(end) == 2 and len(vertex) == 1 and vertex[0] in end
+
+
+def tied(supports: Corridor, thirds: Callable[[Edge], tuple[int, ...]]) -> Corridor:
+    """Return a corridor with each end that lies inside an edge which it then follows in a cell.
+
+    The cell is one next to the edge: where there is a choice, not the one that the path goes on
+    through.
+    """
+    result = list(supports)
+    for i, step in ((0, 1), (-1, -1)):
+        if _along_edge(supports[i], supports[i + step]):
+            a, b = supports[i]
+            cells = sorted(tuple(sorted((a, b, c))) for c in thirds((a, b)))
+            if len(supports) > 2:
+                onward = cell_between(supports[i + step], supports[i + 2 * step])
+                cells.sort(key=onward.__eq__)
+            result[i] = cells[0]
+    return tuple(result)
+
+
+def flaw(supports: Corridor, thirds: Callable[[Edge], tuple[int, ...]]) -> str | None:
+    """Say why no cable can follow a corridor; None if one can.
+
+    Parameters
+    ----------
+    supports
+        A corridor in which consecutive supports share a cell.
+    thirds
+        Vertices opposite to an edge; see `Surface.thirds`.
+
+    Returns
+    -------
+    What is wrong: two ends on one edge; a vertex visited, an edge crossed or followed, or a cell
+    entered twice; a cell with points on all three edges. Both ends of a hoop, which goes around,
+    may lie on one vertex or edge.
+    """
+    if len(supports) < 2:
+        return "nothing of it is left between its ends"
+    links = [cell_between(a, b) for a, b in pairwise(supports)]
+    if len(links) == 1 and supports[0] == supports[1] and len(links[0]) < 3:
+        return f"both of its ends lie on {links[0]}"
+    hoop = supports[0] == supports[-1] and len(supports[0]) < 3
+    visited = supports[1:] if hoop else supports
+    partly = {s for s in (supports[0], supports[-1]) if len(s) == 2}
+    passed = [s for s in visited if len(s) < 3] + [link for link in links if link not in partly]
+    again = next((s for s, n in Counter(passed).items() if n > 1), None)
+    if again is not None:
+        return f"it uses {again} twice"
+    # a cell that is entered once has at most two points on its edges, unless one is an end
+    edges = {s for s in supports if len(s) == 2}
+    for end in partly:
+        for third in thirds((end[0], end[1])):
+            cell = (*end, third)
+            sides = [tuple(sorted(set(cell) - {v})) for v in cell]
+            if edges.issuperset(sides):
+                return f"it has points on all edges of cell {tuple(sorted(cell))}"
+    return None

@@ -1,0 +1,337 @@
+"""The taut string in a strip of cells that is unfolded into the plane.
+
+Cells are unfolded one after the other from the lengths of their edges; the shortest way through
+their common edges is then found with a funnel (Lee and Preparata 1984) in linear time. All
+formulas treat left and right alike: a mirrored strip gives a mirrored string.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+from crms_fenicsx.cables.intrinsic import Edge, edge_of
+from crms_fenicsx.cables.path import CellPoint, EdgePoint, SurfacePoint
+
+Lengths = Mapping[Edge, float]
+
+TOUCHES = 1e-9
+"""Angle (rad) within which a string that passes a vertex of the strip counts as touching it.
+
+Far above rounding (some 1e-13 after hundreds of cells), so that it does not depend on the order
+of the vertices' ids whether a string that runs through a vertex in exact arithmetic bends there;
+a string that touches is longer by a fraction of less than 1e-18 only.
+"""
+
+
+@dataclass(frozen=True)
+class Bend:
+    """A vertex of the strip that holds the string.
+
+    Attributes
+    ----------
+    vertex
+        Its id.
+    first, last
+        The edges of the strip at the vertex, as a range of indices, both included.
+    angle
+        Angle (rad) of the string at the vertex on the strip's side, pi or more; NaN where the
+        string has an end at the vertex.
+    """
+
+    vertex: int
+    first: int
+    last: int
+    angle: float
+
+
+@dataclass(frozen=True)
+class TautString:
+    """The shortest way through a strip.
+
+    Attributes
+    ----------
+    length
+        Its length.
+    fractions
+        Where it crosses each edge (a, b), from a (0) to b (1), both included.
+    bends
+        The vertices that hold it, in order.
+    leaving, arriving
+        Angles (rad) of its first (last) part to the edges at its first (last) point, by the
+        edges' other ends; only of use where that point is a vertex.
+    """
+
+    length: float
+    fractions: tuple[float, ...] = ()
+    bends: tuple[Bend, ...] = ()
+    leaving: dict[int, float] = field(default_factory=dict)
+    arriving: dict[int, float] = field(default_factory=dict)
+
+
+def pull_taut(
+    start: SurfacePoint, edges: Sequence[Edge], end: SurfacePoint, lengths: Lengths
+) -> TautString:
+    """Pull a string taut from one place of a surface to another.
+
+    Parameters
+    ----------
+    start, end
+        Fixed places.
+    edges
+        The edges that the string crosses, in order; each shares a cell with the next, and the
+        first (last) one with the start (end). None where both ends share a cell or an edge.
+    lengths
+        Lengths of the edges of these cells. Three lengths that make no triangle count as those
+        of a flat one.
+
+    Source: D. T. Lee and F. P. Preparata, Euclidean shortest paths in the presence of rectilinear
+    barriers, Networks 14 (1984).
+    """
+    return _through(start, edges, end, lengths) if edges else _direct(start, end, lengths)
+
+
+def corner_angle(at: int, b: int, c: int, lengths: Lengths) -> float:
+    """Return the angle (rad) of cell (at, b, c) at its first vertex."""
+    p, q, r = lengths[edge_of(at, b)], lengths[edge_of(at, c)], lengths[edge_of(b, c)]
+    return math.atan2(_four_areas(p, q, r), p * p + (q - r) * (q + r))
+
+
+def _four_areas(p: float, q: float, r: float) -> float:
+    """Return four times the area of a triangle, by Kahan's formula; flat if the sides fail."""
+    z, y, x = sorted((p, q, r))
+    return math.sqrt(max(0.0, (x + (y + z)) * (z - (x - y)) * (z + (x - y)) * (x + (y - z))))
+
+
+def _apex(a: complex, b: complex, ab: float, ac: float, bc: float) -> complex:
+    """Return the third corner of a triangle with corners a, b: to the left from a to b."""
+    along = (ac - bc) * (ac + bc) / (2 * ab * ab)
+    height = _four_areas(ab, ac, bc) / (2 * ab * ab)
+    return (a + b) / 2 + (b - a) * complex(along, height)
+
+
+def _cross(a: complex, b: complex) -> float:
+    return (a.conjugate() * b).imag
+
+
+def _turns(a: complex, b: complex, sign: float) -> bool:
+    """Say whether b turns from a to one side (1 left, -1 right), or goes on as a does.
+
+    It does neither where it goes straight back, nor where one of the two is nothing.
+    """
+    turn = a.conjugate() * b
+    return sign * turn.imag > -TOUCHES * turn.real
+
+
+def _angle(a: complex, b: complex) -> float:
+    """Return the angle (rad) between two directions, from 0 to pi."""
+    turn = a.conjugate() * b
+    return math.atan2(abs(turn.imag), turn.real)
+
+
+def _at(point: SurfacePoint, places: Mapping[int, complex]) -> complex:
+    """Return where a point is whose cell has been placed."""
+    if isinstance(point, EdgePoint):
+        a, b = point.edge
+        return (1.0 - point.fraction) * places[a] + point.fraction * places[b]
+    if isinstance(point, CellPoint):
+        return sum(w * places[v] for v, w in zip(point.cell, point.weights, strict=True))
+    return places[point.vertex]
+
+
+def _direct(start: SurfacePoint, end: SurfacePoint, lengths: Lengths) -> TautString:
+    """Return the string between two places of one cell or edge."""
+    corners = sorted({*start.support, *end.support})
+    a, b = corners[:2]
+    ab = lengths[a, b]
+    places = {a: complex(0, ab / 2), b: complex(0, -ab / 2)}
+    for c in corners[2:]:
+        places[c] = _apex(places[a], places[b], ab, lengths[a, c], lengths[b, c])
+    p, q = _at(start, places), _at(end, places)
+    return TautString(
+        abs(q - p),
+        leaving={v: _angle(q - p, z - p) for v, z in places.items() if v not in start.support},
+        arriving={v: _angle(p - q, z - q) for v, z in places.items() if v not in end.support},
+    )
+
+
+class _Strip:
+    """A strip in the plane. Node 0 is the start, node -1 the end, the rest are its vertices.
+
+    Attributes
+    ----------
+    at
+        Places of the nodes.
+    vertex, first, last
+        Ids of the nodes, and the edges at them.
+    left, right
+        Nodes of the edges' left and right ends.
+    start_beyond, end_beyond
+        Place of the vertex before the first (after the last) edge, with its id.
+    """
+
+    def __init__(
+        self, start: SurfacePoint, edges: Sequence[Edge], end: SurfacePoint, lengths: Lengths
+    ) -> None:
+        a, b = edges[0]
+        ab = lengths[a, b]
+        self.at = [0j, complex(0, ab / 2), complex(0, -ab / 2)]
+        self.vertex, self.first, self.last = [-1, a, b], [-1, 0, 0], [-1, 0, 0]
+        self.left, self.right = [1], [2]
+        self.start_beyond = self._beyond(start, 2, 1, lengths)
+        self.at[0] = _at(start, dict([self.start_beyond, (a, self.at[1]), (b, self.at[2])]))
+        left, right = 1, 2
+        for k, edge in enumerate(edges[1:], start=1):
+            stays = left if self.vertex[left] in edge else right
+            new = edge[0] if edge[1] == self.vertex[stays] else edge[1]
+            self.at.append(self._third(left, right, new, lengths))
+            self.vertex.append(new)
+            self.first.append(k)
+            self.last.append(k)
+            self.last[stays] = k
+            if stays == left:
+                right = len(self.at) - 1
+            else:
+                left = len(self.at) - 1
+            self.left.append(left)
+            self.right.append(right)
+        self.end_beyond = self._beyond(end, left, right, lengths)
+        sides = [(self.vertex[left], self.at[left]), (self.vertex[right], self.at[right])]
+        self.at.append(_at(end, dict([self.end_beyond, *sides])))
+
+    def _third(self, a: int, b: int, new: int, lengths: Lengths) -> complex:
+        va, vb = self.vertex[a], self.vertex[b]
+        ab, ac, bc = lengths[edge_of(va, vb)], lengths[edge_of(va, new)], lengths[edge_of(vb, new)]
+        return _apex(self.at[a], self.at[b], ab, ac, bc)
+
+    def _beyond(self, point: SurfacePoint, a: int, b: int, lengths: Lengths) -> tuple[int, complex]:
+        (new,) = {*point.support} - {self.vertex[a], self.vertex[b]}
+        return new, self._third(a, b, new, lengths)
+
+    def nodes_of_string(self) -> list[int]:
+        """Return the nodes through which the string goes, both ends among them."""
+        at = self.at
+        parent = [0] * len(at)
+        chains: tuple[deque[int], deque[int]] = (deque([1]), deque([2]))
+        apex = 0
+        final = len(at) - 1
+        for k in range(1, len(self.left) + 1):
+            if k == len(self.left):
+                side, sign, new = 0, 1.0, final
+            elif self.left[k] != self.left[k - 1]:
+                side, sign, new = 0, 1.0, self.left[k]
+            else:
+                side, sign, new = 1, -1.0, self.right[k]
+            own, other = chains[side], chains[1 - side]
+            while own:
+                a, b = at[own[-1]] - at[own[-2] if len(own) > 1 else apex], at[new] - at[own[-1]]
+                if _turns(a, b, sign):
+                    break
+                own.pop()
+            if not own:
+                while other:
+                    a, b = at[other[0]] - at[apex], at[new] - at[other[0]]
+                    if not _turns(a, b, -sign):
+                        break
+                    apex = other.popleft()
+            parent[new] = own[-1] if own else apex
+            own.append(new)
+        nodes = [final]
+        while nodes[-1] != 0:
+            nodes.append(parent[nodes[-1]])
+        return nodes[::-1]
+
+
+def _through(
+    start: SurfacePoint, edges: Sequence[Edge], end: SurfacePoint, lengths: Lengths
+) -> TautString:
+    """Return the string through a strip of two cells or more."""
+    strip = _Strip(start, edges, end, lengths)
+    nodes = strip.nodes_of_string()
+    touched = _touched(strip, nodes)
+    to_start = _towards(start, strip.start_beyond)
+    to_end = _towards(end, strip.end_beyond)
+    bends = []
+    for before, node, after, (i, j) in zip(nodes, nodes[1:], nodes[2:], touched[1:], strict=False):
+        a, b = (
+            (towards.get(strip.vertex[node], strip.at[n]) if n == fixed else strip.at[n])
+            for n, fixed, towards in ((before, 0, to_start), (after, nodes[-1], to_end))
+        )
+        spokes = [strip.at[strip.left[k] + strip.right[k] - node] for k in range(i, j + 1)]
+        angle = _turn(strip.at[node], [a, *spokes, b])
+        bends.append(Bend(strip.vertex[node], strip.first[node], strip.last[node], angle))
+    parts = [strip.at[b] - strip.at[a] for a, b in pairwise(nodes)]
+    return TautString(
+        sum(map(abs, parts)),
+        _fractions(strip, edges, nodes, touched),
+        tuple(bends),
+        {strip.vertex[n]: _angle(parts[0], strip.at[n] - strip.at[0]) for n in (1, 2)},
+        {
+            strip.vertex[n]: _angle(-parts[-1], strip.at[n] - strip.at[-1])
+            for n in (strip.left[-1], strip.right[-1])
+        },
+    )
+
+
+def _touched(strip: _Strip, nodes: list[int]) -> list[tuple[int, int]]:
+    """Return the first and the last edge that the string crosses at each of its nodes.
+
+    These are all edges at a bend, unless the string comes or goes along one of them.
+    """
+    touched = [(strip.first[n], strip.last[n]) for n in nodes[:-1]]
+    touched.append((len(strip.left), len(strip.left)))
+    for i in range(1, len(nodes) - 2):
+        (first, end), (start, last) = touched[i : i + 2]
+        if end >= start:
+            common = max(first, start)
+            touched[i : i + 2] = (first, common), (common, last)
+    return touched
+
+
+def _fractions(
+    strip: _Strip, edges: Sequence[Edge], nodes: list[int], touched: list[tuple[int, int]]
+) -> tuple[float, ...]:
+    """Return where the string crosses the edges; in the middle of those that it runs along."""
+    at, left, right = strip.at, strip.left, strip.right
+    fractions = [math.nan] * len(edges)  # from left to right
+    for (p, q), (before, after) in zip(pairwise(nodes), pairwise(touched), strict=True):
+        for k in range(before[1] + 1, after[0]):
+            fractions[k] = _crossing(at[p], at[q], at[left[k]], at[right[k]])
+        for k in range(after[0], min(after[1] + 1, len(edges))):
+            fractions[k] = 0.5 if k == before[1] else float(right[k] == q)
+    return tuple(
+        t if strip.vertex[n] == edge[0] else 1.0 - t
+        for t, n, edge in zip(fractions, left, edges, strict=True)
+    )
+
+
+def _crossing(p: complex, q: complex, a: complex, b: complex) -> float:
+    """Return where a string from p to q crosses an edge, from a (0) to b (1)."""
+    string, edge = q - p, b - a
+    across = _cross(string, edge)
+    if abs(across) > TOUCHES * abs(string) * abs(edge):
+        t = _cross(string, p - a) / across
+    else:  # along the edge, on which an end lies: where it comes to the edge
+        t = ((p - a) * edge.conjugate()).real / abs(edge) ** 2
+    return min(max(t, 0.0), 1.0)
+
+
+def _towards(end: SurfacePoint, beyond: tuple[int, complex]) -> dict[int, complex]:
+    """Return, by vertices of an end's edge, a place that lies from there as the end does.
+
+    However near to the vertex the end is, even no more than rounding away.
+    """
+    if not isinstance(end, EdgePoint):
+        return {}
+    return {v: beyond[1] for v in end.edge if v != beyond[0]}
+
+
+def _turn(at: complex, places: list[complex]) -> float:
+    """Return the angle at a place from the first of others over all to the last."""
+    ways = [place - at for place in places]
+    if min(abs(ways[0]), abs(ways[-1])) <= TOUCHES * max(map(abs, ways)):
+        return math.nan
+    return math.fsum(_angle(a, b) for a, b in pairwise(ways))
