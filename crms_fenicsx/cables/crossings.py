@@ -208,11 +208,9 @@ def _meetings_in_cell(
 
     def flat(member: Member) -> Array:
         """Barycentric weights."""
-        ids, weights = (
-            cables[member[0]]
-            .nodes[member[1]]
-            .masters(None if np.isnan(f := float(cables[member[0]].fractions[member[1]])) else f)
-        )
+        cable, k = cables[member[0]], member[1]
+        fraction = float(cable.fractions[k])
+        ids, weights = cable.nodes[k].masters(None if np.isnan(fraction) else fraction)
         share = dict(zip(ids, weights, strict=True))
         return np.array([share.get(vertex, 0.0) for vertex in cell])
 
@@ -221,13 +219,15 @@ def _meetings_in_cell(
         if first[0] == second[0]:
             continue
         ends = [(c, k + i) for c, k in (first, second) for i in (0, 1)]
-        a, b, p, q = (rim(member) for member in ends)
+        places = [rim(member) for member in ends]
         t = _intersection(*(flat(member) for member in ends))
-        if a is None or b is None or p is None or q is None:
+        on_rim = [place for place in places if place is not None]
+        if len(on_rim) < 4:  # an end of a cable inside the cell
             crosses = 0.0 < t[0] < 1.0 and 0.0 < t[1] < 1.0
         else:
-            low, high = sorted((a, b))
-            crosses = len({a, b, p, q}) == 4 and (low < p < high) != (low < q < high)
+            low, high = sorted(on_rim[:2])
+            between = [low < place < high for place in on_rim[2:]]
+            crosses = len(set(on_rim)) == 4 and between[0] != between[1]
         if crosses:
             t = (min(max(t[0], 0.0), 1.0), min(max(t[1], 0.0), 1.0))
             start, end = flat(ends[0]), flat(ends[1])

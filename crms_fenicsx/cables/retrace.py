@@ -45,10 +45,10 @@ class FoldedSurface:
 
     def __init__(self, shape: StripShape, bends: Mapping[Edge, Sequence[Array]]) -> None:
         self.shape, self.strip, self.bends = shape, shape.strip, bends
-        self._at = {
-            vertex: (float(x[0]), float(x[1]), float(x[2]))
-            for vertex, x in zip(shape.strip.row_of, shape.current, strict=True)
-        }
+        self._at: dict[int, tuple[float, float, float]] = {}
+        for vertex, row in shape.strip.row_of.items():
+            x, y, z = shape.current[row]
+            self._at[vertex] = (float(x), float(y), float(z))
 
     def line(self, edge: Edge) -> Array:
         """Positions along an edge: its vertices and the fold points between, (n, 3)."""
