@@ -109,7 +109,7 @@ def shorten(
     Returns
     -------
     The shortened path. With k = `max_flips` it has slid over the first k vertices that it slides
-    over without a limit, as long as no corridor on the way is refused.
+    over without a limit, unless a sweep is rejected (see the notes) with the limit or without.
 
     Raises
     ------
