@@ -159,7 +159,7 @@ class EquilibriumSearch:
         system, active = self.system, self.active
         system.pull()
         system.locate_cables()
-        changes = active.update()
+        changes = active.tighten()  # contacts can be judged on a solved state only
         if self.paths is not None and not changes and self.paths.straighten():
             changes = ["paths pulled taut"]
         total: Outcome | None = None

@@ -69,11 +69,14 @@ class ActiveSet:
         self._released: set[object] = set()
         self._settled: set[object] = set()
 
+    def tighten(self) -> list[str]:
+        """Switch cables between slack and taut for their current lengths; say which. Collective."""
+        shape = self._shape()
+        return [text for cable in self.scene.cables for text in self._switch(cable, shape)]
+
     def update(self) -> list[str]:
-        """Switch what the current state asks for; say what, in words. Collective."""
-        scene = self.scene
-        assert scene.strip is not None
-        shape = StripShape.of(scene, scene.strip)
+        """Switch what a solved state asks for; say what, in words. Collective."""
+        scene, shape = self.scene, self._shape()
         changes = [text for cable in scene.cables for text in self._switch(cable, shape)]
         if not changes:
             for cable in scene.cables:
@@ -82,6 +85,10 @@ class ActiveSet:
         if not changes and scene.crossings:
             changes = self._crossings(shape)
         return changes
+
+    def _shape(self) -> StripShape:
+        assert self.scene.strip is not None
+        return StripShape.of(self.scene, self.scene.strip)
 
     def restless(self) -> str:
         """A cable that keeps turning from slack to taut and back; empty if there is none."""

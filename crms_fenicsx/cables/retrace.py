@@ -32,6 +32,11 @@ Array = npt.NDArray[np.float64]
 Edge = tuple[int, int]
 
 
+GRIP = 0.05
+"""Angle (rad) by which a path along mesh lines must bend at a vertex to leave it before the cable
+has pressed its crease into the membrane: a path along a line of the mesh stays there."""
+
+
 class FoldedSurface:
     """Lengths and neighbours on the current surface, folded by the cables in tension.
 
@@ -116,7 +121,7 @@ class Retracer:
         if not fresh:
             return False
         others = [cable for cable in self.scene.cables if cable not in fresh]
-        self._retrace(fresh, folded_by=others, always=True)
+        self._retrace(fresh, folded_by=others, fresh=True)
         for cable in fresh:
             cable.traced = True
         return True
@@ -146,7 +151,7 @@ class Retracer:
         cables: Sequence[LaidCable],
         max_flips: int | None = None,
         folded_by: Sequence[LaidCable] | None = None,
-        always: bool = False,
+        fresh: bool = False,
     ) -> int:
         scene = self.scene
         assert scene.strip is not None
@@ -157,7 +162,7 @@ class Retracer:
         for cable in cables:
             for rings in itertools.count(1):
                 try:
-                    done.append((cable, self._pulled(cable, surface, max_flips)))
+                    done.append((cable, self._pulled(cable, surface, max_flips, fresh)))
                     break
                 except MissingStars as missing:
                     grow(scene, missing.vertices, rings)
@@ -165,16 +170,16 @@ class Retracer:
                     surface = FoldedSurface(shape, folds)
         most = 0
         for cable, (points, lifted, flips) in done:
-            if flips or always:
+            if flips or fresh:
                 self._adopt(cable, points, lifted, surface)
                 most = max(most, flips)
-        if most or always:
+        if most or fresh:
             nodes = [node.point for cable in cables for node in cable.nodes]
             grow(scene, [v for point in nodes if point is not None for v in point.support])
         return most
 
     def _pulled(
-        self, cable: LaidCable, surface: FoldedSurface, max_flips: int | None
+        self, cable: LaidCable, surface: FoldedSurface, max_flips: int | None, fresh: bool
     ) -> tuple[list[SurfacePoint], list[bool], int]:
         """The path pulled taut: its points, which of them are lifted, how many flips."""
         path = list(cable.path.points)
@@ -199,7 +204,10 @@ class Retracer:
             first, last = max(run[0] - 1, 0), min(run[-1] + 1, len(path) - 1)
             new = list(path[first : last + 1])
             if len(new) > 2:
-                result = shorten(new, surface, refused=refused, max_flips=max_flips)
+                result = shorten(
+                    new, surface, refused=refused, max_flips=max_flips,
+                    grip=GRIP if fresh else 0.0,
+                )  # fmt: skip
                 passed += len(result.flips)
                 new = list(result.points)
             new = new[run[0] - first : len(new) - (last - run[-1])]

@@ -91,6 +91,7 @@ def shorten(
     *,
     refused: Set[Corridor] = frozenset(),
     max_flips: int | None = None,
+    grip: float = STRAIGHT,
 ) -> Shortened:
     """Pull a path taut, and let it slide over vertices until it is a geodesic.
 
@@ -105,6 +106,8 @@ def shorten(
         Corridors that must not be taken. That of the path given is taken anyway.
     max_flips
         How many vertices it may slide over; None: as many as it takes.
+    grip
+        Angle (rad) by which a path that visits a vertex must bend there to leave it.
 
     Returns
     -------
@@ -136,7 +139,7 @@ def shorten(
     """
     limit = None if max_flips is None else checks.whole("shorten: max_flips", max_flips, 0)
     _check(points, surface)
-    state = _State(points, surface, refused)
+    state = _State(points, surface, refused, grip)
     state.pull(corridor(points))
     before = state.length
     flips: list[int] = []
@@ -277,10 +280,15 @@ class _State:
     """A path on its way to a geodesic."""
 
     def __init__(
-        self, points: Sequence[SurfacePoint], surface: Surface, refused: Set[Corridor]
+        self,
+        points: Sequence[SurfacePoint],
+        surface: Surface,
+        refused: Set[Corridor],
+        grip: float,
     ) -> None:
         self.start, self.end = points[0], points[-1]
         self.surface, self.refused = surface, refused
+        self.grip = {False: STRAIGHT, True: max(grip, STRAIGHT)}  # of bends and of visits
         self.lengths = _Lengths(surface)
         self.corridor: Corridor = ()
         self.visited: set[Corridor] = set()
@@ -432,7 +440,7 @@ class _State:
                 frozenset(cell_between(*pair) for pair in pairwise((before, *spokes, after))),
             )
             for angle, spokes in sides
-            if spokes is not None and angle < math.pi - STRAIGHT
+            if spokes is not None and angle < math.pi - self.grip[hold.strip_angle is None]
         ]
 
     def _star(self, vertex: int) -> tuple[Ring, float]:
