@@ -92,6 +92,8 @@ class EquilibriumSearch:
 
     def _slide(self, h0_prestress: tuple[float, ...]) -> Outcome:
         """Try new paths while the energy falls."""
+        from crms_fenicsx.cables.crossings import tangled
+
         paths, best = self.paths, self._try(h0_prestress)
         assert paths is not None
         total, flips = best.outcome, best.flips
@@ -99,7 +101,8 @@ class EquilibriumSearch:
         tries = 0
         while best.outcome.converged:
             if not flips:
-                caught = self.system.caught_cables(CAUGHT) - laid_again
+                caught = self.system.caught_cables(CAUGHT) | tangled(self.scene.crossings)
+                caught -= laid_again
                 if not caught:
                     break
                 laid_again |= caught

@@ -26,6 +26,11 @@ Member = tuple[int, int]
 """A node of a cable, crossings not counted: the cable's number, the node's number."""
 
 
+TANGLED = 8
+"""Two crossings of the same cables with fewer cells than this between them are no way for taut
+cables to lie."""
+
+
 class _Meeting(NamedTuple):
     """Two links that cross: their first nodes, how far along each, and the place in the cell."""
 
@@ -73,6 +78,16 @@ def arrange(cables: Sequence[LaidCable], strip: Strip, known: Sequence[Crossing]
     for c, cable in enumerate(cables):
         _insert(cable, {k: new for (d, k), new in inserted.items() if d == c})
     return crossings
+
+
+def tangled(crossings: Sequence[Crossing]) -> set[int]:
+    """Numbers of upper cables that cross a lower one to and fro within a few cells."""
+    found = set()
+    for a, b in combinations(crossings, 2):
+        if (a.lower, a.upper) == (b.lower, b.upper):
+            if max(abs(i - j) for i, j in zip(a.links, b.links, strict=True)) <= TANGLED:
+                found.add(a.upper)
+    return found
 
 
 def _level(cables: Sequence[LaidCable], c: int) -> tuple[int, int]:

@@ -37,6 +37,11 @@ GRIP = 0.05
 has pressed its crease into the membrane: a path along a line of the mesh stays there."""
 
 
+NEAR = 0.1
+"""Points nearer to the string's than this part of an edge stay where equilibrium has put them;
+others would make the new path a zigzag."""
+
+
 class FoldedSurface:
     """Lengths and neighbours on the current surface, folded by the cables in tension.
 
@@ -241,9 +246,7 @@ class Retracer:
             old = before.get(_key(node))
             if node.kind == "anchor":
                 positions[k] = cable.positions[0 if k == 0 else -1]
-            elif old is not None and (
-                not node.slides or INSIDE <= cable.fractions[old] <= 1 - INSIDE
-            ):
+            elif old is not None and self._stays(cable, old, node):
                 positions[k], fractions[k] = cable.positions[old], cable.fractions[old]
             elif isinstance(node.point, EdgePoint):
                 positions[k] = surface.place(node.point.edge, node.point.fraction)
@@ -251,6 +254,14 @@ class Retracer:
                 ids, weights = node.masters()
                 positions[k] = np.dot(weights, [surface.shape.at(i) for i in ids])
         cable.set_nodes(nodes, positions, fractions, flags)
+
+    def _stays(self, cable: LaidCable, old: int, node: CableNode) -> bool:
+        """Whether a point that the path had before may stay where it is."""
+        if not node.slides or not isinstance(node.point, EdgePoint):
+            return True
+        fraction = float(cable.fractions[old])
+        near = abs(fraction - node.point.fraction) <= NEAR
+        return near and INSIDE <= fraction <= 1 - INSIDE
 
     def _clipped(self, cable: LaidCable, point: SurfacePoint) -> SurfacePoint:
         """Keep a point of a string off the vertices.
