@@ -85,9 +85,12 @@ class EquilibriumSearch:
         self.active: ActiveSet = ActiveSet(self.scene)
         if not self.slide:
             return self._settle(h0_prestress)
+        from crms_fenicsx.cables.ends import renew_ends
         from crms_fenicsx.cables.retrace import Retracer
 
         self.paths = Retracer(self.scene)
+        if renew_ends(self.paths):
+            self.system.rebuild()
         return self._slide(h0_prestress)
 
     def _slide(self, h0_prestress: tuple[float, ...]) -> Outcome:
@@ -125,6 +128,7 @@ class EquilibriumSearch:
                 self.system.rebuild()
                 total = total + self._settle((0.0,))
                 best = replace(best, outcome=total)
+        paths.check_on_membrane()
         caught = self.system.caught_cables(STUCK) if total.converged else set()
         if caught:
             names = ", ".join(self.scene.cables[c].name for c in sorted(caught))

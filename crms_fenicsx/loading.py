@@ -28,7 +28,7 @@ class Target:
     pressure
         First and last pressure (force per area).
     cable_ends
-        Number of the cable, of its node, and the node's displacement (length).
+        Number of the cable, its first (0) or last (-1) node, and that end's displacement (length).
     moved : (n, 3)
         Displacements of the vertices (length).
     lengths
@@ -94,7 +94,7 @@ def checked_target(
         else:
             raise InputError(f"advance: cannot move {key!r}; give {TYPE_OF_MOVE}.")
         for end in wanted:
-            c, k = _number(scene, end.cable), end.cable.node_of(end.which)
+            c, k = _number(scene, end.cable), 0 if end.which == "start" else -1
             if end.cable.nodes[k].kind != "anchor":
                 raise InputError(
                     f"advance: the {end.which} of {end.cable.name!r} is tied to the membrane, "

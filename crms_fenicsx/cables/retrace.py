@@ -11,19 +11,21 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence, Set
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.cables.active import bends
-from crms_fenicsx.cables.cable import CableNode, LaidCable
+from crms_fenicsx.cables.cable import CableNode, End, LaidCable
 from crms_fenicsx.cables.contact import INSIDE
-from crms_fenicsx.cables.intrinsic import MissingStars, Ring
+from crms_fenicsx.cables.intrinsic import MissingStars, Ring, ring_of
 from crms_fenicsx.cables.laying import fractions_of, nodes_of
-from crms_fenicsx.cables.path import EdgePoint, SurfacePoint
+from crms_fenicsx.cables.path import EdgePoint, SurfacePoint, VertexPoint, without_backtracking
 from crms_fenicsx.cables.shorten import Corridor, corridor, shorten
 from crms_fenicsx.cables.strip import StripShape, grow
+from crms_fenicsx.errors import PathError
 
 if TYPE_CHECKING:
     from crms_fenicsx.scene import Scene
@@ -51,10 +53,20 @@ class FoldedSurface:
         Positions of the vertices around the cables.
     bends
         Positions of the fold points on each edge, in order.
+    anchors
+        Positions of anchors beyond the boundary, by ids that no vertex has: a cable runs on to its
+        anchor over triangles that join the anchor to the edges of the boundary. Each vertex of the
+        boundary is joined to the nearest of them.
     """
 
-    def __init__(self, shape: StripShape, bends: Mapping[Edge, Sequence[Array]]) -> None:
+    def __init__(
+        self,
+        shape: StripShape,
+        bends: Mapping[Edge, Sequence[Array]],
+        anchors: Mapping[int, Array] = MappingProxyType({}),
+    ) -> None:
         self.shape, self.strip, self.bends = shape, shape.strip, bends
+        self.anchors = {k: (float(x[0]), float(x[1]), float(x[2])) for k, x in anchors.items()}
         self._at: dict[int, tuple[float, float, float]] = {}
         for vertex, row in shape.strip.row_of.items():
             x, y, z = shape.current[row]
@@ -66,31 +78,58 @@ class FoldedSurface:
 
     def length(self, edge: Edge) -> float:
         """Length of an edge through all fold points on it."""
+        if edge[1] in self.anchors:
+            return math.dist(self._at[edge[0]], self.anchors[edge[1]])
         if edge not in self.bends:
             return math.dist(self._at[edge[0]], self._at[edge[1]])
         return float(np.linalg.norm(np.diff(self.line(edge), axis=0), axis=1).sum())
 
     def thirds(self, edge: Edge) -> tuple[int, ...]:
         """Vertices opposite to an edge."""
+        if edge[1] in self.anchors:
+            around = self.membrane_ring(edge[0]).neighbours
+            return tuple(v for v in (around[0], around[-1]) if self._anchor_of(v) == edge[1])
         cells = (self.strip.corners[row] for row in self.strip.rows(edge))
-        return tuple(v for cell in cells for v in cell if v not in edge)
+        thirds = tuple(v for cell in cells for v in cell if v not in edge)
+        if self.anchors and self.is_boundary(edge):
+            anchor = self._anchor_of(edge[0])
+            if anchor == self._anchor_of(edge[1]):
+                return (*thirds, anchor)
+        return thirds
+
+    def is_boundary(self, support: tuple[int, ...]) -> bool:
+        """Whether a vertex or an edge of the membrane lies on its boundary."""
+        if len(support) == 1:
+            return not self.membrane_ring(support[0]).closed
+        known = self.strip.complete.intersection(support)
+        return len(support) == 2 and bool(known) and len(self.strip.rows(support)) == 1
+
+    def _anchor_of(self, vertex: int) -> int:
+        """The anchor to which a vertex of the boundary is joined."""
+        place = self._at[vertex]
+        return min(self.anchors, key=lambda k: (math.dist(place, self.anchors[k]), k))
 
     def ring(self, vertex: int) -> Ring:
         """Neighbours of a vertex in order."""
+        ring = self.membrane_ring(vertex)
+        if ring.closed or not self.anchors:
+            return ring
+        anchor = self._anchor_of(vertex)
+        ends = {self._anchor_of(ring.neighbours[k]) for k in (0, -1)}
+        return Ring((*ring.neighbours, anchor), True) if ends == {anchor} else ring
+
+    def membrane_ring(self, vertex: int) -> Ring:
+        """Neighbours of a vertex in order, without anchors."""
         if vertex not in self.strip.complete:
             raise MissingStars([vertex])
-        after: dict[int, int] = {}
-        for row in self.strip.rows((vertex,)):
-            cell = self.strip.corners[row]
-            k = cell.index(vertex)
-            after[cell[k - 2]] = cell[k - 1]
-        starts = set(after) - set(after.values())
-        first = min(starts) if starts else min(after)
-        around = [first]
-        while around[-1] in after and (len(around) == 1 or around[-1] != first):
-            around.append(after[around[-1]])
-        closed = not starts
-        return Ring(tuple(around[:-1] if closed else around), closed)
+        return ring_of(
+            vertex,
+            [
+                (cell[k - 2], cell[k - 1])
+                for cell in (self.strip.corners[row] for row in self.strip.rows((vertex,)))
+                for k in (cell.index(vertex),)
+            ],
+        )
 
     def place(self, edge: Edge, fraction: float) -> Array:
         """Position on an edge at a share of its length."""
@@ -136,6 +175,29 @@ class Retracer:
         puts them on straight edges."""
         for c in numbers:
             self.scene.cables[c].traced = False
+
+    def check_on_membrane(self) -> None:
+        """Make sure that no cable has slid off the membrane. Collective.
+
+        Raises
+        ------
+        PathError
+            All contacts of a cable have closed in on one vertex of the boundary.
+        """
+        for cable in self.scene.cables:
+            nodes = [cable.nodes[k] for k in cable.contacts()]
+            places = [set(node.point.support) for node in nodes if node.point is not None]
+            if not cable.taut or not places or len(cable.blocked) < len(places):
+                continue
+            common = set.intersection(*places)
+            surface = self.surface(sorted(common))
+            for vertex in common:
+                if surface.is_boundary((vertex,)):
+                    raise PathError(
+                        f"{cable.name!r} has slid off the membrane's edge at "
+                        f"{surface.shape.at(vertex)}; hold it there by a sleeve or an anchor, or "
+                        "load it less."
+                    )
 
     def retrace(self, max_flips: int | None = None) -> int:
         """Pull the paths of all cables in tension taut on the current surface. Collective.
@@ -183,42 +245,85 @@ class Retracer:
             grow(scene, [v for point in nodes if point is not None for v in point.support])
         return most
 
+    def surface(self, vertices: Sequence[int] = ()) -> FoldedSurface:
+        """The current surface, with all cells around some vertices. Collective."""
+        grow(self.scene, vertices)
+        assert self.scene.strip is not None
+        return FoldedSurface(StripShape.of(self.scene, self.scene.strip), bends(self.scene.cables))
+
     def _pulled(
         self, cable: LaidCable, surface: FoldedSurface, max_flips: int | None, fresh: bool
     ) -> tuple[list[SurfacePoint], list[bool], int]:
         """The path pulled taut: its points, which of them are lifted, how many flips."""
         path = list(cable.path.points)
-        own = [
-            k
-            for k, node in enumerate(cable.nodes)
+        off = [
+            bool(lifted)
+            for lifted, node in zip(cable.lifted, cable.nodes, strict=True)
             if node.point is not None and node.kind != "crossing"
         ]
-        off = [bool(cable.lifted[k]) for k in own]
         refused = self.refused.setdefault(cable.name, set())
-        refused.add(corridor(path))
         points: list[SurfacePoint] = []
         lifted: list[bool] = []
         passed = 0
         for is_off, group in itertools.groupby(range(len(path)), key=off.__getitem__):
             run = list(group)
-            if is_off:
-                points += [path[k] for k in run]
-                lifted += [True] * len(run)
-                continue
-            # A run of contacts is pulled between the places under the spans at its ends.
-            first, last = max(run[0] - 1, 0), min(run[-1] + 1, len(path) - 1)
-            new = list(path[first : last + 1])
-            if len(new) > 2:
-                result = shorten(
-                    new, surface, refused=refused, max_flips=max_flips,
-                    grip=GRIP if fresh else 0.0,
-                )  # fmt: skip
-                passed += len(result.flips)
-                new = list(result.points)
-            new = new[run[0] - first : len(new) - (last - run[-1])]
+            new = [path[k] for k in run]
+            if not is_off:
+                # Pulled between the places under the spans at its ends, or the anchors beyond.
+                before, after = self._beyond(cable, surface, path, run)
+                string = [*before, *new, *after]
+                if len(string) > 2:
+                    refused.add(corridor(string))
+                    result = shorten(
+                        string, self._with_anchors(cable, surface), refused=refused,
+                        max_flips=max_flips, grip=GRIP if fresh else 0.0,
+                    )  # fmt: skip
+                    passed += len(result.flips)
+                    new = list(result.points[len(before) : len(result.points) - len(after)])
             points += new
-            lifted += [False] * len(new)
+            lifted += [is_off] * len(new)
         return points, lifted, passed
+
+    def _beyond(
+        self,
+        cable: LaidCable,
+        surface: FoldedSurface,
+        path: Sequence[SurfacePoint],
+        run: Sequence[int],
+    ) -> tuple[list[SurfacePoint], list[SurfacePoint]]:
+        """What a run of contacts is pulled between, before and after it."""
+        before, after = path[: run[0]][-1:], path[run[-1] + 1 :][:1]
+        anchors = [VertexPoint(k) for k in self._anchors(cable)]
+        if not before and cable.ends[0] == "off" and surface.is_boundary(path[0].support):
+            before = anchors[:1]
+        if not after and cable.ends[1] == "off" and surface.is_boundary(path[-1].support):
+            after = anchors[-1:]
+        return list(before), list(after)
+
+    def _anchors(self, cable: LaidCable) -> dict[int, Array]:
+        """Positions of a cable's anchors off the membrane, by ids that no vertex has."""
+        n = self.scene.V.dofmap.index_map.size_global
+        places = (cable.positions[0], cable.positions[-1])
+        return {n + k: places[k] for k in (0, 1) if cable.ends[k] == "off"}
+
+    def _with_anchors(self, cable: LaidCable, surface: FoldedSurface) -> FoldedSurface:
+        anchors = self._anchors(cable)
+        return FoldedSurface(surface.shape, surface.bends, anchors) if anchors else surface
+
+    def lead(self, cable: LaidCable, points: Sequence[SurfacePoint], ends: tuple[End, End]) -> None:
+        """Give a cable a path whose ends have been moved along the boundary. Collective.
+
+        It is to be straightened then: with its old folds it would cut into the membrane.
+        """
+        surface = self.surface([v for point in points for v in point.support])
+        off = {
+            node.point.support
+            for node, lifted in zip(cable.nodes, cable.lifted, strict=True)
+            if lifted and node.point is not None
+        }
+        way = without_backtracking(points, surface.strip.cells)
+        self._adopt(cable, way, [point.support in off for point in way], surface, ends)
+        cable.traced = False
 
     def _adopt(
         self,
@@ -226,6 +331,7 @@ class Retracer:
         points: Sequence[SurfacePoint],
         lifted: Sequence[bool],
         surface: FoldedSurface,
+        ends: tuple[End, End] | None = None,
     ) -> None:
         """Give a cable a new path; points on edges that it crossed before stay where they are.
 
@@ -237,7 +343,11 @@ class Retracer:
             for k, node in enumerate(cable.nodes)
             if node.kind != "crossing" and (cable.traced or not node.slides)
         }
-        nodes = nodes_of([self._clipped(cable, p) for p in points], surface.strip, cable.ends)
+        ends = cable.ends if ends is None else ends
+        first, last = (int(end != "off") for end in ends)
+        slides = range(first, len(points) - last)
+        clipped = [self._clipped(cable, p) if k in slides else p for k, p in enumerate(points)]
+        nodes = nodes_of(clipped, surface.strip, ends)
         fractions = fractions_of(nodes)
         flags = np.zeros(len(nodes), dtype=bool)
         flags[[k for k, node in enumerate(nodes) if node.point is not None]] = lifted

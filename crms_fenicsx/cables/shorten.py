@@ -34,7 +34,7 @@ from crms_fenicsx.cables.corridor import (
 from crms_fenicsx.cables.funnel import TautString, corner_angle, pull_taut
 from crms_fenicsx.cables.intrinsic import Edge, MissingStars, Ring, Surface, edge_of
 from crms_fenicsx.cables.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
-from crms_fenicsx.errors import PathError
+from crms_fenicsx.errors import MeshError, PathError
 
 __all__ = ["Corridor", "MissingStars", "Ring", "Shortened", "Surface", "corridor", "shorten"]
 
@@ -384,6 +384,8 @@ class _State:
                 flips.extend(self._ways_around(hold))
             except MissingStars as stars:
                 missing.extend(stars.vertices)
+            except MeshError:
+                continue  # where several sheets of membrane meet the vertex holds
         if missing:
             raise MissingStars(missing)
         return self._ordered(flips)

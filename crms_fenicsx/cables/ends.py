@@ -1,0 +1,149 @@
+"""The ends of cables: where anchors that have been moved meet the membrane's boundary.
+
+A cable held at its place on a held edge ends there. If its anchor is moved along the boundary, the
+path's end moves with it, from edge to edge; if it is moved off, the cable runs on to it through
+the air and slides along the edge that it passes; if it comes back, the cable ends there again.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx.mesh import entities_to_geometry
+from mpi4py import MPI
+
+from crms_fenicsx.cables.cable import COINCIDENT, CableNode, LaidCable
+from crms_fenicsx.cables.intrinsic import Edge, edge_of
+from crms_fenicsx.cables.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
+from crms_fenicsx.compat import geometry_dofmap
+from crms_fenicsx.errors import PathError
+
+if TYPE_CHECKING:
+    from crms_fenicsx.cables.retrace import Retracer
+    from crms_fenicsx.scene import Scene
+
+Array = npt.NDArray[np.float64]
+
+FARTHEST = 1000
+"""How many edges of the boundary an end may pass in one load step."""
+
+
+def renew_ends(paths: Retracer) -> bool:
+    """Bring the ends of all paths to where moved anchors are; say if any changed. Collective.
+
+    Raises
+    ------
+    PathError
+        An anchor has come to a part of the boundary that cannot be reached along it.
+    """
+    changed = False
+    for cable in paths.scene.cables:
+        for last in (False, True):
+            changed |= _renew(paths, cable, last)
+    return changed
+
+
+def _renew(paths: Retracer, cable: LaidCable, last: bool) -> bool:
+    anchor, beside = (-1, -2) if last else (0, 1)
+    node = cable.nodes[beside]
+    if cable.nodes[anchor].kind != "anchor" or isinstance(node.point, CellPoint):
+        return False
+    held = cable.ends[last] == "held"
+    if held and node.kind != "rail":
+        return False
+    found = _edge_at(paths.scene, cable.positions[anchor], COINCIDENT * cable.length)
+    if found is None:
+        if node.kind != "rider":
+            return False
+        nodes = list(cable.nodes)  # it has been moved off, and slides along its edge now
+        nodes[beside] = CableNode("rail", node.point)
+        cable.nodes = tuple(nodes)
+        return True
+    points = list(cable.path.points)
+    points = points[::-1] if last else points
+    way = _way(paths, points, *found)
+    before, after = cable.ends
+    if last:
+        paths.lead(cable, way[::-1], (before, "held"))
+    else:
+        paths.lead(cable, way, ("held", after))
+    return True
+
+
+def _edge_at(scene: Scene, place: Array, tolerance: float) -> tuple[Edge, float] | None:
+    """The held edge of the boundary that a place lies on, and where on it; None if on none."""
+    mesh = scene.mesh.mesh
+    boundary = scene.mesh.edges["boundary"]
+    boundary = boundary[scene.held_edges[boundary]]
+    nodes = entities_to_geometry(mesh, 1, boundary).reshape(-1, 2)
+    cells = geometry_dofmap(mesh)
+    dof_of = np.zeros(len(mesh.geometry.x), dtype=np.int64)
+    dof_of[cells] = scene.V.dofmap.list
+    ends = scene.positions()[dof_of[nodes]]
+    sides = ends[:, 1] - ends[:, 0]
+    lengths = np.sum(sides**2, axis=1)
+    s = np.clip(np.sum((place - ends[:, 0]) * sides, axis=1) / lengths, 0.0, 1.0)
+    gaps = np.linalg.norm(ends[:, 0] + s[:, None] * sides - place, axis=1)
+    k = int(np.argmin(gaps)) if len(gaps) else -1
+    least = float(gaps[k]) if k >= 0 else np.inf
+    gap, rank = scene.comm.allreduce((least, scene.comm.rank), op=MPI.MINLOC)
+    if gap > tolerance:
+        return None
+    ids = mesh.geometry.input_global_indices
+    mine = None
+    if scene.comm.rank == rank:
+        a, b = (int(ids[node]) for node in nodes[k])
+        mine = (edge_of(a, b), float(s[k] if a < b else 1 - s[k]))
+    found: tuple[Edge, float] = scene.comm.bcast(mine, root=rank)
+    return found
+
+
+def _way(
+    paths: Retracer, points: list[SurfacePoint], edge: Edge, fraction: float
+) -> list[SurfacePoint]:
+    """The path with a new first point on an edge of the boundary, along which it gets there."""
+    ends = [p for p, at in zip(edge, (0.0, 1.0), strict=True) if abs(fraction - at) < 1e-9]
+    first: SurfacePoint = VertexPoint(ends[0]) if ends else EdgePoint(edge, fraction)
+    if first == points[0] or (not ends and points[0].support == edge):
+        return [first, *points[1:]]
+    best: list[SurfacePoint] | None = None
+    for side in (0, 1):
+        way = _walk(paths, points, first, side)
+        if way is not None and (best is None or len(way) < len(best)):
+            best = way
+    if best is None:
+        raise PathError(
+            f"an anchor has been moved to {first} of the membrane's boundary, which the cable "
+            "cannot reach along the boundary; lay it anew."
+        )
+    return best
+
+
+def _walk(
+    paths: Retracer, points: list[SurfacePoint], goal: SurfacePoint, side: int
+) -> list[SurfacePoint] | None:
+    """Lead the path's first point along the boundary; None if it does not get to the goal."""
+    start, rest = points[0].support, list(points[1:])
+    at = start[0] if len(start) == 1 else start[side]
+    behind = start[1 - side] if len(start) == 2 else -1
+    for _ in range(FARTHEST):
+        surface = paths.surface([at])
+        around = list(surface.ring(at).neighbours)
+        if behind < 0:  # from a vertex: one of its two ways
+            around = around[::-1] if side else around
+            entry = [around.index(v) for v in rest[0].support if v != at]
+            spokes = around[1 : min(entry) + len(entry) - 1]
+            onward = around[0]
+        else:
+            around = around if around[-1] == behind else around[::-1]
+            spokes = around[1:-1]
+            onward = around[0]
+        if goal.support == (at,):
+            return [goal, *rest]
+        rest = [EdgePoint(edge_of(at, v), 0.5) for v in spokes] + rest
+        if goal.support == edge_of(at, onward):
+            return [goal, *rest]
+        behind, at = at, onward
+    return None
