@@ -64,6 +64,7 @@ class EquilibriumSearch:
         self.system, self.scene = system, system.scene
         self.slide = slide
         self.paths: Retracer | None = None
+        self.shadows = 0
 
     def find(self, h0_prestress: tuple[float, ...]) -> Outcome:
         """Find the equilibrium; the scene is then in it. Collective.
@@ -89,7 +90,8 @@ class EquilibriumSearch:
         from crms_fenicsx.cables.retrace import Retracer
 
         self.paths = Retracer(self.scene)
-        if renew_ends(self.paths):
+        changed = renew_ends(self.paths)
+        if self.paths.renew_shadows() or changed:
             self.system.rebuild()
         return self._slide(h0_prestress)
 
@@ -175,7 +177,7 @@ class EquilibriumSearch:
         def interrupt() -> bool:
             nonlocal changes, looked
             system.push()
-            changes = active.update()
+            changes = self._changes()
             if changes:
                 return True
             looked = True
@@ -198,7 +200,7 @@ class EquilibriumSearch:
                 return total
             if outcome.reason != "interrupted":
                 system.push()
-                changes = active.update()
+                changes = self._changes()
             if not changes:
                 if not looked and look is not None:
                     look()
@@ -206,3 +208,11 @@ class EquilibriumSearch:
             if active.restless():
                 reason = f"{active.restless()} keeps turning from slack to taut and back"
                 return replace(total, converged=False, reason=reason)
+
+    def _changes(self) -> list[str]:
+        """Change what the solved state asks for; say what, in words."""
+        changes = self.active.update()
+        if self.paths is not None and not changes and self.shadows < MAX_PATHS:
+            changes = self.paths.renew_shadows()
+            self.shadows += len(changes)
+        return changes

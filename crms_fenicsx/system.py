@@ -266,5 +266,7 @@ class System:
         )
 
     def commit(self) -> None:
-        """End a load step, for terms with history."""
+        """End a load step."""
         self.potential.commit()
+        for cable in self.scene.cables:
+            cable.ends_before = cable.positions[[0, -1]].copy()

@@ -193,6 +193,8 @@ class LaidCable:
         laid later.
     traced
         Whether its path has been pulled taut once: it has been in tension, free to slide.
+    ends_before : (2, 3)
+        Where its ends were in the last equilibrium; None before the first.
     blocked
         Nodes that have run into a mesh vertex.
     """
@@ -211,6 +213,7 @@ class LaidCable:
     sleeve: bool = False
     level: int = 0
     traced: bool = False
+    ends_before: Array | None = None
     blocked: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:

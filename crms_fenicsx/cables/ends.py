@@ -15,8 +15,10 @@ from dolfinx.mesh import entities_to_geometry
 from mpi4py import MPI
 
 from crms_fenicsx.cables.cable import COINCIDENT, CableNode, LaidCable
+from crms_fenicsx.cables.contact import size_at
 from crms_fenicsx.cables.intrinsic import Edge, edge_of
 from crms_fenicsx.cables.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
+from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.compat import geometry_dofmap
 from crms_fenicsx.errors import PathError
 
@@ -25,6 +27,10 @@ if TYPE_CHECKING:
     from crms_fenicsx.scene import Scene
 
 Array = npt.NDArray[np.float64]
+
+ASIDE = 0.1
+"""Sideways movement of an anchor in a load step, relative to the cells' size, from which on the
+cable is laid anew."""
 
 FARTHEST = 1000
 """How many edges of the boundary an end may pass in one load step."""
@@ -39,10 +45,31 @@ def renew_ends(paths: Retracer) -> bool:
         An anchor has come to a part of the boundary that cannot be reached along it.
     """
     changed = False
+    shape = paths.surface().shape
     for cable in paths.scene.cables:
         for last in (False, True):
             changed |= _renew(paths, cable, last)
+        if cable.taut and any(_moved_aside(cable, k, shape) for k in (0, -1)):
+            cable.traced = False
     return changed
+
+
+def _moved_aside(cable: LaidCable, k: int, shape: StripShape) -> bool:
+    """Whether an anchor has left the vertical plane of its cable since the last equilibrium.
+
+    On its old path the cable would be drawn into the membrane sideways.
+    """
+    if cable.nodes[k].kind != "anchor" or cable.ends_before is None:
+        return False
+    contacts = cable.contacts()
+    beside = contacts[1] if k == 0 else contacts[-2]
+    point = cable.nodes[beside].point or cable.nodes[1].point
+    assert point is not None
+    along = cable.positions[beside] - cable.ends_before[k]
+    aside = np.cross(along, shape.normal(point.support))
+    length = float(np.linalg.norm(aside))
+    moved = float((cable.positions[k] - cable.ends_before[k]) @ aside)
+    return abs(moved) > ASIDE * size_at(shape, point.support) * length
 
 
 def _renew(paths: Retracer, cable: LaidCable, last: bool) -> bool:

@@ -19,10 +19,12 @@ import numpy.typing as npt
 
 from crms_fenicsx.cables.active import bends
 from crms_fenicsx.cables.cable import CableNode, End, LaidCable
-from crms_fenicsx.cables.contact import INSIDE
+from crms_fenicsx.cables.contact import INSIDE, drape
+from crms_fenicsx.cables.corridor import flaw
 from crms_fenicsx.cables.intrinsic import MissingStars, Ring, ring_of
 from crms_fenicsx.cables.laying import fractions_of, nodes_of
 from crms_fenicsx.cables.path import EdgePoint, SurfacePoint, VertexPoint, without_backtracking
+from crms_fenicsx.cables.shadow import with_shadows
 from crms_fenicsx.cables.shorten import Corridor, corridor, shorten
 from crms_fenicsx.cables.strip import StripShape, grow
 from crms_fenicsx.errors import PathError
@@ -165,9 +167,14 @@ class Retracer:
         if not fresh:
             return False
         others = [cable for cable in self.scene.cables if cable not in fresh]
+        for cable in fresh:
+            cable.lifted[:] = False
         self._retrace(fresh, folded_by=others, fresh=True)
+        shape = self.surface().shape
         for cable in fresh:
             cable.traced = True
+            if not cable.sleeve:
+                drape(cable, shape)
         return True
 
     def lay_again(self, numbers: Set[int]) -> None:
@@ -175,6 +182,27 @@ class Retracer:
         puts them on straight edges."""
         for c in numbers:
             self.scene.cables[c].traced = False
+
+    def renew_shadows(self) -> list[str]:
+        """Bring the paths of lifted parts under their spans; say which changed. Collective."""
+        changes = []
+        for cable in self.scene.cables:
+            if not cable.taut or not cable.lifted.any():
+                continue
+            for rings in itertools.count(1):
+                surface = self.surface()
+                try:
+                    found = with_shadows(cable, surface.shape)
+                    break
+                except MissingStars as missing:
+                    grow(self.scene, missing.vertices, rings)
+            # A span that turns over its own touchdown keeps the shadow that it had.
+            if found is not None and not flaw(corridor(found[0]), surface.thirds):
+                points, lifted = found
+                surface = self.surface([v for point in points for v in point.support])
+                self._adopt(cable, points, lifted, surface)
+                changes.append(f"{cable.name} hangs over other cells")
+        return changes
 
     def check_on_membrane(self) -> None:
         """Make sure that no cable has slid off the membrane. Collective.
@@ -272,6 +300,8 @@ class Retracer:
                 # Pulled between the places under the spans at its ends, or the anchors beyond.
                 before, after = self._beyond(cable, surface, path, run)
                 string = [*before, *new, *after]
+                if flaw(corridor(string), self._with_anchors(cable, surface).thirds):
+                    before, after, string = [], [], new
                 if len(string) > 2:
                     refused.add(corridor(string))
                     result = shorten(

@@ -1,0 +1,195 @@
+"""Shadows: the cells under the free spans of a cable, where it may touch down.
+
+A span is straight; the path under it is the section of the membrane with the plane through the
+span and the membrane's normal. It is found by walking from cell to cell, by the signs of the
+vertices' distances from that plane.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from crms_fenicsx.cables.cable import CableNode, LaidCable
+from crms_fenicsx.cables.intrinsic import Edge, MissingStars, edge_of
+from crms_fenicsx.cables.path import CellPoint, EdgePoint, SurfacePoint
+from crms_fenicsx.cables.strip import StripShape
+
+Array = npt.NDArray[np.float64]
+
+FARTHEST = 10000
+"""How many cells a span may pass."""
+
+
+class _Plane:
+    """The plane of a span, seen from the end where the walk starts."""
+
+    def __init__(self, shape: StripShape, start: Array, end: Array, normal: Array) -> None:
+        self.shape, self.start = shape, start
+        self.along = end - start
+        across = np.cross(normal, self.along)
+        self.across = across / max(float(np.linalg.norm(across)), 1e-300)
+
+    def side(self, vertex: int) -> float:
+        """Distance of a vertex from the plane, with sign."""
+        return float((self.shape.at(vertex) - self.start) @ self.across)
+
+    def crosses(self, a: int, b: int) -> bool:
+        """Whether an edge crosses the plane; a vertex in it counts as on its positive side."""
+        return (self.side(a) >= 0.0) != (self.side(b) >= 0.0)
+
+    def point(self, a: int, b: int) -> tuple[float, float]:
+        """Where the edge from a to b crosses: part of the edge, and of the span."""
+        p, q = self.side(a), self.side(b)
+        s = p / (p - q)
+        place = self.shape.at(a) + s * (self.shape.at(b) - self.shape.at(a))
+        return s, float((place - self.start) @ self.along / (self.along @ self.along))
+
+
+def shadow(
+    shape: StripShape, first: CableNode, start: Array, last: CableNode, end: Array
+) -> list[SurfacePoint] | None:
+    """The points of the membrane's edges under a span, in order.
+
+    Parameters
+    ----------
+    shape
+        Positions of the vertices around.
+    first, start
+        The node on the membrane where the span begins, and where it is.
+    last, end
+        The node where it ends, on the membrane or an anchor off it.
+
+    Returns
+    -------
+    The points between the two; None if the way from the one does not lead to the other.
+
+    Raises
+    ------
+    MissingStars
+        Some cells on the way are not known.
+    """
+    assert first.point is not None
+    plane = _Plane(shape, start, end, shape.normal(first.point.support))
+    goal = set() if last.point is None else set(last.point.support)
+    found = _first_edge(plane, first.point.support)
+    if found is None:
+        return None
+    edge, cell = found
+    points: list[SurfacePoint] = []
+    for _ in range(FARTHEST):
+        if goal and goal <= set(cell):
+            return points
+        a, b = edge
+        s, t = plane.point(a, b)
+        if not goal and t >= 1.0:
+            return [*points, _foot(shape, cell, end)]  # an anchor above the membrane
+        points.append(EdgePoint(edge, min(max(s, 1e-9), 1 - 1e-9)))
+        beyond = [c for c in _cells(shape, edge) if set(c) != set(cell)]
+        if not beyond:
+            return None if goal else points
+        cell = beyond[0]
+        (third,) = set(cell) - {a, b}
+        edge = edge_of(a, third) if plane.crosses(a, third) else edge_of(b, third)
+    return None
+
+
+def _first_edge(
+    plane: _Plane, support: tuple[int, ...]
+) -> tuple[Edge, tuple[int, int, int]] | None:
+    """The first edge that the plane crosses beyond a place, and the cell before it."""
+    best: tuple[float, Edge, tuple[int, int, int]] | None = None
+    for cell in _cells(plane.shape, support):
+        for k in range(3):
+            a, b = edge_of(cell[k], cell[k - 1])
+            if set(support) <= {a, b} or (len(support) == 1 and support[0] in (a, b)):
+                continue
+            if plane.crosses(a, b):
+                _, t = plane.point(a, b)
+                if t > 0.0 and (best is None or t > best[0]):
+                    best = (t, (a, b), cell)
+    return None if best is None else best[1:]
+
+
+def _cells(shape: StripShape, support: tuple[int, ...]) -> list[tuple[int, int, int]]:
+    missing = [v for v in support if v not in shape.strip.complete]
+    if len(missing) == len(support):
+        raise MissingStars(missing)
+    cells = (shape.strip.corners[row] for row in shape.strip.rows(support))
+    return [(a, b, c) for a, b, c in cells]
+
+
+def _foot(shape: StripShape, cell: tuple[int, int, int], place: Array) -> CellPoint:
+    """The place of a cell under an anchor."""
+    a, b, c = (shape.at(v) for v in cell)
+    u, v = np.linalg.lstsq(np.stack([b - a, c - a], axis=1), place - a, rcond=None)[0]
+    weights = np.clip([1 - u - v, u, v], 0.0, 1.0)
+    x, y, z = (float(w) for w in weights / weights.sum())
+    return CellPoint(cell, (x, y, z))
+
+
+def with_shadows(
+    cable: LaidCable, shape: StripShape
+) -> tuple[list[SurfacePoint], list[bool]] | None:
+    """The path of a cable with the shadows of its spans renewed: points, and which are lifted.
+
+    Returns
+    -------
+    None where nothing has changed.
+    """
+    path = dict(zip(_own(cable), cable.path.points, strict=True))
+    contacts = cable.contacts()
+    points: list[SurfacePoint] = []
+    lifted: list[bool] = []
+    changed = False
+    for a, b in zip([-1, *contacts], [*contacts, -1], strict=True):
+        between = [k for k in range(a + 1, b) if k in path] if a >= 0 and b >= 0 else []
+        old = [path[k] for k in between]
+        new = _renewed(cable, a, b, shape) if between else old
+        if new is None:
+            new = old
+        changed |= _supports(new) != _supports(old)
+        points += new
+        lifted += [True] * len(new)
+        if b in path:
+            points.append(path[b])
+            lifted.append(False)
+    return (points, lifted) if changed else None
+
+
+def _own(cable: LaidCable) -> list[int]:
+    """Nodes of the path: neither anchors nor crossings."""
+    return [
+        k
+        for k, node in enumerate(cable.nodes)
+        if node.point is not None and node.kind != "crossing"
+    ]
+
+
+def _supports(points: Sequence[SurfacePoint]) -> list[tuple[int, ...]]:
+    return [point.support for point in points]
+
+
+def _renewed(cable: LaidCable, a: int, b: int, shape: StripShape) -> list[SurfacePoint] | None:
+    """The shadow of the span between two contacts."""
+    ends = [(cable.nodes[k], cable.positions[k]) for k in (a, b)]
+    if ends[0][0].point is not None:
+        return shadow(shape, *ends[0], *ends[1])
+    if ends[1][0].point is not None:
+        back = shadow(shape, *ends[1], *ends[0])
+        return None if back is None else back[::-1]
+    # Off the membrane altogether: both ways from the middle of the shadow that there was.
+    own = [k for k in range(a + 1, b) if cable.nodes[k].point is not None]
+    middle = own[len(own) // 2]
+    node = cable.nodes[middle]
+    assert node.point is not None
+    if isinstance(node.point, CellPoint):
+        return None
+    at = cable.positions[middle]
+    back = shadow(shape, node, at, *ends[0])
+    onward = shadow(shape, node, at, *ends[1])
+    if back is None or onward is None:
+        return None
+    return [*back[::-1], node.point, *onward]
