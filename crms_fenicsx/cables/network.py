@@ -291,10 +291,11 @@ class Network:
         return fractions
 
     def update_cables(self, unknowns: Unknowns, x: Array) -> None:
-        """Tell all ranks where the cables' points are, and the sliding ones on their edges."""
+        """Tell all ranks where the cables' points are: in space, on edges, on the membrane."""
         taut = {c for c, cable in enumerate(self.cables) if cable.taut}
         sizes = np.cumsum([0] + [len(cable.nodes) for cable in self.cables])
-        local = np.zeros((int(sizes[-1]), 4))
+        local = np.zeros((int(sizes[-1]), 7))  # position, fraction, place when stress-free
+        own: list[Member] = []
         for c, cable in enumerate(self.cables):
             for k, node in enumerate(cable.nodes):
                 if cable.taut and cable.lifted[k]:
@@ -304,6 +305,7 @@ class Network:
                 else:
                     mine = self.owners[self.numbers[c, k]] == self.rank
                 if mine:
+                    own.append((c, k))
                     block = self.block(c, k)
                     local[sizes[c] + k, :3] = unknowns.X[block] + x[block]
         for edge, points in self.points_by_edge(taut).items():
@@ -316,6 +318,12 @@ class Network:
         for (c, k), fraction in zip(self.rails, self._rail_fractions(unknowns, x), strict=True):
             if self.owners[self.numbers[c, k]] == self.rank:
                 local[sizes[c] + k, 3] = fraction
+        for c, k in own:  # whoever owns a sliding point has found its place on its edge, too
+            node = self.cables[c].nodes[k]
+            if node.point is not None:
+                fraction = local[sizes[c] + k, 3] if c in taut else self.cables[c].fractions[k]
+                ids, weights = node.masters(float(fraction) if node.slides else None)
+                local[sizes[c] + k, 4:] = np.dot(weights, unknowns.X[[self.vertex(i) for i in ids]])
         total = np.zeros_like(local)
         unknowns.comm.Allreduce(local, total)
         for c, cable in enumerate(self.cables):
@@ -327,6 +335,7 @@ class Network:
                 cable.fractions[slides] = part[slides, 3]
             close = (cable.fractions < BLOCKED) | (cable.fractions > 1 - BLOCKED)
             cable.blocked = tuple(int(k) for k in np.flatnonzero(slides & close) if cable.taut)
+            _set_material(cable, part[:, 4:])
 
     def points_by_edge(self, cables: set[int]) -> dict[Edge, list[tuple[float, int, int]]]:
         """Points (fraction, cable, node) on each edge, sorted from its first vertex to its last."""
@@ -404,6 +413,23 @@ class Network:
             around += (line if forward else line[::-1])[:-1]
         lines = [[number(self._corner(*member)) for member in chord] for chord in chords]
         return split_polygon([number(corner) for corner in around], lines)
+
+
+def _set_material(cable: LaidCable, places: Array) -> None:
+    """Take the nodes' places on the stress-free membrane, (n, 3); none where the cable is off it.
+
+    A crossing slides in its cell while its cell point stays: between two contacts it goes onto
+    the line from one to the other, where the cable has bent it to.
+    """
+    on = np.array([node.point is not None for node in cable.nodes]) & ~cable.lifted
+    cable.material = np.where(on[:, None], places, np.nan)
+    rim = [k for k, node in enumerate(cable.nodes) if node.kind != "crossing"]
+    for a, b in itertools.pairwise(rim):
+        if b - a > 1 and on[a] and on[b]:
+            arc = np.linalg.norm(np.diff(cable.positions[a : b + 1], axis=0), axis=1).cumsum()
+            share = (arc[:-1] / arc[-1])[:, None]
+            start, end = cable.material[[a, b]]
+            cable.material[a + 1 : b] = start + share * (end - start)
 
 
 def side_of(cell: npt.NDArray[np.int64], k: int) -> tuple[Edge, bool]:
