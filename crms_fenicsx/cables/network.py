@@ -141,11 +141,12 @@ class Network:
         far: set[tuple[int, int]] = set()  # vertices at ends of spans, on ranks without them
         for link in self.links:
             owner = self.link_owner(link)
-            for member in ((link.cable, link.first), (link.cable, link.second)):
-                if member in self.numbers:
-                    needed |= {self.numbers[member]} if owner == self.rank else set()
-                elif link.vertices is None:
-                    far.add((owner, self._vertex_of(*member)))
+            for c, k in ((link.cable, link.first), (link.cable, link.second)):
+                if (c, k) in self.numbers and owner == self.rank:
+                    needed.add(self.numbers[c, k])
+                node = self.cables[c].nodes[k]
+                if link.vertices is None and node.kind in ("vertex", "rail", "rider"):
+                    far |= {(owner, vertex) for vertex in node.masters()[0]}
         self.owned = np.flatnonzero(self.owners == self.rank)
         index = np.zeros(len(self.owners), dtype=np.int64)
         for rank in np.unique(self.owners):
@@ -164,11 +165,11 @@ class Network:
             np.any(self.strip.owner[self.strip.rows(point.support)] == self.rank)
         )
 
-    def _vertex_of(self, c: int, k: int) -> int:
-        return self.cables[c].nodes[k].masters()[0][0]
-
     def _find_far_vertices(self, far: Sequence[tuple[int, int]]) -> None:
-        """Owner and number there of the vertices at ends of spans that this rank has not."""
+        """Owner and number there of the vertices at ends of spans that this rank has not.
+
+        Those that are the ends themselves, and those on which rails and riders at ends depend.
+        """
         strip = self.strip
         far = [
             (rank, v) for rank, v in far if not np.any(strip.owner[strip.rows((v,))] == rank)
@@ -234,7 +235,10 @@ class Network:
         return self.vertex(corner) if isinstance(corner, int) else self.block(*corner)
 
     def hold(self, unknowns: Unknowns) -> None:
-        """Hold the anchors; let tied points and the sliding points of slack cables ride."""
+        """Hold the anchors; let tied points and the sliding points of slack cables ride.
+
+        Collective.
+        """
         riders, masters, weights = [], [], []
         self.rails: list[Member] = []
         for (c, k), number in self.numbers.items():
@@ -256,10 +260,12 @@ class Network:
             np.array(masters, dtype=np.int32).reshape(-1, 3),
             np.array(weights, dtype=float).reshape(-1, 3),
         )
-        if self.rails:
-            x = np.zeros_like(unknowns.X)
+        if any(n.kind == "rail" for cable in self.cables if cable.taut for n in cable.nodes):
+            vector, x = unknowns.vector()
             x[unknowns.vertex_blocks()] = self.u.x.array.reshape(-1, 3)
+            unknowns.update_ghosts(vector)  # on far vertices
             self.place_rails(unknowns, x)
+            vector.destroy()
 
     def rail_table(self) -> tuple[Indices, Indices, Array]:
         """Rails: blocks (n,), blocks of their edges' ends (n, 2), places on the edges (n,)."""
