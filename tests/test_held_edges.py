@@ -287,7 +287,8 @@ def test_a_cable_that_slackens_lets_go_of_its_rails(comm) -> None:
     L0 = cable.L0
     solver.advance(L0={cable: 1.1 * L0})
     assert not cable.taut and cable.tension == 0.0
-    np.testing.assert_array_equal(cable.fractions[rails(cable)], places)
+    # found once more from its position, before it slackens
+    np.testing.assert_allclose(cable.fractions[rails(cable)], places, rtol=0, atol=1e-14)
     solver.advance(L0={cable: L0}, steps=2)
     assert scene.energy == pytest.approx(taut[0], rel=1e-9)
     assert cable.tension == pytest.approx(taut[1], rel=1e-9)
