@@ -175,6 +175,32 @@ def test_the_number_of_processes_does_not_matter() -> None:
     np.testing.assert_allclose(cable.fractions, twin.fractions, rtol=0, atol=1e-8)
 
 
+def spanned(comm: MPI.Intracomm) -> tuple[Scene, LaidCable, Solver]:
+    """A cable from both sides of the square, held and tied, straight to its raised middle."""
+    scene = ridged(comm)
+    solver = Solver(scene)
+    solver.advance(pressure=0.001, move={"ridge": (0.0, 0.0, 20.0)})
+    cable = scene.lay_cable(CABLE, [*OVER_THE_RIDGE[:2], (85.0, 61.0)])
+    solver.advance(L0={cable: 0.995 * cable.L0}, move={"ridge": (0.0, 3.0, 1.0)}, steps=2)
+    return scene, cable, solver
+
+
+def test_spans_from_rails_on_any_number_of_processes(comm) -> None:
+    """Their ends may belong to ranks that have no cell of each other's."""
+    scene, cable, solver = spanned(comm)
+    assert cable.tension > 10.0
+    assert kinds(cable) == "ar-r"
+    assert cable.lifted.sum() >= 3 and rails(cable)[0] in cable.contacts()
+    alone, twin, other = spanned(MPI.COMM_SELF)
+    assert scene.energy == pytest.approx(alone.energy, rel=1e-9)
+    assert cable.tension == pytest.approx(twin.tension, rel=1e-9)
+    np.testing.assert_allclose(cable.positions, twin.positions, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(cable.material, twin.material, rtol=0, atol=1e-7)
+    for group in ("ridge", "boundary"):
+        found, expected = solver.reactions(group).total, other.reactions(group).total
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6 * cable.tension)
+
+
 def test_supports_carry_what_the_cable_hands_on(comm) -> None:
     scene, cable, solver = oblique(comm)
     anchors = cable.start.reaction + cable.end.reaction
