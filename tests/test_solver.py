@@ -613,3 +613,28 @@ def test_a_cable_that_runs_into_a_vertex_is_reported(square: meshes.MembraneMesh
         assert all(w.filename == __file__ for w in caught)
     else:
         assert messages == []
+
+
+@pytest.mark.parametrize("via", [20.0, 52.0, 66.0])
+def test_a_cable_that_slides_forgets_the_way_it_was_laid(
+    square: meshes.MembraneMesh, via: float
+) -> None:
+    """It passes vertices to where it is straight on the membrane, and no warning is given.
+
+    Laid the straight way it need not; held in the cells of these ways it is much tighter.
+    """
+    found = []
+    for y, slide in ((41.0, True), (via, True), (via, False)):
+        scene = clamped(square)
+        solver = Solver(scene, slide=slide)
+        solver.advance(pressure=0.01)
+        cable = scene.lay_cable(CABLE, [(0.0, 51.0), (50.0, y), (100.0, 31.0)], L0=100.5)
+        with warnings.catch_warnings():
+            if not slide:
+                warnings.simplefilter("ignore", PathWarning)
+            solver.advance()
+        found.append((cable.tension, scene.energy, cable.blocked))
+    straight, slid, blocked = found
+    assert slid[:2] == pytest.approx(straight[:2], rel=1e-8)
+    assert slid[2] == ()
+    assert blocked[2] and blocked[1] > slid[1] + 100.0 and blocked[0] > 1.2 * slid[0]
