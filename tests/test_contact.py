@@ -229,15 +229,16 @@ def test_under_an_edge_that_is_not_passed(start, end, fraction, place, above, ga
     assert found.inside == (start[0] == end[0])
 
 
+@pytest.mark.parametrize("z", [-0.5, 0.5])
 @pytest.mark.parametrize("y", [0.25, 0.75])
-def test_under_an_edge_that_another_cable_bends(y: float) -> None:
-    """It is 0.5 deeper in its middle; fractions are those of its length."""
+def test_under_an_edge_that_another_cable_bends(y: float, z: float) -> None:
+    """It is 0.5 deeper (in a sleeve: higher) in its middle; fractions are those of its length."""
     shape = roof([0.0, 0.0, 0.0])
     node = CableNode("fold", EdgePoint((1, 4), 0.9))
     span = np.array([0.0, y, 1.0]), np.array([2.0, y, 1.0])
-    found = under(node, span, shape, [np.array([1.0, 0.5, -0.5])])
-    assert found.gap == pytest.approx(1.25) and found.inside
-    np.testing.assert_allclose(found.place, [1.0, y, -0.25])
+    found = under(node, span, shape, [np.array([1.0, 0.5, z])])
+    assert found.gap == pytest.approx(1.0 - z / 2) and found.inside
+    np.testing.assert_allclose(found.place, [1.0, y, z / 2])
     assert found.fraction == pytest.approx(y)
     beyond = under(node, (span[0] + [0, 5, 0], span[1] + [0, 5, 0]), shape, [found.place])
     assert not beyond.inside and beyond.fraction == 1.0
