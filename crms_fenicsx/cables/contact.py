@@ -134,7 +134,7 @@ def under(
         place, above = a + s * (b - a), start + t * (end - start)
         fraction = (before + s * size) / sum(sizes)
         gap = float((above - place) @ normal)
-        if (other, gap) < best:
+        if found is None or (other, gap) < best:
             best = other, gap
             found = Under(gap, fraction, place, above, inside)
         before += size
