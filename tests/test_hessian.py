@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from mpi4py import MPI
+from petsc4py import PETSc
 from taylor import noise
 from term_scene import cable_square, displaced
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.cables.cable import polyline_length
-from crms_fenicsx.hessian import SHIFT, InitialHessian
+from crms_fenicsx.hessian import SHIFT, WORKSPACE, InitialHessian
 
 
 def at_some_state(comm):
@@ -93,3 +94,20 @@ def test_held_anchors_do_not_set_its_size(comm) -> None:
     h0 = InitialHessian(potential, "crms_test_h0_")
     h0.rebuild()
     assert h0.matrix.getDiagonal().max()[1] < 1e4
+
+
+@pytest.mark.parametrize("own", [None, 55])
+def test_workspace_of_mumps_is_ample_unless_an_option_says_otherwise(own: int | None) -> None:
+    """With MUMPS's own estimate some distributions of a mesh ended in "line search failed"."""
+    options = {"pc_factor_mat_solver_type": "mumps"}
+    if own is not None:
+        options["mat_mumps_icntl_14"] = str(own)
+    database = PETSc.Options("crms_test_h0_")
+    for name, value in options.items():
+        database[name] = value
+    try:
+        _, h0 = at_some_state(MPI.COMM_SELF)
+        assert h0.ksp.getPC().getFactorMatrix().getMumpsIcntl(14) == (own or WORKSPACE)
+    finally:
+        for name in options:
+            database.delValue(name)
