@@ -21,6 +21,8 @@ Array = npt.NDArray[np.float64]
 
 SHIFT = 1e-9
 """Added to the diagonal of K, relative to its largest block's trace."""
+WORKSPACE = 100
+"""How much more memory MUMPS takes than it estimates, in per cent."""
 
 
 def at_bounds(potential: Potential) -> npt.NDArray[np.bool_]:
@@ -69,6 +71,11 @@ class InitialHessian:
         pc.setType(PETSc.PC.Type.CHOLESKY)
         pc.setFactorSolverType("cholmod" if unknowns.comm.size == 1 else "mumps")
         self.ksp.setFromOptions()
+        if pc.getFactorSolverType() == "mumps":
+            # Its estimate is too small for some distributions of a mesh, and it fails then. What
+            # is in the options database still comes first.
+            pc.setFactorSetUpSolverType()
+            pc.getFactorMatrix().setMumpsIcntl(14, WORKSPACE)
         self._columns: list[PETSc.Vec] = []
         self._solved: list[PETSc.Vec] = []
         self._inner: Array = np.zeros((0, 0))

@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from mpi4py import MPI
+from petsc4py import PETSc
 from taylor import noise
 from term_scene import cable_square, displaced
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.hessian import SHIFT, InitialHessian
+from crms_fenicsx.cables.cable import polyline_length
+from crms_fenicsx.hessian import SHIFT, WORKSPACE, InitialHessian
 
 
 def at_some_state(comm):
@@ -61,7 +63,9 @@ def test_dyad_columns_are_gradients_of_the_lengths(comm) -> None:
     for sign in (1, -1):
         potential.x[:n] = x + sign * step * d
         potential.place()
-        lengths.append(system.network.lengths(system.unknowns, potential.x))
+        system.network.update_cables(system.unknowns, potential.x)
+        cables = system.scene.cables
+        lengths.append([polyline_length(cable.positions[cable.contacts()]) for cable in cables])
     potential.x[:n] = x
     potential.place()
     potential.sum_up()
@@ -90,3 +94,20 @@ def test_held_anchors_do_not_set_its_size(comm) -> None:
     h0 = InitialHessian(potential, "crms_test_h0_")
     h0.rebuild()
     assert h0.matrix.getDiagonal().max()[1] < 1e4
+
+
+@pytest.mark.parametrize("own", [None, 55])
+def test_workspace_of_mumps_is_ample_unless_an_option_says_otherwise(own: int | None) -> None:
+    """With MUMPS's own estimate some distributions of a mesh ended in "line search failed"."""
+    options = {"pc_factor_mat_solver_type": "mumps"}
+    if own is not None:
+        options["mat_mumps_icntl_14"] = str(own)
+    database = PETSc.Options("crms_test_h0_")
+    for name, value in options.items():
+        database[name] = value
+    try:
+        _, h0 = at_some_state(MPI.COMM_SELF)
+        assert h0.ksp.getPC().getFactorMatrix().getMumpsIcntl(14) == (own or WORKSPACE)
+    finally:
+        for name in options:
+            database.delValue(name)

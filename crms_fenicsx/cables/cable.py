@@ -259,13 +259,14 @@ class LaidCable:
 
     @property
     def ends(self) -> tuple[End, End]:
-        """How its two ends are held."""
+        """How its two ends are held; one that passes a fixed place counts as held there."""
 
         def end(anchor: int, beside: int) -> End:
             if self.nodes[anchor].kind != "anchor":
                 return "tied"
             away = np.linalg.norm(self.positions[anchor] - self.positions[beside])
-            return "held" if away <= COINCIDENT * self.length else "off"
+            held = self.nodes[beside].kind == "rider" or away <= COINCIDENT * self.length
+            return "held" if held else "off"
 
         return end(0, 1), end(-1, -2)
 

@@ -124,16 +124,18 @@ def under(
         return Under(gap, np.nan, line[0], above, 0.0 < t < 1.0)
     sizes = [float(np.linalg.norm(b - a)) for a, b in pairwise(line)]
     found: Under | None = None
-    before = 0.0
+    before, best = 0.0, (True, np.inf)
     for (a, b), size in zip(pairwise(line), sizes, strict=True):
         s, t = _nearest(a, b, start, end, normal)
         first, last = before == 0.0, before + size >= sum(sizes) * (1 - 1e-12)
         inside = (s > 0.0 or not first) and (s < 1.0 or not last) and 0.0 < t < 1.0
+        other = (s < 0.0 and not first) or (s > 1.0 and not last)  # it passes another part
         s, t = min(max(s, 0.0), 1.0), min(max(t, 0.0), 1.0)
         place, above = a + s * (b - a), start + t * (end - start)
         fraction = (before + s * size) / sum(sizes)
         gap = float((above - place) @ normal)
-        if found is None or gap < found.gap:
+        if found is None or (other, gap) < best:
+            best = other, gap
             found = Under(gap, fraction, place, above, inside)
         before += size
     assert found is not None

@@ -77,8 +77,8 @@ def _renew(paths: Retracer, cable: LaidCable, last: bool) -> bool:
     node = cable.nodes[beside]
     if cable.nodes[anchor].kind != "anchor" or isinstance(node.point, CellPoint):
         return False
-    held = cable.ends[last] == "held"
-    if held and node.kind != "rail":
+    away = float(np.linalg.norm(cable.positions[anchor] - cable.positions[beside]))
+    if away <= COINCIDENT * cable.length and node.kind != "rail":
         return False
     found = _edge_at(paths.scene, cable.positions[anchor], COINCIDENT * cable.length)
     if found is None:
