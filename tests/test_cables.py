@@ -185,13 +185,14 @@ def test_the_scene_says_something(reference: tuple[str, Result]) -> None:
 def test_ends_move_all_the_way(kind: str) -> None:
     """Also if the path, and so the number of nodes, changes from step to step of a call.
 
-    The cable still passes the places that its ends were held at.
+    The cable slides along the held edges on which its ends were held at first.
     """
     _, cable, _ = solved(kind, Variant())
     held = np.array(PATHS[kind])[[0, -1]]
     np.testing.assert_allclose(cable.positions[[0, -1]], held - [0.0, 0.0, 1.5], atol=1e-12)
-    np.testing.assert_allclose(cable.positions[[1, -2]], held, atol=1e-12)
-    assert cable.nodes[-2].kind == "rider"
+    np.testing.assert_allclose(cable.positions[[1, -2]][:, [0, 2]], held[:, [0, 2]], atol=1e-12)
+    aside = np.abs(cable.positions[[1, -2], 1] - held[:, 1])
+    assert (aside < 0.3).all() and {cable.nodes[k].kind for k in (1, -2)} <= {"rail", "vertex"}
 
 
 @pytest.mark.parametrize("kind", [FREE, LINE])
@@ -246,8 +247,12 @@ def test_forces_and_energies_balance(kind: str) -> None:
     # free points are in equilibrium, so that the reactions carry the pressure on them
     internal = forces_of(solver, {"membrane", "cables", "penalty"})
     pressure = forces_of(solver, {"pressure"})
-    assert np.abs((internal + pressure)[~held]).max() < 1e-8 * scale
+    left = np.zeros_like(system.unknowns.X)
+    left[:own] = internal + pressure
+    system.unknowns.project(left)  # rails are free along their edges only
+    assert np.abs(left[:own][~held]).max() < 1e-8 * scale
     free = ~held.all(axis=1)
+    free[system.unknowns.rails[system.unknowns.rails < own]] = False
     reactions, carried = total(internal[~free].sum(axis=0)), total(pressure[free].sum(axis=0))
     np.testing.assert_allclose(reactions, carried, rtol=0, atol=1e-7 * scale)
     plan = 100.0**2 * scene.pressure

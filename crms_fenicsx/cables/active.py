@@ -105,6 +105,7 @@ class ActiveSet:
         if taut == cable.taut:
             return []
         cable.taut = taut
+        cable.traced &= taut  # it gets its folds back from the straight way
         self._switches[cable.name] += 1
         return [f"{cable.name} {'tightens' if taut else 'slackens'}"]
 

@@ -104,7 +104,9 @@ def _edge_at(scene: Scene, place: Array, tolerance: float) -> tuple[Edge, float]
     mesh = scene.mesh.mesh
     boundary = scene.mesh.edges["boundary"]
     boundary = boundary[scene.held_edges[boundary]]
-    nodes = entities_to_geometry(mesh, 1, boundary).reshape(-1, 2)
+    nodes = np.zeros((0, 2), dtype=np.int32)
+    if len(boundary):  # DOLFINx divides by the number
+        nodes = entities_to_geometry(mesh, 1, boundary).reshape(-1, 2)
     cells = geometry_dofmap(mesh)
     dof_of = np.zeros(len(mesh.geometry.x), dtype=np.int64)
     dof_of[cells] = scene.V.dofmap.list

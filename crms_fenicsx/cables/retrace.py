@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.cables.active import bends
-from crms_fenicsx.cables.cable import CableNode, End, LaidCable
+from crms_fenicsx.cables.cable import CableNode, End, LaidCable, polyline_length
 from crms_fenicsx.cables.contact import INSIDE, drape
 from crms_fenicsx.cables.corridor import flaw
 from crms_fenicsx.cables.intrinsic import MissingStars, Ring, ring_of
@@ -59,6 +59,9 @@ class FoldedSurface:
         Positions of anchors beyond the boundary, by ids that no vertex has: a cable runs on to its
         anchor over triangles that join the anchor to the edges of the boundary. Each vertex of the
         boundary is joined to the nearest of them.
+    ends
+        The vertices of the boundary that are next to an anchor along the cable: joined to it in any
+        case.
     """
 
     def __init__(
@@ -66,9 +69,11 @@ class FoldedSurface:
         shape: StripShape,
         bends: Mapping[Edge, Sequence[Array]],
         anchors: Mapping[int, Array] = MappingProxyType({}),
+        ends: Mapping[int, tuple[int, ...]] = MappingProxyType({}),
     ) -> None:
         self.shape, self.strip, self.bends = shape, shape.strip, bends
         self.anchors = {k: (float(x[0]), float(x[1]), float(x[2])) for k, x in anchors.items()}
+        self.ends = ends
         self._at: dict[int, tuple[float, float, float]] = {}
         for vertex, row in shape.strip.row_of.items():
             x, y, z = shape.current[row]
@@ -90,13 +95,11 @@ class FoldedSurface:
         """Vertices opposite to an edge."""
         if edge[1] in self.anchors:
             around = self.membrane_ring(edge[0]).neighbours
-            return tuple(v for v in (around[0], around[-1]) if self._anchor_of(v) == edge[1])
+            return tuple(v for v in (around[0], around[-1]) if edge[1] in self._joined_to(v))
         cells = (self.strip.corners[row] for row in self.strip.rows(edge))
         thirds = tuple(v for cell in cells for v in cell if v not in edge)
         if self.anchors and self.is_boundary(edge):
-            anchor = self._anchor_of(edge[0])
-            if anchor == self._anchor_of(edge[1]):
-                return (*thirds, anchor)
+            return (*thirds, *sorted(self._joined_to(edge[0]) & self._joined_to(edge[1])))
         return thirds
 
     def is_boundary(self, support: tuple[int, ...]) -> bool:
@@ -106,19 +109,21 @@ class FoldedSurface:
         known = self.strip.complete.intersection(support)
         return len(support) == 2 and bool(known) and len(self.strip.rows(support)) == 1
 
-    def _anchor_of(self, vertex: int) -> int:
-        """The anchor to which a vertex of the boundary is joined."""
+    def _joined_to(self, vertex: int) -> set[int]:
+        """The anchors to which a vertex of the boundary is joined."""
         place = self._at[vertex]
-        return min(self.anchors, key=lambda k: (math.dist(place, self.anchors[k]), k))
+        nearest = min(self.anchors, key=lambda k: (math.dist(place, self.anchors[k]), k))
+        return {nearest} | {k for k, vertices in self.ends.items() if vertex in vertices}
 
     def ring(self, vertex: int) -> Ring:
         """Neighbours of a vertex in order."""
         ring = self.membrane_ring(vertex)
         if ring.closed or not self.anchors:
             return ring
-        anchor = self._anchor_of(vertex)
-        ends = {self._anchor_of(ring.neighbours[k]) for k in (0, -1)}
-        return Ring((*ring.neighbours, anchor), True) if ends == {anchor} else ring
+        around = (vertex, ring.neighbours[0], ring.neighbours[-1])
+        common = set.intersection(*(self._joined_to(v) for v in around))
+        one = len(common) == 1 and self._joined_to(vertex) == common
+        return Ring((*ring.neighbours, *common), True) if one else ring
 
     def membrane_ring(self, vertex: int) -> Ring:
         """Neighbours of a vertex in order, without anchors."""
@@ -172,9 +177,12 @@ class Retracer:
         self._retrace(fresh, folded_by=others, fresh=True)
         shape = self.surface().shape
         for cable in fresh:
-            cable.traced = True
             if not cable.sleeve:
                 drape(cable, shape)
+            # Pulled straight it may turn out to be too long for its path: slack after all.
+            length = polyline_length(cable.positions[cable.contacts()])
+            cable.taut = cable.cable.law == "step" or length > cable.L0
+            cable.traced = cable.taut
         return True
 
     def lay_again(self, numbers: Set[int]) -> None:
@@ -338,7 +346,11 @@ class Retracer:
 
     def _with_anchors(self, cable: LaidCable, surface: FoldedSurface) -> FoldedSurface:
         anchors = self._anchors(cable)
-        return FoldedSurface(surface.shape, surface.bends, anchors) if anchors else surface
+        if not anchors:
+            return surface
+        n, path = self.scene.V.dofmap.index_map.size_global, cable.path.points
+        ends = {k: path[n - k].support for k in anchors}  # n is the first, n + 1 the last
+        return FoldedSurface(surface.shape, surface.bends, anchors, ends)
 
     def lead(self, cable: LaidCable, points: Sequence[SurfacePoint], ends: tuple[End, End]) -> None:
         """Give a cable a path whose ends have been moved along the boundary. Collective.

@@ -24,6 +24,10 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 
 
+NEAR_ANCHOR = 1e-3
+"""Smoothing of a length to an anchor, relative to that of others."""
+
+
 @dataclass(frozen=True)
 class CableTables:
     """What this rank computes for the cables in tension.
@@ -90,7 +94,10 @@ def _smoothing(network: Network, link: Link, sizes: Array) -> float:
     rows = [row for row in strip.rows(around) if strip.owner[row] == network.rank]
     size = float(min(sizes[strip.local[row]] for row in rows))
     # An anchor may lie on the held place next to it: no direction, and none is needed.
-    return SMOOTHING * size if slides else -COINCIDENT * size
+    if not slides:
+        return -COINCIDENT * size
+    # It may be moved off that place by very little: lengths are exact from there on.
+    return SMOOTHING * size * (NEAR_ANCHOR if "anchor" in (first.kind, second.kind) else 1.0)
 
 
 class _FoldedCellsOf:
