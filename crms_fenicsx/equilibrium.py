@@ -89,11 +89,16 @@ class EquilibriumSearch:
         from crms_fenicsx.cables.ends import renew_ends
         from crms_fenicsx.cables.retrace import Retracer
 
-        self.paths = Retracer(self.scene)
+        if self.paths is None:
+            self.paths = Retracer(self.scene)
+        self.paths.begin_step()
+        self.shadows = 0
         changed = renew_ends(self.paths)
         if self.paths.renew_shadows() or changed:
             self.system.rebuild()
-        return self._slide(h0_prestress)
+        outcome = self._slide(h0_prestress)
+        self.paths.end_step()
+        return outcome
 
     def _slide(self, h0_prestress: tuple[float, ...]) -> Outcome:
         """Try new paths while the energy falls."""

@@ -113,6 +113,7 @@ class Solver:
         self.slide = bool(slide)
         self.steps: list[Step] = []
         self._system: System | None = None
+        self._search: EquilibriumSearch | None = None
         self._recorder = Recorder(scene, results)
 
     @property
@@ -121,6 +122,13 @@ class Solver:
         if self._system is None:
             self._system = System(self.scene, self.prefix, self.rtol)
         return self._system
+
+    @property
+    def search(self) -> EquilibriumSearch:
+        """What finds the equilibrium of each load step; made when first needed."""
+        if self._search is None:
+            self._search = EquilibriumSearch(self.system, self.slide)
+        return self._search
 
     @property
     def history(self) -> History:
@@ -270,7 +278,7 @@ class Solver:
                 target.apply(scene, first, goal / steps)
                 try:
                     prestress = self._h0_prestress(target, (goal - done) / steps)
-                    outcome = EquilibriumSearch(self.system, self.slide).find(prestress)
+                    outcome = self.search.find(prestress)
                 except BaseException:  # also an interrupt leaves a state that is one
                     self._go_back(good)
                     raise

@@ -46,6 +46,10 @@ NEAR = 0.1
 others would make the new path a zigzag."""
 
 
+STILL = 1e-4
+"""Movement, relative to a cable's length, within which rejected paths stay rejected."""
+
+
 class FoldedSurface:
     """Lengths and neighbours on the current surface, folded by the cables in tension.
 
@@ -158,6 +162,26 @@ class Retracer:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.refused: dict[str, set[Corridor]] = {}
+        self._tried_at: dict[str, Array] = {}
+
+    def begin_step(self) -> None:
+        """Forget which paths have been tried, but not those of cables that have not moved since.
+
+        What was rejected in this state would be rejected again.
+        """
+        for cable in self.scene.cables:
+            before, x = self._tried_at.get(cable.name), cable.positions
+            if (
+                before is None
+                or before.shape != x.shape
+                or np.abs(before - x).max() > STILL * cable.length
+            ):
+                self.refused.pop(cable.name, None)
+
+    def end_step(self) -> None:
+        """Remember where the cables are."""
+        for cable in self.scene.cables:
+            self._tried_at[cable.name] = cable.positions.copy()
 
     def straighten(self) -> bool:
         """Pull the paths of cables taut that have not been in equilibrium yet. Collective.
