@@ -58,11 +58,13 @@ class EquilibriumSearch:
         The scene's potential.
     slide
         Whether cables may slide into other cells than those that they cross.
+    polish
+        Whether to try the other side of every vertex near which a cable passes.
     """
 
-    def __init__(self, system: System, slide: bool) -> None:
+    def __init__(self, system: System, slide: bool, polish: bool = False) -> None:
         self.system, self.scene = system, system.scene
-        self.slide = slide
+        self.slide, self.polish = slide, polish
         self.paths: Retracer | None = None
         self.shadows = 0
 
@@ -97,6 +99,8 @@ class EquilibriumSearch:
         if self.paths.renew_shadows() or changed:
             self.system.rebuild()
         outcome = self._slide(h0_prestress)
+        if self.polish and outcome.converged:
+            outcome = outcome + self._polish(self.paths)
         self.paths.end_step()
         return outcome
 
@@ -142,6 +146,30 @@ class EquilibriumSearch:
             reason = f"{names}: caught between edges of the mesh, which is too coarse there"
             return replace(total, converged=False, reason=reason)
         return total
+
+    def _polish(self, paths: Retracer) -> Outcome:
+        """Try the other side of every vertex near which a cable passes."""
+        best, energy = State.of(self.scene), self.scene.energy
+        total: Outcome | None = None
+        tried: set[tuple[str, int]] = set()
+        while True:
+            near = [(c, v) for c, v in paths.near_vertices() if (c.name, v) not in tried]
+            if not near:
+                break
+            cable, vertex = near[0]
+            tried.add((cable.name, vertex))
+            if not paths.pass_vertex(cable, vertex):
+                continue
+            self.system.rebuild()
+            outcome = replace(self._settle((0.0,)), flips=1)
+            total = outcome if total is None else total + outcome
+            if outcome.converged and self.scene.energy < energy:
+                best, energy = State.of(self.scene), self.scene.energy
+                continue
+            best.restore(self.scene)
+            self.system.rebuild()
+        outcome = self._settle((0.0,))
+        return outcome if total is None else total + outcome
 
     def _try(self, h0_prestress: tuple[float, ...]) -> _Try:
         """Equilibrium on the paths that there are; the scene then has those to try next."""

@@ -82,6 +82,9 @@ class Solver:
     slide
         Whether cables may slide sideways into other cells than those that they cross. Without it
         they slide inside their cells only, and a `PathWarning` tells when they run into a vertex.
+    polish
+        Whether to try the other side of every vertex near which a sliding cable passes, for the
+        lowest energy. It costs more than all else, and changes little.
 
     Attributes
     ----------
@@ -98,6 +101,7 @@ class Solver:
         rtol: float = 1e-9,
         max_halvings: int = 8,
         slide: bool = True,
+        polish: bool = False,
     ) -> None:
         if not isinstance(scene, Scene):
             raise InputError(f"Solver: scene is of type {type(scene).__name__}; give a Scene.")
@@ -110,7 +114,7 @@ class Solver:
             )
         self.scene, self.prefix, self.rtol = scene, prefix, float(rtol)
         self.max_halvings = checks.whole("Solver: max_halvings", max_halvings, 0)
-        self.slide = bool(slide)
+        self.slide, self.polish = bool(slide), bool(polish)
         self.steps: list[Step] = []
         self._system: System | None = None
         self._search: EquilibriumSearch | None = None
@@ -127,7 +131,7 @@ class Solver:
     def search(self) -> EquilibriumSearch:
         """What finds the equilibrium of each load step; made when first needed."""
         if self._search is None:
-            self._search = EquilibriumSearch(self.system, self.slide)
+            self._search = EquilibriumSearch(self.system, self.slide, self.polish)
         return self._search
 
     @property

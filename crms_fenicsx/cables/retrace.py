@@ -25,7 +25,7 @@ from crms_fenicsx.cables.intrinsic import MissingStars, Ring, ring_of
 from crms_fenicsx.cables.laying import fractions_of, nodes_of
 from crms_fenicsx.cables.path import EdgePoint, SurfacePoint, VertexPoint, without_backtracking
 from crms_fenicsx.cables.shadow import with_shadows
-from crms_fenicsx.cables.shorten import Corridor, corridor, shorten
+from crms_fenicsx.cables.shorten import Corridor, corridor, pass_vertex, shorten
 from crms_fenicsx.cables.strip import StripShape, grow
 from crms_fenicsx.errors import PathError
 
@@ -43,7 +43,7 @@ has pressed its crease into the membrane: a path along a line of the mesh stays 
 
 NEAR = 0.1
 """Points nearer to the string's than this part of an edge stay where equilibrium has put them;
-others would make the new path a zigzag."""
+others would make the new path a zigzag. So near to a vertex its other side is tried in a polish."""
 
 
 STILL = 1e-4
@@ -272,6 +272,36 @@ class Retracer:
         How many vertices the cable that has passed most has; 0: no path has changed.
         """
         return self._retrace([cable for cable in self.scene.cables if cable.taut], max_flips)
+
+    def near_vertices(self) -> list[tuple[LaidCable, int]]:
+        """Vertices near which fold points of cables in tension lie, the nearest first."""
+        found: dict[tuple[int, int], float] = {}
+        for c, cable in enumerate(self.scene.cables):
+            for k in cable.contacts() if cable.taut else []:
+                node = cable.nodes[k]
+                if node.slides and isinstance(node.point, EdgePoint):
+                    fraction = float(cable.fractions[k])
+                    vertex = node.point.edge[int(fraction > 0.5)]
+                    away = min(fraction, 1 - fraction)
+                    if away < NEAR:
+                        found[c, vertex] = min(away, found.get((c, vertex), 1.0))
+        order = sorted(found, key=lambda key: (found[key], key))
+        return [(self.scene.cables[c], vertex) for c, vertex in order]
+
+    def pass_vertex(self, cable: LaidCable, vertex: int) -> bool:
+        """Lead a cable around the other side of a vertex; say if that was possible. Collective."""
+        if cable.lifted.any():
+            return False
+        surface = self.surface([vertex])
+        refused = self.refused.setdefault(cable.name, set())
+        path = list(cable.path.points)
+        refused.add(corridor(path))
+        found = pass_vertex(path, surface, vertex, refused=refused)
+        if found is None:
+            return False
+        grow(self.scene, [v for point in found.points for v in point.support])
+        self._adopt(cable, found.points, [False] * len(found.points), self.surface())
+        return True
 
     def _retrace(
         self,

@@ -151,6 +151,53 @@ def shorten(
     return Shortened(state.points(), tuple(flips), state.length, before)
 
 
+def pass_vertex(
+    points: Sequence[SurfacePoint],
+    surface: Surface,
+    vertex: int,
+    *,
+    refused: Set[Corridor] = frozenset(),
+) -> Shortened | None:
+    """Lead a path around the other side of a vertex, whether that is shorter or not.
+
+    Parameters
+    ----------
+    points, surface, refused
+        As for `shorten`.
+    vertex
+        A vertex whose edges the path crosses.
+
+    Returns
+    -------
+    The path with the taut string's places; None if no cable could follow it, or it is refused.
+
+    Raises
+    ------
+    MissingStars
+        The surface does not know all cells around the vertex.
+    """
+    state = _State(points, surface, refused, STRAIGHT)
+    state.pull(corridor(points))
+    before, supports = state.length, state.corridor
+    run = [i for i, s in enumerate(supports) if len(s) == 2 and vertex in s]
+    inner = [i for i in run if 0 < i < len(supports) - 1]
+    if not inner or inner != list(range(inner[0], inner[-1] + 1)):
+        return None
+    first, last = inner[0], inner[-1]
+    ring, _ = state.star(vertex)
+    arcs = _Arcs(vertex, ring, supports[first - 1], supports[last + 1])
+    own = supports[first : last + 1]
+    other = arcs.down if arcs.up == own else arcs.up
+    if other is None:
+        return None
+    new = without_detours([*supports[:first], *other, *supports[last + 1 :]])
+    if new in refused or flaw(new, surface.thirds) is not None:
+        return None
+    state.length = math.inf
+    state.pull(new)
+    return Shortened(state.points(), (vertex,), state.length, before)
+
+
 class _Lengths(dict[Edge, float]):
     """Lengths of the edges asked for so far."""
 
@@ -415,7 +462,7 @@ class _State:
 
     def _ways_around(self, hold: _Hold) -> list[_Flip]:
         """Return the flips over a vertex that would shorten the string."""
-        ring, total = self._star(hold.vertex)
+        ring, total = self.star(hold.vertex)
         before, after = self.corridor[hold.first - 1], self.corridor[hold.last + 1]
         arcs = _Arcs(hold.vertex, ring, before, after)
         if hold.strip_angle is not None:
@@ -445,7 +492,7 @@ class _State:
             if spokes is not None and angle < math.pi - self.grip[hold.strip_angle is None]
         ]
 
-    def _star(self, vertex: int) -> tuple[Ring, float]:
+    def star(self, vertex: int) -> tuple[Ring, float]:
         """Return the ring of a vertex and its total angle (rad)."""
         if vertex not in self._stars:
             ring = self.surface.ring(vertex)
