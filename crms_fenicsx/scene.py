@@ -311,10 +311,11 @@ class Scene:
     ) -> LaidCable:
         """Lay a cable on the membrane's current shape.
 
-        It gets the length that makes it just taut, unless `L0` or `tension` is given. Where it
-        ends on a held part of the membrane it is held there; it can be moved off, and then still
-        passes that place. Where it ends elsewhere on the membrane it is tied to that place. It
-        slides freely over edges and, inside each of them, along held edges.
+        It lies on the membrane's outer side, drawn straight over hollows, and gets the length that
+        makes it just taut, unless `L0` or `tension` is given. Where it ends on a held edge of the
+        membrane it is held there; moved along the boundary its end goes from edge to edge, moved
+        off it slides over the edge. Where it ends elsewhere on the membrane it is tied to that
+        place. In load steps it slides without friction, also sideways, lifts off and touches down.
 
         Parameters
         ----------

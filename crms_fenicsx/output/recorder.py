@@ -37,7 +37,7 @@ class Recorder:
         that of each kind of term ("energy membrane"), "volume" gained (once there is pressure),
         "tension", "length" and "L0" of each cable by its name ("tension cable 1"), "blocked
         points" (fold points that have run into a vertex), and what the solve took: "iterations",
-        "evaluations", "factorizations", "residual" (force), "seconds".
+        "evaluations", "factorizations", "solves", "flips", "residual" (force), "seconds".
 
     Raises
     ------
@@ -88,6 +88,8 @@ class Recorder:
         row["iterations"] = outcome.iterations
         row["evaluations"] = outcome.evaluations
         row["factorizations"] = outcome.factorizations
+        row["solves"] = outcome.solves
+        row["flips"] = outcome.flips
         row["residual"] = outcome.residual
         # Each rank's clock says something else; a row is the same on all.
         row["seconds"] = scene.comm.bcast(step.seconds)
