@@ -45,7 +45,9 @@ class Under(NamedTuple):
     place, above : (3,)
         The place, and the point of the span above it.
     inside
-        Whether the place is on the edge and the point on the span, both within their ends.
+        Whether the place is on the edge and the point on the span, both within their ends. A span
+        that passes a vertex on the other side, just beyond the edge's end, counts as well: paths
+        keep that far off vertices, so that they need not tell the two sides.
     """
 
     gap: float
@@ -128,7 +130,7 @@ def under(
     for (a, b), size in zip(pairwise(line), sizes, strict=True):
         s, t = _nearest(a, b, start, end, normal)
         first, last = before == 0.0, before + size >= sum(sizes) * (1 - 1e-12)
-        inside = (s > 0.0 or not first) and (s < 1.0 or not last) and 0.0 < t < 1.0
+        inside = (s > -INSIDE or not first) and (s < 1 + INSIDE or not last) and 0.0 < t < 1.0
         other = (s < 0.0 and not first) or (s > 1.0 and not last)  # it passes another part
         s, t = min(max(s, 0.0), 1.0), min(max(t, 0.0), 1.0)
         place, above = a + s * (b - a), start + t * (end - start)

@@ -1,0 +1,270 @@
+"""Cables that slide sideways, lift off and cross: accuracy, independence of the start, cost.
+
+All on the inflated square: 100 cm wide, clamped, E t = 24 kgf/cm, nu = 0.25, 0.01 kgf/cm2, and
+cables of EA = 32000 kgf. Tables:
+
+accuracy
+    A cable with its ends at (0, 30) and (100, 30), L0 = 100 cm, against the continuum: a mesh
+    that follows the cable's unknown material curve, extrapolated.
+starts
+    The same equilibrium from cables laid with detours to either side.
+cost
+    Load steps in which a cable is dragged sideways over cells, with and without sliding.
+anchors
+    Random anchors off the membrane: cables touch it in part, or not at all.
+nets
+    Random nets of crossing cables.
+
+    ./run python benchmarks/sliding.py [accuracy] [starts] [cost] [anchors] [nets]
+
+`--anchors` and `--nets` say how many random scenes; `--sizes` which meshes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import sys
+import time
+import warnings
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx import (
+    Cable,
+    ConvergenceError,
+    IsotropicMembrane,
+    PathWarning,
+    Scene,
+    Solver,
+)
+
+sys.path.append(str(Path(__file__).parents[1] / "tests"))  # their meshes and checks
+from contact_checks import deepest, strongest_pull  # noqa: E402
+from reference_meshes import square  # noqa: E402
+
+COMM = MPI.COMM_WORLD
+KINDS = ("structured", "unstructured", "rotated")
+T_EXACT, W_EXACT, Y_EXACT, Z_EXACT = 103.0532, -298.76483, 29.60632, 3.51323
+CABLE = Cable(EA=32000.0)
+PRESSURE = 0.01
+
+CASES = {
+    "ends (0,30), (100,30)": ([(0, 30), (100, 30)], 1.0),
+    "oblique (0,20), (100,55)": ([(0, 20), (100, 55)], 1.0),
+    "near the edge (0,12), (100,12)": ([(0, 12), (100, 12)], 1.0),
+    "longer, 1.004 of the chord": ([(0, 30), (100, 30)], 1.004),
+}
+STARTS = (0.0, 15.0, -12.0, 30.0)
+
+
+def say(*texts: object) -> None:
+    """Print on one rank, at once."""
+    if COMM.rank == 0:
+        print(*texts, flush=True)
+
+
+def sheet(n: int, kind: str) -> Scene:
+    """The flat square, clamped."""
+    scene = Scene(square(COMM, n, kind), IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
+    scene.fix("boundary")
+    return scene
+
+
+def accuracy(sizes: Sequence[int]) -> None:
+    """Errors of tension, energy and position in the middle."""
+    say(f"\n{'cells a side':22}{'T, %':>10}{'W, %':>10}{'y / h':>10}{'z, cm':>10}{'solves':>8}"
+        f"{'flips':>7}{'fact.':>7}{'eval.':>7}{'s':>7}")  # fmt: skip
+    for kind in KINDS:
+        errors = []
+        for n in sizes:
+            scene = sheet(n, kind)
+            cable = scene.lay_cable(CABLE, [(0, 30), (100, 30)], L0=100.0)
+            began = time.perf_counter()
+            done = Solver(scene).advance(pressure=PRESSURE).outcome
+            seconds = time.perf_counter() - began
+            y, z = (float(np.interp(50.0, cable.positions[:, 0], cable.positions[:, i]))
+                    for i in (1, 2))  # fmt: skip
+            dT, dW = 100 * (cable.tension / T_EXACT - 1), 100 * (1 - scene.energy / W_EXACT)
+            errors.append((abs(dT), abs(dW)))
+            say(f"{kind:14}{n:8}{dT:10.4f}{dW:10.4f}{(y - Y_EXACT) * n / 100:10.4f}"
+                f"{z - Z_EXACT:10.5f}{done.solves:8}{done.flips:7}{done.factorizations:7}"
+                f"{done.evaluations:7}{seconds:7.2f}")  # fmt: skip
+        if len(sizes) > 1:
+            slopes = -np.polyfit(np.log(sizes), np.log(errors), 1)[0]
+            say(f"{kind:14}{'order':>8}{slopes[0]:10.2f}{slopes[1]:10.2f}")
+
+
+def detour(ends: Sequence[tuple[float, float]], aside: float) -> list[tuple[float, float]]:
+    """A path from end to end, `aside` of the straight one in its middle, on the membrane."""
+    (a, b), (c, d) = ends
+    if aside == 0.0:
+        return [(a, b), (c, d)]
+    return [(a, b), ((a + c) / 2, max((b + d) / 2 + aside, 1.0)), (c, d)]
+
+
+def starts(sizes: Sequence[int]) -> None:
+    """Whether the equilibrium depends on where a cable is laid, and when."""
+    runs, equal, far, failed = 0, 0, 0, 0
+    say(f"\nenergy above the lowest (relative) / tension off by (%), detours {STARTS} cm aside, "
+        "cable laid before (first row) or after inflation")  # fmt: skip
+    for (name, (ends, share)), kind, n in itertools.product(CASES.items(), KINDS, sizes):
+        chord = float(np.hypot(ends[1][0] - ends[0][0], ends[1][1] - ends[0][1]))
+        found: list[tuple[float, float]] = []
+        for after, aside in itertools.product((False, True), STARTS):
+            scene = sheet(n, kind)
+            solver = Solver(scene)
+            if after:
+                solver.advance(pressure=PRESSURE)
+            cable = scene.lay_cable(CABLE, detour(ends, aside), L0=share * chord)
+            try:
+                solver.advance(pressure=PRESSURE)
+                found.append((scene.energy, cable.tension))
+            except ConvergenceError as error:
+                say(f"  {name}, {kind}, n = {n}, detour {aside:g}, after = {after}: {error}")
+                found.append((np.nan, np.nan))
+        W, T = np.array(found).T
+        best = int(np.nanargmin(W))
+        above, off = (W - W[best]) / abs(W[best]), T / T[best] - 1
+        runs += len(W)
+        equal += int(np.sum(above < 1e-5))
+        far += int(np.sum(np.abs(off) > 0.05))
+        failed += int(np.isnan(W).sum())
+        for label, rows in ((f"{name:32}{kind:14}{n:4}", slice(4)), (50 * " ", slice(4, 8))):
+            pairs = zip(above[rows], off[rows], strict=True)
+            say(label + "".join(f"{a:10.1e} /{100 * o:7.3f}" for a, o in pairs))
+    say(f"{runs} runs: {equal} ({equal / runs:.0%}) within 1e-5 of the lowest energy, "
+        f"{far} with T off by more than 5 %, {failed} failed")  # fmt: skip
+
+
+def cost(n: int = 33) -> None:
+    """What a load step takes that drags a cable over cells."""
+    say(f"\n{'dragged by':>12}{'cells':>7}{'slide':>7}{'T':>11}{'W':>12}{'solves':>8}{'flips':>7}"
+        f"{'fact.':>7}{'eval.':>7}{'s':>7}")  # fmt: skip
+    for kind in KINDS:
+        for way in (0.3, 15.0, 30.0):
+            for slide in (True, False):
+                scene = sheet(n, kind)
+                cable = scene.lay_cable(CABLE, [(-5, 35, 8), (105, 35, 8)], L0=109.5)
+                solver = Solver(scene, slide=slide)
+                try:
+                    with warnings.catch_warnings():
+                        warnings.simplefilter("ignore", PathWarning)  # slide=False is blocked
+                        solver.advance(pressure=PRESSURE, steps=3)
+                        began = time.perf_counter()
+                        step = solver.advance(move={cable: (0.0, way, 0.0)})
+                    seconds = time.perf_counter() - began
+                except ConvergenceError as error:
+                    say(f"{kind} {way:g} slide={slide}: {error}")
+                    continue
+                done = step.outcome
+                halved = f", {step.halvings} halvings" if step.halvings else ""
+                say(f"{way:12g}{way * n / 100:7.1f}{slide!s:>7}{cable.tension:11.4f}"
+                    f"{scene.energy:12.4f}{done.solves:8}{done.flips:7}{done.factorizations:7}"
+                    f"{done.evaluations:7}{seconds:7.2f}  {kind}{halved}")  # fmt: skip
+
+
+def anchored(rng: np.random.Generator) -> tuple[int, str, list[tuple[float, ...]], float]:
+    """A mesh, two anchors beyond opposite edges, and a length that is short or long for them."""
+    n, kind = int(rng.integers(7, 18)), str(rng.choice(KINDS))
+    a = (-rng.uniform(1, 10), rng.uniform(8, 92), rng.uniform(0, 13))
+    b = (100 + rng.uniform(1, 10), rng.uniform(8, 92), rng.uniform(0, 13))
+    return n, kind, [a, b], float(np.linalg.norm(np.subtract(a, b)) * rng.uniform(0.99, 1.01))
+
+
+def anchors(count: int) -> None:
+    """Random anchors: the contact laws, checked from the outside."""
+    rng = np.random.default_rng(1)
+    outcomes: Counter[str] = Counter()
+    pulls, depths, work, began = [0.0], [0.0], [], time.perf_counter()
+    for number in range(count):
+        n, kind, path, L0 = anchored(rng)
+        scene = sheet(n, kind)
+        cable = scene.lay_cable(CABLE, path, L0=L0)
+        try:
+            step = Solver(scene).advance(pressure=PRESSURE)
+        except ConvergenceError as error:
+            outcomes["failed"] += 1
+            say(f"  anchors {number}: n = {n}, {kind}, {path}, L0 = {L0}: {error}")
+            continue
+        outcomes["halved"] += step.halvings > 0
+        touching = [k for k in cable.contacts() if cable.nodes[k].kind in ("fold", "vertex")]
+        outcomes["slack" if not cable.taut else "touching" if touching else "free"] += 1
+        work.append((step.outcome.solves, step.outcome.factorizations, step.outcome.evaluations))
+        if cable.taut:
+            pulls.append(strongest_pull(scene, cable))
+            depths.append(deepest(scene, cable))
+            if pulls[-1] > 1e-3 or depths[-1] > 1e-3:
+                say(f"  anchors {number}: n = {n}, {kind}, {path}, L0 = {L0}: outward pull "
+                    f"{pulls[-1]:.2g} T, {depths[-1]:.2g} h deep")  # fmt: skip
+    say(f"\n{count} random anchors: {dict(outcomes)}; largest outward pull {max(pulls):.2g} T, "
+        f"deepest below the membrane {max(depths):.2g} h; mean solves, factorisations, "
+        f"evaluations: {np.mean(work, axis=0).round(1)}; {time.perf_counter() - began:.0f} s")  # fmt: skip
+
+
+def net(rng: np.random.Generator, most: int) -> Iterator[tuple[list[tuple[float, float]], int]]:
+    """Ends on opposite edges, and levels."""
+    for _ in range(int(rng.integers(2, most + 1))):
+        u, v = rng.uniform(8, 92, 2)
+        along = rng.random() < 0.5
+        yield ([(0.0, u), (100.0, v)] if along else [(u, 0.0), (v, 100.0)]), int(rng.integers(3))
+
+
+def nets(count: int, most: int, n: int = 17) -> None:
+    """Random nets of 2 or more cables."""
+    rng = np.random.default_rng(2)
+    outcomes: Counter[str] = Counter()
+    work, began = [], time.perf_counter()
+    for number in range(count):
+        kind = str(rng.choice(KINDS))
+        scene = sheet(n, kind)
+        for path, level in net(rng, most):
+            chord = float(np.linalg.norm(np.subtract(*path)))
+            scene.lay_cable(CABLE, path, L0=chord * rng.uniform(1.0, 1.01), level=level)
+        try:
+            step = Solver(scene).advance(pressure=PRESSURE)
+        except ConvergenceError as error:
+            outcomes["failed"] += 1
+            say(f"  net {number}: {kind}, {len(scene.cables)} cables: {error}")
+            continue
+        outcomes["converged"] += 1
+        outcomes["cables"] += len(scene.cables)
+        outcomes["halved"] += step.halvings > 0
+        outcomes["crossings"] += len(scene.crossings)
+        outcomes["apart"] += sum(crossing.apart for crossing in scene.crossings)
+        work.append((step.outcome.solves, step.outcome.factorizations, step.outcome.evaluations))
+    say(f"\n{count} random nets: {dict(outcomes)}; mean solves, factorisations, evaluations: "
+        f"{np.mean(work, axis=0).round(1)}; {time.perf_counter() - began:.0f} s")  # fmt: skip
+
+
+def main() -> None:
+    """Print the tables asked for."""
+    tables = ("accuracy", "starts", "cost", "anchors", "nets")
+    parser = argparse.ArgumentParser(description="Sliding cables: see the head of this file.")
+    parser.add_argument("tables", nargs="*", help=f"which, of {', '.join(tables)}; default all")
+    parser.add_argument("--sizes", type=int, nargs="+", default=[9, 17, 33, 65])
+    parser.add_argument("--anchors", type=int, default=100, help="how many random anchors")
+    parser.add_argument("--nets", type=int, default=40, help="how many random nets")
+    parser.add_argument("--cables", type=int, default=8, help="most cables of a net")
+    given = parser.parse_args()
+    wanted = given.tables or tables
+    if set(wanted) - set(tables):
+        parser.error(f"there are no such tables: {', '.join(set(wanted) - set(tables))}")
+    if "accuracy" in wanted:
+        accuracy(given.sizes)
+    if "starts" in wanted:
+        starts([n for n in given.sizes if n in (17, 33)])
+    if "cost" in wanted:
+        cost()
+    if "anchors" in wanted:
+        anchors(given.anchors)
+    if "nets" in wanted:
+        nets(given.nets, given.cables)
+
+
+if __name__ == "__main__":
+    main()

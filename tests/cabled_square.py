@@ -1,0 +1,41 @@
+"""The inflated square with cables, as its reference figures were computed. Units: kgf, cm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from mpi4py import MPI
+from reference_meshes import square
+
+from crms_fenicsx import Cable, IsotropicMembrane, Scene
+from crms_fenicsx.cables.cable import LaidCable
+from crms_fenicsx.meshes import MembraneMesh
+
+CABLE = Cable(EA=32000.0)
+PRESSURE = 0.01
+KINDS = ("structured", "unstructured", "rotated")
+
+
+def clamped(mesh: MembraneMesh) -> Scene:
+    """A flat, stress-free sheet, held all around."""
+    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
+    scene.fix("boundary")
+    return scene
+
+
+def sheet(comm: MPI.Intracomm, n: int, kind: str = "structured") -> Scene:
+    """The square with n cells a side."""
+    return clamped(square(comm, n, kind))
+
+
+def place(cable: LaidCable, at: float, axis: int = 0) -> np.ndarray:
+    """Where a cable passes a plane x = at (or another axis), (3,)."""
+    x = cable.positions[cable.contacts()]
+    x = x if x[0, axis] < x[-1, axis] else x[::-1]
+    return np.array([np.interp(at, x[:, axis], x[:, i]) for i in range(3)])
+
+
+def order(sizes: Sequence[float], errors: Sequence[float]) -> float:
+    """Order of convergence with the mesh size, by a fit."""
+    return float(np.polyfit(np.log(sizes), np.log(np.abs(errors)), 1)[0])

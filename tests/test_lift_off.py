@@ -1,0 +1,144 @@
+"""Cables from anchors beyond the boundary: where they touch the membrane, and where they do not.
+
+The reference figures are extrapolated from meshes whose lines carry the cable, so that they need
+no fold elements: N = 32, 64, 128 give order 2.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cabled_square import CABLE, KINDS, PRESSURE, order, place, sheet
+from contact_checks import deepest, strongest_pull
+
+from crms_fenicsx import Solver
+
+ANCHORS = [(-5.0, 50.0, 8.0), (105.0, 50.0, 8.0)]
+T_EXACT, W_EXACT, Z_EXACT = 148.667, -335.00, 8.6635
+
+
+def held_down(comm, n: int, kind: str = "structured", L0: float = 109.5, **how):
+    scene = sheet(comm, n, kind)
+    cable = scene.lay_cable(CABLE, ANCHORS, L0=L0, **how)
+    solver = Solver(scene)
+    solver.advance(pressure=PRESSURE)
+    return scene, cable, solver
+
+
+def free_height(comm, n: int) -> tuple[float, float]:
+    """Height and energy of the square without cables."""
+    scene = sheet(comm, n)
+    Solver(scene).advance(pressure=PRESSURE)
+    return top(scene), scene.energy
+
+
+def top(scene) -> float:
+    return max(scene.comm.allgather(float(scene.positions()[:, 2].max(initial=-np.inf))))
+
+
+@pytest.mark.parametrize("kind", ["on mesh lines", *KINDS])
+def test_cable_that_touches_in_part_converges(comm, kind: str) -> None:
+    """The contact ends at points of edges: T and z scatter by a fraction of a cell's error."""
+    sizes, W = ((8, 16, 32) if kind == "on mesh lines" else (9, 17, 33)), []
+    for n in sizes:
+        scene, cable, _ = held_down(comm, n, "structured" if kind == "on mesh lines" else kind)
+        assert cable.lifted.any() and not cable.lifted[1:-1].all()
+        W.append(scene.energy - W_EXACT)
+    assert order([1 / n for n in sizes], W) > 1.9
+    assert cable.tension == pytest.approx(T_EXACT, rel=1e-4)
+    x = place(cable, 50.0)
+    assert x[1] == pytest.approx(50.0, abs=0.02 * 100 / n)
+    assert x[2] == pytest.approx(Z_EXACT, abs=0.002)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_random_anchors_neither_pull_nor_penetrate(comm, seed: int) -> None:
+    """A few thousandths of the tension are the mesh's: normals turn from cell to cell."""
+    rng = np.random.default_rng(seed)
+    n, kind = int(rng.integers(7, 12)), KINDS[seed % 3]
+    ends = [(-rng.uniform(1, 10), rng.uniform(8, 92), rng.uniform(0, 10)),
+            (100 + rng.uniform(1, 10), rng.uniform(8, 92), rng.uniform(0, 10))]  # fmt: skip
+    scene = sheet(comm, n, kind)
+    L0 = 0.995 * float(np.linalg.norm(np.subtract(*ends)))
+    cable = scene.lay_cable(CABLE, ends, L0=L0)
+    Solver(scene).advance(pressure=PRESSURE)
+    assert cable.taut
+    assert strongest_pull(scene, cable) < 5e-3
+    assert deepest(scene, cable) < 1e-6
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_anchors_that_go_up_and_down_again_leave_no_trace(comm, kind: str) -> None:
+    scene, cable, solver = held_down(comm, 11, kind)
+    energy, T, touching = scene.energy, cable.tension, len(cable.contacts())
+    solver.advance(move={cable: (0.0, 0.0, 2.0)}, steps=2)
+    assert len(cable.contacts()) < touching
+    solver.advance(move={cable: (0.0, 0.0, -2.0)}, steps=2)
+    assert len(cable.contacts()) == touching
+    assert scene.energy == pytest.approx(energy, rel=1e-6)
+    assert cable.tension == pytest.approx(T, rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_cable_that_slackens_and_tightens_gets_its_folds_back(comm, kind: str) -> None:
+    scene, cable, solver = held_down(comm, 11, kind)
+    energy, T, touching = scene.energy, cable.tension, cable.contacts()
+    solver.advance(L0={cable: 112.0})
+    assert not cable.taut and cable.tension == 0.0
+    solver.advance(L0={cable: 109.5})
+    assert cable.contacts() == touching
+    assert scene.energy == pytest.approx(energy, rel=1e-6)
+    assert cable.tension == pytest.approx(T, rel=1e-6)
+
+
+def test_slack_cable_leaves_the_membrane_as_it_is_without_cables(comm) -> None:
+    scene, cable, _ = held_down(comm, 9, "structured", L0=112.0)
+    assert not cable.taut
+    height, energy = free_height(comm, 9)
+    assert scene.energy == pytest.approx(energy, rel=1e-10)
+    assert top(scene) == pytest.approx(height, rel=1e-8)
+
+
+def test_cable_lifts_off_altogether(comm) -> None:
+    """It is a straight bar then, and the membrane that without cables."""
+    scene, cable, solver = held_down(comm, 9)
+    solver.advance(move={cable: (0.0, 0.0, 6.0)}, steps=2)
+    assert cable.lifted[1:-1].all()
+    assert cable.tension == pytest.approx(32000.0 * 0.5 / 109.5, rel=1e-9)
+    height, energy = free_height(comm, 9)
+    assert scene.energy - scene.energies["cables"] == pytest.approx(energy, rel=1e-9)
+    assert top(scene) == pytest.approx(height, rel=1e-6)
+    solver.advance(move={cable: (0.0, 0.0, -6.0)}, steps=2)
+    again, other, _ = held_down(comm, 9)
+    assert scene.energy == pytest.approx(again.energy, rel=1e-6)
+    assert cable.tension == pytest.approx(other.tension, rel=1e-6)
+
+
+def test_sleeve_pulls_the_membrane_outward(comm) -> None:
+    """A cable from a mast, shortened: in a sleeve it cannot leave the place under the mast."""
+    heights = {}
+    for sleeve in (True, False):
+        scene = sheet(comm, 9, "unstructured")
+        solver = Solver(scene)
+        solver.advance(pressure=PRESSURE)
+        free = top(scene)
+        cable = scene.lay_cable(CABLE, [(50, 47, 13), (103, 47, -1)], sleeve=sleeve)
+        solver.advance(L0={cable: 0.99 * cable.L0})
+        assert cable.taut and cable.lifted.any() != sleeve
+        heights[sleeve] = top(scene)
+    assert heights[True] > free + 0.5
+    assert heights[False] < free
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_cable_from_a_mast_runs_free_and_then_lies_on_the_membrane(comm, kind: str) -> None:
+    scene = sheet(comm, 11, kind)
+    solver = Solver(scene)
+    solver.advance(pressure=PRESSURE)
+    cable = scene.lay_cable(CABLE, [(50.0, 47.0, 13.0), (103.0, 47.0, -1.0)])
+    solver.advance(L0={cable: 0.998 * cable.L0})
+    touching = [k for k in cable.contacts() if cable.nodes[k].kind in ("fold", "vertex")]
+    assert touching and cable.lifted[1 : touching[0]].all()
+    assert cable.tension > 1.0
+    assert strongest_pull(scene, cable) < 5e-3
+    assert deepest(scene, cable) < 1e-6
