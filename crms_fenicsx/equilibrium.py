@@ -35,6 +35,9 @@ has no direction any more, and a cable caught there can look as if it were in eq
 of sound states are below 0.01 on meshes of 9 cells a side.
 """
 
+NEAR = 0.1
+"""Part of an edge: so near to a vertex a polish tries its other side."""
+
 MAX_PATHS = 60
 """How many sets of paths are tried in one load step before it is given up."""
 
@@ -59,7 +62,8 @@ class EquilibriumSearch:
     slide
         Whether cables may slide into other cells than those that they cross.
     polish
-        Whether to try the other side of every vertex near which a cable passes.
+        Whether to try the other side of every vertex near which a cable passes, and not only of
+        those against which it is pressed.
     """
 
     def __init__(self, system: System, slide: bool, polish: bool = False) -> None:
@@ -99,14 +103,13 @@ class EquilibriumSearch:
         if self.paths.renew_shadows() or changed:
             self.system.rebuild()
         outcome = self._slide(h0_prestress)
-        if self.polish and outcome.converged:
-            outcome = outcome + self._polish(self.paths)
         self.paths.end_step()
         return outcome
 
     def _slide(self, h0_prestress: tuple[float, ...]) -> Outcome:
         """Try new paths while the energy falls."""
         from crms_fenicsx.cables.crossings import tangled
+        from crms_fenicsx.cables.network import BLOCKED
 
         paths, best = self.paths, self._try(h0_prestress)
         assert paths is not None
@@ -117,11 +120,12 @@ class EquilibriumSearch:
             if not flips:
                 caught = self.system.caught_cables(CAUGHT) | tangled(self.scene.crossings)
                 caught -= laid_again
-                if not caught:
-                    break
-                laid_again |= caught
                 best = replace(best, state=State.of(self.scene), energy=self.scene.energy)
-                paths.lay_again(caught)
+                if caught:
+                    laid_again |= caught
+                    paths.lay_again(caught)
+                elif not paths.pass_next(NEAR if self.polish else BLOCKED):
+                    break
             if tries == MAX_PATHS:
                 reason = f"after {tries} changes the paths of the cables still want to change"
                 return replace(total, converged=False, reason=reason)
@@ -146,30 +150,6 @@ class EquilibriumSearch:
             reason = f"{names}: caught between edges of the mesh, which is too coarse there"
             return replace(total, converged=False, reason=reason)
         return total
-
-    def _polish(self, paths: Retracer) -> Outcome:
-        """Try the other side of every vertex near which a cable passes."""
-        best, energy = State.of(self.scene), self.scene.energy
-        total: Outcome | None = None
-        tried: set[tuple[str, int]] = set()
-        while True:
-            near = [(c, v) for c, v in paths.near_vertices() if (c.name, v) not in tried]
-            if not near:
-                break
-            cable, vertex = near[0]
-            tried.add((cable.name, vertex))
-            if not paths.pass_vertex(cable, vertex):
-                continue
-            self.system.rebuild()
-            outcome = replace(self._settle((0.0,)), flips=1)
-            total = outcome if total is None else total + outcome
-            if outcome.converged and self.scene.energy < energy:
-                best, energy = State.of(self.scene), self.scene.energy
-                continue
-            best.restore(self.scene)
-            self.system.rebuild()
-        outcome = self._settle((0.0,))
-        return outcome if total is None else total + outcome
 
     def _try(self, h0_prestress: tuple[float, ...]) -> _Try:
         """Equilibrium on the paths that there are; the scene then has those to try next."""

@@ -83,8 +83,8 @@ class Solver:
         Whether cables may slide sideways into other cells than those that they cross. Without it
         they slide inside their cells only, and a `PathWarning` tells when they run into a vertex.
     polish
-        Whether to try the other side of every vertex near which a sliding cable passes, for the
-        lowest energy. It costs more than all else, and changes little.
+        Whether to try the other side of every vertex near which a sliding cable passes, and not
+        only of those against which it is pressed. It costs more than all else and changes little.
 
     Attributes
     ----------

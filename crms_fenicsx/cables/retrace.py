@@ -43,7 +43,7 @@ has pressed its crease into the membrane: a path along a line of the mesh stays 
 
 NEAR = 0.1
 """Points nearer to the string's than this part of an edge stay where equilibrium has put them;
-others would make the new path a zigzag. So near to a vertex its other side is tried in a polish."""
+others would make the new path a zigzag."""
 
 
 STILL = 1e-4
@@ -162,6 +162,7 @@ class Retracer:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.refused: dict[str, set[Corridor]] = {}
+        self._passed: dict[str, set[int]] = {}
         self._tried_at: dict[str, Array] = {}
 
     def begin_step(self) -> None:
@@ -177,6 +178,7 @@ class Retracer:
                 or np.abs(before - x).max() > STILL * cable.length
             ):
                 self.refused.pop(cable.name, None)
+                self._passed.pop(cable.name, None)
 
     def end_step(self) -> None:
         """Remember where the cables are."""
@@ -273,8 +275,21 @@ class Retracer:
         """
         return self._retrace([cable for cable in self.scene.cables if cable.taut], max_flips)
 
-    def near_vertices(self) -> list[tuple[LaidCable, int]]:
-        """Vertices near which fold points of cables in tension lie, the nearest first."""
+    def pass_next(self, near: float) -> bool:
+        """Lead a cable around the other side of a vertex near which it passes. Collective.
+
+        The string does not tell on which side of a vertex the energy is lower where the fold
+        points are pressed against it.
+
+        Parameters
+        ----------
+        near
+            Distance from the vertex, as a part of the edge, up to which a cable passes near it.
+
+        Returns
+        -------
+        Whether there was a vertex, not tried before.
+        """
         found: dict[tuple[int, int], float] = {}
         for c, cable in enumerate(self.scene.cables):
             for k in cable.contacts() if cable.taut else []:
@@ -283,13 +298,16 @@ class Retracer:
                     fraction = float(cable.fractions[k])
                     vertex = node.point.edge[int(fraction > 0.5)]
                     away = min(fraction, 1 - fraction)
-                    if away < NEAR:
+                    if away < near and vertex not in self._passed.get(cable.name, ()):
                         found[c, vertex] = min(away, found.get((c, vertex), 1.0))
-        order = sorted(found, key=lambda key: (found[key], key))
-        return [(self.scene.cables[c], vertex) for c, vertex in order]
+        for c, vertex in sorted(found, key=lambda key: (found[key], key)):
+            cable = self.scene.cables[c]
+            self._passed.setdefault(cable.name, set()).add(vertex)
+            if self._pass_vertex(cable, vertex):
+                return True
+        return False
 
-    def pass_vertex(self, cable: LaidCable, vertex: int) -> bool:
-        """Lead a cable around the other side of a vertex; say if that was possible. Collective."""
+    def _pass_vertex(self, cable: LaidCable, vertex: int) -> bool:
         if cable.lifted.any():
             return False
         surface = self.surface([vertex])
