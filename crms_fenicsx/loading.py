@@ -28,7 +28,7 @@ class Target:
     pressure
         First and last pressure (force per area).
     cable_ends
-        Number of the cable, of its node, and the node's displacement (length).
+        Number of the cable, its first (0) or last (-1) node, and that one's displacement (length).
     moved : (n, 3)
         Displacements of the vertices (length).
     lengths
@@ -101,7 +101,8 @@ def checked_target(
                     "which is not held there; hold it with scene.fix before laying the cable, "
                     "or lay the cable to an anchor off the membrane."
                 )
-            ends.append((c, k, displacement))
+            # The last node's number changes with the path.
+            ends.append((c, 0 if k == 0 else -1, displacement))
     if value != 0.0:
         _check_boundary_held(scene)
     moved = _moved(scene, vertices)

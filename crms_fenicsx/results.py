@@ -234,10 +234,9 @@ def _leave_ends_to_anchors(system: System, g: Array) -> None:
             if cable.nodes[k].kind != "anchor" or not cable.taut:
                 continue
             anchor = network.numbers[c, k]
-            if network.owners[anchor] == network.rank:
-                block = network.block(c, k)
-                contacts = cable.contacts()
-                beside = network.block(c, contacts[1] if k == 0 else contacts[-2])
+            near = 1 if k == 0 else k - 1  # if lifted, there is a span, which has a direction
+            if network.owners[anchor] == network.rank and not cable.lifted[near]:
+                block, beside = network.block(c, k), network.block(c, near)
                 g[beside] += g[block] - end.reaction
                 g[block] = end.reaction
 

@@ -201,6 +201,7 @@ class System:
                 block = self.network.blocks[number]
                 if block >= 0:
                     potential.x[block] = scene.cables[c].positions[k] - self.unknowns.X[block]
+            self.unknowns.update_ghosts(potential.x_vector)  # far vertices, with rails on them
             self.network.place_rails(self.unknowns, potential.x)
             if self.tables is not None:
                 self.tension.L0[:] = [cable.L0 for cable in scene.cables if cable.taut]

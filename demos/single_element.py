@@ -1,8 +1,9 @@
 """One folded element and one cable (the paper's model 1).
 
 A cable lies across a single triangle whose corners are held. Its ends are moved normal to the
-triangle, once up and once down, so that it tightens and folds the triangle. The only unknowns are
-the six coordinates of the two sliding nodes. Units: kgf, cm.
+triangle, once up and once down, so that it tightens and folds the triangle. Up it would lift off,
+were it not held by a sleeve. The only unknowns are the six coordinates of the two sliding nodes.
+Units: kgf, cm.
 
     ./run python demos/single_element.py
 """
@@ -25,7 +26,7 @@ for name, lift in (("up", 12.0), ("down", -12.0)):
     )
     scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
     scene.fix("corners")
-    cable = scene.lay_cable(Cable(EA=32000.0), path=PATH)
+    cable = scene.lay_cable(Cable(EA=32000.0), path=PATH, sleeve=True)
     solver = Solver(scene, results=f"{RESULTS}/{name}")
 
     positions = [cable.positions.copy()]

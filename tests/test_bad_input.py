@@ -21,7 +21,7 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.system import System
+from crms_fenicsx.equilibrium import EquilibriumSearch
 
 NAN = float("nan")
 MATERIAL = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)
@@ -85,7 +85,7 @@ def idle(monkeypatch: pytest.MonkeyPatch) -> None:
     def solve(*arguments: object) -> None:
         raise AssertionError("a solve was begun")
 
-    monkeypatch.setattr(System, "solve", solve)
+    monkeypatch.setattr(EquilibriumSearch, "find", solve)
 
 
 class Recorder:

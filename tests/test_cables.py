@@ -182,6 +182,19 @@ def test_the_scene_says_something(reference: tuple[str, Result]) -> None:
 
 
 @pytest.mark.parametrize("kind", [FREE, LINE])
+def test_ends_move_all_the_way(kind: str) -> None:
+    """Also if the path, and so the number of nodes, changes from step to step of a call.
+
+    The cable still passes the places that its ends were held at.
+    """
+    _, cable, _ = solved(kind, Variant())
+    held = np.array(PATHS[kind])[[0, -1]]
+    np.testing.assert_allclose(cable.positions[[0, -1]], held - [0.0, 0.0, 1.5], atol=1e-12)
+    np.testing.assert_allclose(cable.positions[[1, -2]], held, atol=1e-12)
+    assert cable.nodes[-2].kind == "rider"
+
+
+@pytest.mark.parametrize("kind", [FREE, LINE])
 def test_the_number_of_processes_does_not_matter(kind: str) -> None:
     """Distributed over all ranks, and whole on each of them."""
     apart = result(kind, Variant())

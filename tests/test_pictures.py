@@ -380,7 +380,7 @@ def tightened(comm: MPI.Intracomm, results: Path | None = None) -> Solver:
     scene.fix("corners")
     cable = scene.lay_cable(Cable(EA=32000.0), path=[(-20.0, 30.0, 0.0), (90.0, 24.0, 0.0)])
     solver = Solver(scene, results=results)
-    solver.advance(move={cable: (0.0, 0.0, 4.0)})
+    solver.advance(move={cable: (0.0, 0.0, -4.0)})
     return solver
 
 

@@ -1,5 +1,7 @@
 """Pressure on plain and folded cells: volumes by tetrahedra, nodal forces, steps, combinatorics."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 from dolfinx import fem
@@ -256,6 +258,54 @@ def test_split_areas_add_up():
     assert len(parts) == 4
     assert all(area(part) > 0 for part in parts)
     assert sum(map(area, parts)) == pytest.approx(area(list(range(9))))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_split_along_chords_that_cross(seed):
+    """Five random chords of a polygon: each part lies on one side of each chord."""
+    rng = np.random.default_rng(seed)
+    angles = 2 * np.pi * (np.arange(10) + rng.uniform(-0.4, 0.4, 10)) / 10
+    places = list(np.column_stack([np.cos(angles), np.sin(angles)]))
+    ends = rng.permutation(10).reshape(5, 2).tolist()
+    along = {chord: [(0.0, a), (1.0, b)] for chord, (a, b) in enumerate(ends)}
+    for one, other in combinations(along, 2):
+        a, b, p, q = (places[k] for k in (*ends[one], *ends[other]))
+        s, t = np.linalg.solve(np.column_stack([b - a, p - q]), p - a)
+        if 0 < s < 1 and 0 < t < 1:
+            along[one].append((s, len(places)))
+            along[other].append((t, len(places)))
+            places.append(a + s * (b - a))
+    crossings, x = len(places) - 10, np.array(places)
+    assert crossings > 0
+
+    parts = split_polygon(list(range(10)), [[k for _, k in sorted(c)] for c in along.values()])
+    inner = sum(abs(a - b) not in (1, 9) for a, b in ends)  # not along a side
+    assert len(parts) == 1 + inner + crossings
+
+    def turn(u, v):
+        return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
+
+    def area(part):
+        return turn(x[part], np.roll(x[part], -1, axis=0)).sum() / 2
+
+    assert min(map(area, parts)) > 0
+    assert sum(map(area, parts)) == pytest.approx(area(list(range(10))), rel=1e-12)
+    for part in parts:
+        for a, b in ends:
+            sides = turn(x[b] - x[a], x[part] - x[a])
+            assert sides.min() > -1e-12 or sides.max() < 1e-12
+
+
+def test_a_chord_that_ends_inside_cuts_only_from_shared_point_to_shared_point():
+    """As that of a cable whose end is tied inside the cell, beyond another cable."""
+    polygon, across = [0, 10, 1, 2, 11], [10, 20, 11]
+    assert split_polygon(polygon, [[99, 98]]) == [polygon]
+    parts = split_polygon(polygon, [across, [99, 20, 2]])
+    assert sorted(sorted(part) for part in parts) == [
+        [0, 10, 11, 20],
+        [1, 2, 10, 20],
+        [2, 11, 20],
+    ]
 
 
 def folded_cell(turn):

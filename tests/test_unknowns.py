@@ -14,7 +14,7 @@ from term_scene import (
     on_mesh,
 )
 
-from crms_fenicsx.cables.cable import Cable
+from crms_fenicsx.cables.cable import Cable, polyline_length
 from crms_fenicsx.meshes import from_arrays
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.system import System
@@ -242,7 +242,9 @@ def fingerprint(comm, choice, size):
     energy, g = f.value(x)
     terms = system.potential.terms
     single = [OnMesh(f.unknowns, system.scene.u, [term]).value(x)[1] for term in terms]
-    lengths = system.network.lengths(f.unknowns, f.potential.x)
+    system.network.update_cables(f.unknowns, f.potential.x)
+    cables = system.scene.cables
+    lengths = [polyline_length(cable.positions[cable.contacts()]) for cable in cables]
     return np.array(
         [
             energy,

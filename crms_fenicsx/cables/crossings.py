@@ -194,8 +194,7 @@ def _meetings_in_cell(
 ) -> list[_Meeting]:
     """Chords of one cell that cross: their ends alternate around it."""
     around: dict[Member | int, int] = {}  # places on the rim, of corners and of points
-    for a, b in ((0, 1), (1, 2), (2, 0)):
-        i, j = cell[a], cell[b]
+    for i, j in ((cell[0], cell[1]), (cell[1], cell[2]), (cell[2], cell[0])):
         around[i] = len(around)
         line = sorted(on_edge.get((min(i, j), max(i, j)), []))
         for _, c, k in line if i < j else line[::-1]:

@@ -141,11 +141,12 @@ class Network:
         far: set[tuple[int, int]] = set()  # vertices at ends of spans, on ranks without them
         for link in self.links:
             owner = self.link_owner(link)
-            for member in ((link.cable, link.first), (link.cable, link.second)):
-                if member in self.numbers:
-                    needed |= {self.numbers[member]} if owner == self.rank else set()
-                elif link.vertices is None:
-                    far.add((owner, self._vertex_of(*member)))
+            for c, k in ((link.cable, link.first), (link.cable, link.second)):
+                if (c, k) in self.numbers and owner == self.rank:
+                    needed.add(self.numbers[c, k])
+                node = self.cables[c].nodes[k]
+                if link.vertices is None and node.kind in ("vertex", "rail", "rider"):
+                    far |= {(owner, vertex) for vertex in node.masters()[0]}
         self.owned = np.flatnonzero(self.owners == self.rank)
         index = np.zeros(len(self.owners), dtype=np.int64)
         for rank in np.unique(self.owners):
@@ -164,11 +165,11 @@ class Network:
             np.any(self.strip.owner[self.strip.rows(point.support)] == self.rank)
         )
 
-    def _vertex_of(self, c: int, k: int) -> int:
-        return self.cables[c].nodes[k].masters()[0][0]
-
     def _find_far_vertices(self, far: Sequence[tuple[int, int]]) -> None:
-        """Owner and number there of the vertices at ends of spans that this rank has not."""
+        """Owner and number there of the vertices at ends of spans that this rank has not.
+
+        Those that are the ends themselves, and those on which rails and riders at ends depend.
+        """
         strip = self.strip
         far = [
             (rank, v) for rank, v in far if not np.any(strip.owner[strip.rows((v,))] == rank)
@@ -234,7 +235,10 @@ class Network:
         return self.vertex(corner) if isinstance(corner, int) else self.block(*corner)
 
     def hold(self, unknowns: Unknowns) -> None:
-        """Hold the anchors; let tied points and the sliding points of slack cables ride."""
+        """Hold the anchors; let tied points and the sliding points of slack cables ride.
+
+        Collective.
+        """
         riders, masters, weights = [], [], []
         self.rails: list[Member] = []
         for (c, k), number in self.numbers.items():
@@ -256,10 +260,12 @@ class Network:
             np.array(masters, dtype=np.int32).reshape(-1, 3),
             np.array(weights, dtype=float).reshape(-1, 3),
         )
-        if self.rails:
-            x = np.zeros_like(unknowns.X)
+        if any(n.kind == "rail" for cable in self.cables if cable.taut for n in cable.nodes):
+            vector, x = unknowns.vector()
             x[unknowns.vertex_blocks()] = self.u.x.array.reshape(-1, 3)
+            unknowns.update_ghosts(vector)  # on far vertices
             self.place_rails(unknowns, x)
+            vector.destroy()
 
     def rail_table(self) -> tuple[Indices, Indices, Array]:
         """Rails: blocks (n,), blocks of their edges' ends (n, 2), places on the edges (n,)."""
@@ -291,10 +297,11 @@ class Network:
         return fractions
 
     def update_cables(self, unknowns: Unknowns, x: Array) -> None:
-        """Tell all ranks where the cables' points are, and the sliding ones on their edges."""
+        """Tell all ranks where the cables' points are: in space, on edges, on the membrane."""
         taut = {c for c, cable in enumerate(self.cables) if cable.taut}
         sizes = np.cumsum([0] + [len(cable.nodes) for cable in self.cables])
-        local = np.zeros((int(sizes[-1]), 4))
+        local = np.zeros((int(sizes[-1]), 7))  # position, fraction, place when stress-free
+        own: list[Member] = []
         for c, cable in enumerate(self.cables):
             for k, node in enumerate(cable.nodes):
                 if cable.taut and cable.lifted[k]:
@@ -304,6 +311,7 @@ class Network:
                 else:
                     mine = self.owners[self.numbers[c, k]] == self.rank
                 if mine:
+                    own.append((c, k))
                     block = self.block(c, k)
                     local[sizes[c] + k, :3] = unknowns.X[block] + x[block]
         for edge, points in self.points_by_edge(taut).items():
@@ -316,6 +324,12 @@ class Network:
         for (c, k), fraction in zip(self.rails, self._rail_fractions(unknowns, x), strict=True):
             if self.owners[self.numbers[c, k]] == self.rank:
                 local[sizes[c] + k, 3] = fraction
+        for c, k in own:  # whoever owns a sliding point has found its place on its edge, too
+            node = self.cables[c].nodes[k]
+            if node.point is not None:
+                fraction = local[sizes[c] + k, 3] if c in taut else self.cables[c].fractions[k]
+                ids, weights = node.masters(float(fraction) if node.slides else None)
+                local[sizes[c] + k, 4:] = np.dot(weights, unknowns.X[[self.vertex(i) for i in ids]])
         total = np.zeros_like(local)
         unknowns.comm.Allreduce(local, total)
         for c, cable in enumerate(self.cables):
@@ -327,6 +341,7 @@ class Network:
                 cable.fractions[slides] = part[slides, 3]
             close = (cable.fractions < BLOCKED) | (cable.fractions > 1 - BLOCKED)
             cable.blocked = tuple(int(k) for k in np.flatnonzero(slides & close) if cable.taut)
+            _set_material(cable, part[:, 4:])
 
     def points_by_edge(self, cables: set[int]) -> dict[Edge, list[tuple[float, int, int]]]:
         """Points (fraction, cable, node) on each edge, sorted from its first vertex to its last."""
@@ -404,6 +419,23 @@ class Network:
             around += (line if forward else line[::-1])[:-1]
         lines = [[number(self._corner(*member)) for member in chord] for chord in chords]
         return split_polygon([number(corner) for corner in around], lines)
+
+
+def _set_material(cable: LaidCable, places: Array) -> None:
+    """Take the nodes' places on the stress-free membrane, (n, 3); none where the cable is off it.
+
+    A crossing slides in its cell while its cell point stays: between two contacts it goes onto
+    the line from one to the other, where the cable has bent it to.
+    """
+    on = np.array([node.point is not None for node in cable.nodes]) & ~cable.lifted
+    cable.material = np.where(on[:, None], places, np.nan)
+    rim = [k for k, node in enumerate(cable.nodes) if node.kind != "crossing"]
+    for a, b in itertools.pairwise(rim):
+        if b - a > 1 and on[a] and on[b]:
+            arc = np.linalg.norm(np.diff(cable.positions[a : b + 1], axis=0), axis=1).cumsum()
+            share = (arc[:-1] / arc[-1])[:, None]
+            start, end = cable.material[[a, b]]
+            cable.material[a + 1 : b] = start + share * (end - start)
 
 
 def side_of(cell: npt.NDArray[np.int64], k: int) -> tuple[Edge, bool]:

@@ -9,7 +9,7 @@ coordinates, no tolerances.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -193,26 +193,6 @@ class Path:
             if len(position) != 3 or not np.all(np.isfinite(position)):
                 raise PathError(f"{name} {position} of a path: give three finite coordinates")
             object.__setattr__(self, name, position)
-
-    def with_anchors(self, *, start: ArrayLike | None = None, end: ArrayLike | None = None) -> Path:
-        """Return the path with its cable going on to anchors off the membrane.
-
-        Parameters
-        ----------
-        start, end
-            (3,) positions (length); None keeps what the path has.
-
-        Raises
-        ------
-        PathError
-            An anchor that is no point in space.
-        """
-        new: dict[str, tuple[float, ...]] = {}
-        if start is not None:
-            new["start_anchor"] = tuple(float(x) for x in np.ravel(start))
-        if end is not None:
-            new["end_anchor"] = tuple(float(x) for x in np.ravel(end))
-        return replace(self, **new)  # type: ignore[arg-type]
 
     def positions(
         self, vertices: NDArray[np.int64], points: NDArray[np.float64]
@@ -405,118 +385,3 @@ def _tie_ends_in_cells(kept: list[SurfacePoint], surroundings: _Surroundings) ->
             a, b = point.edge
             (c,) = set(cells[0]) - {a, b}
             kept[i] = CellPoint((a, b, c), (1.0 - point.fraction, point.fraction, 0.0))
-
-
-@dataclass(frozen=True)
-class Meeting:
-    """A place where two cables meet.
-
-    Parameters
-    ----------
-    cell
-        Row of the cell inside which they cross; None where they meet on an edge or a vertex.
-    at
-        The point of the surface where they meet if not strictly inside a cell: a shared vertex,
-        an edge with equal fraction, a point where one crosses an edge that the other follows, or
-        the end of one on the other; None where they plainly cross in `cell`.
-    """
-
-    cell: int | None
-    at: SurfacePoint | None
-
-
-def chords_cross(path_a: Path, path_b: Path, cells: NDArray[np.int64]) -> list[Meeting]:
-    """Return where two cables cross or touch.
-
-    Two chords of a cell cross if their ends alternate around the triangle, which needs no
-    coordinates; only for a chord that ends inside its cell do the weights decide.
-
-    Parameters
-    ----------
-    path_a, path_b
-        Valid paths over the same mesh.
-    cells
-        (m, 3) global vertex ids; at least the cells around both paths.
-
-    Returns
-    -------
-    The meetings in the order of `path_a`; first those inside cells, then those on shared points
-    and edges. Whether cables that touch change sides there is not decided.
-
-    Raises
-    ------
-    PathError
-        One of the paths is not valid on these cells.
-    """
-    links_a, links_b = path_a.links(cells), path_b.links(cells)
-    meetings: list[Meeting] = []
-    chords: dict[int, list[tuple[SurfacePoint, SurfacePoint]]] = {}
-    for i, link in enumerate(links_b):
-        if isinstance(link, AcrossCell):
-            chords.setdefault(link.cell, []).append((path_b.points[i], path_b.points[i + 1]))
-    for i, link in enumerate(links_a):
-        if isinstance(link, AcrossCell):
-            a = (path_a.points[i], path_a.points[i + 1])
-            corners = tuple(int(v) for v in np.sort(np.asarray(cells)[link.cell]))
-            for b in chords.get(link.cell, []):
-                meeting = _meeting_in_cell(a, b, link.cell, corners)
-                if meeting is not None:
-                    meetings.append(meeting)
-    met = set(path_a.points) & set(path_b.points)
-    met |= _crossings(links_a, path_b) | _crossings(links_b, path_a)
-    in_order = dict.fromkeys([*path_a.points, *path_b.points])
-    meetings.extend(Meeting(None, point) for point in in_order if point in met)
-    return meetings
-
-
-def _crossings(links: Sequence[Link], other: Path) -> set[SurfacePoint]:
-    """Return the points of the other path inside edges that the links follow."""
-    followed = {link.edge for link in links if isinstance(link, AlongEdge)}
-    return {p for p in other.points if isinstance(p, EdgePoint) and p.edge in followed}
-
-
-def _meeting_in_cell(
-    a: tuple[SurfacePoint, SurfacePoint],
-    b: tuple[SurfacePoint, SurfacePoint],
-    cell: int,
-    corners: tuple[int, ...],
-) -> Meeting | None:
-    """Return how two chords of one cell meet inside it, ends that they share left out."""
-    if set(a) & set(b):
-        return None
-    if not any(isinstance(point, CellPoint) for point in a + b):
-        first, last = sorted(_around(point, corners) for point in a)
-        inside = [first < _around(point, corners) < last for point in b]
-        return Meeting(cell, None) if inside[0] != inside[1] else None
-    (a0, a1), (b0, b1) = ([_flat(p, corners) for p in chord] for chord in (a, b))
-    sides_b = [_side(a0, a1, x) for x in (b0, b1)]
-    sides_a = [_side(b0, b1, x) for x in (a0, a1)]
-    if sides_a[0] * sides_a[1] > 0 or sides_b[0] * sides_b[1] > 0 or not any(sides_a + sides_b):
-        return None
-    for side, point in zip(sides_a + sides_b, a + b, strict=True):
-        if side == 0.0:
-            return Meeting(cell, point)
-    return Meeting(cell, None)
-
-
-def _around(point: SurfacePoint, corners: tuple[int, ...]) -> float:
-    """Return where the point lies around the triangle's rim, from 0 to 3."""
-    if isinstance(point, VertexPoint):
-        return float(corners.index(point.vertex))
-    assert isinstance(point, EdgePoint)
-    a, b = (corners.index(v) for v in point.edge)
-    return a + point.fraction if b == a + 1 else 3.0 - point.fraction
-
-
-def _flat(point: SurfacePoint, corners: tuple[int, ...]) -> tuple[float, float]:
-    """Return the weights of the last two corners: affine coordinates in the cell."""
-    weight = dict(zip(point.support, _weights(point), strict=True))
-    return weight.get(corners[1], 0.0), weight.get(corners[2], 0.0)
-
-
-def _side(
-    start: tuple[float, float], end: tuple[float, float], point: tuple[float, float]
-) -> float:
-    """Return on which side of a chord a point lies: the sign, zero on its line."""
-    (x0, y0), (x1, y1), (x, y) = start, end, point
-    return float(np.sign((x1 - x0) * (y - y0) - (y1 - y0) * (x - x0)))

@@ -1,0 +1,442 @@
+"""Lift-off and touch-down of a cable, and of one on another, on roofs that are easy to compute.
+
+The roofs are folded strips of triangles, y = 0 ... 1, x = 0, 1, 2 ...; a cable runs along y = 1/2
+over the folds and over the diagonals midway between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from crms_fenicsx import Cable
+from crms_fenicsx.cables.cable import CableNode, Crossing, LaidCable, polyline_length
+from crms_fenicsx.cables.contact import (
+    DEPTH,
+    INSIDE,
+    captured,
+    drape,
+    is_foot,
+    joins,
+    link_at,
+    may_lift,
+    outward_pull,
+    parts,
+    released,
+    size_at,
+    spans,
+    touch,
+    under,
+)
+from crms_fenicsx.cables.path import CellPoint, EdgePoint, VertexPoint
+from crms_fenicsx.cables.strip import Strip, StripShape
+
+Array = npt.NDArray[np.float64]
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def roof(heights: Sequence[float]) -> StripShape:
+    """A strip of triangles with these heights at x = 0, 1, 2 ...; vertices x, and n + x beyond."""
+    n = len(heights)
+    cells = [c for k in range(n - 1) for c in ((k, k + 1, n + k), (k + 1, n + k + 1, n + k))]
+    points = np.array([(x % n, x // n, heights[x % n]) for x in range(2 * n)], dtype=float)
+    none = np.zeros(len(cells), dtype=np.int64)
+    strip = Strip(np.array(cells, dtype=np.int64), none, np.arange(len(cells)))
+    return StripShape(strip, points, points)
+
+
+def cable_on(
+    shape: StripShape, nodes: Sequence[CableNode], anchors: Sequence[Sequence[float]] = ()
+) -> LaidCable:
+    """A cable in tension over these nodes, with anchors before the first and after the last."""
+    places = []
+    for node in nodes:
+        ids, weights = node.masters()
+        places.append(np.dot(weights, [shape.at(i) for i in ids]))
+    all_nodes = list(nodes)
+    if len(anchors):
+        all_nodes = [CableNode("anchor"), *nodes, CableNode("anchor")]
+        places = [anchors[0], *places, anchors[1]]
+    fractions = [
+        node.point.fraction if isinstance(node.point, EdgePoint) else np.nan for node in all_nodes
+    ]
+    return LaidCable(
+        "cable 1", Cable(1000.0), tuple(all_nodes), np.array(places, dtype=float),
+        np.array(fractions), np.zeros(len(all_nodes), dtype=bool), 1.0, 1.0, 10.0, taut=True,
+    )  # fmt: skip
+
+
+def along(shape: StripShape, *anchors: Sequence[float]) -> tuple[LaidCable, dict[float, int]]:
+    """A cable along y = 1/2 and the numbers of its nodes by x; its ends are tied or anchored."""
+    n = len(shape.strip.vertices) // 2
+    edges = {float(k): (k, n + k) for k in range(n)}
+    edges |= {k + 0.5: (k + 1, n + k) for k in range(n - 1)}
+    kinds = dict.fromkeys(edges, "fold")
+    if not anchors:
+        kinds[0.0] = kinds[n - 1.0] = "rider"
+    nodes = [CableNode(kinds[x], EdgePoint(edges[x], 0.5)) for x in sorted(edges)]  # type: ignore[arg-type]
+    first = 1 if anchors else 0
+    return cable_on(shape, nodes, anchors), {x: first + k for k, x in enumerate(sorted(edges))}
+
+
+def set_lifted(cable: LaidCable, nodes: Sequence[int]) -> None:
+    cable.lifted[:] = False
+    cable.lifted[list(nodes)] = True
+
+
+# ---- the pull on the membrane ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("h", [0.3, -0.3, 0.0])
+def test_pull_at_a_fold(h: float) -> None:
+    """Two unit forces towards both sides, which go down (or up) as the roof does."""
+    shape = roof([0.0, h, 0.0])
+    cable, at = along(shape)
+    pull = outward_pull(cable, at[1.0], shape.normal((1, 4)), 0.4)
+    assert pull == pytest.approx(-2 * h / np.hypot(1.0, h), abs=1e-15)
+    assert outward_pull(cable, at[0.5], shape.normal((1, 3)), 0.4) == pytest.approx(0.0, abs=1e-15)
+
+
+def test_points_close_together_share_a_contact() -> None:
+    """What counts is the turn between a distance before and after them."""
+    cable, _ = along(roof([0.0, 0.0, 0.0]))
+    cable.positions = np.array([(-2, 0, 0), (-0.1, 0, 0), (0, 0, -0.02), (0.1, 0, 0), (2, 0, 0)])
+    near = 2 * 0.02 / np.hypot(0.1, 0.02)
+    assert outward_pull(cable, 2, UP, 0.05) == pytest.approx(near)
+    # a distance of 1 along the cable ends this far along the x axis
+    x = 0.1 + 1.0 - np.hypot(0.1, 0.02)
+    assert outward_pull(cable, 2, UP, 1.0) == pytest.approx(2 * 0.02 / np.hypot(x, 0.02))
+    cable.lifted[[1, 3]] = True  # it passes them straight
+    assert outward_pull(cable, 2, UP, 1.0) == pytest.approx(
+        2 * 0.02 / np.hypot(2.0, 0.02), rel=1e-3
+    )
+
+
+def test_pull_is_not_looked_for_beyond_a_crossing() -> None:
+    cable, _ = along(roof([0.0, 0.0, 0.0]))
+    cable.positions = np.array([(-2, 0, -3), (-0.5, 0, 0), (0, 0, 0), (0.5, 0, 0), (2, 0, -3)])
+    assert outward_pull(cable, 2, UP, 1.0) < -0.1
+    nodes = list(cable.nodes)
+    nodes[1] = nodes[3] = CableNode("crossing", CellPoint((0, 1, 3), (0.2, 0.3, 0.5)))
+    cable.nodes = tuple(nodes)
+    assert outward_pull(cable, 2, UP, 1.0) == pytest.approx(0.0, abs=1e-15)
+
+
+def test_a_cable_on_its_anchor_does_not_pull() -> None:
+    shape = roof([0.0, 0.5, 0.0])
+    cable, _ = along(shape, (0.0, 0.5, 0.0), (4.0, 0.5, 3.0))
+    assert outward_pull(cable, 1, UP, 0.5) == -1.0
+    assert outward_pull(cable, len(cable.nodes) - 2, UP, 0.5) > 0.1
+
+
+def test_size_of_the_cells_around() -> None:
+    shape = roof([0.0, 0.75, 0.0])  # twice the area of each is 5/4
+    for support in ((1,), (1, 4), (1, 3), (0, 1, 3)):
+        assert size_at(shape, support) == pytest.approx(np.sqrt(1.25))
+
+
+# ---- what may leave the membrane ---------------------------------------------------------------
+
+
+def test_ends_and_crossings_do_not_lift() -> None:
+    shape = roof([0.0, -0.3, 0.0])
+    cable, _ = along(shape)
+    assert list(may_lift(cable)) == [1, 2, 3]
+    assert released(cable, shape) == [1, 2, 3]  # all within the cells' size of the valley
+    nodes = list(cable.nodes)
+    nodes[2] = CableNode("crossing", CellPoint((0, 1, 3), (0.2, 0.3, 0.5)))
+    cable.nodes = tuple(nodes)
+    assert list(may_lift(cable)) == [1, 3]
+    assert released(cable, shape) == []
+
+
+def test_a_sleeve_holds_it() -> None:
+    shape = roof([0.0, -0.3, 0.0])
+    cable, _ = along(shape)
+    cable.sleeve = True
+    assert released(cable, shape) == []
+
+
+def test_a_cable_on_top_holds_it_at_a_shared_vertex() -> None:
+    shape = roof([0.0, -0.3, 0.0])
+    nodes = [
+        CableNode("rider", EdgePoint((0, 3), 0.5)),
+        CableNode("vertex", VertexPoint(1)),
+        CableNode("rider", EdgePoint((2, 5), 0.5)),
+    ]
+    cable = cable_on(shape, nodes)
+    assert released(cable, shape) == [1]
+    assert released(cable, shape, {1}) == []
+    assert released(cable, shape, {0, 2}) == [1]
+
+
+def test_a_foot_only_marks_the_place_under_an_anchor() -> None:
+    shape = roof([0.0, 0.3, 0.0])
+    foot = CableNode("rider", CellPoint((0, 1, 3), (0.4, 0.3, 0.3)))
+    fold, tied = (CableNode(kind, EdgePoint((1, 4), 0.5)) for kind in ("fold", "rider"))
+    cable = cable_on(shape, [foot, fold, tied], [(0.3, 0.3, 2.0), (5.0, 0.5, -2.0)])
+    assert [is_foot(cable, k) for k in range(1, 4)] == [True, False, False]
+    assert 1 in released(cable, shape)
+    set_lifted(cable, [1])
+    cable.positions[0] = (0.3, 0.3, -2.0)  # even with the anchor below
+    assert captured(cable, shape, {}) == {}
+
+
+# ---- spans and what lies under them ------------------------------------------------------------
+
+
+def test_spans_are_between_contacts() -> None:
+    cable, _ = along(roof([0.0] * 4))
+    assert list(spans(cable)) == []
+    set_lifted(cable, [1, 4, 5])
+    assert list(spans(cable)) == [(0, 2), (3, 6)]
+
+
+def test_under_an_edge() -> None:
+    shape = roof([0.0, 0.5, 0.0])
+    node = CableNode("fold", EdgePoint((1, 4), 0.5))
+    span = np.array([(0.0, 0.2, 1.0)]), np.array([(2.0, 0.6, 2.0)])
+    found = under(node, (span[0][0], span[1][0]), shape)
+    assert found.gap == pytest.approx(1.0) and found.fraction == pytest.approx(0.4)
+    np.testing.assert_allclose(found.place, [1.0, 0.4, 0.5])
+    np.testing.assert_allclose(found.above, [1.0, 0.4, 1.5])
+    assert found.inside
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "fraction", "place", "above", "gap"),
+    [
+        # beyond the edge's end
+        ((0, 1.2, 1), (2, 1.4, 1), 1.0, (1, 1, 0.5), (1, 1.3, 1), 0.5),
+        ((0, -1, 1), (2, -1, 1), 0.0, (1, 0, 0.5), (1, -1, 1), 0.5),
+        # before the span, which ends above the one side of the roof
+        ((0, 0.2, 0), (0.8, 0.2, 0.1), 0.2, (1, 0.2, 0.5), (0.8, 0.2, 0.1), -0.4),
+        # along the edge
+        ((1, 0.2, 1), (1, 0.8, 1), 0.5, (1, 0.5, 0.5), (1, 0.5, 1), 0.5),
+    ],
+)
+def test_under_an_edge_that_is_not_passed(start, end, fraction, place, above, gap) -> None:
+    shape = roof([0.0, 0.5, 0.0])
+    node = CableNode("fold", EdgePoint((1, 4), 0.5))
+    found = under(node, (np.array(start, dtype=float), np.array(end, dtype=float)), shape)
+    assert found.fraction == pytest.approx(fraction)
+    np.testing.assert_allclose(found.place, place, atol=1e-15)
+    np.testing.assert_allclose(found.above, above, atol=1e-15)
+    assert found.gap == pytest.approx(gap)
+    assert found.inside == (start[0] == end[0])
+
+
+@pytest.mark.parametrize("y", [0.25, 0.75])
+def test_under_an_edge_that_another_cable_bends(y: float) -> None:
+    """It is 0.5 deeper in its middle; fractions are those of its length."""
+    shape = roof([0.0, 0.0, 0.0])
+    node = CableNode("fold", EdgePoint((1, 4), 0.9))
+    span = np.array([0.0, y, 1.0]), np.array([2.0, y, 1.0])
+    found = under(node, span, shape, [np.array([1.0, 0.5, -0.5])])
+    assert found.gap == pytest.approx(1.25) and found.inside
+    np.testing.assert_allclose(found.place, [1.0, y, -0.25])
+    assert found.fraction == pytest.approx(y)
+    beyond = under(node, (span[0] + [0, 5, 0], span[1] + [0, 5, 0]), shape, [found.place])
+    assert not beyond.inside and beyond.fraction == 1.0
+
+
+def test_under_a_vertex() -> None:
+    shape = roof([0.0, 0.5, 0.0])
+    node = CableNode("vertex", VertexPoint(1))
+    found = under(node, (np.array([0.0, 0.0, 1.0]), np.array([2.0, 0.0, 1.0])), shape)
+    np.testing.assert_allclose(found.place, [1.0, 0.0, 0.5])
+    np.testing.assert_allclose(found.above, [1.0, 0.0, 1.0])
+    # the roof is symmetric, but only one cell at its left side touches the vertex
+    assert np.isnan(found.fraction) and found.inside and 0.3 < found.gap <= 0.5
+    outside = under(node, (np.array([1.5, 0.0, 1.0]), np.array([2.0, 0.0, 1.0])), shape)
+    assert not outside.inside
+    np.testing.assert_allclose(outside.above, [1.5, 0.0, 1.0])
+
+
+# ---- touching down -----------------------------------------------------------------------------
+
+
+def test_a_span_through_a_hill_touches_it() -> None:
+    """Straight from end to end it is below the roof by the roof's height, along the normal."""
+    heights = [0.0, 0.75, 1.0, 0.75, 0.0]
+    shape = roof(heights)
+    cable, at = along(shape)
+    set_lifted(cable, range(1, 8))
+    places = captured(cable, shape, {})
+    assert sorted(places) == list(range(1, 8))
+    assert places[at[2.0]].gap == pytest.approx(-1.0)
+    # the diagonal's normal is that of its two cells, which are in one plane of slope 3/4
+    assert places[at[0.5]].gap == pytest.approx(-0.375 * 1.25)
+    np.testing.assert_allclose(cable.positions[:, 2], 0.0, atol=1e-15)  # on the span
+    touch(cable, places)
+    assert not cable.lifted.any()
+    x = np.arange(0.0, 4.01, 0.5)
+    expected = np.column_stack([x, np.full(9, 0.5), np.interp(x, range(5), heights)])
+    np.testing.assert_allclose(cable.positions, expected, atol=1e-14)
+    np.testing.assert_allclose(cable.fractions, 0.5)
+
+
+def test_a_span_above_a_valley_does_not_touch_it() -> None:
+    shape = roof([1.0, 0.8, 1.0])
+    cable, _ = along(shape)
+    set_lifted(cable, [1, 2, 3])
+    assert captured(cable, shape, {}) == {}
+    np.testing.assert_allclose(cable.positions[:, 2], 1.0)
+    # along the normal, 0.1 up is 0.02 inwards
+    np.testing.assert_allclose(cable.positions[:, 0], [0.0, 0.52, 1.0, 1.48, 2.0])
+
+
+@pytest.mark.parametrize(("depth", "touches"), [(0.5 * DEPTH, False), (2 * DEPTH, True)])
+def test_rounding_does_not_touch(depth: float, touches: bool) -> None:
+    shape = roof([0.0, depth, 0.0])
+    cable, at = along(shape)
+    set_lifted(cable, [1, 2, 3])
+    assert (at[1.0] in captured(cable, shape, {})) == touches
+
+
+def test_it_touches_where_the_span_passes_but_off_the_vertices() -> None:
+    """The span leads from y = 1/2 to y = 1, near the end of the last diagonal."""
+    shape = roof([0.0, 1.0, 0.0])
+    cable, at = along(shape)
+    cable.positions[-1] = (2.0, 0.999, 0.0)
+    set_lifted(cable, [1, 2, 3])
+    places = captured(cable, shape, {})
+    assert places[at[1.0]].fraction == pytest.approx(0.7495)
+    touch(cable, places)
+    np.testing.assert_allclose(cable.positions[at[1.0]], [1.0, 0.7495, 1.0])
+    assert cable.fractions[at[1.0]] == pytest.approx(0.7495)
+    cable.positions[0, 1] = 0.001
+    cable.positions[-1, 1] = 0.001
+    set_lifted(cable, [1, 2, 3])
+    touch(cable, captured(cable, shape, {}))
+    assert cable.fractions[at[1.0]] == INSIDE
+
+
+def test_it_touches_another_cable_s_bend() -> None:
+    """The edge has been bent up by another cable: there the straight span runs below it."""
+    shape = roof([0.0, 0.0, 0.0])
+    cable, at = along(shape)
+    set_lifted(cable, [1, 2, 3])
+    assert captured(cable, shape, {}) == {}
+    bends = {(1, 4): [np.array([1.0, 0.5, 0.2])]}
+    places = captured(cable, shape, bends)
+    assert list(places) == [at[1.0]]
+    assert places[at[1.0]].gap == pytest.approx(-0.2)
+
+
+# ---- draping -----------------------------------------------------------------------------------
+
+
+def test_drape_over_two_ridges() -> None:
+    shape = roof([0.0, 1.0, 0.0, 1.0, 0.0])
+    cable, at = along(shape)
+    drape(cable, shape)
+    assert [x for x, k in at.items() if cable.lifted[k]] == [1.5, 2.0, 2.5]
+    length = polyline_length(cable.positions[cable.contacts()])
+    assert length == pytest.approx(2 * np.sqrt(2) + 2)
+    np.testing.assert_allclose(cable.positions[at[2.0]], [2.0, 0.5, 1.0])
+
+
+def test_drape_from_anchors_is_tangential() -> None:
+    """From the ground one length off, the steep first part of the roof is passed."""
+    shape = roof([0.0, 0.75, 1.0, 0.75, 0.0])
+    cable, at = along(shape, (-1.0, 0.5, 0.0), (5.0, 0.5, 0.0))
+    drape(cable, shape)
+    assert [x for x, k in at.items() if cable.lifted[k]] == [0.0, 0.5, 3.5, 4.0]
+    length = polyline_length(cable.positions[cable.contacts()])
+    assert length == pytest.approx(2 * np.hypot(2.0, 0.75) + 2 * np.hypot(1.0, 0.25))
+
+
+def test_drape_over_low_hills_between_high_ones() -> None:
+    """The straight way between the high ridges passes over a low one, not over a middle one."""
+    for middle, touches in ((0.9, False), (1.1, True)):
+        shape = roof([0.0, 1.0, 0.0, middle, 0.0, 1.0, 0.0])
+        cable, at = along(shape)
+        drape(cable, shape)
+        on = [x for x, k in at.items() if not cable.lifted[k]]
+        assert on == [0.0, 0.5, 1.0, *([3.0] * touches), 5.0, 5.5, 6.0]
+        length = polyline_length(cable.positions[cable.contacts()])
+        top = 2 * np.hypot(2.0, 0.1) if touches else 4.0
+        assert length == pytest.approx(2 * np.sqrt(2) + top)
+
+
+def test_drape_depends_on_no_state() -> None:
+    """Whatever touched before; a cable that is draped stays as it is."""
+    shape = roof([0.0, 0.75, 1.0, 0.75, 0.0, 0.3, 0.0])
+    anchors = (-1.0, 0.5, 0.0), (7.0, 0.5, 0.0)
+    first, _ = along(shape, *anchors)
+    drape(first, shape)
+    assert 0 < first.lifted.sum() < len(first.nodes) - 2
+    for seed in range(4):
+        cable, _ = along(shape, *anchors)
+        cable.lifted[1:-1] = np.random.default_rng(seed).random(len(cable.nodes) - 2) < 0.5
+        drape(cable, shape)
+        found = [polyline_length(c.positions[c.contacts()]) for c in (cable, first)]
+        assert found[0] == pytest.approx(found[1], rel=1e-6)  # DEPTH
+        before = cable.lifted.copy()
+        drape(cable, shape)
+        np.testing.assert_array_equal(cable.lifted, before)
+
+
+# ---- one cable on another ----------------------------------------------------------------------
+
+
+def crossed(z: float, apart: bool = False) -> tuple[Crossing, list[LaidCable], StripShape]:
+    """Two cables that cross in a flat cell, anchored at z = 0 (lower) and at z (upper)."""
+    shape = roof([0.0, 0.0])
+    point = CellPoint((0, 1, 2), (0.25, 0.5, 0.25))
+    place = np.array([0.5, 0.25, 0.0])
+    crossing = Crossing(0, 1, (0, 1, 2), (0, 0), place, apart)
+    cables = []
+    for way in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)):
+        ends = [place - way, place + way]
+        if len(cables) == 1:
+            ends = [end + z * UP for end in ends]
+        node = CableNode("crossing", point, crossing)
+        cable = cable_on(shape, [] if apart else [node], ends)
+        if not apart:
+            cable.positions[1] = place
+        cables.append(cable)
+    return crossing, cables, shape
+
+
+@pytest.mark.parametrize(("z", "expected"), [(0.5, True), (-0.5, False), (0.0, False)])
+def test_the_upper_cable_leaves_the_lower_one_that_it_would_pull_up(
+    z: float, expected: bool
+) -> None:
+    crossing, cables, shape = crossed(z)
+    assert parts(crossing, cables, shape) is expected
+    assert not joins(crossing, cables, shape)
+    crossing.apart = True
+    assert not parts(crossing, cables, shape)
+
+
+@pytest.mark.parametrize(("z", "expected"), [(0.5, False), (-0.5, True), (0.0, False)])
+def test_the_upper_cable_does_not_run_through_the_lower_one(z: float, expected: bool) -> None:
+    crossing, cables, shape = crossed(z, apart=True)
+    assert joins(crossing, cables, shape) is expected
+    crossing.apart = False
+    assert not joins(crossing, cables, shape)
+
+
+def test_links_count_no_crossings_and_pass_what_is_lifted() -> None:
+    cable, _ = along(roof([0.0] * 4))
+    x = cable.positions
+    for k, (a, b) in ((2, (2, 3)), (0, (0, 1))):
+        np.testing.assert_array_equal(link_at(cable, k), x[[a, b]])
+    set_lifted(cable, [2, 3])
+    np.testing.assert_array_equal(link_at(cable, 2), x[[1, 4]])
+    nodes = list(cable.nodes)
+    nodes.insert(2, CableNode("crossing", CellPoint((0, 1, 4), (0.2, 0.3, 0.5))))
+    cable.set_nodes(
+        nodes,
+        np.insert(x, 2, 0.0, axis=0),
+        np.insert(cable.fractions, 2, np.nan),
+        np.zeros(8, bool),
+    )
+    # node 1 is at 1, the crossing at 2, and the second to follow at 3
+    np.testing.assert_array_equal(link_at(cable, 1), cable.positions[[1, 3]])
+    np.testing.assert_array_equal(link_at(cable, 2), cable.positions[[3, 4]])
