@@ -219,6 +219,7 @@ class Solver:
         pressure: float | None = None,
         move: Mapping[object, tuple[float, float, float]] | None = None,
         L0: Mapping[object, float] | None = None,
+        load: float | None = None,
         steps: int = 1,
     ) -> Step:
         """Go to new loads in equal increments, and write each state.
@@ -237,6 +238,8 @@ class Solver:
             moved as well.
         L0
             Unstressed lengths of cables to reach (length).
+        load
+            Factor to reach of the dead load that `Scene.put_load` has put on the membrane.
         steps
             Number of increments.
 
@@ -257,7 +260,7 @@ class Solver:
         scene = self.scene
         checks.whole("advance: steps", steps, 1)
         target = checked_target(
-            scene, pressure, {} if move is None else move, {} if L0 is None else L0
+            scene, pressure, {} if move is None else move, {} if L0 is None else L0, load
         )
         first = State.of(scene)
         done, increment, halvings = 0.0, 1.0, 0
@@ -321,7 +324,10 @@ class Solver:
         moves = [float(np.linalg.norm(d)) for *_, d in target.cable_ends]
         moves.append(float(np.max(np.linalg.norm(target.moved, axis=1), initial=0.0)))
         travel = share * scene.comm.allreduce(max(moves), op=MPI.MAX)
-        coming = 0.3 * abs(scene.pressure * size) ** (2 / 3) * modulus ** (1 / 3)
+        loads = abs(scene.pressure)
+        if scene.dead_forces is not None:
+            loads += abs(scene.load) * scene.dead_forces.intensity
+        coming = 0.3 * (loads * size) ** (2 / 3) * modulus ** (1 / 3)
         coming = max(coming, 0.3 * modulus * (travel / size) ** 2)
         present = np.sqrt(max(2 * scene.energies.get("membrane", 0.0) * modulus, 0.0)) / size
         if present > 0.3 * coming:

@@ -206,12 +206,12 @@ def draw_scene_history(
 def default_panels(history: History) -> list[list[str]]:
     """Columns that show a run: what drives it, then what it answers, as far as it changes.
 
-    These are pressure, unstressed lengths, volume, tensions and energies. An energy that would
-    not be seen beside the others is left out.
+    These are pressure, load factor, unstressed lengths, volume, tensions and energies. An energy
+    that would not be seen beside the others is left out.
     """
     groups = [
         [column for column in history.columns if column == name or column.startswith(f"{name} ")]
-        for name in ("pressure", "L0", "volume", "tension", "energy")
+        for name in ("pressure", "load", "L0", "volume", "tension", "energy")
     ]
     shown = [[c for c in group if _span(history[c]) > 0.0] for group in groups]
     if not any(shown):  # a single step, say
