@@ -25,7 +25,7 @@ from crms_fenicsx.state import State
 from crms_fenicsx.system import System
 
 if TYPE_CHECKING:
-    from crms_fenicsx.output import History
+    from crms_fenicsx.output import History, Line
     from crms_fenicsx.results import MembraneResults, Reactions
 
 Array = npt.NDArray[np.float64]
@@ -166,6 +166,8 @@ class Solver:
     def draw(self, filename: str | FilePath, *, colour: str | None = None, **options: Any) -> None:
         """Draw the scene as it is, and say or colour the cables' tensions. Collective.
 
+        Cables are striped where they are off the membrane.
+
         Parameters
         ----------
         filename
@@ -185,6 +187,36 @@ class Solver:
         from crms_fenicsx.output.scene_pictures import draw_scene
 
         draw_scene(self.system, filename, colour=colour, **options)
+
+    def draw_paths(
+        self,
+        filename: str | FilePath,
+        lines: Sequence[Line] = (),
+        paths: Sequence[Line] = (),
+        **options: Any,
+    ) -> None:
+        """Draw paths of cables and ways of points over the stress-free mesh, in plan. Collective.
+
+        Parameters
+        ----------
+        filename
+            Picture to write; its suffix says the format.
+        lines
+            Paths of cables, such as ``Line(cable.positions, name="now")``.
+        paths
+            Ways of points, step by step.
+        **options
+            ``unit``, the name of the unit of length; and as for `crms_fenicsx.output.draw_path`:
+            ``closeups``, ``title`` ...
+
+        Raises
+        ------
+        InputError
+            Nothing to draw, an unknown option, or a file that cannot be written.
+        """
+        from crms_fenicsx.output.scene_pictures import draw_scene_paths
+
+        draw_scene_paths(self.scene, filename, lines, paths, **options)
 
     def draw_history(
         self,

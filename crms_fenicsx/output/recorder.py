@@ -112,8 +112,15 @@ class Recorder:
 
 
 def cable_lines(scene: Scene) -> list[Line]:
-    """The scene's cables as lines that know their tension; the same on all ranks."""
+    """The scene's cables as lines, the same on all ranks.
+
+    They know their tension, and which of their points are lifted off the membrane.
+    """
     return [
-        Line(np.array(cable.positions), {"tension": cable.tension}, cable.name)
+        Line(
+            np.array(cable.positions),
+            {"tension": cable.tension, "lifted": cable.lifted.astype(np.float64)},
+            cable.name,
+        )
         for cable in scene.cables
     ]
