@@ -27,6 +27,8 @@ class Target:
     ----------
     pressure
         First and last pressure (force per area).
+    load
+        First and last factor of the dead load.
     cable_ends
         Number of the cable, its first (0) or last (-1) node, and that end's displacement (length).
     moved : (n, 3)
@@ -36,6 +38,7 @@ class Target:
     """
 
     pressure: tuple[float, float]
+    load: tuple[float, float]
     cable_ends: list[tuple[int, int, Array]]
     moved: Array
     lengths: list[tuple[int, float, float]]
@@ -43,6 +46,7 @@ class Target:
     def apply(self, scene: Scene, first: State, share: float) -> None:
         """Set the loads at a share of the way from the state `first`."""
         scene.pressure = self.pressure[0] + share * (self.pressure[1] - self.pressure[0])
+        scene.load = self.load[0] + share * (self.load[1] - self.load[0])
         u = scene.u.x.array.reshape(-1, 3)
         some = self.moved != 0.0
         u[some] = first.u.reshape(-1, 3)[some] + share * self.moved[some]
@@ -59,6 +63,7 @@ def checked_target(
     pressure: float | None,
     move: Mapping[object, tuple[float, float, float]],
     L0: Mapping[object, float],
+    load: float | None = None,
 ) -> Target:
     """Check the loads and say what they change; see `Solver.advance`. Collective.
 
@@ -75,6 +80,12 @@ def checked_target(
         )
     value = scene.pressure if pressure is None else pressure
     value = checks.finite("advance: pressure", value)
+    factor = checks.finite("advance: load", scene.load if load is None else load)
+    if load is not None and scene.dead_forces is None:
+        raise InputError(
+            f"advance: load = {load!r}, but there is none on the membrane; put one there with "
+            "scene.put_load."
+        )
     for name, given in (("move", move), ("L0", L0)):
         if not isinstance(given, Mapping):
             raise InputError(
@@ -118,7 +129,7 @@ def checked_target(
             )
         length = checks.positive(f"advance: L0 of {key.name!r}", length)
         lengths.append((_number(scene, key), key.L0, length))
-    return Target((scene.pressure, value), ends, moved, lengths)
+    return Target((scene.pressure, value), (scene.load, factor), ends, moved, lengths)
 
 
 def _number(scene: Scene, cable: object) -> int:

@@ -21,6 +21,7 @@ from crms_fenicsx.meshes import MembraneMesh
 if TYPE_CHECKING:
     from crms_fenicsx.cables.cable import Cable, Crossing, LaidCable
     from crms_fenicsx.cables.strip import Strip
+    from crms_fenicsx.dead_load import DeadForces, Traction
 
 Array = npt.NDArray[np.float64]
 Marker = Callable[[Array], npt.NDArray[np.bool_]]
@@ -111,6 +112,9 @@ class Scene:
         self.floor_level: float | None = None
         self.pressure = 0.0
         """Current pressure (force per area)."""
+        self.dead_forces: DeadForces | None = None
+        self.load = 0.0
+        """Current factor of the dead load."""
         self.cables: list[LaidCable] = []
         self.strip: Strip | None = None
         self.crossings: list[Crossing] = []
@@ -296,6 +300,33 @@ class Scene:
                     "put the floor lower."
                 )
         self.floor_level = z
+        self.changes += 1
+
+    def put_load(self, force: Traction) -> None:
+        """Put a dead load on the membrane's current shape; `Solver.advance` brings it on.
+
+        Its forces follow from the areas and normals of the current shape, and then keep direction
+        and size. That is right for snow and for weight (put on the stress-free shape). For wind it
+        is right up to the rotation of the surface and the change of its area since; where that is
+        too much, put the load again in the equilibrium that it led to and advance with the same
+        factor. Each time the error shrinks by about the share that it had at first.
+
+        Parameters
+        ----------
+        force
+            Force per area (force / length squared): (3,), or a function of points (3, n) on the
+            current surface and of its unit normals (3, n), which point to the side that pressure
+            pushes to, that returns (3, n). It replaces the load that there is, at its factor.
+
+        Raises
+        ------
+        InputError
+            On all ranks: a force that is not finite or of another shape.
+        """
+        from crms_fenicsx.dead_load import dead_forces
+
+        self.check_finite("put_load")
+        self.dead_forces = dead_forces(self, force)
         self.changes += 1
 
     def lay_cable(

@@ -25,7 +25,7 @@ from crms_fenicsx.state import State
 from crms_fenicsx.system import System
 
 if TYPE_CHECKING:
-    from crms_fenicsx.output import History
+    from crms_fenicsx.output import History, Line
     from crms_fenicsx.results import MembraneResults, Reactions
 
 Array = npt.NDArray[np.float64]
@@ -178,6 +178,8 @@ class Solver:
     def draw(self, filename: str | FilePath, *, colour: str | None = None, **options: Any) -> None:
         """Draw the scene as it is, and say or colour the cables' tensions. Collective.
 
+        Cables are striped where they are off the membrane.
+
         Parameters
         ----------
         filename
@@ -197,6 +199,36 @@ class Solver:
         from crms_fenicsx.output.scene_pictures import draw_scene
 
         draw_scene(self.system, filename, colour=colour, **options)
+
+    def draw_paths(
+        self,
+        filename: str | FilePath,
+        lines: Sequence[Line] = (),
+        paths: Sequence[Line] = (),
+        **options: Any,
+    ) -> None:
+        """Draw paths of cables and ways of points over the stress-free mesh, in plan. Collective.
+
+        Parameters
+        ----------
+        filename
+            Picture to write; its suffix says the format.
+        lines
+            Paths of cables, such as ``Line(cable.positions, name="now")``.
+        paths
+            Ways of points, step by step.
+        **options
+            ``unit``, the name of the unit of length; and as for `crms_fenicsx.output.draw_path`:
+            ``closeups``, ``title`` ...
+
+        Raises
+        ------
+        InputError
+            Nothing to draw, an unknown option, or a file that cannot be written.
+        """
+        from crms_fenicsx.output.scene_pictures import draw_scene_paths
+
+        draw_scene_paths(self.scene, filename, lines, paths, **options)
 
     def draw_history(
         self,
@@ -231,6 +263,7 @@ class Solver:
         pressure: float | None = None,
         move: Mapping[object, tuple[float, float, float]] | None = None,
         L0: Mapping[object, float] | None = None,
+        load: float | None = None,
         steps: int = 1,
     ) -> Step:
         """Go to new loads in equal increments, and write each state.
@@ -249,6 +282,8 @@ class Solver:
             moved as well.
         L0
             Unstressed lengths of cables to reach (length).
+        load
+            Factor to reach of the dead load that `Scene.put_load` has put on the membrane.
         steps
             Number of increments.
 
@@ -269,7 +304,7 @@ class Solver:
         scene = self.scene
         checks.whole("advance: steps", steps, 1)
         target = checked_target(
-            scene, pressure, {} if move is None else move, {} if L0 is None else L0
+            scene, pressure, {} if move is None else move, {} if L0 is None else L0, load
         )
         first = State.of(scene)
         done, increment, halvings = 0.0, 1.0, 0
@@ -333,7 +368,10 @@ class Solver:
         moves = [float(np.linalg.norm(d)) for *_, d in target.cable_ends]
         moves.append(float(np.max(np.linalg.norm(target.moved, axis=1), initial=0.0)))
         travel = share * scene.comm.allreduce(max(moves), op=MPI.MAX)
-        coming = 0.3 * abs(scene.pressure * size) ** (2 / 3) * modulus ** (1 / 3)
+        loads = abs(scene.pressure)
+        if scene.dead_forces is not None:
+            loads += abs(scene.load) * scene.dead_forces.intensity
+        coming = 0.3 * (loads * size) ** (2 / 3) * modulus ** (1 / 3)
         coming = max(coming, 0.3 * modulus * (travel / size) ** 2)
         present = np.sqrt(max(2 * scene.energies.get("membrane", 0.0) * modulus, 0.0)) / size
         if present > 0.3 * coming:

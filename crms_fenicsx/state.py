@@ -39,6 +39,7 @@ class State:
 
     u: Array
     pressure: float
+    load: float
     energies: dict[str, float]
     cables: tuple[CableState, ...]
     crossings: tuple[tuple[Crossing, bool], ...]
@@ -49,6 +50,7 @@ class State:
         return cls(
             scene.u.x.array.copy(),
             scene.pressure,
+            scene.load,
             dict(scene.energies),
             tuple(
                 CableState(
@@ -96,7 +98,7 @@ class State:
     def restore(self, scene: Scene) -> None:
         """Bring the scene back to this state."""
         self.restore_shape(scene)
-        scene.pressure = self.pressure
+        scene.pressure, scene.load = self.pressure, self.load
         scene.energies = dict(self.energies)
         for cable, was in zip(scene.cables, self.cables, strict=True):
             cable.L0, cable.length, cable.tension = was.L0, was.length, was.tension

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from crms_fenicsx.cables.penalty import KinkPenalty
     from crms_fenicsx.cables.tables import CableTables
     from crms_fenicsx.cables.tension import CableTension
+    from crms_fenicsx.dead_load import DeadLoad
 
 Array = npt.NDArray[np.float64]
 
@@ -89,6 +90,12 @@ class System:
         self.membrane.plain.x.array[:] = 1.0
         if scene.pressure != 0.0 or self.pressure is not None:
             terms.append(self._pressure_term())
+        self.dead_load: DeadLoad | None = None
+        if scene.dead_forces is not None:
+            from crms_fenicsx.dead_load import DeadLoad
+
+            self.dead_load = DeadLoad(scene.dead_forces)
+            terms.append(self.dead_load)
         if any(cable.taut for cable in scene.cables):
             terms += self._cable_terms()
         if scene.floor_level is not None:
@@ -195,6 +202,8 @@ class System:
         """Take state and loads from the scene."""
         scene, potential = self.scene, self.potential
         self.pressure_value.value = scene.pressure
+        if self.dead_load is not None:
+            self.dead_load.factor = scene.load
         potential.x[self.unknowns.vertex_blocks()] = scene.u.x.array.reshape(-1, 3)
         if self.network is not None:
             for (c, k), number in self.network.numbers.items():

@@ -486,6 +486,27 @@ def test_the_material_curve_is_on_the_stress_free_membrane(square) -> None:
     assert seen >= {"anchor", "rider", "fold", "crossing"}
 
 
+def test_beside_a_lifted_point_a_crossing_is_where_the_other_cable_has_it() -> None:
+    """Its own cell point is old, and where neither cable has it, it is off the membrane."""
+    _, cables, solver = crossed_square(MPI.COMM_WORLD)
+    system = solver.system
+    places = []
+    for cable in cables[::-1]:
+        (k,) = (k for k, node in enumerate(cable.nodes) if node.kind == "crossing")
+        places.append((cable, k))
+    (upper, k), (lower, m) = places
+    upper.lifted[k + 1] = True
+    system.network.update_cables(system.unknowns, system.potential.x)
+    known = lower.material[m].copy()
+    assert np.isfinite(known).all()
+    np.testing.assert_array_equal(upper.material[k], known)
+    between = (lower.material[m - 1] + lower.material[m + 1]) / 2
+    assert np.linalg.norm(known - between) < 20.0, "in its cell"
+    lower.lifted[m - 1] = True
+    system.network.update_cables(system.unknowns, system.potential.x)
+    assert np.isnan(upper.material[k]).all() and np.isnan(lower.material[m]).all()
+
+
 def test_the_looser_one_on_top_parts_from_the_other(square) -> None:
     """It is not pressed down any more, which the lower one cannot do."""
     scene, *_ = square

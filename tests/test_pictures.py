@@ -483,6 +483,46 @@ def test_paths_in_plan_in_space_and_closely(tmp_path: Path) -> None:
             draw_path(tmp_path / "never.png", paths, closeups={"x": wrong})
 
 
+def test_named_cables_have_colours_of_their_own(tmp_path: Path) -> None:
+    """Without paths too; cables of one name share a colour, and cables without name stay grey."""
+    file = tmp_path / "net.png"
+    rows = [Line([[0, y, 0.0], [100, y, 0.0]], name=name) for y, name in ((0, ""), (30, "A"))]
+    blues, oranges = [], []
+    for more in ([], [("A", 60)], [("B", 60)]):
+        lines = rows + [Line([[0, y, 0.0], [100, y, 0.0]], name=name) for name, y in more]
+        draw_path(file, [], lines=lines, dpi=100)
+        r, g, b = np.moveaxis(pixels(file), -1, 0)
+        blues.append(int(((r < 0.2) & (g > 0.3) & (b > 0.6)).sum()))
+        oranges.append(int(((r > 0.7) & (g < 0.5) & (b < 0.2)).sum()))
+    assert blues[0] > 300
+    assert blues[1] > 1.5 * blues[0]
+    assert blues[2] == pytest.approx(blues[0], rel=0.1)
+    assert oranges[:2] == [0, 0]
+    assert oranges[2] == pytest.approx(blues[2], rel=0.2)
+
+
+def test_cables_off_the_membrane_are_striped(tmp_path: Path) -> None:
+    """Where a segment is off, about half of the cable's colour gives way to the rim's."""
+    points, triangles = grid(4)
+    x = np.linspace(5.0, 95.0, 10)
+    place = np.column_stack([x, np.full(10, 50.0), np.full(10, 2.0)])
+    file = tmp_path / "net.png"
+    shown = {}
+    for name, off in (("none", 0.0), ("all", 1.0), ("one point", np.eye(10)[4])):
+        cable = Line(place, {"lifted": off})
+        draw_shape(
+            file, points, triangles, [cable], loose="lifted", box=((0, 0, 0), (100, 100, 5)),
+            view=(-90, 90), dpi=200, edges=False, width=6,
+        )  # fmt: skip
+        image = pixels(file)
+        h = image.shape[0]
+        r, g, b = np.moveaxis(image[h // 3 : 2 * h // 3], -1, 0)
+        shown[name] = int(((r > 0.6) & (g < 0.4) & (b < 0.4)).sum())
+    assert 0.3 < shown["all"] / shown["none"] < 0.75
+    lost = (shown["none"] - shown["one point"]) / (shown["none"] - shown["all"])
+    assert lost == pytest.approx(2 / 9, abs=0.06), "the two segments beside the point"
+
+
 # ---- bad input -------------------------------------------------------------------------------
 
 
@@ -494,6 +534,7 @@ def test_bad_input(tmp_path: Path) -> None:
         ((points, triangles), {"values": np.zeros(3)}, r"values have shape \(3,\)"),
         ((points, triangles), {"line_values": "tension"}, "there are no lines"),
         ((points, triangles, [line]), {"line_values": "slip"}, "'A' has no 'slip'"),
+        ((points, triangles, [line]), {"loose": "lifted"}, "'A' has no 'lifted'"),
         ((points, triangles + 1), {}, "vertices 1 to 9"),
         ((points, triangles), {"values": points[:, 0], "colours": "no"}, "no colour map 'no'"),
         ((points, triangles), {"view": (np.nan, 30)}, "view"),

@@ -18,7 +18,7 @@ from crms_fenicsx import (
     meshes,
 )
 from crms_fenicsx.minimizer import Minimizer, Outcome
-from crms_fenicsx.output import History, scene_pictures
+from crms_fenicsx.output import History, Line, scene_pictures
 from crms_fenicsx.shape import current_surface
 
 COMM = MPI.COMM_WORLD
@@ -117,9 +117,37 @@ def test_files_of_a_run(folder: Path) -> None:
     (line,) = read_step(folder / "out", "cables", 3.0)
     np.testing.assert_array_equal(line.points, cable.positions)
     np.testing.assert_array_equal(line.cell_data["tension"][0], cable.tension)
+    assert not line.point_data["lifted"].any()
     assert read_step(folder / "out", "cables", 2.0) == []
     plain = read_step(folder / "out", "surface", 2.0)
     assert sum(len(mesh.cells_dict["triangle"]) for mesh in plain) == 2 * 7 * 7
+
+
+def test_cables_lift_off_in_files_and_pictures(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A cable between anchors over a square is drawn down onto it: the number of its points that
+    are lifted changes from step to step."""
+    solver = Solver(scene_of_a_square(), results=folder / "out")
+    scene = solver.scene
+    solver.advance(pressure=0.01)
+    ends = [(-80.0, 45.0, 0.0), (180.0, 52.0, 0.0)]
+    cable = scene.lay_cable(Cable(EA=32000.0), ends)
+    drawn: list[dict[str, object]] = []
+    monkeypatch.setattr(
+        scene_pictures, "draw_shape", lambda *given, **options: drawn.append(options)
+    )
+    lifted = []
+    for number in (2, 3):
+        solver.advance(move={cable: (0.0, 0.0, -10.0)})
+        solver.draw(folder / "shape.png")
+        (line,) = read_step(folder / "out", "cables", float(number))
+        np.testing.assert_array_equal(line.point_data["lifted"], cable.lifted)
+        lifted.append(int(cable.lifted.sum()))
+    assert lifted[0] > lifted[1] >= 0
+    assert [options.get("loose") for options in drawn] == (
+        [] if COMM.rank else ["lifted", "lifted" if lifted[1] else None]
+    )
 
 
 def test_a_folder_that_cannot_be_written_is_refused_at_once(folder: Path) -> None:
@@ -194,6 +222,26 @@ def test_pictures_get_the_whole_surface(
             assert options["label"]
 
 
+def test_paths_are_drawn_over_the_whole_stress_free_mesh(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    solver = run(None)
+    drawn = []
+    monkeypatch.setattr(
+        scene_pictures, "draw_path", lambda *given, **options: drawn.append((given, options))
+    )
+    line = Line(solver.scene.cables[0].positions)
+    solver.draw_paths(folder / "paths.png", [line], unit="cm")
+    assert len(drawn) == (COMM.rank == 0)
+    for (filename, paths), options in drawn:
+        assert (filename, paths) == (folder / "paths.png", ())
+        assert (options["lines"], options["unit"]) == ([line], "cm")
+        a, b, c = np.moveaxis(options["points"][options["triangles"]], 1, 0)
+        areas = np.cross(b - a, c - a) / 2
+        assert len(areas) == 2 * 7 * 7
+        np.testing.assert_allclose(areas.sum(axis=0), [0.0, 0.0, 1e4], atol=1e-9)
+
+
 def test_drawing_needs_nothing_but_the_scene(folder: Path) -> None:
     solver = Solver(scene_of_a_square())
     solver.draw(folder / "flat.png")
@@ -212,6 +260,10 @@ def test_what_cannot_be_drawn_is_said_on_all_ranks(folder: Path) -> None:
         solver.draw(folder / "shape.png", colour="blue")
     with pytest.raises(InputError, match="come from the scene"):
         solver.draw(folder / "shape.png", lines=[])
+    with pytest.raises(InputError, match="come from the scene"):
+        solver.draw_paths(folder / "paths.png", points=[])
+    with pytest.raises(InputError, match="nothing to draw"):
+        solver.draw_paths(folder / "paths.png")
     if COMM.rank == 0:
         (folder / "taken").write_text("a file")
     with pytest.raises(InputError, match="taken"):

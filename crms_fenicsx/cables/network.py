@@ -342,6 +342,7 @@ class Network:
             close = (cable.fractions < BLOCKED) | (cable.fractions > 1 - BLOCKED)
             cable.blocked = tuple(int(k) for k in np.flatnonzero(slides & close) if cable.taut)
             _set_material(cable, part[:, 4:])
+        _share_material(self.cables)
 
     def points_by_edge(self, cables: set[int]) -> dict[Edge, list[tuple[float, int, int]]]:
         """Points (fraction, cable, node) on each edge, sorted from its first vertex to its last."""
@@ -425,17 +426,32 @@ def _set_material(cable: LaidCable, places: Array) -> None:
     """Take the nodes' places on the stress-free membrane, (n, 3); none where the cable is off it.
 
     A crossing slides in its cell while its cell point stays: between two contacts it goes onto
-    the line from one to the other, where the cable has bent it to.
+    the line from one to the other, where the cable has bent it to. Beside a lifted node the cable
+    does not say where it is.
     """
     on = np.array([node.point is not None for node in cable.nodes]) & ~cable.lifted
-    cable.material = np.where(on[:, None], places, np.nan)
     rim = [k for k, node in enumerate(cable.nodes) if node.kind != "crossing"]
+    told = on & np.isin(np.arange(len(on)), rim)
+    cable.material = np.where(told[:, None], places, np.nan)
     for a, b in itertools.pairwise(rim):
         if b - a > 1 and on[a] and on[b]:
             arc = np.linalg.norm(np.diff(cable.positions[a : b + 1], axis=0), axis=1).cumsum()
             share = (arc[:-1] / arc[-1])[:, None]
             start, end = cable.material[[a, b]]
             cable.material[a + 1 : b] = start + share * (end - start)
+
+
+def _share_material(cables: Sequence[LaidCable]) -> None:
+    """Let crossings where one cable does not say where they are, be where the other has them."""
+    places: dict[int, Array] = {}
+    for cable in cables:
+        for k, node in enumerate(cable.nodes):
+            if node.crossing is not None and np.isfinite(cable.material[k, 0]):
+                places.setdefault(id(node.crossing), cable.material[k])
+    for cable in cables:
+        for k, node in enumerate(cable.nodes):
+            if node.crossing is not None and np.isnan(cable.material[k, 0]):
+                cable.material[k] = places.get(id(node.crossing), np.nan)
 
 
 def side_of(cell: npt.NDArray[np.int64], k: int) -> tuple[Edge, bool]:

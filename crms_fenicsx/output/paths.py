@@ -35,7 +35,7 @@ def draw_path(
     width: float = 6.5,
     dpi: int = 180,
 ) -> None:
-    """Draw the ways that points have gone, with a marker and a number for each step.
+    """Draw the ways that points have gone, with a marker and a number for each step, and cables.
 
     Made for models of a few triangles: nothing hides anything. Not collective.
 
@@ -44,16 +44,17 @@ def draw_path(
     filename : str or Path
         Picture to write; its suffix says the format.
     paths : sequence of Line
-        The positions of a point, step 0 first; the lines' names go into a legend.
+        The positions of a point, step 0 first; the lines' names go into a legend. It may be empty
+        if there are `lines`.
     points, triangles : (n, 3) array of length, (m, 3) array of int, optional
         Triangles below the paths.
     lines : sequence of Line
-        Cables, drawn plainly.
+        Cables: drawn plainly in grey, or each name in a colour of its own and in the legend.
     view : (azimuth, elevation)
         In degrees; by default the plan.
     closeups : dict of numbers of paths by title, optional
-        Panels beside the picture that show some paths closely in plan, all at one scale. Where
-        paths coincide, the later ones have smaller markers.
+        Panels beside the picture that show some paths, and the cables there, closely in plan, all
+        at one scale. Where paths coincide, the later ones have smaller markers.
     unit : str
         Of length.
     title : str
@@ -63,10 +64,11 @@ def draw_path(
     Raises
     ------
     InputError
-        Without paths, for arrays that do not fit together, or a file that cannot be written.
+        With neither paths nor cables, for arrays that do not fit together, or a file that cannot
+        be written.
     """
-    if not paths:
-        raise InputError("no paths to draw; give at least one line of positions")
+    if not paths and not lines:
+        raise InputError("nothing to draw: no paths and no lines; give one of them")
     if (points is None) != (triangles is None):
         raise InputError("points and triangles belong together; give both or neither")
     ways = [np.asarray(path.checked().points) for path in paths]
@@ -92,10 +94,13 @@ def draw_path(
     stage = Stage(camera, low, high, title, 0, width, *room)
     stage.draw_box(unit)
     flat = camera.project(corners)
+    colours = _cable_colours(lines, len(ways))
     _draw_below(
         stage.axes,
         flat[np.argsort(flat[..., 2].mean(axis=1)), :, :2],
         [camera.project(cable)[:, :2] for cable in cables],
+        [colours[line.name] for line in lines],
+        stage.point,
     )
     for number, way in enumerate(ways):
         at = camera.project(way)[:, :2]
@@ -103,13 +108,15 @@ def draw_path(
         _draw_way(stage.axes, at, number, 4.5 if len(at) < 20 else 2.5, steps)
     stage.add_legend(
         [
-            (APART[number % len(APART)], path.name or f"path {number + 1}", True)
+            (APART[number % len(APART)], path.name or f"path {number + 1}", "line")
             for number, path in enumerate(paths)
             if len(paths) > 1 or path.name
         ]
+        + [(colours[name], name, "line") for name in colours if name]
     )
     if closeups:
-        _add_closeups(stage, ways, closeups, corners[..., :2], unit)
+        below = [cable[:, :2] for cable in cables], [colours[line.name] for line in lines]
+        _add_closeups(stage, ways, closeups, corners[..., :2], below, unit)
     stage.save(file, dpi)
 
 
@@ -118,6 +125,7 @@ def _add_closeups(
     ways: Sequence[Floats],
     closeups: Mapping[str, Sequence[int]],
     corners: Floats,
+    cables: tuple[Sequence[Floats], Sequence[str]],
     unit: str,
 ) -> None:
     """Draw a panel in plan for each close-up, one below the other, all at one scale."""
@@ -143,25 +151,41 @@ def _add_closeups(
         axis.ticklabel_format(useOffset=False)
         axis.grid(color="#e3e6ea", linewidth=0.6)
         axis.set_axisbelow(True)
-        _draw_below(axis, corners, [])
         point = 2.0 * half / side / 72.0
+        _draw_below(axis, corners, *cables, point)
         for place, number in enumerate(numbers):
             at = ways[number][:, :2]
             steps = _told_apart(at, 9.0 * point) if place == 0 else []
             _draw_way(axis, at, number, max(6.5 - 3.0 * place, 2.0), steps)
 
 
-def _draw_below(axes: Any, triangles: Floats, cables: Sequence[Floats]) -> None:
+def _cable_colours(lines: Sequence[Line], first: int) -> dict[str, str]:
+    """Return a colour for each name of a cable, after those of `first` paths."""
+    names = dict.fromkeys(line.name for line in lines if line.name)
+    return {"": _CABLE} | {
+        name: APART[(first + number) % len(APART)] for number, name in enumerate(names)
+    }
+
+
+def _draw_below(
+    axes: Any, triangles: Floats, cables: Sequence[Floats], colours: Sequence[str], point: float
+) -> None:
+    """Draw triangles and cables on them; `point` is the length that a typographic point shows."""
     from matplotlib.collections import LineCollection, PolyCollection
 
+    # the edges of a fine mesh would be all that one sees
+    sides = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2)
+    fine = len(sides) > 0 and float(np.median(sides)) < 30.0 * point
     axes.add_collection(
         PolyCollection(
-            list(triangles), facecolors=(0.80, 0.86, 0.93, 0.55), edgecolors="#5f6b7a",
-            linewidths=0.9, zorder=1,
+            list(triangles), facecolors=(0.80, 0.86, 0.93, 0.55),
+            edgecolors="#a9b2be" if fine else "#5f6b7a", linewidths=0.4 if fine else 0.9, zorder=1,
         )
     )  # fmt: skip
     axes.add_collection(
-        LineCollection(list(cables), colors=_CABLE, linewidths=1.6, capstyle="round", zorder=2)
+        LineCollection(
+            list(cables), colors=list(colours), linewidths=1.6, capstyle="round", zorder=2
+        )
     )
 
 

@@ -15,6 +15,8 @@ from crms_fenicsx.output.scales import NO_VALUE, common_value, in_words, mappabl
 from crms_fenicsx.output.shapes import Line, Surface, checked_points
 from crms_fenicsx.output.stage import (
     INK,
+    RIM,
+    STRIPES,
     Stage,
     bounds,
     check_colours,
@@ -48,6 +50,7 @@ def draw_shape(
     line_label: str = "",
     line_limits: tuple[float, float] | None = None,
     line_colours: str = "YlOrRd",
+    loose: str | None = None,
     show_names: bool = False,
     title: str = "",
     unit: str = "",
@@ -87,6 +90,9 @@ def draw_shape(
         Name of the lines' data that colour them ("tension"), with a colour bar of its own.
     line_label, line_limits, line_colours
         As those of the surface; lines with the same value are painted in one colour.
+    loose : str, optional
+        Name of the lines' data that say where they are off the surface (not zero): there they are
+        striped. Of data per point, segments are off if one of their ends is.
     show_names : bool
         Write each line's name beside it.
     title : str
@@ -121,7 +127,8 @@ def draw_shape(
     lines = [line.checked() for line in lines]
     faint = None if ghost is None else Surface(*ghost).checked()
     values = _per_triangle(values, surface)
-    _check_line_values(lines, line_values)
+    for data in (line_values, loose):
+        _check_line_values(lines, data)
     for name in (colours, line_colours):
         check_colours(name)
     if len(np.asarray(surface.points)) == 0 and not lines:
@@ -152,7 +159,11 @@ def draw_shape(
         stage.add_bar(scale, text or "", place)
     if line_note:
         line_note = f"{_called(lines)}{line_note}"
-    stage.add_legend([(_FABRIC, note, False), (_CABLE, line_note, True)])
+    off = [_off_segments(line, loose) for line in lines]
+    striped = "off the membrane" if any(part.any() for part in off) else ""
+    stage.add_legend(
+        [(_FABRIC, note, "patch"), (_CABLE, line_note, "line"), (_CABLE, striped, "stripes")]
+    )
     if box is not False:
         stage.draw_box(unit)
 
@@ -172,7 +183,7 @@ def draw_shape(
         rim = _outline(np.asarray(faint.points), np.asarray(faint.triangles))
         _paint_outline(stage, rim, flat[:0], tolerance, colour=(*_GHOST, 0.6))
     clip = None if corners is None else (low - 1e-6 * size, high + 1e-6 * size)
-    _paint_lines(stage, lines, flat, tolerance, of_lines, line_paint, show_names, clip)
+    _paint_lines(stage, lines, flat, tolerance, of_lines, line_paint, off, show_names, clip)
     stage.save(path, dpi)
 
 
@@ -329,15 +340,17 @@ def _paint_lines(
     tolerance: float,
     values: Sequence[Floats],
     paint: ScalarMappable | None,
+    off: Sequence[NDArray[np.bool_]],
     show_names: bool,
     clip: tuple[Floats, Floats] | None,
 ) -> None:
-    """Paint what is seen of lines, within a box `clip` if there is one."""
+    """Paint what is seen of lines, within a box `clip` if there is one; striped where `off`."""
     from matplotlib.collections import LineCollection
     from matplotlib.patheffects import withStroke
 
     runs: list[Floats] = []
     run_values: list[float] = []
+    run_off: list[bool] = []
     nearness: list[float] = []
     for number, line in enumerate(lines):
         nodes, segment, middle = _subdivided(stage.camera.project(line.points), 2.5 * stage.point)
@@ -353,14 +366,14 @@ def _paint_lines(
                 of_piece = given[segment] + middle * (given[segment + 1] - given[segment])
             else:
                 of_piece = np.broadcast_to(given, len(np.asarray(line.points)) - 1)[segment]
-        # a run: pieces that are seen, one after the other, in one colour
-        starts = np.flatnonzero(
-            np.r_[True, (seen[1:] != seen[:-1]) | (of_piece[1:] != of_piece[:-1])]
-        )
+        # a run: pieces that are seen, one after the other, in one colour and style
+        kinds = np.column_stack([seen, of_piece, off[number][segment]])
+        starts = np.flatnonzero(np.r_[True, np.any(kinds[1:] != kinds[:-1], axis=1)])
         for start, end in zip(starts, [*starts[1:], len(seen)], strict=True):
             if seen[start] and (end - start >= _SHORTEST or len(seen) < 2 * _SHORTEST):
                 runs.append(nodes[start : end + 1, :2])
                 run_values.append(float(of_piece[start]))
+                run_off.append(bool(off[number][segment[start]]))
                 nearness.append(float(nodes[start : end + 1, 2].mean()))
         if show_names and line.name and seen.any():
             right, up = nodes[np.flatnonzero(seen)[-1] + 1, :2]
@@ -374,13 +387,23 @@ def _paint_lines(
     order = np.argsort(nearness, kind="stable")
     paths = [runs[i] for i in order]
     cores = _CABLE if paint is None else paint.to_rgba(np.array(run_values)[order])
-    for zorder, colour, thick in ((3, "#1d1f24", 2.9), (4, cores, 1.7)):
+    styles = [STRIPES if run_off[i] else "solid" for i in order]
+    for zorder, colour, thick, style in ((3, RIM, 2.9, "solid"), (4, cores, 1.7, styles)):
         stage.axes.add_collection(
             LineCollection(
-                paths, colors=colour, linewidths=thick, capstyle="round", joinstyle="round",
-                zorder=zorder,
+                paths, colors=colour, linewidths=thick, linestyles=style, joinstyle="round",
+                capstyle="butt" if style is styles and any(run_off) else "round", zorder=zorder,
             )
         )  # fmt: skip
+
+
+def _off_segments(line: Line, name: str | None) -> NDArray[np.bool_]:
+    """Say which segments of a line are off the surface, (k - 1,)."""
+    count = len(np.asarray(line.points))
+    given = np.zeros(()) if name is None else np.asarray(line.data[name])
+    if given.shape == (count,):
+        given = np.maximum(given[1:], given[:-1])
+    return np.broadcast_to(given != 0.0, count - 1)
 
 
 def _subdivided(nodes: Floats, step: float) -> tuple[Floats, NDArray[np.int64], Floats]:

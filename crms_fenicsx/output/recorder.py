@@ -33,7 +33,8 @@ class Recorder:
     Attributes
     ----------
     history : History
-        A row for each step: its number, "halvings" of the increment, "pressure", "energy" and
+        A row for each step: its number, "halvings" of the increment, "pressure", "load" (factor
+        of the dead load, once there is one), "energy" and
         that of each kind of term ("energy membrane"), "volume" gained (once there is pressure),
         "tension", "length" and "L0" of each cable by its name ("tension cable 1"), "blocked
         points" (fold points that have run into a vertex), and what the solve took: "iterations",
@@ -74,8 +75,10 @@ class Recorder:
             "step": step.number,
             "halvings": step.halvings,
             "pressure": scene.pressure,
-            "energy": step.energy,
         }
+        if scene.dead_forces is not None:
+            row["load"] = scene.load
+        row["energy"] = step.energy
         row |= {f"energy {name}": value for name, value in step.energies.items()}
         if scene.pressure != 0.0 or "volume" in self.history.columns:
             row["volume"] = gained_volume(scene)
@@ -111,8 +114,15 @@ class Recorder:
 
 
 def cable_lines(scene: Scene) -> list[Line]:
-    """The scene's cables as lines that know their tension; the same on all ranks."""
+    """The scene's cables as lines, the same on all ranks.
+
+    They know their tension, and which of their points are lifted off the membrane.
+    """
     return [
-        Line(np.array(cable.positions), {"tension": cable.tension}, cable.name)
+        Line(
+            np.array(cable.positions),
+            {"tension": cable.tension, "lifted": cable.lifted.astype(np.float64)},
+            cable.name,
+        )
         for cable in scene.cables
     ]

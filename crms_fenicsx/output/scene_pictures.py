@@ -12,13 +12,16 @@ import numpy.typing as npt
 
 from crms_fenicsx.errors import InputError, raised_together
 from crms_fenicsx.output.history import History
+from crms_fenicsx.output.paths import draw_path
 from crms_fenicsx.output.pictures import draw_shape
 from crms_fenicsx.output.plots import draw_history
 from crms_fenicsx.output.recorder import cable_lines
+from crms_fenicsx.output.shapes import Line
 from crms_fenicsx.results import MembraneResults, membrane_results
 from crms_fenicsx.shape import CurrentSurface, current_surface
 
 if TYPE_CHECKING:
+    from crms_fenicsx.scene import Scene
     from crms_fenicsx.system import System
 
 Array = npt.NDArray[np.float64]
@@ -91,6 +94,8 @@ def draw_scene(
 ) -> None:
     """Draw the scene as it is, and say or colour the cables' tensions. Collective.
 
+    Cables are striped where they are off the membrane.
+
     Parameters
     ----------
     system
@@ -132,6 +137,8 @@ def draw_scene(
     if any(cable.taut for cable in scene.cables):
         options |= {"line_values": "tension"}
         options.setdefault("line_label", _labelled("tension", force))
+    if any(cable.lifted.any() for cable in scene.cables):
+        options.setdefault("loose", "lifted")
     cells = scene.V.dofmap.list[: scene.mesh.mesh.topology.index_map(2).size_local]
     parts = scene.comm.gather((surface, values, cells if ghost else cells[:0]))
     with raised_together(scene.comm):
@@ -148,6 +155,55 @@ def draw_scene(
                 cable_lines(scene),
                 values=None if colour is None else np.concatenate([part[1] for part in parts]),
                 hidden=_numbered([part.inner for part, _, _ in parts], starts),
+                unit=unit,
+                **options,
+            )
+
+
+def draw_scene_paths(
+    scene: Scene,
+    filename: str | Path,
+    lines: Sequence[Line] = (),
+    paths: Sequence[Line] = (),
+    *,
+    unit: str = "",
+    **options: Any,
+) -> None:
+    """Draw paths of cables and ways of points over the stress-free mesh, in plan. Collective.
+
+    Parameters
+    ----------
+    scene
+        Its mesh is drawn.
+    filename
+        Picture to write; its suffix says the format.
+    lines, paths
+        As for `crms_fenicsx.output.draw_path`, on the first rank.
+    unit
+        Name of the unit of length, for labels.
+    **options
+        As for `crms_fenicsx.output.draw_path`.
+
+    Raises
+    ------
+    InputError
+        On all ranks: nothing to draw, an unknown option, or a file that cannot be written.
+    """
+    taken = sorted({"points", "triangles"} & set(options))
+    if taken:
+        raise InputError(f"draw_paths: {taken} come from the scene; use draw_path to draw arrays.")
+    cells = scene.V.dofmap.list[: scene.mesh.mesh.topology.index_map(2).size_local]
+    parts = scene.comm.gather((scene.V.tabulate_dof_coordinates(), cells))
+    with raised_together(scene.comm):
+        if parts is not None:
+            ends = np.cumsum([len(points) for points, _ in parts])
+            starts = [end - len(points) for (points, _), end in zip(parts, ends, strict=True)]
+            draw_path(
+                filename,
+                paths,
+                lines=lines,
+                points=np.concatenate([points for points, _ in parts]),
+                triangles=_numbered([part for _, part in parts], starts),
                 unit=unit,
                 **options,
             )
@@ -206,12 +262,12 @@ def draw_scene_history(
 def default_panels(history: History) -> list[list[str]]:
     """Columns that show a run: what drives it, then what it answers, as far as it changes.
 
-    These are pressure, unstressed lengths, volume, tensions and energies. An energy that would
-    not be seen beside the others is left out.
+    These are pressure, load factor, unstressed lengths, volume, tensions and energies. An energy
+    that would not be seen beside the others is left out.
     """
     groups = [
         [column for column in history.columns if column == name or column.startswith(f"{name} ")]
-        for name in ("pressure", "L0", "volume", "tension", "energy")
+        for name in ("pressure", "load", "L0", "volume", "tension", "energy")
     ]
     shown = [[c for c in group if _span(history[c]) > 0.0] for group in groups]
     if not any(shown):  # a single step, say

@@ -23,6 +23,10 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 INK = "#2b2f36"
+RIM = "#1d1f24"
+"""Of cables."""
+STRIPES = (0.0, (0.9, 0.9))
+"""Of cables where they are off the membrane: dashes, between which the rim is seen."""
 _GRID = "#d3d7dc"
 _WALL = "#f4f5f7"
 APART = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
@@ -255,22 +259,30 @@ class Stage:
         )  # fmt: skip
         self.axes.plot(*flat.T, color=INK, linewidth=0.9, zorder=0.2)
 
-    def add_legend(self, entries: Sequence[tuple[Any, str, bool]]) -> None:
+    def add_legend(self, entries: Sequence[tuple[Any, str, str]]) -> None:
         """Say what colours are, in the box's upper right corner.
 
         Parameters
         ----------
-        entries : sequence of (colour, text, is a line)
-            Those without a text are left out.
+        entries : sequence of (colour, text, kind)
+            A kind is "patch", "line" or "stripes". Those without a text are left out.
         """
         from matplotlib.lines import Line2D
         from matplotlib.patches import Patch
 
         handles = [
-            Line2D([], [], color=colour, linewidth=2.2, label=text)
-            if line
-            else Patch(facecolor=colour, edgecolor=INK, linewidth=0.6, label=text)
-            for colour, text, line in entries
+            Patch(facecolor=colour, edgecolor=INK, linewidth=0.6, label=text)
+            if kind == "patch"
+            else Line2D(
+                [],
+                [],
+                color=colour,
+                linewidth=2.2,
+                label=text,
+                gapcolor=RIM,
+                linestyle=STRIPES if kind == "stripes" else "solid",
+            )
+            for colour, text, kind in entries
             if text
         ]
         if handles:

@@ -1,0 +1,121 @@
+"""An air dome with a net of sliding cables, inflated and then blown at by the wind.
+
+A spherical cap of 40 m span, 10 m high, of PVC-coated fabric; two families of 7 steel cables cross
+obliquely on it. They are laid along great circles, just taut, and held at their ends only: over the
+fabric and over each other they slide without friction. After inflation the wind comes from -x. It
+pushes the windward side in, where cables lose most of their tension and lift off (striped in the
+pictures), and sucks at the rest, where they become three times as tight. Units: m, kN.
+
+    ./run python demos/cable_net.py [SIZE]
+
+with the cells' size, 1.6 m by default. The picture of the README, docs/cable_net.png, is this
+demo's both.png.
+"""
+
+import itertools
+import sys
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.output import Line, join_pictures
+
+RESULTS = "results/cable_net"
+RADIUS, HEIGHT = 20.0, 10.0
+SPHERE = (RADIUS**2 + HEIGHT**2) / (2 * HEIGHT)
+PRESSURE, GUST = 0.4, 0.75  # kPa, of the air inside and of the wind (35 m/s)
+COEFFICIENTS = {-RADIUS: 0.8, 0.0: -1.0, RADIUS: -0.3}  # of the wind's pressure, over x (ours)
+LOOK = {
+    "view": (-140.0, 32.0),
+    "box": ((-21.0, -21.0, 0.0), (21.0, 21.0, 11.0)),
+    "colour": "stress",
+    "limits": (0.0, 15.0),
+    "line_limits": (0.0, 40.0),
+    "unit": "m",
+    "force": "kN",
+    "width": 7.5,
+    "dpi": 110,
+}
+
+
+def great_circle(angle, offset):
+    """Points in plan of the shortest way over the dome between two points of its rim."""
+    along = np.array([np.cos(angle), np.sin(angle)])
+    across = np.array([-along[1], along[0]])
+    half = np.sqrt(RADIUS**2 - offset**2)
+    ends = [offset * across + side * half * along for side in (-1, 1)]
+    start, end = (np.append(point, SPHERE - HEIGHT) / SPHERE for point in ends)
+    turn = np.arccos(start @ end)
+    s = np.linspace(0.0, turn, 33)[:, None]
+    return SPHERE * (np.sin(turn - s) * start + np.sin(s) * end)[:, :2] / np.sin(turn)
+
+
+def wind(points, normals):
+    """Force per area of the wind at the current place, along the current normal."""
+    places, coefficients = list(COEFFICIENTS), list(COEFFICIENTS.values())
+    return -GUST * np.interp(points[0], places, coefficients) * normals
+
+
+def on_fabric(name):
+    """Where the cables touch the fabric, on the stress-free dome."""
+    lines = []
+    for cable in scene.cables:
+        gaps = np.flatnonzero(np.isnan(cable.material[:, 0]))
+        lines += [part[np.isfinite(part[:, 0])] for part in np.split(cable.material, gaps)]
+    return [Line(part, name=name) for part in lines if len(part) > 1]
+
+
+def farthest(lines, others):
+    """The largest distance of the points of some lines from other lines."""
+    t = np.linspace(0.0, 1.0, 20)[:, None]
+    pairs = [pair for line in others for pair in itertools.pairwise(line.points)]
+    dense = [a + t * (b - a) for a, b in pairs]
+    there = np.concatenate(dense)
+    return max(np.linalg.norm(there - p, axis=1).min() for line in lines for p in line.points)
+
+
+size = float(sys.argv[1]) if len(sys.argv) > 1 else 1.6
+mesh = meshes.spherical_cap(MPI.COMM_WORLD, radius=RADIUS, height=HEIGHT, size=size)
+scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
+scene.fix("boundary")
+solver = Solver(scene, results=RESULTS)
+for angle in np.radians([30.0, -30.0]):
+    for offset in 4.5 * np.arange(-3, 4):
+        scene.lay_cable(Cable(EA=30e3), path=great_circle(angle, offset))
+
+solver.advance(pressure=PRESSURE)
+solver.draw(f"{RESULTS}/calm.png", title="Inflated: 0.4 kPa", **LOOK)
+calm, path = np.array([cable.tension for cable in scene.cables]), on_fabric("calm")
+shape = scene.positions()
+
+scene.put_load(wind)
+solver.advance(load=1.0, steps=2)
+once = np.array([cable.tension for cable in scene.cables])
+scene.put_load(wind)  # along the normals that the surface has now
+solver.advance(load=1.0)
+solver.draw(f"{RESULTS}/wind.png", title="Wind of 0.75 kPa along x", **LOOK)
+windy, moved = np.array([cable.tension for cable in scene.cables]), on_fabric("under the wind")
+solver.draw_paths(f"{RESULTS}/paths.png", path + moved, unit="m", title="The net on the fabric")
+
+way = scene.comm.allreduce(np.linalg.norm(scene.positions() - shape, axis=1).max(), MPI.MAX)
+slid = farthest(moved, path)
+lifted = sum(bool(cable.lifted.any()) for cable in scene.cables)
+if scene.comm.rank == 0:
+    join_pictures(
+        f"{RESULTS}/both.png", [f"{RESULTS}/calm.png", f"{RESULTS}/wind.png"], upright=True
+    )
+    print(f"calm   tensions from {calm.min():5.2f} to {calm.max():5.2f} kN")
+    print(f"windy  tensions from {windy.min():5.2f} to {windy.max():5.2f} kN")
+    print(f"       with the normals of the calm dome to {once.max():.2f} kN")
+    print(f"       {lifted} cables lifted off somewhere; the membrane moved up to {way:.2f} m,")
+    print(f"       cables slid over it up to {slid:.2f} m")
+
+# Measured by this program at sizes 1.6, 2.0 and 3.0: mean tensions in the calm of 11.86, 12.56 and
+# 14.25 kN, greatest ones under the wind of 36.85, 36.77 and 38.28. The calm ones come from strains
+# of half a percent, to which the facets of a coarse dome add; gmsh may mesh it otherwise elsewhere.
+rtol = 0.03 if size == 1.6 else 0.25
+np.testing.assert_allclose((calm.mean(), windy.max()), (11.86, 36.85), rtol=rtol)
+np.testing.assert_allclose(once.mean(), windy.mean(), rtol=0.03)  # what the dead load neglects
+assert lifted >= 3
+assert 0.2 < slid < 1.0
