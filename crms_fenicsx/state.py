@@ -108,4 +108,6 @@ class State:
 def _key(nodes: Sequence[CableNode], k: int) -> object:
     """What a node is known by while a path changes."""
     point = nodes[k].point
-    return ("end", k > 0) if point is None else (nodes[k].kind, point.support)
+    if point is None:
+        return "end", k > 0
+    return nodes[k].kind, point.support if nodes[k].slides else point

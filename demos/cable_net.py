@@ -84,7 +84,7 @@ for angle in np.radians([30.0, -30.0]):
     for offset in 4.5 * np.arange(-3, 4):
         scene.lay_cable(Cable(EA=30e3), path=great_circle(angle, offset))
 
-solver.advance(pressure=PRESSURE)
+solver.advance(pressure=PRESSURE, steps=2)
 solver.draw(f"{RESULTS}/calm.png", title="Inflated: 0.4 kPa", **LOOK)
 calm, path = np.array([cable.tension for cable in scene.cables]), on_fabric("calm")
 shape = scene.positions()

@@ -500,4 +500,5 @@ class Retracer:
 
 
 def _key(node: CableNode) -> object:
-    return None if node.point is None else node.point.support
+    """What a node is known by while a path changes: its edge if it slides, else its place."""
+    return None if node.point is None else node.point.support if node.slides else node.point
