@@ -6,6 +6,8 @@ vertex at the crossing.
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from cabled_square import CABLE, KINDS, PRESSURE, order, place, sheet
@@ -39,8 +41,8 @@ def heights(scene: Scene) -> list[float]:
 def segments_above(lower: LaidCable, upper: LaidCable) -> list[float]:
     found = []
     p, q = (cable.positions[cable.contacts()] for cable in (lower, upper))
-    for a, b in zip(p[:-1], p[1:], strict=True):
-        for c, d in zip(q[:-1], q[1:], strict=True):
+    for a, b in pairwise(p):
+        for c, d in pairwise(q):
             u, v, w = b - a, d - c, c - a
             cross = u[0] * v[1] - u[1] * v[0]
             if abs(cross) < 1e-14:
@@ -56,7 +58,7 @@ def test_crossing_cables_converge(comm, kind: str) -> None:
     """Tensions with order 2 (they scatter on unstructured meshes); without a shared point: 8 %."""
     sizes, T = ((8, 16, 32) if kind == "on mesh lines" else (9, 17, 33)), []
     for n in sizes:
-        scene, upper, lower = crossed(comm, n, "structured" if kind == "on mesh lines" else kind)
+        _, upper, lower = crossed(comm, n, "structured" if kind == "on mesh lines" else kind)
         T.append([upper.tension - T_EXACT[0], lower.tension - T_EXACT[1]])
     h = [1 / n for n in sizes]
     assert min(order(h, errors) for errors in np.array(T).T) > 1.7

@@ -5,6 +5,8 @@ The reference follows an unknown material curve with the mesh itself, without fo
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 from cabled_square import CABLE, KINDS, PRESSURE, clamped, order, place, sheet
@@ -86,7 +88,8 @@ def test_mirrored_and_renumbered_scenes_have_mirrored_equilibria(comm) -> None:
 def test_without_sliding_a_cable_is_blocked_and_says_so(comm) -> None:
     detour = [ENDS[0], (50.0, 40.0), ENDS[1]]
     free = slid(comm, 9, "unstructured", detour, 103.0)[0]
-    with pytest.warns(PathWarning, match="cannot slide on into other cells"):
+    first = pytest.warns(PathWarning, match="cannot slide on into other cells")
+    with first if comm.rank == 0 else nullcontext():
         blocked, cable, _ = slid(comm, 9, "unstructured", detour, 103.0, slide=False)
     assert cable.blocked
     assert blocked.energy > free.energy + 1e-3 * abs(free.energy)
@@ -94,9 +97,13 @@ def test_without_sliding_a_cable_is_blocked_and_says_so(comm) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_steps_of_inflation_end_where_one_does(comm, kind: str) -> None:
+    """But for the side on which the cable passes a vertex that it almost touches.
+
+    Such neighbours differ by up to 3.4e-4 of W, .03 % of T; a blocked cable by 3e-3 and .7 %.
+    """
     once, steps = (slid(comm, 11, kind, steps=n) for n in (1, 3))
-    assert steps[0].energy == pytest.approx(once[0].energy, rel=1e-6)
-    assert steps[1].tension == pytest.approx(once[1].tension, rel=1e-4)
+    assert steps[0].energy == pytest.approx(once[0].energy, rel=5e-4)
+    assert steps[1].tension == pytest.approx(once[1].tension, rel=5e-4)
 
 
 @pytest.mark.parametrize(
