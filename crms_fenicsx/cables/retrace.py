@@ -164,12 +164,21 @@ class Retracer:
         self.refused: dict[str, set[Corridor]] = {}
         self._passed: dict[str, set[int]] = {}
         self._tried_at: dict[str, Array] = {}
+        self._first_look = True
 
     def begin_step(self) -> None:
-        """Forget which paths have been tried, but not those of cables that have not moved since.
+        """Prepare for a load step."""
+        self._first_look = True
 
-        What was rejected in this state would be rejected again.
+    def _forget(self) -> None:
+        """Forget which paths were tried, but not those of cables that have not moved since.
+
+        Once in a load step, in its first equilibrium: what was rejected in the state that is there
+        would be rejected again, and a step without any load shall cost nothing.
         """
+        if not self._first_look:
+            return
+        self._first_look = False
         for cable in self.scene.cables:
             before, x = self._tried_at.get(cable.name), cable.positions
             if (
@@ -273,6 +282,7 @@ class Retracer:
         -------
         How many vertices the cable that has passed most has; 0: no path has changed.
         """
+        self._forget()
         return self._retrace([cable for cable in self.scene.cables if cable.taut], max_flips)
 
     def pass_next(self, near: float) -> bool:
