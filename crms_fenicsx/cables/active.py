@@ -6,52 +6,21 @@ may change back and forth only a few times in a solve, so that it ends.
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections import Counter
 from typing import TYPE_CHECKING
-
-import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.cables import contact
 from crms_fenicsx.cables.cable import LaidCable, polyline_length
-from crms_fenicsx.cables.path import EdgePoint, VertexPoint
+from crms_fenicsx.cables.folded_surface import bends
+from crms_fenicsx.cables.path import VertexPoint
 from crms_fenicsx.cables.strip import StripShape
 
 if TYPE_CHECKING:
     from crms_fenicsx.scene import Scene
 
-Array = npt.NDArray[np.float64]
-Edge = tuple[int, int]
 
 MAX_SWITCHES = 6
 """How often each cable may turn from slack to taut or back in one solve."""
-
-
-def bends(cables: Sequence[LaidCable], but: LaidCable | None = None) -> dict[Edge, list[Array]]:
-    """Positions of the points of cables in tension on each edge, in order.
-
-    Parameters
-    ----------
-    cables
-        All cables.
-    but
-        A cable to leave out.
-    """
-    found: dict[Edge, list[tuple[float, int, Array]]] = defaultdict(list)
-    for c, cable in enumerate(cables):
-        if not cable.taut or cable is but:
-            continue
-        for k in cable.contacts():
-            point = cable.nodes[k].point
-            if isinstance(point, EdgePoint) and cable.nodes[k].kind != "crossing":
-                fraction = float(cable.fractions[k])
-                fraction = point.fraction if np.isnan(fraction) else fraction
-                found[point.edge].append((fraction, c, cable.positions[k]))
-    return {
-        edge: [place for *_, place in sorted(points, key=lambda point: point[:2])]
-        for edge, points in found.items()
-    }
 
 
 class ActiveSet:

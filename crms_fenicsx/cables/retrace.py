@@ -9,19 +9,17 @@ is tried twice, so this ends.
 from __future__ import annotations
 
 import itertools
-import math
-from collections.abc import Mapping, Sequence, Set
-from types import MappingProxyType
+from collections.abc import Sequence, Set
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.active import bends
 from crms_fenicsx.cables.cable import CableNode, End, LaidCable, polyline_length
 from crms_fenicsx.cables.contact import INSIDE, drape
 from crms_fenicsx.cables.corridor import flaw
-from crms_fenicsx.cables.intrinsic import MissingStars, Ring, ring_of
+from crms_fenicsx.cables.folded_surface import FoldedSurface, bends
+from crms_fenicsx.cables.intrinsic import MissingStars
 from crms_fenicsx.cables.laying import fractions_of, nodes_of
 from crms_fenicsx.cables.path import EdgePoint, SurfacePoint, VertexPoint, without_backtracking
 from crms_fenicsx.cables.shadow import with_shadows
@@ -33,8 +31,6 @@ if TYPE_CHECKING:
     from crms_fenicsx.scene import Scene
 
 Array = npt.NDArray[np.float64]
-Edge = tuple[int, int]
-
 
 GRIP = 0.05
 """Angle (rad) by which a path along mesh lines must bend at a vertex to leave it before the cable
@@ -48,106 +44,6 @@ others would make the new path a zigzag."""
 
 STILL = 1e-4
 """Movement, relative to a cable's length, within which rejected paths stay rejected."""
-
-
-class FoldedSurface:
-    """Lengths and neighbours on the current surface, folded by the cables in tension.
-
-    Parameters
-    ----------
-    shape
-        Positions of the vertices around the cables.
-    bends
-        Positions of the fold points on each edge, in order.
-    anchors
-        Positions of anchors beyond the boundary, by ids that no vertex has: a cable runs on to its
-        anchor over triangles that join the anchor to the edges of the boundary. Each vertex of the
-        boundary is joined to the nearest of them.
-    ends
-        The vertices of the boundary that are next to an anchor along the cable: joined to it in any
-        case.
-    """
-
-    def __init__(
-        self,
-        shape: StripShape,
-        bends: Mapping[Edge, Sequence[Array]],
-        anchors: Mapping[int, Array] = MappingProxyType({}),
-        ends: Mapping[int, tuple[int, ...]] = MappingProxyType({}),
-    ) -> None:
-        self.shape, self.strip, self.bends = shape, shape.strip, bends
-        self.anchors = {k: (float(x[0]), float(x[1]), float(x[2])) for k, x in anchors.items()}
-        self.ends = ends
-        self._at: dict[int, tuple[float, float, float]] = {}
-        for vertex, row in shape.strip.row_of.items():
-            x, y, z = shape.current[row]
-            self._at[vertex] = (float(x), float(y), float(z))
-
-    def line(self, edge: Edge) -> Array:
-        """Positions along an edge: its vertices and the fold points between, (n, 3)."""
-        return np.array([self.shape.at(edge[0]), *self.bends.get(edge, ()), self.shape.at(edge[1])])
-
-    def length(self, edge: Edge) -> float:
-        """Length of an edge through all fold points on it."""
-        if edge[1] in self.anchors:
-            return math.dist(self._at[edge[0]], self.anchors[edge[1]])
-        if edge not in self.bends:
-            return math.dist(self._at[edge[0]], self._at[edge[1]])
-        return float(np.linalg.norm(np.diff(self.line(edge), axis=0), axis=1).sum())
-
-    def thirds(self, edge: Edge) -> tuple[int, ...]:
-        """Vertices opposite to an edge."""
-        if edge[1] in self.anchors:
-            around = self.membrane_ring(edge[0]).neighbours
-            return tuple(v for v in (around[0], around[-1]) if edge[1] in self._joined_to(v))
-        cells = (self.strip.corners[row] for row in self.strip.rows(edge))
-        thirds = tuple(v for cell in cells for v in cell if v not in edge)
-        if self.anchors and self.is_boundary(edge):
-            return (*thirds, *sorted(self._joined_to(edge[0]) & self._joined_to(edge[1])))
-        return thirds
-
-    def is_boundary(self, support: tuple[int, ...]) -> bool:
-        """Whether a vertex or an edge of the membrane lies on its boundary."""
-        if len(support) == 1:
-            return not self.membrane_ring(support[0]).closed
-        known = self.strip.complete.intersection(support)
-        return len(support) == 2 and bool(known) and len(self.strip.rows(support)) == 1
-
-    def _joined_to(self, vertex: int) -> set[int]:
-        """The anchors to which a vertex of the boundary is joined."""
-        place = self._at[vertex]
-        nearest = min(self.anchors, key=lambda k: (math.dist(place, self.anchors[k]), k))
-        return {nearest} | {k for k, vertices in self.ends.items() if vertex in vertices}
-
-    def ring(self, vertex: int) -> Ring:
-        """Neighbours of a vertex in order."""
-        ring = self.membrane_ring(vertex)
-        if ring.closed or not self.anchors:
-            return ring
-        around = (vertex, ring.neighbours[0], ring.neighbours[-1])
-        common = set.intersection(*(self._joined_to(v) for v in around))
-        one = len(common) == 1 and self._joined_to(vertex) == common
-        return Ring((*ring.neighbours, *common), True) if one else ring
-
-    def membrane_ring(self, vertex: int) -> Ring:
-        """Neighbours of a vertex in order, without anchors."""
-        if vertex not in self.strip.complete:
-            raise MissingStars([vertex])
-        return ring_of(
-            vertex,
-            [
-                (cell[k - 2], cell[k - 1])
-                for cell in (self.strip.corners[row] for row in self.strip.rows((vertex,)))
-                for k in (cell.index(vertex),)
-            ],
-        )
-
-    def place(self, edge: Edge, fraction: float) -> Array:
-        """Position on an edge at a share of its length."""
-        line = self.line(edge)
-        run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-        place = [np.interp(fraction * run[-1], run, line[:, i]) for i in range(3)]
-        return np.array(place)
 
 
 class Retracer:
