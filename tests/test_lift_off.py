@@ -12,6 +12,7 @@ from cabled_square import CABLE, KINDS, PRESSURE, order, place, sheet
 from contact_checks import deepest, strongest_pull
 
 from crms_fenicsx import Solver
+from crms_fenicsx.errors import PathError
 
 ANCHORS = [(-5.0, 50.0, 8.0), (105.0, 50.0, 8.0)]
 T_EXACT, W_EXACT, Z_EXACT = 148.667, -335.00, 8.6635
@@ -142,3 +143,17 @@ def test_cable_from_a_mast_runs_free_and_then_lies_on_the_membrane(comm, kind: s
     assert cable.tension > 1.0
     assert strongest_pull(scene, cable) < 5e-3
     assert deepest(scene, cable) < 1e-6
+
+
+@pytest.mark.parametrize("kind", ["unstructured", "rotated"])
+def test_a_cable_that_slides_off_the_edge_is_an_error(comm, kind: str) -> None:
+    """Over a corner, with its anchors dragged away from the membrane."""
+    scene = sheet(comm, 9, kind)
+    solver = Solver(scene)
+    solver.advance(pressure=PRESSURE)
+    cable = scene.lay_cable(CABLE, [(-18, 32, -4), (32, -18, -4)])
+    with pytest.raises(PathError, match=r"'cable 1' has slid off the membrane's edge at \["):
+        for _ in range(8):
+            span = float(np.linalg.norm(cable.positions[-1] - cable.positions[0]))
+            solver.advance(move={cable: (-2, -2, 0)}, L0={cable: 0.999 * span})
+    assert len(solver.steps) > 3 and cable.tension > 100.0  # the last good state

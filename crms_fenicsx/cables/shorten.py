@@ -185,6 +185,8 @@ def pass_vertex(
         return None
     first, last = inner[0], inner[-1]
     ring, _ = state.star(vertex)
+    if not {*supports[first - 1], *supports[last + 1]} <= {vertex, *ring.neighbours}:
+        return None
     arcs = _Arcs(vertex, ring, supports[first - 1], supports[last + 1])
     own = supports[first : last + 1]
     other = arcs.down if arcs.up == own else arcs.up
@@ -464,6 +466,8 @@ class _State:
         """Return the flips over a vertex that would shorten the string."""
         ring, total = self.star(hold.vertex)
         before, after = self.corridor[hold.first - 1], self.corridor[hold.last + 1]
+        if not {*before, *after} <= {hold.vertex, *ring.neighbours}:
+            return []  # the path comes from beyond the boundary, past this vertex
         arcs = _Arcs(hold.vertex, ring, before, after)
         if hold.strip_angle is not None:
             own = self.corridor[hold.first : hold.last + 1]
