@@ -143,8 +143,10 @@ class EquilibriumSearch:
                 self.system.rebuild()
                 total = total + self._settle((0.0,))
                 best = replace(best, outcome=total)
+        if not total.converged:
+            return total
         paths.check_on_membrane()
-        caught = self.system.caught_cables(STUCK) if total.converged else set()
+        caught = self.system.caught_cables(STUCK)
         if caught:
             names = ", ".join(self.scene.cables[c].name for c in sorted(caught))
             reason = f"{names}: caught between edges of the mesh, which is too coarse there"

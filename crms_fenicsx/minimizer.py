@@ -136,6 +136,7 @@ class Minimizer:
         self._energy0 = 0.0
         self._interrupt: Callable[[], bool] | None = None
         self._interrupted = False
+        self._error: Exception | None = None
         self._look_at = 0.0
         self.tao = PETSc.TAO().create(comm)
         self.tao.setOptionsPrefix(prefix)
@@ -186,7 +187,10 @@ class Minimizer:
         if self._interrupt is None or tao.getSolutionStatus()[2] > self._look_at:
             return
         self.potential.place(self._x)
-        self._interrupted = self._interrupt()
+        try:
+            self._interrupted = self._interrupt()
+        except Exception as error:  # PETSc would hide it behind an error of its own
+            self._error, self._interrupted = error, True
         self._interrupt = None
         if self._interrupted:
             tao.setConvergedReason(PETSc.TAO.ConvergedReason.CONVERGED_USER)
@@ -234,7 +238,7 @@ class Minimizer:
             returns true the solve ends there, with the reason "interrupted", as converged.
         """
         potential = self.potential
-        self._interrupt, self._interrupted = interrupt, False
+        self._interrupt, self._interrupted, self._error = interrupt, False, None
         membrane = [term for term in potential.terms if hasattr(term, "h0_prestress")]
         self._place_bounds()
         potential.place()
@@ -272,6 +276,8 @@ class Minimizer:
             length = STAGE_LENGTHS[min(stage, len(STAGE_LENGTHS) - 1)]
             self.tao.setMaximumIterations(length if self._uses_h0 else 100000)
             self.tao.solve()
+            if self._error is not None:
+                raise self._error
             iterations += self.tao.getIterationNumber()
             potential.place(self._x)
             ended = int(self.tao.getConvergedReason())

@@ -22,7 +22,7 @@ from curved_surfaces import (
 from crms_fenicsx.cables.corridor import flaw, tied, without_detours
 from crms_fenicsx.cables.intrinsic import ArraySurface, MissingStars, Ring, edge_of, ring_of
 from crms_fenicsx.cables.path import CellPoint, EdgePoint, Path, VertexPoint
-from crms_fenicsx.cables.shorten import STRAIGHT, corridor, shorten
+from crms_fenicsx.cables.shorten import STRAIGHT, corridor, pass_vertex, shorten
 from crms_fenicsx.errors import InputError, MeshError, PathError
 
 ROUNDING = 1e-11  # relative; of paths through some 100 cells, and of coordinates near 100
@@ -665,3 +665,26 @@ def test_bad_numbers():
         ArraySurface(cells, points[:, :1])
     with pytest.raises(InputError, match="ids from 0 to 99"):
         ArraySurface([[0, 1, 99]], points)
+
+
+@pytest.mark.parametrize("name", ["structured", "unstructured"])
+def test_passing_a_vertex_and_sliding_back(name):
+    """Led around the other side a straight path is longer; pulled taut it is what it was."""
+    mesh = structured(9) if name == "structured" else unstructured(9, np.random.default_rng(4))
+    cells, points = mesh
+    surface = ArraySurface(cells, points)
+    straight = shorten(bulge(mesh, 15), surface).points
+    passed = 0
+    for vertex in sorted({v for point in straight[1:-1] for v in point.support}):
+        other = pass_vertex(straight, surface, vertex)
+        if other is None:
+            continue
+        passed += 1
+        assert other.flips == (vertex,) and corridor(other.points) != corridor(straight)
+        assert other.length > other.before * (1 - ROUNDING)
+        Path(other.points).links(cells)
+        back = shorten(other.points, surface)
+        assert back.length == pytest.approx(other.before, rel=ROUNDING)
+        refused = pass_vertex(straight, surface, vertex, refused={corridor(other.points)})
+        assert refused is None
+    assert passed > 3

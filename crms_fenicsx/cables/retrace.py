@@ -285,14 +285,15 @@ class Retracer:
             if not is_off:
                 # Pulled between the places under the spans at its ends, or the anchors beyond.
                 before, after = self._beyond(cable, surface, path, run)
+                joined = self._with_anchors(cable, surface)
                 string = [*before, *new, *after]
-                if flaw(corridor(string), self._with_anchors(cable, surface).thirds):
+                if flaw(corridor(string), joined.thirds):  # a span over its own touchdown
                     before, after, string = [], [], new
-                if len(string) > 2:
+                if len(string) > 2 and not flaw(corridor(string), joined.thirds):
                     refused.add(corridor(string))
                     result = shorten(
-                        string, self._with_anchors(cable, surface), refused=refused,
-                        max_flips=max_flips, grip=GRIP if fresh else 0.0,
+                        string, joined, refused=refused, max_flips=max_flips,
+                        grip=GRIP if fresh else 0.0,
                     )  # fmt: skip
                     passed += len(result.flips)
                     new = list(result.points[len(before) : len(result.points) - len(after)])

@@ -1,0 +1,68 @@
+"""Ends of cables that are moved: along the boundary, off it, through the air and back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cabled_square import CABLE, KINDS, PRESSURE, place, sheet
+
+from crms_fenicsx import Scene, Solver
+from crms_fenicsx.cables.cable import LaidCable
+
+N = 9
+
+
+def solved(comm, kind: str, path, L0: float) -> tuple[Scene, LaidCable, Solver]:
+    """A cable on the inflated square."""
+    scene = sheet(comm, N, kind)
+    cable = scene.lay_cable(CABLE, path, L0=L0)
+    solver = Solver(scene)
+    solver.advance(pressure=PRESSURE)
+    return scene, cable, solver
+
+
+def assert_same(found: tuple[Scene, LaidCable], fresh: tuple[Scene, LaidCable], rel: float) -> None:
+    """The same but for the side on which a vertex is passed, on this coarse mesh."""
+    assert found[0].energy == pytest.approx(fresh[0].energy, rel=rel)
+    assert found[1].tension == pytest.approx(fresh[1].tension, rel=rel)
+    np.testing.assert_allclose(place(found[1], 50.0), place(fresh[1], 50.0), atol=0.05 * 100 / N)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_ends_dragged_along_the_boundary(comm, kind: str) -> None:
+    """Over vertices of the boundary, and back, the cable ends in the state of one laid there."""
+    first, cable, solver = solved(comm, kind, [(0, 30), (100, 30)], 100.0)
+    before = (first.energy, cable.tension)
+    solver.advance(move={cable: (0, 20, 0)}, steps=2)
+    assert cable.ends == ("held", "held")
+    np.testing.assert_allclose(cable.positions[[0, 1]], [[0, 50, 0]] * 2, atol=1e-9)
+    fresh = solved(comm, kind, [(0, 50), (100, 50)], 100.0)
+    assert_same((first, cable), fresh[:2], 1e-4)
+    solver.advance(move={cable: (0, -20, 0)}, steps=2)
+    assert (first.energy, cable.tension) == pytest.approx(before, rel=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["structured", "unstructured"])
+def test_ends_moved_off_and_through_the_air(comm, kind: str) -> None:
+    scene, cable, solver = solved(comm, kind, [(0, 30), (100, 30)], 100.0)
+    solver.advance(move={cable.start: (-5, 0, 0), cable.end: (5, 0, 0)}, L0={cable: 110.0}, steps=2)
+    assert cable.ends == ("off", "off")
+    assert {cable.nodes[1].kind, cable.nodes[-2].kind} == {"rail"}
+    solver.advance(move={cable: (0, 15, 0)}, steps=3)
+    fresh = solved(comm, kind, [(-5, 45, 0), (105, 45, 0)], 110.0)
+    assert_same((scene, cable), fresh[:2], 1e-2)
+    # lifted high and put down again the cable has found its way over other cells
+    solver.advance(move={cable: (0, 0, 10)}, steps=2)
+    assert cable.lifted.any()
+    solver.advance(move={cable: (0, 0, -10)}, steps=2)
+    assert_same((scene, cable), fresh[:2], 1e-2)
+
+
+def test_an_end_that_comes_back_is_held_again(comm) -> None:
+    scene, cable, solver = solved(comm, "unstructured", [(0, 30), (100, 30)], 100.0)
+    before = (scene.energy, cable.tension)
+    solver.advance(move={cable.start: (-4, 0, 0)}, L0={cable: 104.0})
+    assert cable.ends == ("off", "held")
+    solver.advance(move={cable.start: (4, 0, 0)}, L0={cable: 100.0})
+    assert cable.ends == ("held", "held") and cable.nodes[1].kind == "rider"
+    assert (scene.energy, cable.tension) == pytest.approx(before, rel=1e-4)
