@@ -68,7 +68,8 @@ class Outcome:
     solves
         Minimisations: more than one where cables turned slack or taut, lifted off or slid.
     flips
-        Mesh vertices over which cables slid sideways, those of rejected paths included.
+        Mesh vertices over which cables slid sideways between minimisations, those of rejected
+        paths included; not those over which paths were pulled straight before the first.
     """
 
     converged: bool
