@@ -65,9 +65,9 @@ def warp_field(mesh: Any, material: Membrane, cells: npt.NDArray[np.int32]) -> f
     return field
 
 
-def area_vectors(mesh: Any) -> Array:
-    """Normals of the stress-free cells, as long as their areas, (n, 3), ghosts included."""
-    x = mesh.geometry.x[geometry_dofmap(mesh)]
+def area_vectors(mesh: Any, cells: Any = slice(None)) -> Array:
+    """Normals of the stress-free cells, as long as their areas, (n, 3); of all, with ghosts."""
+    x = mesh.geometry.x[geometry_dofmap(mesh)[cells]]
     return np.asarray(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) / 2, dtype=float)
 
 

@@ -82,17 +82,15 @@ class State:
         from crms_fenicsx.cables.strip import StripShape
 
         scene.u.x.array[:] = self.u
-        assert scene.strip is not None
-        shape = StripShape.of(scene, scene.strip)
+        shape = StripShape.of(scene)
         for cable, was in zip(scene.cables, self.cables, strict=True):
             known = {_key(was.nodes, k): k for k in range(len(was.nodes)) if not was.lifted[k]}
-            for k, node in enumerate(cable.nodes):
+            for k in range(len(cable.nodes)):
                 old = known.get(_key(cable.nodes, k))
                 if old is not None:
                     cable.positions[k], cable.fractions[k] = was.positions[old], was.fractions[old]
                 else:
-                    fraction = float(cable.fractions[k])
-                    ids, weights = node.masters(None if np.isnan(fraction) else fraction)
+                    ids, weights = cable.masters(k)
                     cable.positions[k] = np.dot(weights, [shape.at(i) for i in ids])
 
     def restore(self, scene: Scene) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 from trace_surfaces import (
+    assert_part_is_enough,
     cap,
     grid,
     hall,
@@ -202,14 +203,7 @@ def test_strip_holds_all_that_a_steep_leg_needs():
         far = points[rng.integers(len(points))]
         route = np.array([a, b, far]) if case % 2 else np.array([a, b])
         mask = near_section(points, cells, route)
-        try:
-            whole = trace(ids, points, cells, route)
-        except PathError as error:
-            with pytest.raises(PathError) as caught:
-                trace(*part(ids, points, cells, mask), route)
-            assert str(caught.value) == str(error)
-            continue
-        assert trace(*part(ids, points, cells, mask), route) == whole
+        assert_part_is_enough(ids, points, cells, mask, route)
 
 
 def test_anchors_over_a_mesh_divided_among_ranks():

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.spatial import Delaunay
 
 from crms_fenicsx.cables.path import CellPoint, EdgePoint
+from crms_fenicsx.cables.trace import trace
+from crms_fenicsx.errors import PathError
 
 
 def grid(n, m=None):
@@ -100,3 +103,15 @@ def part(ids, points, cells, mask):
     row = np.zeros(len(points), dtype=np.int64)
     row[used] = np.arange(len(used))
     return ids[used], points[used], row[cells[mask]]
+
+
+def assert_part_is_enough(ids, points, cells, mask, route):
+    """On the marked cells alone a route has the same path as on all, or the same error."""
+    try:
+        whole = trace(ids, points, cells, route)
+    except PathError as error:
+        with pytest.raises(PathError) as caught:
+            trace(*part(ids, points, cells, mask), route)
+        assert str(caught.value) == str(error)
+    else:
+        assert trace(*part(ids, points, cells, mask), route) == whole

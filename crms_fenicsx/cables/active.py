@@ -40,12 +40,12 @@ class ActiveSet:
 
     def tighten(self) -> list[str]:
         """Switch cables between slack and taut for their current lengths; say which. Collective."""
-        shape = self._shape()
+        shape = StripShape.of(self.scene)
         return [text for cable in self.scene.cables for text in self._switch(cable, shape)]
 
     def update(self) -> list[str]:
         """Switch what a solved state asks for; say what, in words. Collective."""
-        scene, shape = self.scene, self._shape()
+        scene, shape = self.scene, StripShape.of(self.scene)
         changes = [text for cable in scene.cables for text in self._switch(cable, shape)]
         if not changes:
             for cable in scene.cables:
@@ -54,10 +54,6 @@ class ActiveSet:
         if not changes and scene.crossings:
             changes = self._crossings(shape)
         return changes
-
-    def _shape(self) -> StripShape:
-        assert self.scene.strip is not None
-        return StripShape.of(self.scene, self.scene.strip)
 
     def restless(self) -> str:
         """A cable that keeps turning from slack to taut and back; empty if there is none."""

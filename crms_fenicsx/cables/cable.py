@@ -270,6 +270,11 @@ class LaidCable:
 
         return end(0, 1), end(-1, -2)
 
+    def masters(self, k: int) -> tuple[tuple[int, ...], tuple[float, ...]]:
+        """Vertices (ids) and weights that give node k's place now; see `CableNode.masters`."""
+        fraction = float(self.fractions[k])
+        return self.nodes[k].masters(None if np.isnan(fraction) else fraction)
+
     def contacts(self) -> list[int]:
         """Nodes that the cable touches, its ends included, in order."""
         return [int(k) for k in np.flatnonzero(~self.lifted)]

@@ -171,7 +171,7 @@ def _meetings(cables: Sequence[LaidCable], strip: Strip) -> list[_Meeting]:
             continue
         for k, node in enumerate(cable.nodes):
             if isinstance(node.point, EdgePoint):
-                on_edge[node.point.edge].append((_fraction(cable, k), c, k))
+                on_edge[node.point.edge].append((float(cable.fractions[k]), c, k))
         for k, (a, b) in enumerate(pairwise(cable.nodes)):
             if a.point is None or b.point is None:
                 continue
@@ -195,12 +195,6 @@ def _meetings(cables: Sequence[LaidCable], strip: Strip) -> list[_Meeting]:
     return found
 
 
-def _fraction(cable: LaidCable, k: int) -> float:
-    point, fraction = cable.nodes[k].point, float(cable.fractions[k])
-    assert isinstance(point, EdgePoint)
-    return point.fraction if np.isnan(fraction) else fraction
-
-
 def _meetings_in_cell(
     cables: Sequence[LaidCable],
     cell: list[int],
@@ -222,9 +216,7 @@ def _meetings_in_cell(
 
     def flat(member: Member) -> Array:
         """Barycentric weights."""
-        cable, k = cables[member[0]], member[1]
-        fraction = float(cable.fractions[k])
-        ids, weights = cable.nodes[k].masters(None if np.isnan(fraction) else fraction)
+        ids, weights = cables[member[0]].masters(member[1])
         share = dict(zip(ids, weights, strict=True))
         return np.array([share.get(vertex, 0.0) for vertex in cell])
 

@@ -45,7 +45,7 @@ def renew_ends(paths: Retracer) -> bool:
         An anchor has come to a part of the boundary that cannot be reached along it.
     """
     changed = False
-    shape = paths.surface().shape
+    shape = StripShape.of(paths.scene)
     for cable in paths.scene.cables:
         for last in (False, True):
             changed |= _renew(paths, cable, last)

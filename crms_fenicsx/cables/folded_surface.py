@@ -39,9 +39,7 @@ def bends(cables: Sequence[LaidCable], but: LaidCable | None = None) -> dict[Edg
         for k in cable.contacts():
             point = cable.nodes[k].point
             if isinstance(point, EdgePoint) and cable.nodes[k].kind != "crossing":
-                fraction = float(cable.fractions[k])
-                fraction = point.fraction if np.isnan(fraction) else fraction
-                found[point.edge].append((fraction, c, cable.positions[k]))
+                found[point.edge].append((float(cable.fractions[k]), c, cable.positions[k]))
     return {
         edge: [place for *_, place in sorted(points, key=lambda point: point[:2])]
         for edge, points in found.items()

@@ -58,8 +58,8 @@ def lay(
     rows = np.searchsorted(near.vertices, near.cells)
     traced = trace(near.vertices, shape.current, rows, route)
     grow(scene, [v for point in traced.points for v in point.support])
-    assert scene.strip is not None
-    strip, shape = scene.strip, StripShape.of(scene, scene.strip)
+    shape = StripShape.of(scene)
+    strip = shape.strip
     nodes = nodes_of(traced.points, strip, _ends(scene, strip, traced))
     laid = LaidCable(
         name, cable, nodes,

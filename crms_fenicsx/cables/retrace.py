@@ -106,7 +106,7 @@ class Retracer:
         for cable in fresh:
             cable.lifted[:] = False
         self._retrace(fresh, folded_by=others, fresh=True)
-        shape = self.surface().shape
+        shape = StripShape.of(self.scene)
         for cable in fresh:
             if not cable.sleeve:
                 drape(cable, shape)
@@ -234,11 +234,8 @@ class Retracer:
         folded_by: Sequence[LaidCable] | None = None,
         fresh: bool = False,
     ) -> int:
-        scene = self.scene
-        assert scene.strip is not None
-        folds = bends(scene.cables if folded_by is None else folded_by)
-        shape = StripShape.of(scene, scene.strip)
-        surface = FoldedSurface(shape, folds)
+        folds = bends(self.scene.cables if folded_by is None else folded_by)
+        surface = FoldedSurface(StripShape.of(self.scene), folds)
         done: list[tuple[LaidCable, tuple[list[SurfacePoint], list[bool], int]]] = []
         for cable in cables:
             for rings in itertools.count(1):
@@ -246,9 +243,8 @@ class Retracer:
                     done.append((cable, self._pulled(cable, surface, max_flips, fresh)))
                     break
                 except MissingStars as missing:
-                    grow(scene, missing.vertices, rings)
-                    shape = StripShape.of(scene, scene.strip)
-                    surface = FoldedSurface(shape, folds)
+                    grow(self.scene, missing.vertices, rings)
+                    surface = FoldedSurface(StripShape.of(self.scene), folds)
         most = 0
         for cable, (points, lifted, flips) in done:
             if flips or fresh:
@@ -256,14 +252,13 @@ class Retracer:
                 most = max(most, flips)
         if most or fresh:
             nodes = [node.point for cable in cables for node in cable.nodes]
-            grow(scene, [v for point in nodes if point is not None for v in point.support])
+            grow(self.scene, [v for p in nodes if p is not None for v in p.support])
         return most
 
     def surface(self, vertices: Sequence[int] = ()) -> FoldedSurface:
         """The current surface, with all cells around some vertices. Collective."""
         grow(self.scene, vertices)
-        assert self.scene.strip is not None
-        return FoldedSurface(StripShape.of(self.scene, self.scene.strip), bends(self.scene.cables))
+        return FoldedSurface(StripShape.of(self.scene), bends(self.scene.cables))
 
     def _pulled(
         self, cable: LaidCable, surface: FoldedSurface, max_flips: int | None, fresh: bool

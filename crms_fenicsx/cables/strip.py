@@ -112,8 +112,10 @@ class StripShape:
         self.strip, self.current, self.stress_free = strip, current, stress_free
 
     @classmethod
-    def of(cls, scene: Scene, strip: Strip) -> StripShape:
-        """Gather the scene's positions. Collective."""
+    def of(cls, scene: Scene, strip: Strip | None = None) -> StripShape:
+        """Gather the scene's positions, by default of its own strip. Collective."""
+        strip = scene.strip if strip is None else strip
+        assert strip is not None
         rank, n = scene.comm.rank, len(strip.vertices)
         rows = np.searchsorted(strip.vertices, strip.cells)
         giver = np.full(n, scene.comm.size)

@@ -68,7 +68,10 @@ def cable_tables(network: Network, membrane: MembraneEnergy) -> CableTables:
     """Tables of the cables in tension."""
     taut = {c: n for n, c in enumerate(c for c, k in enumerate(network.cables) if k.taut)}
     mesh = network.u.function_space.mesh
-    sizes = np.sqrt(2 * np.linalg.norm(area_vectors(mesh), axis=1))
+    strip, rows = network.strip, network.own_rows
+    sizes = np.zeros(len(strip.cells))  # of this rank's cells of the strip
+    areas = np.linalg.norm(area_vectors(mesh, strip.local[rows]), axis=1)
+    sizes[rows] = np.sqrt(2 * areas)
     own = [k for k in network.links if k.cable in taut and network.link_owner(k) == network.rank]
     segments = [(network.block(c, k), network.block(c, m)) for c, k, m, _ in own]
     cells = _FoldedCellsOf(network, set(taut))
@@ -92,7 +95,7 @@ def _smoothing(network: Network, link: Link, sizes: Array) -> float:
         slides = not {first.kind, second.kind} <= {"rider"}
     strip = network.strip
     rows = [row for row in strip.rows(around) if strip.owner[row] == network.rank]
-    size = float(min(sizes[strip.local[row]] for row in rows))
+    size = float(min(sizes[row] for row in rows))
     # An anchor may lie on the held place next to it: no direction, and none is needed.
     if not slides:
         return -COINCIDENT * size
