@@ -38,6 +38,9 @@ of sound states are below 0.01 on meshes of 9 cells a side.
 NEAR = 0.1
 """Part of an edge: so near to a vertex a polish tries its other side."""
 
+MAX_PASSES = 30
+"""How often friction forces are taken from the state that they have led to."""
+
 MAX_PATHS = 60
 """How many sets of paths are tried in one load step before it is given up."""
 
@@ -90,8 +93,9 @@ class EquilibriumSearch:
         from crms_fenicsx.cables.active import ActiveSet
 
         self.active: ActiveSet = ActiveSet(self.scene)
+        self._begin_friction()
         if not self.slide:
-            return self._settle(h0_prestress)
+            return self._with_friction(self._settle(h0_prestress), self._settle)
         from crms_fenicsx.cables.ends import renew_ends
         from crms_fenicsx.cables.retrace import Retracer
 
@@ -102,13 +106,52 @@ class EquilibriumSearch:
         changed = renew_ends(self.paths)
         if self.paths.renew_shadows() or changed:
             self.system.rebuild()
-        outcome = self._slide(h0_prestress)
+        outcome = self._with_friction(self._slide(h0_prestress), self._slide)
         self.paths.end_step()
         return outcome
+
+    def _begin_friction(self) -> None:
+        """Let a load step begin for the cables with friction."""
+        if all(cable.slides_freely for cable in self.scene.cables):
+            return
+        from crms_fenicsx.cables.grip import begin
+        from crms_fenicsx.cables.strip import StripShape
+
+        shape = StripShape.of(self.scene)
+        for cable in self.scene.cables:
+            begin(cable, shape)
+
+    def _with_friction(
+        self, outcome: Outcome, solve: Callable[[tuple[float, ...]], Outcome]
+    ) -> Outcome:
+        """Repeat a solve until the friction forces are those of its own state."""
+        from crms_fenicsx.cables.grip import NEARLY, SETTLED, Lag
+        from crms_fenicsx.cables.strip import StripShape
+
+        lags = [Lag(cable) for cable in self.scene.cables if cable.has_coulomb]
+        if not lags:
+            return outcome
+        change = 0.0
+        for passes in range(1, MAX_PASSES + 1):
+            outcome = replace(outcome, passes=passes)
+            if not outcome.converged:
+                return outcome
+            shape = StripShape.of(self.scene)
+            change = max(lag.renew(shape) for lag in lags)
+            if change <= SETTLED:
+                return outcome
+            logger.debug("pass %d: friction forces change by %.2g", passes, change)
+            if change > NEARLY and self.paths is not None:
+                self.paths.withheld.clear()
+            self.system.renew_friction()
+            outcome = outcome + solve((0.0,))
+        reason = f"friction forces still change by {change:.1%} after {MAX_PASSES} passes"
+        return replace(outcome, converged=False, reason=reason)
 
     def _slide(self, h0_prestress: tuple[float, ...]) -> Outcome:
         """Try new paths while the energy falls."""
         from crms_fenicsx.cables.crossings import tangled
+        from crms_fenicsx.cables.give_way import give_way
         from crms_fenicsx.cables.network import BLOCKED
 
         paths, best = self.paths, self._try(h0_prestress)
@@ -119,13 +162,15 @@ class EquilibriumSearch:
         while best.outcome.converged:
             if not flips:
                 caught = self.system.caught_cables(CAUGHT) | tangled(self.scene.crossings)
-                caught -= laid_again
-                best = replace(best, state=State.of(self.scene), energy=self.scene.energy)
+                caught = {c for c in caught - laid_again if self.scene.cables[c].slides_freely}
+                best = replace(best, state=State.of(self.scene), energy=self.system.objective)
                 if caught:
                     laid_again |= caught
                     paths.lay_again(caught)
                 elif not paths.pass_next(NEAR if self.polish else BLOCKED):
-                    break
+                    flips = give_way(paths)
+                    if not flips:
+                        break
             if tries == MAX_PATHS:
                 reason = f"after {tries} changes the paths of the cables still want to change"
                 return replace(total, converged=False, reason=reason)
@@ -138,8 +183,9 @@ class EquilibriumSearch:
                 continue
             best.state.restore(self.scene)
             # Half of the flips; one alone cannot be halved.
-            flips = paths.retrace(flips // 2) if flips > 1 else 0
+            flips = self._change_paths(flips // 2)
             if not flips:
+                paths.withhold()
                 self.system.rebuild()
                 total = total + self._settle((0.0,))
                 best = replace(best, outcome=total)
@@ -160,12 +206,21 @@ class EquilibriumSearch:
 
         def look() -> bool:
             nonlocal flips, state, energy
-            state, energy = State.of(self.scene), self.scene.energy
-            flips = self.paths.retrace() if self.paths else 0
+            state, energy = State.of(self.scene), self.system.objective
+            flips = self._change_paths(None)
             return flips > 0
 
         outcome = self._settle(h0_prestress, look)
         return _Try(replace(outcome, flips=flips), state, energy, flips)
+
+    def _change_paths(self, most: int | None) -> int:
+        """Lead the cables over vertices, `most` at most each; return over how many."""
+        from crms_fenicsx.cables.give_way import give_way
+
+        paths = self.paths
+        if paths is None or most == 0:
+            return 0
+        return max(paths.retrace(most), give_way(paths, most))
 
     def _settle(
         self, h0_prestress: tuple[float, ...], look: Callable[[], bool] | None = None

@@ -70,6 +70,8 @@ class Outcome:
     flips
         Mesh vertices over which cables slid sideways between minimisations, those of rejected
         paths included; not those over which paths were pulled straight before the first.
+    passes
+        How often friction forces were taken from the state that they led to; 0 without friction.
     """
 
     converged: bool
@@ -81,6 +83,7 @@ class Outcome:
     factorizations: int
     solves: int = 1
     flips: int = 0
+    passes: int = 0
 
     def __add__(self, other: Outcome) -> Outcome:
         """The outcome of `other`, after the work of both."""
@@ -94,6 +97,7 @@ class Outcome:
             self.factorizations + other.factorizations,
             self.solves + other.solves,
             self.flips + other.flips,
+            self.passes + other.passes,
         )
 
 

@@ -13,6 +13,7 @@ from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.cable import CableNode, Crossing
+    from crms_fenicsx.cables.grip import Grip
 
 Array = npt.NDArray[np.float64]
 
@@ -31,6 +32,7 @@ class CableState:
     tension: float
     taut: bool
     blocked: tuple[int, ...]
+    grip: Grip | None
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,7 @@ class State:
                 CableState(
                     c.nodes, c.positions.copy(), c.fractions.copy(), c.lifted.copy(),
                     c.material.copy(), c.L0, c.length, c.tension, c.taut, c.blocked,
+                    c.grip,
                 )
                 for c in scene.cables
             ),
@@ -70,6 +73,7 @@ class State:
                 was.nodes, was.positions.copy(), was.fractions.copy(), was.lifted.copy()
             )
             cable.material[:] = was.material
+            cable.grip = was.grip
         scene.crossings = [crossing for crossing, _ in self.crossings]
         for crossing, apart in self.crossings:
             crossing.apart = apart

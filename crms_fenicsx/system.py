@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from crms_fenicsx.cables.fold import FoldedCells, FoldEnergy
     from crms_fenicsx.cables.network import Network
     from crms_fenicsx.cables.penalty import KinkPenalty
+    from crms_fenicsx.cables.stick_slip import StickSlip
     from crms_fenicsx.cables.tables import CableTables
     from crms_fenicsx.cables.tension import CableTension
     from crms_fenicsx.dead_load import DeadLoad
@@ -54,6 +55,8 @@ class System:
         self.network: Network | None = None
         self.tables: CableTables | None = None
         self.minimizer: Minimizer | None = None
+        self.objective = 0.0
+        """What the last solve has minimised; with friction more than the scene's energy."""
         self._folded_volume, self._folded_energy = np.zeros(1), np.zeros(1)
         self.rebuild()
 
@@ -141,7 +144,47 @@ class System:
             terms += [self._fold_term(folded), self._penalty_term(self.tables)]
             if self.pressure is not None:
                 terms.append(self._folded_pressure_term(self.tables))
+        return terms + self._friction_terms(self.network)
+
+    def _friction_terms(self, network: Network) -> list[Term]:
+        """Terms of the cables in tension that friction holds back sideways."""
+        laws = {
+            cable.cable.sideways.law
+            for cable in self.scene.cables
+            if cable.taut and cable.cable.sideways is not None
+        }
+        self.stick_slip: StickSlip | None = None
+        if not laws:
+            return []
+        from crms_fenicsx.cables.grip import align
+        from crms_fenicsx.cables.strip import StripShape
+
+        for cable in self.scene.cables:
+            if cable.taut:
+                align(cable)
+        shape = StripShape.of(self.scene)
+        terms: list[Term] = []
+        if "coulomb" in laws:
+            from crms_fenicsx.cables.friction_tables import slip_table
+            from crms_fenicsx.cables.stick_slip import StickSlip
+
+            self.stick_slip = StickSlip(slip_table(network, shape))
+            terms.append(self.stick_slip)
+        if "step" in laws:
+            from crms_fenicsx.cables.friction_element import FrictionElementEnergy
+            from crms_fenicsx.cables.friction_tables import element_table
+
+            terms.append(FrictionElementEnergy(element_table(network, shape)))
         return terms
+
+    def renew_friction(self) -> None:
+        """Bring the friction forces of the potential to those that the cables have. Collective."""
+        if self.stick_slip is not None:
+            from crms_fenicsx.cables.friction_tables import slip_table
+            from crms_fenicsx.cables.strip import StripShape
+
+            assert self.network is not None
+            self.stick_slip.renew(slip_table(self.network, StripShape.of(self.scene)))
 
     def _tension_term(self, tables: CableTables) -> CableTension:
         from crms_fenicsx.cables.tension import CableTension, StepCableTension
@@ -221,6 +264,7 @@ class System:
         scene, network = self.scene, self.network
         self.potential.sum_up()
         scene.energies = self.potential.energies()
+        self.objective = scene.energy
         if network is None:
             return
         network.update_cables(self.unknowns, self.potential.x)
@@ -232,6 +276,12 @@ class System:
             taut = [cable for cable in scene.cables if cable.taut]
             for cable, length, force in zip(taut, part, self.tension.tensions(part), strict=True):
                 cable.length, cable.tension = float(length), float(force)
+        if "friction" in scene.energies:  # the state has what it stores; the rest is heat
+            from crms_fenicsx.cables.grip import energies
+            from crms_fenicsx.cables.strip import StripShape
+
+            shape = StripShape.of(scene)
+            scene.energies["friction"] = sum(energies(c, shape)[0] for c in scene.cables)
 
     def prepare(self) -> None:
         """Bring the potential up to date with the scene's parts and loads."""
@@ -280,3 +330,10 @@ class System:
         self.potential.commit()
         for cable in self.scene.cables:
             cable.ends_before = cable.positions[[0, -1]].copy()
+        if any(cable.grip is not None for cable in self.scene.cables):
+            from crms_fenicsx.cables.grip import commit
+            from crms_fenicsx.cables.strip import StripShape
+
+            shape = StripShape.of(self.scene)
+            for cable in self.scene.cables:
+                commit(cable, shape)

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx import checks
+from crms_fenicsx.cables.friction import Friction
 from crms_fenicsx.cables.path import EdgePoint, Path, SurfacePoint, VertexPoint
 from crms_fenicsx.errors import InputError
+
+if TYPE_CHECKING:
+    from crms_fenicsx.cables.grip import Grip
 
 Array = npt.NDArray[np.float64]
 
@@ -34,15 +38,34 @@ class Cable:
         "total": tension ``EA (L - L0)/L0`` where positive, L0 the unstressed length. "step": the
         paper's (2.2-2), tension that grows by ``EA/l_n`` times the elongation in the step, l_n
         the length at the step's start.
+    friction
+        Friction on the membrane: a coefficient, or a `Friction` that says more. With 0 there is
+        none, and it costs nothing.
     """
 
     EA: float
     law: Literal["total", "step"] = "total"
+    friction: float | Friction = 0.0
 
     def __post_init__(self) -> None:
         checks.positive("Cable: EA", self.EA)
+        if not isinstance(self.friction, Friction):
+            Friction(checks.finite("Cable: friction", self.friction))
         if self.law not in ("total", "step"):
             raise InputError(f"Cable: law = {self.law!r} is not known; use 'total' or 'step'.")
+
+    @property
+    def sideways(self) -> Friction | None:
+        """Friction against sliding sideways; None if it slides freely."""
+        friction = self.friction
+        if not isinstance(friction, Friction):
+            friction = Friction(friction)
+        return friction if friction.at_rest > 0 else None
+
+    @property
+    def along(self) -> float:
+        """Coefficient of friction along its axis."""
+        return self.friction.along if isinstance(self.friction, Friction) else 0.0
 
 
 End = Literal["tied", "held", "off"]
@@ -197,6 +220,8 @@ class LaidCable:
         Where its ends were in the last equilibrium; None before the first.
     blocked
         Nodes that have run into a mesh vertex.
+    grip
+        What friction holds it with; None before its first load step, or without friction.
     """
 
     name: str
@@ -215,9 +240,21 @@ class LaidCable:
     traced: bool = False
     ends_before: Array | None = None
     blocked: tuple[int, ...] = ()
+    grip: Grip | None = None
 
     def __post_init__(self) -> None:
         self.material = np.full_like(self.positions, np.nan)
+
+    @property
+    def slides_freely(self) -> bool:
+        """Whether no friction holds it sideways."""
+        return self.cable.sideways is None
+
+    @property
+    def has_coulomb(self) -> bool:
+        """Whether friction with stick and slip holds it sideways."""
+        friction = self.cable.sideways
+        return friction is not None and friction.law == "coulomb"
 
     @property
     def start(self) -> CableEnd:

@@ -61,10 +61,15 @@ class Retracer:
         self._passed: dict[str, set[int]] = {}
         self._tried_at: dict[str, Array] = {}
         self._first_look = True
+        self.offered: set[tuple[str, Corridor]] = set()
+        self.withheld: set[tuple[str, Corridor]] = set()
+        """Ways past a vertex, by cable, that cables with friction are led now, and that they have
+        not taken."""
 
     def begin_step(self) -> None:
         """Prepare for a load step."""
         self._first_look = True
+        self.offered, self.withheld = set(), set()
 
     def _forget(self) -> None:
         """Forget which paths were tried, but not those of cables that have not moved since.
@@ -85,6 +90,11 @@ class Retracer:
                 self.refused.pop(cable.name, None)
                 self._passed.pop(cable.name, None)
 
+    def withhold(self) -> None:
+        """Do not offer the last ways past vertices again."""
+        self.withheld |= self.offered
+        self.offered = set()
+
     def end_step(self) -> None:
         """Remember where the cables are."""
         for cable in self.scene.cables:
@@ -99,7 +109,11 @@ class Retracer:
         -------
         Whether there were any.
         """
-        fresh = [cable for cable in self.scene.cables if cable.taut and not cable.traced]
+        fresh = [
+            cable
+            for cable in self.scene.cables
+            if cable.taut and not cable.traced and cable.slides_freely
+        ]
         if not fresh:
             return False
         others = [cable for cable in self.scene.cables if cable not in fresh]
@@ -179,7 +193,8 @@ class Retracer:
         How many vertices the cable that has passed most has; 0: no path has changed.
         """
         self._forget()
-        return self._retrace([cable for cable in self.scene.cables if cable.taut], max_flips)
+        free = [cable for cable in self.scene.cables if cable.taut and cable.slides_freely]
+        return self._retrace(free, max_flips) if free else 0
 
     def pass_next(self, near: float) -> bool:
         """Lead a cable around the other side of a vertex near which it passes. Collective.
@@ -198,7 +213,7 @@ class Retracer:
         """
         found: dict[tuple[int, int], float] = {}
         for c, cable in enumerate(self.scene.cables):
-            for k in cable.contacts() if cable.taut else []:
+            for k in cable.contacts() if cable.taut and cable.slides_freely else []:
                 node = cable.nodes[k]
                 if node.slides and isinstance(node.point, EdgePoint):
                     fraction = float(cable.fractions[k])
@@ -280,7 +295,7 @@ class Retracer:
             if not is_off:
                 # Pulled between the places under the spans at its ends, or the anchors beyond.
                 before, after = self._beyond(cable, surface, path, run)
-                joined = self._with_anchors(cable, surface)
+                joined = self.with_anchors(cable, surface)
                 string = [*before, *new, *after]
                 if flaw(corridor(string), joined.thirds):  # a span over its own touchdown
                     before, after, string = [], [], new
@@ -318,7 +333,7 @@ class Retracer:
         places = (cable.positions[0], cable.positions[-1])
         return {n + k: places[k] for k in (0, 1) if cable.ends[k] == "off"}
 
-    def _with_anchors(self, cable: LaidCable, surface: FoldedSurface) -> FoldedSurface:
+    def with_anchors(self, cable: LaidCable, surface: FoldedSurface) -> FoldedSurface:
         anchors = self._anchors(cable)
         if not anchors:
             return surface
@@ -357,7 +372,8 @@ class Retracer:
         before = {
             _key(node): k
             for k, node in enumerate(cable.nodes)
-            if node.kind != "crossing" and (cable.traced or not node.slides)
+            if node.kind != "crossing"
+            and (cable.traced or not cable.slides_freely or not node.slides)
         }
         ends = cable.ends if ends is None else ends
         first, last = (int(end != "off") for end in ends)

@@ -178,26 +178,82 @@ def pass_vertex(
     """
     state = _State(points, surface, refused, STRAIGHT)
     state.pull(corridor(points))
-    before, supports = state.length, state.corridor
-    run = [i for i, s in enumerate(supports) if len(s) == 2 and vertex in s]
+    before = state.length
+    found = other_side(state.corridor, surface, vertex)
+    if found is None or found.corridor in refused:
+        return None
+    state.length = math.inf
+    state.pull(found.corridor)
+    return Shortened(state.points(), (vertex,), state.length, before)
+
+
+@dataclass(frozen=True)
+class OtherSide:
+    """The way around a vertex on the side where a corridor does not go.
+
+    Attributes
+    ----------
+    corridor
+        With the new way.
+    left, taken
+        The edges that are crossed around the vertex, or the vertex that is visited, and what is
+        crossed instead.
+    """
+
+    corridor: Corridor
+    left: Corridor
+    taken: Corridor
+
+
+def other_side(
+    supports: Corridor, surface: Surface, vertex: int, to_left: bool | None = None
+) -> OtherSide | None:
+    """Lead a corridor around the other side of a vertex.
+
+    Parameters
+    ----------
+    supports
+        A corridor.
+    surface
+        Neighbours.
+    vertex
+        A vertex whose edges the corridor crosses, or that it visits.
+    to_left
+        For a visit, on which side to go: seen with the ring's order counterclockwise, left or
+        right of the corridor.
+
+    Returns
+    -------
+    None if no cable could follow it.
+
+    Raises
+    ------
+    MissingStars
+        The surface does not know all cells around the vertex.
+    """
+    run = [i for i, s in enumerate(supports) if vertex in s and len(s) < 3]
     inner = [i for i in run if 0 < i < len(supports) - 1]
+    visits = [i for i in inner if len(supports[i]) == 1]
+    if visits:
+        inner = visits
     if not inner or inner != list(range(inner[0], inner[-1] + 1)):
         return None
     first, last = inner[0], inner[-1]
-    ring, _ = state.star(vertex)
+    ring = surface.ring(vertex)
     if not {*supports[first - 1], *supports[last + 1]} <= {vertex, *ring.neighbours}:
         return None
     arcs = _Arcs(vertex, ring, supports[first - 1], supports[last + 1])
     own = supports[first : last + 1]
-    other = arcs.down if arcs.up == own else arcs.up
+    if visits:
+        other = arcs.down if to_left else arcs.up
+    else:
+        other = arcs.down if arcs.up == own else arcs.up
     if other is None:
         return None
     new = without_detours([*supports[:first], *other, *supports[last + 1 :]])
-    if new in refused or flaw(new, surface.thirds) is not None:
+    if flaw(new, surface.thirds) is not None:
         return None
-    state.length = math.inf
-    state.pull(new)
-    return Shortened(state.points(), (vertex,), state.length, before)
+    return OtherSide(new, own, other)
 
 
 class _Lengths(dict[Edge, float]):

@@ -141,6 +141,16 @@ class StripShape:
         x = self.current[np.searchsorted(self.strip.vertices, self.strip.cells)]
         return np.asarray(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), dtype=float)
 
+    @cached_property
+    def stress_free_normals(self) -> Array:
+        """Stress-free normals of the cells, twice as long as their areas, (n, 3)."""
+        x = self.stress_free[np.searchsorted(self.strip.vertices, self.strip.cells)]
+        return np.asarray(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), dtype=float)
+
+    def stress_free_at(self, vertex: int) -> Array:
+        """Stress-free position of a vertex, by id, (3,)."""
+        return self.stress_free[self.strip.row_of[vertex]]
+
     def normal(self, support: tuple[int, ...]) -> Array:
         """Current unit normal at a vertex, an edge or a cell: that of the cells around, (3,)."""
         total = self.normals[self.strip.rows(support)].sum(axis=0)

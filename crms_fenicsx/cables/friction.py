@@ -1,0 +1,84 @@
+"""What a cable's friction on the membrane is: coefficients and law (chapter 3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from crms_fenicsx import checks
+from crms_fenicsx.errors import InputError
+
+MOST_TOLERANCE = 0.1
+"""Slip tolerances above this (parts of a cell) are no friction any more."""
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Dry friction between a cable and the membrane.
+
+    Parameters
+    ----------
+    mu
+        Coefficient of friction against sliding sideways, of a cable that slides (kinetic). 0: it
+        slides sideways freely.
+    static
+        Coefficient for a cable that is at rest, `mu` or more; None: as `mu`.
+    along
+        Coefficient against sliding along the cable's axis; with one the tension varies along the
+        cable. 0: the cable slides along itself freely, assumption 6 of the paper.
+    law
+        "coulomb": stick and slip. "step": the paper's friction element (section 3.3), whose force
+        keeps its direction and size in a load step (assumption 7), so that nothing can stick: a
+        cable that should stay is pushed back.
+    tolerance
+        Elastic slip at which the friction force is fully mobilised, relative to the size of the
+        cells: the width that the jump of the friction force is smoothed to.
+
+    Raises
+    ------
+    InputError
+        A coefficient that is negative, `static` below `mu`, an unknown law, or a tolerance that
+        is not between 0 and 0.1.
+    """
+
+    mu: float
+    static: float | None = None
+    along: float = 0.0
+    law: Literal["coulomb", "step"] = "coulomb"
+    tolerance: float = 3e-3
+
+    def __post_init__(self) -> None:
+        for name in ("mu", "along"):
+            if checks.finite(f"Friction: {name}", getattr(self, name)) < 0:
+                raise InputError(
+                    f"Friction: {name} = {getattr(self, name)} is negative; give 0 or more."
+                )
+        if self.static is not None and checks.finite("Friction: static", self.static) < self.mu:
+            raise InputError(
+                f"Friction: static = {self.static} is smaller than mu = {self.mu}, the coefficient "
+                "of a cable that slides; give at least that."
+            )
+        if self.law not in ("coulomb", "step"):
+            raise InputError(f"Friction: law = {self.law!r} is not known; use 'coulomb' or 'step'.")
+        if self.law == "step" and (self.static not in (None, self.mu) or self.along):
+            raise InputError(
+                'Friction: law = "step" knows neither a static coefficient nor friction along the '
+                f"cable, but static = {self.static}, along = {self.along}; leave them out, or use "
+                '"coulomb".'
+            )
+        tolerance = checks.positive("Friction: tolerance", self.tolerance)
+        if tolerance > MOST_TOLERANCE:
+            raise InputError(
+                f"Friction: tolerance = {tolerance} is a slip of more than {MOST_TOLERANCE} of a "
+                "cell, which is no sticking; give about 0.003."
+            )
+
+    @property
+    def at_rest(self) -> float:
+        """Coefficient for a cable that is at rest."""
+        return self.mu if self.static is None else self.static
+
+    @property
+    def any(self) -> bool:
+        """Whether there is friction at all."""
+        return self.at_rest > 0 or self.along > 0

@@ -1,0 +1,74 @@
+"""Tables of what a rank computes for friction: the cables' slips, or the paper's elements."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from crms_fenicsx.cables.cable import LaidCable
+from crms_fenicsx.cables.contact_force import directions, turns
+from crms_fenicsx.cables.friction import Friction
+from crms_fenicsx.cables.friction_element import FrictionElements
+from crms_fenicsx.cables.grip import Grip
+from crms_fenicsx.cables.network import Network
+from crms_fenicsx.cables.slip import NodeSlips, node_slips
+from crms_fenicsx.cables.stick_slip import Slips
+from crms_fenicsx.cables.strip import StripShape
+
+Array = npt.NDArray[np.float64]
+
+
+def slip_table(network: Network, shape: StripShape) -> Slips:
+    """Nodes with stick and slip."""
+    on_edge = network.points_by_edge({c for c, cable in enumerate(network.cables) if cable.taut})
+    pointers, places, rows = [0], [], []
+    blocks: list[int] = []
+    for c, _, friction, grip, slips in _slips(network, shape, "coulomb"):
+        for i, (k, edge) in enumerate(zip(slips.nodes, slips.supports, strict=True)):
+            if network.strip.owner_of(edge) != network.rank:
+                continue
+            inner = [network.block(d, m) for _, d, m in on_edge[edge[0], edge[1]]]
+            blocks += [network.vertex(edge[0]), *inner, network.vertex(edge[1])]
+            pointers.append(len(blocks))
+            places.append(1 + inner.index(network.block(c, k)))
+            eps = friction.tolerance * slips.size[i]
+            rows.append((slips.slope[i], slips.offset[i], grip.at(edge), eps))
+    slope, offset, bound, eps_of = np.array(rows, dtype=float).reshape(-1, 4).T.copy()
+    return Slips(
+        np.array(pointers, dtype=np.int32), np.array(blocks, dtype=np.int32),
+        np.array(places, dtype=np.int32), slope, offset, bound, eps_of,
+    )  # fmt: skip
+
+
+def element_table(network: Network, shape: StripShape) -> FrictionElements:
+    """The paper's friction elements."""
+    blocks, forces, offsets = [], [], []
+    for c, cable, _, grip, slips in _slips(network, shape, "step"):
+        direction = turns(cable)
+        for k, edge, slip in zip(slips.nodes, slips.supports, slips.slip, strict=True):
+            if network.strip.owner_of(edge) != network.rank:
+                continue
+            vertex = edge[int(cable.fractions[k] > 0.5)]
+            work = grip.at(edge) * grip.moving[grip.row_of[edge]]
+            force = work * directions(cable, k, shape, *direction[k])[1]
+            blocks.append((network.vertex(vertex), network.block(c, k)))
+            forces.append(force)
+            # The work of a node that the path has got in this step begins with its slip.
+            offsets.append(work * slip - float(force @ (cable.positions[k] - shape.at(vertex))))
+    return FrictionElements(
+        np.array(blocks, dtype=np.int32).reshape(-1, 2),
+        np.array(forces, dtype=float).reshape(-1, 3),
+        np.array(offsets, dtype=float),
+    )
+
+
+def _slips(
+    network: Network, shape: StripShape, law: str
+) -> Iterator[tuple[int, LaidCable, Friction, Grip, NodeSlips]]:
+    """Slips of the nodes of the cables that friction of a law holds."""
+    for c, cable in enumerate(network.cables):
+        friction, grip = cable.cable.sideways, cable.grip
+        if cable.taut and friction is not None and grip is not None and friction.law == law:
+            yield c, cable, friction, grip, node_slips(cable, grip.curve, shape)

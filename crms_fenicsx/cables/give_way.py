@@ -1,0 +1,184 @@
+"""How cables with friction change their path: over one vertex that they have run into at a time.
+
+A cable with friction does not lie along a geodesic, and pulling it taut would let it slide where
+it sticks. It changes its path only where friction gives way: a fold point that slides and has run
+into a vertex is led around its other side, a node on a vertex leaves it when the cable pulls it
+sideways by more than friction holds. The new path is kept if the energy falls, with the work of
+friction in it; see `crms_fenicsx.equilibrium`.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import numpy.typing as npt
+
+from crms_fenicsx.cables.cable import CableNode, LaidCable
+from crms_fenicsx.cables.contact_force import contact_forces
+from crms_fenicsx.cables.corridor import Corridor, Support
+from crms_fenicsx.cables.folded_surface import FoldedSurface
+from crms_fenicsx.cables.intrinsic import MissingStars
+from crms_fenicsx.cables.path import EdgePoint, VertexPoint
+from crms_fenicsx.cables.retrace import Retracer
+from crms_fenicsx.cables.shorten import other_side
+from crms_fenicsx.cables.slip import node_slips
+from crms_fenicsx.cables.strip import StripShape, grow
+
+Array = npt.NDArray[np.float64]
+
+NEAR = 0.02
+"""Part of an edge: a sliding node as near as this to the vertex that it slides to has run into it.
+
+There the lengths of the segments around are smoothed, which repels it from the vertex."""
+BEYOND = 0.01
+"""Part of an edge: where a path starts on the other side, off the smoothing."""
+MOBILISED = 0.1
+"""Part of the friction force from which on a node is on its way."""
+
+
+def give_way(paths: Retracer, most: int | None = None) -> int:
+    """Lead cables with friction over the vertices that they have run into. Collective.
+
+    Parameters
+    ----------
+    paths
+        The scene's paths.
+    most
+        How many vertices each may pass; None: as many as it takes.
+
+    Returns
+    -------
+    How many vertices the cable that has passed most has.
+    """
+    paths.offered = set()
+    held = [cable for cable in paths.scene.cables if cable.taut and not cable.slides_freely]
+    if not held:
+        return 0
+    shape, passed = StripShape.of(paths.scene), 0
+    for cable in held:
+        done = 0
+        for vertex, to_left in _run_into(cable, shape):
+            if most is not None and done == most:
+                break
+            done += _pass(paths, cable, vertex, to_left)
+        passed = max(passed, done)
+    return passed
+
+
+def _run_into(cable: LaidCable, shape: StripShape) -> list[tuple[int, bool]]:
+    """Vertices that a cable has run into, and whether it slides to its left there."""
+    friction, grip = cable.cable.sideways, cable.grip
+    if friction is None or grip is None:
+        return []
+    found: dict[int, tuple[float, bool]] = {}
+    slips = node_slips(cable, grip.curve, shape)
+    way = slips.slip
+    if friction.law == "step":
+        way = grip.moving[[grip.row_of[support] for support in slips.supports]]
+    ends = (way * slips.slope > 0).astype(int)
+    away = np.abs(ends - cable.fractions[slips.nodes])
+    near = away < NEAR
+    if friction.law == "coulomb":
+        near &= np.abs(way) > MOBILISED * friction.tolerance * slips.size
+    for i in np.flatnonzero(near):
+        vertex = slips.supports[i][ends[i]]
+        if away[i] < found.get(vertex, (1.0, True))[0]:
+            found[vertex] = float(away[i]), bool(way[i] > 0)
+    forces = None
+    for k, node in enumerate(cable.nodes[1:-1], start=1):
+        if node.kind != "vertex" or cable.lifted[k] or node.point is None:
+            continue
+        forces = contact_forces(cable, shape) if forces is None else forces
+        if node.point.support in grip.row_of:
+            pull = float(forces.lateral[k])
+            if abs(pull) > grip.at(node.point.support):
+                found.setdefault(node.point.support[0], (0.0, pull > 0))
+    return [(vertex, found[vertex][1]) for vertex in sorted(found, key=lambda v: (found[v][0], v))]
+
+
+def _pass(paths: Retracer, cable: LaidCable, vertex: int, to_left: bool) -> int:
+    """Lead a cable around the other side of a vertex; return how many vertices it has passed."""
+    surface = paths.surface([vertex])
+    rim = [
+        k
+        for k, node in enumerate(cable.nodes)
+        if node.point is not None and node.kind != "crossing"
+    ]
+    supports: Corridor = tuple(_support(cable.nodes[k]) for k in rim)
+    string, first = supports, 0
+    joined = paths.with_anchors(cable, surface)
+    anchors = sorted(joined.anchors)
+    n = paths.scene.V.dofmap.index_map.size_global
+    if n in anchors:
+        string, first = ((n,), *string), 1
+    if n + 1 in anchors:
+        string = (*string, (n + 1,))
+    for rings in itertools.count(1):
+        try:
+            found = other_side(string, joined, vertex, to_left)
+            break
+        except MissingStars as missing:
+            grow(paths.scene, missing.vertices, rings)
+            joined = paths.with_anchors(cable, paths.surface())
+    if found is None or any(len(s) != 2 for s in found.taken):
+        return 0
+    way = cable.name, (*found.left, *found.taken)
+    if way in paths.withheld or way in paths.offered:
+        return 0
+    kept = found.corridor[first : len(found.corridor) - (n + 1 in anchors)]
+    if any(len(s) == 1 and s[0] >= n for s in kept):
+        return 0
+    _adopt(paths, cable, rim, kept, vertex, joined)
+    paths.offered.add(way)
+    return 1
+
+
+def _adopt(
+    paths: Retracer,
+    cable: LaidCable,
+    rim: list[int],
+    supports: Corridor,
+    vertex: int,
+    surface: FoldedSurface,
+) -> None:
+    """Give a cable a path around a vertex; all nodes that it had stay where they are."""
+    grow(paths.scene, [v for support in supports for v in support])
+    strip = paths.scene.strip
+    assert strip is not None
+    old = {_support(cable.nodes[k]): k for k in rim}
+    least = BEYOND * (1 + 0.02 * paths.scene.cables.index(cable))
+    nodes: list[CableNode] = []
+    positions, fractions, lifted = [], [], []
+    if cable.nodes[0].kind == "anchor":
+        nodes.append(cable.nodes[0])
+        positions.append(cable.positions[0])
+    for support in supports:
+        k = old.get(support)
+        if k is not None:
+            nodes.append(cable.nodes[k])
+            positions.append(cable.positions[k])
+            continue
+        edge = (support[0], support[1])
+        fraction = least if edge[0] == vertex else 1 - least
+        kind = "rail" if edge in strip.held_edges else "fold"
+        nodes.append(CableNode(kind, EdgePoint(edge, fraction)))  # type: ignore[arg-type]
+        positions.append(surface.place(edge, fraction))
+    if cable.nodes[-1].kind == "anchor":
+        nodes.append(cable.nodes[-1])
+        positions.append(cable.positions[-1])
+    for node in nodes:
+        k = None if node.point is None else old.get(_support(node))
+        if k is None:
+            on_edge = isinstance(node.point, EdgePoint)
+            fractions.append(node.point.fraction if on_edge else np.nan)  # type: ignore[union-attr]
+            lifted.append(False)
+        else:
+            fractions.append(float(cable.fractions[k]))
+            lifted.append(bool(cable.lifted[k]))
+    cable.set_nodes(nodes, np.array(positions), np.array(fractions), np.array(lifted))
+
+
+def _support(node: CableNode) -> Support:
+    assert node.point is not None
+    return VertexPoint(node.point.vertex).support if node.kind == "vertex" else node.point.support  # type: ignore[union-attr]

@@ -1,0 +1,235 @@
+"""Grip of the membrane on a cable: friction bound of each node, carried through a load step.
+
+The bound F = mu N (3.2-3) depends on the state that is sought. It is held while the potential is
+minimised, then taken anew from the state found, and so on until it settles.
+
+While it is held, the path may change. Nodes that stay keep their bound, and the bounds of those
+that go are shared among those that take their place, so that their sum, and with it the energy of
+the paths that are compared, does not change for any other reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from crms_fenicsx.cables.cable import LaidCable
+from crms_fenicsx.cables.contact_force import contact_forces, paper_forces
+from crms_fenicsx.cables.slip import MaterialCurve, Support, material_curve, node_slips
+from crms_fenicsx.cables.strip import StripShape
+
+Array = npt.NDArray[np.float64]
+
+SLIDES = 0.05
+"""Slip in a load step, relative to the cells' size, from which on a node slides: with less, noise
+would set off an avalanche where the static coefficient is larger; with much more it comes late."""
+
+
+SETTLED, NEARLY = 1e-3, 0.02
+"""Change of the bounds, relative to their sum, below which they have settled, and nearly so."""
+STEEPEST = 0.9
+"""Largest share of a change of the bounds that is taken to come back from the state."""
+
+
+@dataclass(frozen=True)
+class Grip:
+    """Friction of a laid cable in a load step.
+
+    Attributes
+    ----------
+    curve
+        Where the cable lay when the step began.
+    supports
+        Places of the nodes that the bounds are of.
+    bounds : (n,)
+        Most friction force of each (force).
+    moving : (n,)
+        Direction in which each slides in this step: 1 left, -1 right, 0 not.
+    dissipated
+        Energy that friction has dissipated up to the step's start (force x length).
+    known
+        Whether the bounds come from a state, and not from a first guess.
+    """
+
+    curve: MaterialCurve
+    supports: tuple[Support, ...]
+    bounds: Array
+    moving: Array
+    dissipated: float = 0.0
+    known: bool = False
+
+    def at(self, support: Support) -> float:
+        """Bound of a node (force)."""
+        return float(self.bounds[self.row_of[support]])
+
+    @cached_property
+    def row_of(self) -> dict[Support, int]:
+        """Place of each node in the arrays."""
+        return {support: row for row, support in enumerate(self.supports)}
+
+
+def begin(cable: LaidCable, shape: StripShape) -> None:
+    """Prepare a cable for a load step, if it has friction.
+
+    Of one that has not been in tension yet no bound is known: it is taken to stick first.
+    """
+    if cable.cable.sideways is None:
+        return
+    if cable.grip is None:
+        cable.grip = Grip(material_curve(cable, shape), (), np.zeros(0), np.zeros(0))
+    align(cable)
+    friction, n = cable.cable.sideways, len(cable.grip.supports)
+    if friction.law == "step":
+        bounds = friction.mu * paper_forces(cable)[_numbers(cable)]
+        cable.grip = replace(cable.grip, bounds=bounds)
+    elif not cable.grip.known:
+        cable.grip = replace(cable.grip, bounds=np.full(n, cable.cable.EA))
+
+
+def align(cable: LaidCable) -> None:
+    """Bring the bounds to the nodes that the cable has now."""
+    grip = cable.grip
+    if grip is None or (now := tuple(_supports(cable))) == grip.supports:
+        return
+    bounds, moving = np.zeros(len(now)), np.zeros(len(now))
+    old = {support: k for k, support in enumerate(grip.supports)}
+    stays = [k for k, support in enumerate(now) if support in old]
+    rows = [old[now[k]] for k in stays]
+    if sorted(rows) != rows:  # no such path comes from this one
+        stays, rows = [], []
+    bounds[stays], moving[stays] = grip.bounds[rows], grip.moving[rows]
+    starts, ends = [-1, *stays], [*stays, len(now)]
+    was_starts, was_ends = [-1, *rows], [*rows, len(grip.supports)]
+    for a, b, c, d in zip(starts, ends, was_starts, was_ends, strict=True):
+        gone, new = slice(c + 1, d), list(range(a + 1, b))
+        freed = float(grip.bounds[gone].sum())
+        new = new or [k for k in (a, b) if 0 <= k < len(now)]
+        if new and d > c + 1:
+            bounds[new] += freed / len(new)
+            strongest = int(np.argmax(np.abs(grip.moving[gone])))
+            for k in new:
+                moving[k] = moving[k] or grip.moving[gone][strongest]
+    cable.grip = replace(grip, supports=now, bounds=bounds, moving=moving)
+
+
+class Lag:
+    """Brings the bounds of one cable in a load step to those of the state that they lead to.
+
+    The bounds are proportional to the tension, and a stiff cable that slides soon loses it. Then
+    taking them over converges slowly: their sum is found by the secant method instead.
+    """
+
+    def __init__(self, cable: LaidCable) -> None:
+        self.cable = cable
+        self.change = np.inf
+        self._before: tuple[float, float] | None = None
+
+    def renew(self, shape: StripShape) -> float:
+        """Take the bounds from the current state; return their change, relative to their sum."""
+        cable, grip = self.cable, self.cable.grip
+        assert grip is not None
+        if not cable.taut:
+            return 0.0
+        # Only what slides while the bounds change little slides because it must.
+        bounds, moving = _bounds(cable, grip, shape, settled=self.change < NEARLY)
+        total, used = float(bounds.sum()), float(grip.bounds.sum())
+        if used == 0.0 == total:
+            return 0.0
+        self.change = float(np.abs(bounds - grip.bounds).sum()) / max(total, 1e-3 * used)
+        if self.change <= SETTLED:  # the state found stays the one that belongs to its bounds
+            return self.change
+        if grip.known and total > 0.0 < used:
+            here = float(np.log(used)), float(np.log(total))
+            bounds = bounds * np.exp(self._goal(*here) - here[1])
+            self._before = here
+        cable.grip = replace(grip, bounds=bounds, moving=moving, known=True)
+        return self.change
+
+    def _goal(self, used: float, found: float) -> float:
+        """Where the sum (its logarithm) that is used and that which is found will be equal."""
+        slope = 0.0
+        if self._before is not None and used != self._before[0]:
+            slope = (found - self._before[1]) / (used - self._before[0])
+        return used + (found - used) / (1.0 - min(max(slope, -1.0), STEEPEST))
+
+
+def _bounds(cable: LaidCable, grip: Grip, shape: StripShape, settled: bool) -> tuple[Array, Array]:
+    """Friction bounds in the current state (force), and the directions in which nodes slide."""
+    friction = cable.cable.sideways
+    assert friction is not None
+    slips = node_slips(cable, grip.curve, shape)
+    moving = grip.moving.copy()
+    rows = [grip.row_of[support] for support in slips.supports]
+    if settled:
+        starts = (np.abs(slips.slip) > SLIDES * slips.size) & (moving[rows] == 0.0)
+        moving[rows] = np.where(starts, np.sign(slips.slip), moving[rows])
+    in_motion = (moving[rows] != 0.0) | (slips.moving * slips.slip > 0.0)
+    coefficients = np.full(len(grip.supports), friction.at_rest)
+    coefficients[rows] = np.where(in_motion, friction.mu, friction.at_rest)
+    return coefficients * contact_forces(cable, shape).bearing[_numbers(cable)], moving
+
+
+def energies(cable: LaidCable, shape: StripShape) -> tuple[float, float]:
+    """Energy that a cable's friction stores, and that it dissipates in the step so far.
+
+    Of the potential ``F eps f(s/eps)`` (see `stick_slip`) the part up to the slip eps is elastic.
+    """
+    friction, grip = cable.cable.sideways, cable.grip
+    if friction is None or grip is None or not cable.taut:
+        return 0.0, 0.0
+    slips = node_slips(cable, grip.curve, shape)
+    bounds = np.array([grip.at(support) for support in slips.supports])
+    if friction.law == "step":
+        rows = [grip.row_of[support] for support in slips.supports]
+        return 0.0, float(np.sum(bounds * grip.moving[rows] * slips.slip))
+    eps = friction.tolerance * slips.size
+    s = np.minimum(np.abs(slips.slip) / eps, 1.0)
+    stored = float(np.sum(bounds * eps * s**2 * (1.0 - s / 3.0)))
+    return stored, float(np.sum(bounds * np.maximum(np.abs(slips.slip) - eps, 0.0)))
+
+
+def commit(cable: LaidCable, shape: StripShape) -> None:
+    """End a load step: the cable's place is the curve that the next step's slip counts from."""
+    friction, grip = cable.cable.sideways, cable.grip
+    if friction is None or grip is None:
+        return
+    _, dissipated = energies(cable, shape)
+    elastic: dict[int, float] = {}
+    moving: dict[int, float] = {}
+    if cable.taut:
+        slips = node_slips(cable, grip.curve, shape)
+        eps = friction.tolerance * slips.size
+        elastic = dict(zip(slips.nodes, np.clip(slips.slip, -eps, eps), strict=True))
+        slid = np.sign(slips.slip) * (np.abs(slips.slip) > SLIDES * slips.size)
+        moving = dict(zip(slips.nodes, slid, strict=True))
+    curve = material_curve(cable, shape, elastic, moving)
+    cable.grip = replace(
+        grip,
+        curve=curve,
+        moving=np.zeros_like(grip.moving),
+        known=grip.known and cable.taut,
+        dissipated=grip.dissipated + dissipated,
+    )
+
+
+def _support(cable: LaidCable, k: int) -> Support:
+    point = cable.nodes[k].point
+    assert point is not None
+    return point.support
+
+
+def _numbers(cable: LaidCable) -> list[int]:
+    """Nodes that friction may hold: those that touch the membrane, inside of the cable's ends."""
+    return [
+        k
+        for k in cable.contacts()
+        if cable.nodes[k].kind in ("fold", "rail", "vertex") and 0 < k < len(cable.nodes) - 1
+    ]
+
+
+def _supports(cable: LaidCable) -> Sequence[Support]:
+    return [_support(cable, k) for k in _numbers(cable)]

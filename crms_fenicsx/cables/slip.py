@@ -1,0 +1,204 @@
+"""Slip of a cable on the membrane, measured from its material curve at the last equilibrium.
+
+The history of friction is a curve on the stress-free membrane: the places on which the cable lay
+when the last load step ended. It is attached to no edge, so that nothing is lost when the cable
+slides into other cells. The slip of a fold point is the signed distance of its material place from
+that curve, to the left of the cable positive, plus the elastic slip that was left there: within a
+small slip eps friction is elastic, which keeps an idle cable from creeping.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from crms_fenicsx.cables.cable import LaidCable
+from crms_fenicsx.cables.contact_force import runs
+from crms_fenicsx.cables.strip import StripShape
+
+Array = npt.NDArray[np.float64]
+Support = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class MaterialCurve:
+    """Where a cable lay on the stress-free membrane.
+
+    Attributes
+    ----------
+    points : (m, 3)
+        Its points (length).
+    arc : (m,)
+        Arc length from its first point (length).
+    part : (m,)
+        Number of the part that lies on the membrane; between parts the cable was off it.
+    elastic : (m,)
+        Elastic slip left at the points (length).
+    moving : (m,)
+        In which direction they slid in the last load step: 1 left, -1 right, 0 not.
+    """
+
+    points: Array
+    arc: Array
+    part: npt.NDArray[np.int64]
+    elastic: Array
+    moving: Array
+
+    def nearest(self, places: Array) -> tuple[Array, Array, npt.NDArray[np.int64]]:
+        """Arc lengths (n,), places (n, 3) and parts (n,) of the points nearest to places (n, 3).
+
+        An arc length lies beyond the ends of its part by what the place does. Where the curve is
+        nowhere, so are they: the parts are -1.
+        """
+        joined = np.flatnonzero((self.part[1:] == self.part[:-1]) & (np.diff(self.arc) > 0.0))
+        if not len(joined):
+            return np.zeros(len(places)), places.copy(), np.full(len(places), -1)
+        start, way = self.points[joined], self.points[joined + 1] - self.points[joined]
+        size = np.sum(way**2, axis=1)
+        t = np.einsum("nmi,mi->nm", places[:, None] - start, way) / size
+        inside = np.clip(t, 0.0, 1.0)
+        feet = start + inside[:, :, None] * way
+        best = np.argmin(np.sum((places[:, None] - feet) ** 2, axis=2), axis=1)
+        rows = np.arange(len(places))
+        first, at, t = joined[best], inside[rows, best], t[rows, best]
+        length = np.sqrt(size[best])
+        # Only at the ends of a part does it matter how far beyond a place lies.
+        part = self.part[first]
+        begins = np.concatenate([[True], self.part[1:] != self.part[:-1]])[first] & (t < 0.0)
+        ends = np.concatenate([self.part[1:] != self.part[:-1], [True]])[first + 1] & (t > 1.0)
+        share = np.where(begins | ends, t, at)
+        return self.arc[first] + share * length, feet[rows, best], part
+
+    def tangents(self, at: Array, parts: npt.NDArray[np.int64], reach: Array) -> Array:
+        """Mean directions between a distance `reach` (n,) before and after places, unit (n, 3).
+
+        Points that lie close together have none of their own that means anything.
+        """
+        found = np.zeros((len(at), 3))
+        for part in np.unique(parts):
+            own, rows = self.part == part, parts == part
+            arc, points = self.arc[own], self.points[own]
+            inside = np.clip(at[rows], arc[0], arc[-1])
+            for sign in (1.0, -1.0):
+                u = np.clip(inside + sign * reach[rows], arc[0], arc[-1])
+                for i in range(3):
+                    found[rows, i] += sign * np.interp(u, arc, points[:, i])
+        return np.asarray(found / np.linalg.norm(found, axis=1)[:, None])
+
+    def elastic_at(self, at: Array, parts: npt.NDArray[np.int64]) -> Array:
+        """Elastic slips at places, (n,) (length)."""
+        found = np.zeros(len(at))
+        for part in np.unique(parts):
+            own, rows = self.part == part, parts == part
+            found[rows] = np.interp(at[rows], self.arc[own], self.elastic[own])
+        return found
+
+    def moving_at(self, at: Array, parts: npt.NDArray[np.int64]) -> Array:
+        """Directions in which the nearest points slid in the last load step, (n,)."""
+        found = np.zeros(len(at))
+        for part in np.unique(parts):
+            own, rows = self.part == part, parts == part
+            nearest = np.argmin(np.abs(at[rows][:, None] - self.arc[own]), axis=1)
+            found[rows] = self.moving[own][nearest]
+        return found
+
+
+@dataclass(frozen=True)
+class NodeSlips:
+    """Slips of sliding nodes, linear in their places s on their edges: ``slope * s + offset``.
+
+    Attributes
+    ----------
+    nodes : (n,)
+        Their numbers.
+    supports
+        Their edges.
+    slope, offset, slip : (n,)
+        The slip is that at their current places (length).
+    size : (n,)
+        Size of the stress-free cells around (length).
+    moving : (n,)
+        Direction in which the curve slid there in the last load step.
+    """
+
+    nodes: list[int]
+    supports: list[Support]
+    slope: Array
+    offset: Array
+    slip: Array
+    size: Array
+    moving: Array
+
+
+def material_curve(
+    cable: LaidCable,
+    shape: StripShape,
+    elastic: dict[int, float] | None = None,
+    moving: dict[int, float] | None = None,
+) -> MaterialCurve:
+    """Where a cable lies now.
+
+    Parameters
+    ----------
+    cable
+        A cable.
+    shape
+        Positions of the vertices around.
+    elastic, moving
+        Elastic slip (length) and direction of sliding, by node; zero elsewhere.
+    """
+    elastic, moving = elastic or {}, moving or {}
+    nodes: list[int] = []
+    part: list[int] = []
+    for number, run in enumerate(runs(cable)):
+        nodes += run
+        part += [number] * len(run)
+    points = np.array([material_place(cable, k, shape) for k in nodes]).reshape(-1, 3)
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    return MaterialCurve(
+        points,
+        np.concatenate([np.zeros(min(len(points), 1)), np.cumsum(steps)]),
+        np.array(part, dtype=np.int64),
+        np.array([elastic.get(k, 0.0) for k in nodes]),
+        np.array([moving.get(k, 0.0) for k in nodes]),
+    )
+
+
+def material_place(cable: LaidCable, k: int, shape: StripShape) -> Array:
+    """Place of a node on the stress-free membrane, (3,)."""
+    ids, weights = cable.masters(k)
+    return np.asarray(np.dot(weights, [shape.stress_free_at(i) for i in ids]))
+
+
+def node_slips(cable: LaidCable, curve: MaterialCurve, shape: StripShape) -> NodeSlips:
+    """Slips of a cable's sliding nodes that touch the membrane where the cable lay on it."""
+    nodes, supports = [], []
+    for k in cable.contacts():
+        point = cable.nodes[k].point
+        if cable.nodes[k].slides and point is not None:
+            nodes.append(k)
+            supports.append(point.support)
+    ends = np.array([[shape.stress_free_at(v) for v in s] for s in supports]).reshape(-1, 2, 3)
+    fractions, sides = cable.fractions[nodes], ends[:, 1] - ends[:, 0]
+    at, feet, parts = curve.nearest(ends[:, 0] + fractions[:, None] * sides)
+    all_normals = shape.stress_free_normals
+    around = [all_normals[shape.strip.rows(s)] for s in supports]
+    size = np.array([np.linalg.norm(normals, axis=1).mean() for normals in around]) ** 0.5
+    normals = np.array([normals.sum(axis=0) for normals in around]).reshape(-1, 3)
+    first, last = np.full((2, len(nodes)), np.nan)
+    for part in np.unique(parts[parts >= 0]):
+        own = curve.arc[curve.part == part]
+        first[parts == part], last[parts == part] = own[0], own[-1]
+    # elsewhere the cable has touched down in this step
+    known = (at >= first - size) & (at <= last + size)
+    nodes = [k for k, is_known in zip(nodes, known, strict=True) if is_known]
+    supports = [s for s, is_known in zip(supports, known, strict=True) if is_known]
+    at, feet, parts, size = at[known], feet[known], parts[known], size[known]
+    left = np.cross(normals[known], curve.tangents(at, parts, size))
+    left /= np.linalg.norm(left, axis=1)[:, None]
+    slope = np.sum(sides[known] * left, axis=1)
+    offset = np.sum((ends[known, 0] - feet) * left, axis=1) + curve.elastic_at(at, parts)
+    slip = slope * fractions[known] + offset
+    return NodeSlips(nodes, supports, slope, offset, slip, size, curve.moving_at(at, parts))
