@@ -7,6 +7,7 @@ A load step runs through the modules in one direction: `scene` (what there is) -
 
 from crms_fenicsx import meshes
 from crms_fenicsx.cables.cable import Cable, LaidCable
+from crms_fenicsx.cables.friction import Friction
 from crms_fenicsx.errors import (
     ConvergenceError,
     InputError,
@@ -23,6 +24,7 @@ __version__ = "0.1.0"
 __all__ = [
     "Cable",
     "ConvergenceError",
+    "Friction",
     "InputError",
     "IsotropicMembrane",
     "LaidCable",

@@ -175,6 +175,7 @@ class EquilibriumSearch:
                 reason = f"after {tries} changes the paths of the cables still want to change"
                 return replace(total, converged=False, reason=reason)
             tries += 1
+            tried = paths.offered
             self.system.rebuild()
             new = self._try((0.0,))
             total = total + new.outcome
@@ -185,7 +186,7 @@ class EquilibriumSearch:
             # Half of the flips; one alone cannot be halved.
             flips = self._change_paths(flips // 2)
             if not flips:
-                paths.withhold()
+                paths.withheld |= tried
                 self.system.rebuild()
                 total = total + self._settle((0.0,))
                 best = replace(best, outcome=total)

@@ -129,6 +129,11 @@ class Scene:
         return sum(self.energies.values())
 
     @property
+    def dissipated(self) -> float:
+        """Energy that friction has dissipated in all load steps (force x length)."""
+        return sum(cable.grip.dissipated for cable in self.cables if cable.grip is not None)
+
+    @property
     def volume(self) -> float:
         """Volume gained under the membrane since its stress-free shape (length cubed).
 

@@ -52,7 +52,7 @@ def give_way(paths: Retracer, most: int | None = None) -> int:
     How many vertices the cable that has passed most has.
     """
     paths.offered = set()
-    held = [cable for cable in paths.scene.cables if cable.taut and not cable.slides_freely]
+    held = [c for c in paths.scene.cables if c.taut and c.grip is not None and c.grip.known]
     if not held:
         return 0
     shape, passed = StripShape.of(paths.scene), 0

@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.cable import LaidCable
+from crms_fenicsx.cables.cable import LaidCable, polyline_length
 from crms_fenicsx.cables.contact_force import contact_forces, paper_forces
 from crms_fenicsx.cables.slip import MaterialCurve, Support, material_curve, node_slips
 from crms_fenicsx.cables.strip import StripShape
@@ -31,6 +31,8 @@ would set off an avalanche where the static coefficient is larger; with much mor
 
 SETTLED, NEARLY = 1e-3, 0.02
 """Change of the bounds, relative to their sum, below which they have settled, and nearly so."""
+LEAST_STRAIN = 1e-4
+"""Strain of a cable that sets the force by which it is first taken to stick."""
 STEEPEST = 0.9
 """Largest share of a change of the bounds that is taken to come back from the state."""
 
@@ -85,9 +87,11 @@ def begin(cable: LaidCable, shape: StripShape) -> None:
     friction, n = cable.cable.sideways, len(cable.grip.supports)
     if friction.law == "step":
         bounds = friction.mu * paper_forces(cable)[_numbers(cable)]
-        cable.grip = replace(cable.grip, bounds=bounds)
+        cable.grip = replace(cable.grip, bounds=bounds, known=True)
     elif not cable.grip.known:
-        cable.grip = replace(cable.grip, bounds=np.full(n, cable.cable.EA))
+        elongation = polyline_length(cable.positions[cable.contacts()]) / cable.L0 - 1
+        force = cable.cable.EA * max(elongation, LEAST_STRAIN)
+        cable.grip = replace(cable.grip, bounds=np.full(n, force))
 
 
 def align(cable: LaidCable) -> None:

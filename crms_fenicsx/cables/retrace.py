@@ -90,11 +90,6 @@ class Retracer:
                 self.refused.pop(cable.name, None)
                 self._passed.pop(cable.name, None)
 
-    def withhold(self) -> None:
-        """Do not offer the last ways past vertices again."""
-        self.withheld |= self.offered
-        self.offered = set()
-
     def end_step(self) -> None:
         """Remember where the cables are."""
         for cable in self.scene.cables:

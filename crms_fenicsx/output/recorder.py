@@ -35,9 +35,11 @@ class Recorder:
     history : History
         A row for each step: its number, "halvings" of the increment, "pressure", "load" (factor
         of the dead load, once there is one), "energy" and
-        that of each kind of term ("energy membrane"), "volume" gained (once there is pressure),
-        "tension", "length" and "L0" of each cable by its name ("tension cable 1"), "blocked
-        points" (fold points that have run into a vertex), and what the solve took: "iterations",
+        that of each kind of term ("energy membrane"), "dissipated" by friction in all steps and
+        "passes" of friction forces (once a cable has friction), "volume" gained (once there is
+        pressure), "tension", "length" and "L0" of each cable by its name ("tension cable 1"),
+        "blocked points" (fold points that have run into a vertex), and what the solve took:
+        "iterations",
         "evaluations", "factorizations", "solves", "flips", "residual" (force), "seconds".
 
     Raises
@@ -80,6 +82,9 @@ class Recorder:
             row["load"] = scene.load
         row["energy"] = step.energy
         row |= {f"energy {name}": value for name, value in step.energies.items()}
+        if any(cable.grip is not None for cable in scene.cables):
+            row["dissipated"] = scene.dissipated
+            row["passes"] = outcome.passes
         if scene.pressure != 0.0 or "volume" in self.history.columns:
             row["volume"] = gained_volume(scene)
         for cable in scene.cables:
