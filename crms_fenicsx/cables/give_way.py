@@ -10,6 +10,7 @@ friction in it; see `crms_fenicsx.equilibrium`.
 from __future__ import annotations
 
 import itertools
+from collections import defaultdict
 
 import numpy as np
 import numpy.typing as npt
@@ -33,8 +34,8 @@ NEAR = 0.02
 There the lengths of the segments around are smoothed, which repels it from the vertex."""
 BEYOND = 0.01
 """Part of an edge: where a path starts on the other side, off the smoothing."""
-MOBILISED = 0.1
-"""Part of the friction force from which on a node is on its way."""
+SLACK, TINY = 0.05, 1e-5
+"""By how much the pull must exceed the friction force, relative to it and to the tension."""
 
 
 def give_way(paths: Retracer, most: int | None = None) -> int:
@@ -67,34 +68,38 @@ def give_way(paths: Retracer, most: int | None = None) -> int:
 
 
 def _run_into(cable: LaidCable, shape: StripShape) -> list[tuple[int, bool]]:
-    """Vertices that a cable has run into, and whether it slides to its left there."""
-    friction, grip = cable.cable.sideways, cable.grip
-    if friction is None or grip is None:
-        return []
-    found: dict[int, tuple[float, bool]] = {}
+    """Vertices against which a cable is pulled, and whether it is pulled to its left there.
+
+    Nodes near a vertex on all edges around it count as one: only their sum means anything.
+    """
+    grip = cable.grip
+    assert grip is not None
+    forces = contact_forces(cable, shape).lateral
+    pull: dict[int, float] = defaultdict(float)
+    hold: dict[int, float] = defaultdict(float)
+    beside: dict[int, set[bool]] = defaultdict(set)
     slips = node_slips(cable, grip.curve, shape)
-    way = slips.slip
-    if friction.law == "step":
-        way = grip.moving[[grip.row_of[support] for support in slips.supports]]
-    ends = (way * slips.slope > 0).astype(int)
-    away = np.abs(ends - cable.fractions[slips.nodes])
-    near = away < NEAR
-    if friction.law == "coulomb":
-        near &= np.abs(way) > MOBILISED * friction.tolerance * slips.size
-    for i in np.flatnonzero(near):
-        vertex = slips.supports[i][ends[i]]
-        if away[i] < found.get(vertex, (1.0, True))[0]:
-            found[vertex] = float(away[i]), bool(way[i] > 0)
-    forces = None
+    for k, support, slope in zip(slips.nodes, slips.supports, slips.slope, strict=True):
+        fraction = float(cable.fractions[k])
+        end = int(fraction > 0.5)
+        if (1 - fraction if end else fraction) < NEAR:  # or beyond the edge's end
+            vertex = support[end]
+            pull[vertex] += forces[k]
+            hold[vertex] += grip.at(support)
+            beside[vertex].add((slope > 0) == bool(end))  # it lies to the left of the node
     for k, node in enumerate(cable.nodes[1:-1], start=1):
-        if node.kind != "vertex" or cable.lifted[k] or node.point is None:
-            continue
-        forces = contact_forces(cable, shape) if forces is None else forces
-        if node.point.support in grip.row_of:
-            pull = float(forces.lateral[k])
-            if abs(pull) > grip.at(node.point.support):
-                found.setdefault(node.point.support[0], (0.0, pull > 0))
-    return [(vertex, found[vertex][1]) for vertex in sorted(found, key=lambda v: (found[v][0], v))]
+        if node.kind == "vertex" and node.point is not None and node.point.support in grip.row_of:
+            vertex = node.point.support[0]
+            pull[vertex] += forces[k]
+            hold[vertex] += grip.at(node.point.support)
+            beside[vertex] |= {True, False}
+    excess = {
+        vertex: abs(pull[vertex]) - (1 + SLACK) * hold[vertex] - TINY * cable.tension
+        for vertex in pull
+        if (pull[vertex] > 0) in beside[vertex]
+    }
+    blocked = [vertex for vertex in excess if excess[vertex] > 0.0]
+    return [(v, pull[v] > 0) for v in sorted(blocked, key=lambda v: (-excess[v], v))]
 
 
 def _pass(paths: Retracer, cable: LaidCable, vertex: int, to_left: bool) -> int:
