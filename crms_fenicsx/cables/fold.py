@@ -51,8 +51,8 @@ class FoldedCells:
         The three sides of each cell.
     side_vectors : (n, 3, 2)
         Stress-free sides in the material axes.
-    laws : (n,), parameters : (n, 17)
-        Stress law and its parameters.
+    laws : (n,), parameters : (n, N_PARAMETERS)
+        Stress law and `Membrane.parameters`.
     """
 
     cells: Indices
