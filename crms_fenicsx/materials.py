@@ -280,7 +280,9 @@ def law_terms(law: int, E: Any, p: Any) -> LawTerms:
     divide by zero; the conditionals drop them.
     """
     if law not in (LINEAR, TENSION_FIELD):
-        raise ValueError(f"law_terms: law {law} has no UFL expressions, only {LINEAR}, {TENSION_FIELD}")
+        raise ValueError(
+            f"law_terms: law {law} has no UFL expressions, only {LINEAR}, {TENSION_FIELD}"
+        )
     D = ufl.as_matrix([[p[3 * i + j] for j in range(3)] for i in range(3)])
     elastic = ufl.as_vector([p[9], p[10], p[11]])
     prestress = ufl.as_vector([p[12], p[13], p[14]])

@@ -218,7 +218,9 @@ def test_wrinkling_membrane_cannot_be_prestressed_in_compression():
         IsotropicMembrane(E=1.0, nu=0.2, thickness=1.0, prestress=-0.1)
     stiff = IsotropicMembrane(E=1.0, nu=0.2, thickness=1.0, prestress=-0.1, wrinkling=False)
     assert stiff.prestress_vector[0] == -0.1
-    with pytest.raises(InputError, match=r"OrthotropicMembrane: prestress = \(1.0, -0.1\) is compr"):
+    with pytest.raises(
+        InputError, match=r"OrthotropicMembrane: prestress = \(1.0, -0.1\) is compr"
+    ):
         replace(FABRIC, prestress=(1.0, -0.1))
     assert replace(STIFF_FABRIC, prestress=(1.0, -0.1)).prestress_vector[1] == -0.1
 

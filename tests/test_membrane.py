@@ -8,7 +8,16 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 from taylor import OnMesh, gradient_order, is_semidefinite, noise, stiffness_error, stiffness_order
-from term_scene import FABRIC, ISOTROPIC, STIFF, STIFF_FABRIC, cable_square, irregular_square, moved, on_mesh
+from term_scene import (
+    FABRIC,
+    ISOTROPIC,
+    STIFF,
+    STIFF_FABRIC,
+    cable_square,
+    irregular_square,
+    moved,
+    on_mesh,
+)
 from term_twins import area, axes_of, density, strain
 
 from crms_fenicsx import meshes

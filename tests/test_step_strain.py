@@ -7,7 +7,16 @@ import itertools
 import numpy as np
 import pytest
 from taylor import gradient_order
-from term_scene import STIFF_FABRIC, STIFF, cable_square, directions, displaced, moved, on_mesh, straight
+from term_scene import (
+    STIFF,
+    STIFF_FABRIC,
+    cable_square,
+    directions,
+    displaced,
+    moved,
+    on_mesh,
+    straight,
+)
 
 from crms_fenicsx.compat import geometry_dofmap
 from crms_fenicsx.errors import InputError

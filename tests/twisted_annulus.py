@@ -10,7 +10,6 @@ and W = 2 pi int psi(E) R dR is smallest among all r, phi with the rims' values.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -123,11 +122,7 @@ def radial(x: Array) -> Array:
 
 
 def twisted(
-    comm: MPI.Intracomm,
-    n: int,
-    material: Membrane,
-    angle: float,
-    start: Callable[[Array], Array] = lambda share: share,
+    comm: MPI.Intracomm, n: int, material: Membrane, angle: float
 ) -> tuple[Scene, Solver, Step, float]:
     """Solve on a mesh; the scene, its solver, the step and the torque on the inner rim."""
     scene = Scene(annulus(comm, n), material)
@@ -135,7 +130,7 @@ def twisted(
     scene.fix(lambda x: np.full(x.shape[1], True), "z")
     X = scene.V.tabulate_dof_coordinates()
     R = np.linalg.norm(X, axis=1)
-    turn = angle * start((OUTER - R) / (OUTER - INNER))
+    turn = angle * (OUTER - R) / (OUTER - INNER)
     c, s = np.cos(turn), np.sin(turn)
     u = scene.u.x.array.reshape(-1, 3)
     u[:, 0] = c * X[:, 0] - s * X[:, 1] - X[:, 0]
