@@ -229,7 +229,7 @@ def test_patch(comm: MPI.Intracomm, state: str, warp: Any) -> None:
     results = Solver(scene).results()
     assert comm.allreduce(int(results.folded.sum())) > 8
     mesh = scene.mesh.mesh
-    corners = mesh.geometry.x[geometry_dofmap(mesh)[: len(results.state)]]
+    corners: Array = mesh.geometry.x[geometry_dofmap(mesh)[: len(results.state)]]
     for k, was in enumerate(corners):
         own = turning(was.mean(axis=0)) if callable(warp) else np.array(warp)
         axes = axes_of(was, own)
@@ -328,6 +328,13 @@ def test_twist_reference_tends_to_the_classical_tension_field() -> None:
     assert 1e-4 < abs(error[0]) < 1e-2
     assert error[0] == pytest.approx(2 * error[1], rel=5e-3)
     assert abs(2 * error[1] - error[0]) < 1e-5
+
+
+def test_twist_reference_has_the_torque_of_its_energy() -> None:
+    D, h = TWISTS["fabric"][0].stiffness, 1e-4
+    slope = (reference(D, 0.1 + h)[0] - reference(D, 0.1 - h)[0]) / (2 * h)
+    # the difference's own error is (h / 0.1)^2 and more
+    assert reference(D, 0.1)[1] == pytest.approx(slope, rel=1e-5)
 
 
 @pytest.mark.parametrize("name", TWISTS)

@@ -60,7 +60,7 @@ def reference(D: Array, angle: float, degree: int = 16) -> tuple[float, float]:
     nodes, weights = np.polynomial.legendre.leggauss(2 * degree)
     R = (INNER + OUTER) / 2 + (OUTER - INNER) / 2 * nodes
     dx = 2 / (OUTER - INNER)
-    weights = weights / dx * 2 * np.pi * R
+    measure = weights / dx * 2 * np.pi * R
     shapes = [np.polynomial.Legendre.basis(k) * np.polynomial.Polynomial([1, 0, -1]).convert(
         kind=np.polynomial.Legendre) for k in range(degree - 1)]  # fmt: skip
     B, dB = np.array([f(nodes) for f in shapes]), dx * np.array([f.deriv()(nodes) for f in shapes])
@@ -80,17 +80,17 @@ def reference(D: Array, angle: float, degree: int = 16) -> tuple[float, float]:
 
     def gradient(c: Array) -> Array:
         r, dr, slope, s, _ = state(c)
-        by_r = weights * (s[0] * r * slope**2 + s[1] * r / R**2 + 2 * s[2] * r * slope / R)
-        by_dr = weights * s[0] * dr
-        by_slope = weights * (s[0] * r**2 * slope + s[2] * r**2 / R)
+        by_r = measure * (s[0] * r * slope**2 + s[1] * r / R**2 + 2 * s[2] * r * slope / R)
+        by_dr = measure * s[0] * dr
+        by_slope = measure * (s[0] * r**2 * slope + s[2] * r**2 / R)
         return np.concatenate([size * (B @ by_r + dB @ by_dr), angle * dB @ by_slope])
 
     found = root(gradient, np.zeros(2 * len(shapes)), tol=1e-13)
     r, _, slope, s, e = state(found.x, final=True)
-    energy = weights @ np.sum(s * e, axis=0) / 2
+    energy = measure @ np.sum(s * e, axis=0) / 2
     assert np.abs(gradient(found.x)).max() < 1e-9 * energy, found.message
     # the same on all radii; the inner rim's turn makes the slope negative
-    torque = -weights @ (s[0] * r**2 * slope + s[2] * r**2 / R) / (OUTER - INNER)
+    torque = -measure @ (s[0] * r**2 * slope + s[2] * r**2 / R) / (OUTER - INNER)
     return float(energy), float(torque)
 
 

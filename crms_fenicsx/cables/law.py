@@ -25,7 +25,7 @@ import numba
 from crms_fenicsx.materials import LINEAR, TENSION_FIELD, UNSTRAINED
 
 MOST_STEPS = 50
-"""Newton steps for a direction; they end by themselves, after 3 on average and 10 or so at most."""
+"""Newton steps for a direction; they end by themselves, after 4 on average and 10 at most."""
 
 
 @numba.njit(cache=True)
