@@ -245,9 +245,10 @@ def test_patch(comm: MPI.Intracomm, state: str, warp: Any) -> None:
 def test_parts_of_different_materials(comm: MPI.Intracomm) -> None:
     """Each part has the energy and the state that it has in a membrane of its own."""
     isotropic = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)
+    mesh = irregular_square(comm)  # one for all: each could be distributed in another way
 
     def solved(left: Membrane, right: Membrane) -> tuple[Scene, Array]:
-        scene = Scene(irregular_square(comm), {"left": left, "right": right})
+        scene = Scene(mesh, {"left": left, "right": right})
         X = scene.V.tabulate_dof_coordinates()
         scene.fix("boundary")
         scene.u.x.array[:] = (X[:, :2] @ GRADIENTS["wrinkled"].T - X).ravel()
@@ -267,12 +268,12 @@ def test_parts_of_different_materials(comm: MPI.Intracomm) -> None:
 
 def test_inflated_square_of_isotropic_data(comm: MPI.Intracomm) -> None:
     E, nu, t = 300.0, 0.25, 0.08
-    energies, states = [], []
+    mesh, energies, states = square(comm, 16), [], []
     for material in (
         IsotropicMembrane(E, nu, t),
         OrthotropicMembrane(E, E, E / (2 * (1 + nu)), nu, t, warp=(1.0, 0.7, 0.0)),
     ):
-        scene = Scene(square(comm, 16), material)
+        scene = Scene(mesh, material)
         scene.fix("boundary")
         solver = Solver(scene)
         solver.advance(pressure=0.01)
