@@ -18,6 +18,7 @@ from twisted_annulus import radial, reference, small_twist_torque, twisted
 from crms_fenicsx import Cable, IsotropicMembrane, OrthotropicMembrane, Scene, Solver
 from crms_fenicsx.cables import law as compiled
 from crms_fenicsx.compat import geometry_dofmap
+from crms_fenicsx.errors import InputError
 from crms_fenicsx.materials import UNSTRAINED, Membrane
 from crms_fenicsx.solver import Step
 
@@ -281,6 +282,13 @@ def test_inflated_square_of_isotropic_data(comm: MPI.Intracomm) -> None:
         states.append(solver.results().state)
     assert energies[1] == pytest.approx(energies[0], rel=1e-10)
     np.testing.assert_array_equal(states[0], states[1])
+
+
+def test_step_wise_strain_refuses_it(comm: MPI.Intracomm) -> None:
+    mesh = irregular_square(comm)
+    with pytest.raises(InputError, match=r'strain="step".*OrthotropicMembrane.*wrinkling=False'):
+        Scene(mesh, FABRIC, strain="step")
+    Scene(mesh, replace(FABRIC, wrinkling=False), strain="step")
 
 
 def narrowed(comm: MPI.Intracomm, n: int) -> tuple[Scene, Solver, Step]:
