@@ -22,8 +22,11 @@ from crms_fenicsx.errors import InputError
 Array = npt.NDArray[np.float64]
 Direction = tuple[float, float, float] | Callable[[Array], Array]
 
-LINEAR, TENSION_FIELD = 0, 1
-"""Codes of the stress laws, shared with the compiled kernels of the folded cells."""
+LINEAR, TENSION_FIELD, ORTHOTROPIC_TENSION_FIELD = 0, 1, 2
+"""Codes of the stress laws, shared with the compiled kernels of `crms_fenicsx.cables.law`."""
+
+N_PARAMETERS = 18
+"""Length of `Membrane.parameters`."""
 
 UNSTRAINED = 1e-12
 """Strain that is rounding. Where a membrane starts without strain its tangent is that of the taut
@@ -56,6 +59,11 @@ class Membrane(ABC):
         """One modulus times thickness, E t, that sets the size of the penalty (force/length)."""
 
     @property
+    @abstractmethod
+    def law_parameters(self) -> tuple[float, float, float]:
+        """Numbers of the wrinkling law: isotropic E t, nu, 0; orthotropic E1 t, rho, kappa."""
+
+    @property
     def warp(self) -> Direction | None:
         """Direction of material axis 1, None where it does not matter."""
         return None
@@ -68,17 +76,11 @@ class Membrane(ABC):
 
     @property
     def parameters(self) -> Array:
-        """What the stress law needs, (17,): D t by rows, strain and section forces of the
-        prestress, E t, nu. Read by `law_terms` and by the kernels of the folded cells."""
+        """What the stress law needs, (N_PARAMETERS,): D t by rows, strain and section forces of
+        the prestress, `law_parameters`. Read by `law_terms` and by the compiled kernels."""
         elastic = np.linalg.solve(self.stiffness, self.prestress_vector)
-        nu = self.stiffness[0, 1] / self.stiffness[1, 1]
         return np.concatenate(
-            [
-                self.stiffness.ravel(),
-                elastic,
-                self.prestress_vector,
-                [self.stiffness[0, 0] * (1 - nu**2), nu],
-            ]
+            [self.stiffness.ravel(), elastic, self.prestress_vector, self.law_parameters]
         )
 
     def _check_prestress(self) -> None:
@@ -92,7 +94,7 @@ class Membrane(ABC):
                 f"{owner}: prestress = {self.prestress!r} must be one number or two (warp, weft), "
                 "in force per length."
             )
-        if self.law == TENSION_FIELD and np.any(values < 0):
+        if self.law != LINEAR and np.any(values < 0):
             raise InputError(
                 f"{owner}: prestress = {self.prestress} is compressive, which a wrinkling membrane "
                 "cannot carry; give tension, or wrinkling=False."
@@ -150,6 +152,12 @@ class IsotropicMembrane(Membrane):
         return TENSION_FIELD if self.wrinkling else LINEAR
 
     @property
+    def law_parameters(self) -> tuple[float, float, float]:
+        D = self.stiffness
+        nu = float(D[0, 1] / D[1, 1])
+        return float(D[0, 0] * (1 - nu**2)), nu, 0.0
+
+    @property
     def reference_modulus(self) -> float:
         return self.E * self.thickness
 
@@ -174,6 +182,10 @@ class OrthotropicMembrane(Membrane):
         (3, n); its projection on the surface counts.
     prestress
         Section force at zero strain (force per length): one value or (warp, weft).
+    wrinkling
+        True: tension-field theory, the relaxed energy: no compression, by wrinkles that are finer
+        than the mesh. False: the membrane resists compression; then compressed regions have no
+        unique equilibrium.
     """
 
     E1: float
@@ -183,6 +195,7 @@ class OrthotropicMembrane(Membrane):
     thickness: float
     warp: Direction = (1.0, 0.0, 0.0)
     prestress: float | tuple[float, float] = 0.0
+    wrinkling: bool = True
 
     def __post_init__(self) -> None:
         owner = type(self).__name__
@@ -207,7 +220,13 @@ class OrthotropicMembrane(Membrane):
 
     @property
     def law(self) -> int:
-        return LINEAR
+        return ORTHOTROPIC_TENSION_FIELD if self.wrinkling else LINEAR
+
+    @property
+    def law_parameters(self) -> tuple[float, float, float]:
+        # rho = (c11 / c22)^(1/4), kappa = (2 c12 + c66) / (2 (c11 c22)^(1/2)); c the compliance
+        kappa = np.sqrt(self.E1 * self.E2) * (0.5 / self.G12 - self.nu21 / self.E2)
+        return self.E1 * self.thickness, float((self.E2 / self.E1) ** 0.25), float(kappa)
 
     @property
     def reference_modulus(self) -> float:
@@ -230,11 +249,13 @@ class LawTerms:
     """Stiffness of the taut membrane, a bilinear form of two strain increments."""
 
 
-def _voigt(E: Any) -> Any:
+def voigt(E: Any) -> Any:
+    """A symmetric UFL tensor (2, 2) of strain as (E11, E22, 2 E12)."""
     return ufl.as_vector([E[0, 0], E[1, 1], 2 * E[0, 1]])
 
 
-def _symmetric(s: Any) -> Any:
+def symmetric(s: Any) -> Any:
+    """UFL tensor (2, 2) of section forces (S11, S22, S12)."""
     return ufl.as_matrix([[s[0], s[2]], [s[2], s[1]]])
 
 
@@ -244,7 +265,8 @@ def law_terms(law: int, E: Any, p: Any) -> LawTerms:
     Parameters
     ----------
     law
-        `LINEAR` or `TENSION_FIELD`.
+        `LINEAR` or `TENSION_FIELD`. `ORTHOTROPIC_TENSION_FIELD` has no closed form: see
+        `crms_fenicsx.tension_field`.
     E
         Green-Lagrange strain in the material axes, UFL, (2, 2).
     p
@@ -257,21 +279,25 @@ def law_terms(law: int, E: Any, p: Any) -> LawTerms:
     negative and E1 > 0 (wrinkled); zero elsewhere (slack). The branches that are not selected may
     divide by zero; the conditionals drop them.
     """
+    if law not in (LINEAR, TENSION_FIELD):
+        raise ValueError(
+            f"law_terms: law {law} has no UFL expressions, only {LINEAR}, {TENSION_FIELD}"
+        )
     D = ufl.as_matrix([[p[3 * i + j] for j in range(3)] for i in range(3)])
     elastic = ufl.as_vector([p[9], p[10], p[11]])
     prestress = ufl.as_vector([p[12], p[13], p[14]])
     Et, nu = p[15], p[16]
 
     def taut_tangent(a: Any, b: Any) -> Any:
-        return ufl.dot(_voigt(a), D * _voigt(b))
+        return ufl.dot(voigt(a), D * voigt(b))
 
     if law == LINEAR:
-        e = _voigt(E)
+        e = voigt(E)
         s = prestress + D * e
         energy = ufl.dot(prestress, e) + ufl.dot(e, D * e) / 2
-        return LawTerms(energy, _symmetric(s), ufl.as_ufl(2.0), taut_tangent, taut_tangent)
+        return LawTerms(energy, symmetric(s), ufl.as_ufl(2.0), taut_tangent, taut_tangent)
 
-    e = _voigt(E) + elastic
+    e = voigt(E) + elastic
     mean, half, shear = (e[0] + e[1]) / 2, (e[0] - e[1]) / 2, e[2] / 2
     radius = ufl.sqrt(half**2 + shear**2)
     larger, smaller = mean + radius, mean - radius
@@ -285,7 +311,7 @@ def law_terms(law: int, E: Any, p: Any) -> LawTerms:
         return ufl.conditional(taut, if_taut, ufl.conditional(wrinkled, if_wrinkled, if_slack))
 
     energy = select(ufl.dot(e, D * e) / 2, Et * larger**2 / 2, 0.0)
-    stress_taut, stress_wrinkled = _symmetric(D * e), Et * larger * along
+    stress_taut, stress_wrinkled = symmetric(D * e), Et * larger * along
     stress = ufl.as_matrix(
         [[select(stress_taut[i, j], stress_wrinkled[i, j], 0.0) for j in (0, 1)] for i in (0, 1)]
     )

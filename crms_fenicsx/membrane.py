@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,14 +14,24 @@ from petsc4py import PETSc
 
 from crms_fenicsx.compat import geometry_dofmap
 from crms_fenicsx.errors import InputError, raised_together
-from crms_fenicsx.materials import LINEAR, LawTerms, Membrane, law_terms
+from crms_fenicsx.materials import (
+    LINEAR,
+    ORTHOTROPIC_TENSION_FIELD,
+    LawTerms,
+    Membrane,
+    law_terms,
+)
 from crms_fenicsx.unknowns import Unknowns
+
+if TYPE_CHECKING:
+    from crms_fenicsx.tension_field import TensionField
 
 Array = npt.NDArray[np.float64]
 
-TANGENT_FLOOR = 1e-2
+TANGENT_FLOORS = (0.0, 1e-2, 1e-3)
 """Part of the taut stiffness that is added to the tangent in H0, so that wrinkled and slack cells
-keep H0 definite."""
+keep H0 definite, by the code of the law. A part of the stiff direction's modulus is much for the
+soft one: fabrics that are mostly wrinkled take .7 times the factorisations with 1e-3."""
 
 
 def one_point(mesh: Any, **options: Any) -> ufl.Measure:
@@ -163,24 +173,30 @@ class MembraneEnergy:
         self.plain = fem.Function(fem.functionspace(mesh, ("DG", 0)))
         self.plain.x.array[:] = 1.0
         self.h0_prestress = fem.Constant(mesh, PETSc.ScalarType(0.0))
-        self.tangent_floor = fem.Constant(mesh, PETSc.ScalarType(TANGENT_FLOOR))
+        self.tangent_floor = fem.Constant(mesh, TANGENT_FLOORS)
         self.materials = materials
         self.cell_tags = cell_tags
-        self.warps: dict[int, fem.Function | None] = {}
-        self.terms: dict[int, tuple[LawTerms, Kinematics]] = {}
-        measure = one_point(mesh, subdomain_data=cell_tags)
-        v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
         cells = np.arange(mesh.topology.index_map(2).size_local, dtype=np.int32)
-        energy: Any = 0
-        gradient: Any = 0
-        stiffness: Any = 0
+        self.warps: dict[int, fem.Function | None] = {}
         for tag, material in materials.items():
             own = cells if cell_tags is None else cell_tags.find(tag)
             warp = None if material.warp is None else warp_field(mesh, material, own)
             self.warps[tag] = warp
-            kinematics = Kinematics(u, tangent_basis(mesh, warp))
+        self.tension_field = self._tension_field(cells)
+        self.terms: dict[int, tuple[LawTerms, Kinematics]] = {}
+        measure = one_point(mesh, subdomain_data=cell_tags)
+        v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
+        energy: Any = 0
+        gradient: Any = 0
+        stiffness: Any = 0
+        for tag, material in materials.items():
+            kinematics = Kinematics(u, tangent_basis(mesh, self.warps[tag]))
             parameters = fem.Constant(mesh, material.parameters)
-            law = law_terms(material.law, kinematics.strain(), parameters)
+            if material.law == ORTHOTROPIC_TENSION_FIELD:
+                assert self.tension_field is not None
+                law = self.tension_field.terms(parameters)
+            else:
+                law = law_terms(material.law, kinematics.strain(), parameters)
             self.terms[tag] = (law, kinematics)
             dx = measure if cell_tags is None else measure(tag)
             a, b = kinematics.strain_variation(v), kinematics.strain_variation(du)
@@ -193,7 +209,7 @@ class MembraneEnergy:
             geometric = sum(S[i, j] * ufl.dot(dv[i], ddu[j]) for i in (0, 1) for j in (0, 1))
             material_part = law.tangent(a, b)
             if material.law != LINEAR:
-                material_part += self.tangent_floor * law.taut_tangent(a, b)
+                material_part += self.tangent_floor[material.law] * law.taut_tangent(a, b)
             stiffness += self.plain * (material_part + geometric) * dx
         self._energy = fem.form(energy)
         self._gradient = fem.form(gradient)
@@ -201,12 +217,29 @@ class MembraneEnergy:
         self._work = np.zeros_like(u.x.array)
         self._cell_values: dict[int, fem.Expression] = {}
 
+    def _tension_field(self, cells: npt.NDArray[np.int32]) -> TensionField | None:
+        """The law of the wrinkling orthotropic cells among the owned ones, None without any."""
+        wanted = sorted(
+            tag for tag, own in self.materials.items() if own.law == ORTHOTROPIC_TENSION_FIELD
+        )
+        if not wanted:
+            return None
+        from crms_fenicsx.tension_field import TensionField
+
+        tags = self.material_tags(cells)
+        own = np.isin(tags, wanted)
+        parameters = np.array([self.materials[tag].parameters for tag in wanted])
+        row = np.searchsorted(wanted, tags[own]).astype(np.int32)
+        return TensionField(self.u, cells[own], self.material_axes(cells[own]), parameters, row)
+
     def attach(self, unknowns: Unknowns) -> None:
         """Use this layout."""
         self.unknowns = unknowns
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the energy."""
+        if self.tension_field is not None:
+            self.tension_field.update()
         out[0] = fem.assemble_scalar(self._energy)
 
     def energy(self, sums: Array) -> float:
@@ -223,6 +256,8 @@ class MembraneEnergy:
 
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add the positive semidefinite stiffness of this rank's cells."""
+        if self.tension_field is not None:
+            self.tension_field.update_tangents()
         fem_petsc.assemble_matrix(A, self.stiffness_form)
 
     def cell_results(self) -> Array:
@@ -235,6 +270,8 @@ class MembraneEnergy:
         cells = np.arange(mesh.topology.index_map(2).size_local, dtype=np.int32)
         tags = self.material_tags(cells)
         results = np.zeros((len(cells), 7))
+        if self.tension_field is not None:
+            self.tension_field.update()
         for tag, (law, kinematics) in self.terms.items():
             if tag not in self._cell_values:
                 E, S = kinematics.strain(), law.stress

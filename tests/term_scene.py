@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ STIFF = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, wrinkling=False)
 FABRIC = OrthotropicMembrane(
     E1=1394.0, E2=140.0, G12=12.0, nu21=0.065, thickness=1.0, warp=(1.0, 0.4, 0.3)
 )
+STIFF_FABRIC = replace(FABRIC, wrinkling=False)
 
 
 def grid_points() -> Array:

@@ -7,14 +7,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.materials import TENSION_FIELD, Membrane
+from crms_fenicsx.materials import LINEAR, Membrane
 
 Array = npt.NDArray[Any]
 
 
-def energy_at_angle(C: Array, e: Array, angle: Array) -> Array:
+def energy_at_angle(C: Array, e: Array, angle: Array, both: bool = True) -> Array:
     """Largest ``sigma : E - 1/2 sigma : C : sigma`` of tensile stresses with principal axes at an
-    angle to axis 1; C the compliance (3, 3), e strains (..., 3) as (E11, E22, 2 E12)."""
+    angle to axis 1, of uniaxial ones only unless both may act; C the compliance (3, 3), e strains
+    (..., 3) as (E11, E22, 2 E12)."""
     c, s = np.cos(angle), np.sin(angle)
     first = np.stack([c * c, s * s, c * s], axis=-1)  # n n, what a unit principal stress is
     second = np.stack([s * s, c * c, -c * s], axis=-1)
@@ -22,13 +23,38 @@ def energy_at_angle(C: Array, e: Array, angle: Array) -> Array:
     c11 = np.einsum("...i,ij,...j", first, C, first)
     c22 = np.einsum("...i,ij,...j", second, C, second)
     c12 = np.einsum("...i,ij,...j", first, C, second)
+    if not both:
+        alone: Array = np.maximum(e1, 0) ** 2 / (2 * c11)
+        return alone
     determinant = c11 * c22 - c12**2
     s1, s2 = (c22 * e1 - c12 * e2) / determinant, (c11 * e2 - c12 * e1) / determinant
-    both = np.where((s1 >= 0) & (s2 >= 0), (s1 * e1 + s2 * e2) / 2, 0.0)
+    biaxial = np.where((s1 >= 0) & (s2 >= 0), (s1 * e1 + s2 * e2) / 2, 0.0)
     one = np.maximum(e1, 0) ** 2 / (2 * c11)
     other = np.maximum(e2, 0) ** 2 / (2 * c22)
-    best: Array = np.maximum(np.maximum(both, one), other)
+    best: Array = np.maximum(np.maximum(biaxial, one), other)
     return best
+
+
+def best_angle(C: Array, e: Array, n: int = 361) -> Array:
+    """Angle to axis 1 of the uniaxial stress with the largest ``(n E n)^2 / (2 n n : C : n n)``,
+    by search and bisection for where the slope over the angle vanishes, (...)."""
+
+    def rises(angle: Array) -> Array:
+        c, s = np.cos(angle), np.sin(angle)
+        nn = np.stack([c * c, s * s, c * s], axis=-1)
+        slope = np.stack([-2 * c * s, 2 * c * s, c * c - s * s], axis=-1)
+        along = np.sum(nn * e, axis=-1) * np.einsum("...i,ij,...j", slope, C, nn)
+        return np.sum(slope * e, axis=-1) * np.einsum("...i,ij,...j", nn, C, nn) > along
+
+    grid = np.linspace(0, np.pi, n)
+    best = grid[np.argmax(energy_at_angle(C, e[..., None, :], grid, both=False), axis=-1)]
+    low, high = best - grid[1], best + grid[1]
+    for _ in range(60):
+        middle = (low + high) / 2
+        rising = rises(middle)
+        low, high = np.where(rising, middle, low), np.where(rising, high, middle)
+    angle: Array = (low + high) / 2
+    return angle
 
 
 def relaxed_energy(D: Array, e: Array, n: int = 721) -> Array:
@@ -47,7 +73,7 @@ def relaxed_energy(D: Array, e: Array, n: int = 721) -> Array:
 def density(material: Membrane, e: Array) -> Array:
     """Energy per stress-free area at strains (..., 3), zero at zero strain."""
     D, s0 = material.stiffness, material.prestress_vector
-    if material.law == TENSION_FIELD:
+    if material.law != LINEAR:
         e0 = np.linalg.inv(D) @ s0
         return relaxed_energy(D, e + e0) - e0 @ D @ e0 / 2
     linear: Array = e @ s0 + np.einsum("...i,ij,...j", e, D, e) / 2

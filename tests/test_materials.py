@@ -1,29 +1,41 @@
 """Materials: stiffness, stress laws against a search over all stresses, refused input."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import ufl
 from dolfinx import fem
-from term_scene import FABRIC, ISOTROPIC, STIFF, irregular_square
+from term_scene import FABRIC, ISOTROPIC, STIFF, STIFF_FABRIC, irregular_square
 from term_twins import density, energy_at_angle, relaxed_energy
 
 from crms_fenicsx import meshes
 from crms_fenicsx.cables import law as compiled
 from crms_fenicsx.compat import interpolation_points
 from crms_fenicsx.errors import InputError
-from crms_fenicsx.materials import IsotropicMembrane, OrthotropicMembrane, law_terms
+from crms_fenicsx.materials import (
+    LINEAR,
+    TENSION_FIELD,
+    IsotropicMembrane,
+    OrthotropicMembrane,
+    law_terms,
+)
 from crms_fenicsx.scene import Scene
 
 TENSED = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, prestress=0.7)
-TENSED_FABRIC = OrthotropicMembrane(1394.0, 140.0, 12.0, 0.065, 1.0, prestress=(2.0, 1.0))
+TENSED_FABRIC = replace(FABRIC, prestress=(2.0, 1.0))
 LAWS = {
     "wrinkling": ISOTROPIC,
     "wrinkling, prestressed": TENSED,
     "auxetic": IsotropicMembrane(E=10.0, nu=-0.6, thickness=0.5),
     "linear": STIFF,
-    "orthotropic, prestressed": TENSED_FABRIC,
+    "orthotropic, linear, prestressed": replace(STIFF_FABRIC, prestress=(2.0, 1.0)),
+    "orthotropic, wrinkling": FABRIC,
+    "orthotropic, wrinkling, prestressed": TENSED_FABRIC,
 }
 law = pytest.mark.parametrize("material", LAWS.values(), ids=LAWS.keys())
+closed = [name for name, own in LAWS.items() if own.law in (LINEAR, TENSION_FIELD)]
+law_in_ufl = pytest.mark.parametrize("material", [LAWS[name] for name in closed], ids=closed)
 
 
 def random_strains(n, seed=0):
@@ -64,7 +76,7 @@ def test_orthotropic_stiffness_is_the_inverse_of_the_compliance():
     assert fabric.reference_modulus == pytest.approx(t * np.sqrt(E1 * E2))
 
 
-@pytest.mark.parametrize("material", [ISOTROPIC, TENSED, LAWS["auxetic"]])
+@pytest.mark.parametrize("material", [ISOTROPIC, TENSED, LAWS["auxetic"], FABRIC, TENSED_FABRIC])
 def test_relaxed_energy_is_the_best_of_all_tensile_stresses(material):
     e = random_strains(1500)
     energy, _, state, _ = evaluate(material, e)
@@ -113,7 +125,7 @@ def test_tangent_is_the_stress_slope(material):
         np.testing.assert_allclose(slope[same], tangent[same, :, i], atol=1e-5 * size)
 
 
-@pytest.mark.parametrize("material", [ISOTROPIC, TENSED])
+@pytest.mark.parametrize("material", [ISOTROPIC, TENSED, FABRIC])
 def test_floor_adds_taut_stiffness(material):
     e = random_strains(100)
     with_floor, without = evaluate(material, e, 0.3)[3], evaluate(material, e)[3]
@@ -121,7 +133,7 @@ def test_floor_adds_taut_stiffness(material):
     np.testing.assert_allclose(with_floor - without, added, atol=1e-12)
 
 
-@law
+@law_in_ufl
 def test_compiled_law_is_the_ufl_law(material, comm):
     mesh = meshes.rectangle(comm, 1.0, 1.0, 1 / 28, structured=True).mesh
     strain = fem.Function(fem.functionspace(mesh, ("DG", 0, (3,))))
@@ -151,6 +163,11 @@ def test_compiled_law_is_the_ufl_law(material, comm):
     )
     taut = np.broadcast_to(material.stiffness, (n, 3, 3))
     np.testing.assert_allclose(values[:, 14:].reshape(n, 3, 3), taut, atol=1e-13 * size)
+
+
+def test_orthotropic_wrinkling_is_not_in_ufl():
+    with pytest.raises(ValueError, match="law 2 has no UFL"):
+        law_terms(FABRIC.law, None, None)
 
 
 @law
@@ -201,6 +218,11 @@ def test_wrinkling_membrane_cannot_be_prestressed_in_compression():
         IsotropicMembrane(E=1.0, nu=0.2, thickness=1.0, prestress=-0.1)
     stiff = IsotropicMembrane(E=1.0, nu=0.2, thickness=1.0, prestress=-0.1, wrinkling=False)
     assert stiff.prestress_vector[0] == -0.1
+    with pytest.raises(
+        InputError, match=r"OrthotropicMembrane: prestress = \(1.0, -0.1\) is compr"
+    ):
+        replace(FABRIC, prestress=(1.0, -0.1))
+    assert replace(STIFF_FABRIC, prestress=(1.0, -0.1)).prestress_vector[1] == -0.1
 
 
 @pytest.mark.parametrize("prestress", [NAN, (1.0, INFINITE), (1.0, 2.0, 3.0), ((1.0, 2.0),)])

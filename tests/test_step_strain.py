@@ -7,12 +7,21 @@ import itertools
 import numpy as np
 import pytest
 from taylor import gradient_order
-from term_scene import FABRIC, STIFF, cable_square, directions, displaced, moved, on_mesh, straight
+from term_scene import (
+    STIFF,
+    STIFF_FABRIC,
+    cable_square,
+    directions,
+    displaced,
+    moved,
+    on_mesh,
+    straight,
+)
 
 from crms_fenicsx.compat import geometry_dofmap
 from crms_fenicsx.errors import InputError
 
-MATERIALS = pytest.mark.parametrize("material", [STIFF, FABRIC], ids=["isotropic", "fabric"])
+MATERIALS = pytest.mark.parametrize("material", [STIFF, STIFF_FABRIC], ids=["isotropic", "fabric"])
 TERMS = ("StepMembraneEnergy", "StepFoldEnergy")
 
 

@@ -26,7 +26,7 @@ from crms_fenicsx.cables.length import (
     segment_stiffness,
     slope_over_distance,
 )
-from crms_fenicsx.membrane import TANGENT_FLOOR
+from crms_fenicsx.membrane import TANGENT_FLOORS
 from crms_fenicsx.unknowns import Unknowns
 
 Array = npt.NDArray[np.float64]
@@ -51,8 +51,8 @@ class FoldedCells:
         The three sides of each cell.
     side_vectors : (n, 3, 2)
         Stress-free sides in the material axes.
-    laws : (n,), parameters : (n, 17)
-        Stress law and its parameters.
+    laws : (n,), parameters : (n, N_PARAMETERS)
+        Stress law and `Membrane.parameters`.
     """
 
     cells: Indices
@@ -145,7 +145,7 @@ def cell_stiffness(  # type: ignore[no-untyped-def]
         start = element_pointers[c]
         size = element_pointers[c + 1] - start
         own = element_blocks[start : start + size]
-        laws.tangent(law[c], p[c], out[c, :3], floor, C)
+        laws.tangent(law[c], p[c], out[c, :3], floor[law[c]], C)
         B, r = np.zeros((3, size, 3)), np.zeros(3)
         for k in range(3):
             for q in range(pointers[sides[c, k]], pointers[sides[c, k] + 1]):
@@ -206,7 +206,7 @@ class FoldEnergy:
         self.lengths = np.zeros(len(table.segments))
         self.forces = np.zeros(len(table.segments))
         self._tension = np.zeros(len(table.segments))
-        self.tangent_floor = TANGENT_FLOOR
+        self.tangent_floor = np.array(TANGENT_FLOORS)
         self.results = np.zeros((len(table.cells), 7))
         """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state of each cell."""
         self._element_pointers, self._element_blocks = table.element_blocks

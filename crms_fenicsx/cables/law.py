@@ -1,4 +1,20 @@
-"""The stress laws of `crms_fenicsx.materials`, compiled for the folded cells."""
+"""The stress laws of `crms_fenicsx.materials`, compiled: for folded cells, orthotropic also plain.
+
+Orthotropic tension field. A membrane that cannot carry compression has the energy of the best
+tensile stress, ``max sigma : E - 1/2 sigma : C : sigma``. Where D E is tensile that is D E (taut);
+where E is negative semidefinite it is zero (slack). Else it is uniaxial along some n (wrinkled),
+with the energy ``max over n of (n E n)^2 / (2 n n : C : n n)``. With
+
+    rho = (c11 / c22)^(1/4),  kappa = (2 c12 + c66) / (2 (c11 c22)^(1/2)),
+    a = E11,  b = rho E12,  d = rho^2 E22,  M = (a + d) / 2,  H = (a - d) / 2,
+    tan(psi / 2) = n2 / (n1 rho)
+
+this is the maximum over psi of N^2 / (2 c11 q), N = M + H cos(psi) + b sin(psi) and
+q = 1 + (kappa - 1) / 2 sin(psi)^2. As q is even in both, psi lies in the quadrant of the signs of
+H and b, where the slope vanishes once:
+
+    (1 + kappa) / 2 |H| / |cos(psi)| - |b| / |sin(psi)| = (1 - kappa) / 2 M.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +22,41 @@ import math
 
 import numba
 
-from crms_fenicsx.materials import TENSION_FIELD, UNSTRAINED
+from crms_fenicsx.materials import LINEAR, TENSION_FIELD, UNSTRAINED
+
+MOST_STEPS = 50
+"""Newton steps for a direction; they end by themselves, after 4 on average and 10 at most."""
+
+
+@numba.njit(cache=True)
+def tension_line(p, e0, e1, e2):  # type: ignore[no-untyped-def]
+    """Direction of the tension in a wrinkled orthotropic membrane.
+
+    Returns (cos(psi), sin(psi), N, M), in the terms above.
+    """
+    rho, kappa = p[16], p[17]
+    a, b, d = e0, 0.5 * rho * e2, rho * rho * e1
+    mean, half = 0.5 * (a + d), 0.5 * (a - d)
+    slope, level, r = 0.5 * (1 + kappa) * abs(half), abs(b), 0.5 * (kappa - 1) * mean
+    steep = r >= 0.0
+    if not steep:
+        slope, level, r = level, slope, -r
+    # slope x - level + r x / (1 + x^2)^(1/2) = 0, x = tan(psi) if steep, else its inverse. The
+    # left side is concave: from a lower bound of the root Newton's steps rise, until rounding.
+    slope = max(slope, 1e-100 * (level + r))
+    x = 0.0
+    if slope > 0.0:
+        x = max(level / (slope + r), (level - r) / slope)
+        for _ in range(MOST_STEPS):
+            h = math.sqrt(1 + x * x)
+            new = x - (slope * x - level + r * x / h) / (slope + r / (h * h * h))
+            if not new > x:
+                break
+            x = new
+    h = math.sqrt(1 + x * x)
+    c, s = (1 / h, x / h) if steep else (x / h, 1 / h)
+    N = mean + c * abs(half) + s * abs(b)
+    return math.copysign(c, half), math.copysign(s, b), N, mean
 
 
 @numba.njit(cache=True)
@@ -16,7 +66,7 @@ def stress(law, p, e, s):  # type: ignore[no-untyped-def]
     `p` is `Membrane.parameters`, e the strain (E11, E22, 2 E12); state is 2 taut, 1 wrinkled,
     0 slack.
     """
-    if law != TENSION_FIELD:
+    if law == LINEAR:
         energy = 0.0
         for i in range(3):
             s[i] = p[12 + i]
@@ -28,23 +78,56 @@ def stress(law, p, e, s):  # type: ignore[no-untyped-def]
     rest = 0.0
     for i in range(3):
         rest += 0.5 * p[9 + i] * p[12 + i]
+    if law == TENSION_FIELD:
+        density, state = _isotropic(p, e0, e1, e2, s)
+    else:
+        density, state = _orthotropic(p, e0, e1, e2, s)
+    return density - rest, state
+
+
+@numba.njit(cache=True)
+def _isotropic(p, e0, e1, e2, s):  # type: ignore[no-untyped-def]
+    """As `stress`, at the strain from the stress-free state."""
     mean, half, shear = 0.5 * (e0 + e1), 0.5 * (e0 - e1), 0.5 * e2
     radius = math.sqrt(half * half + shear * shear)
     larger, smaller = mean + radius, mean - radius
     if smaller + p[16] * larger >= 0.0:
-        energy = 0.0
-        for i in range(3):
-            s[i] = p[3 * i] * e0 + p[3 * i + 1] * e1 + p[3 * i + 2] * e2
-        energy = 0.5 * (e0 * s[0] + e1 * s[1] + e2 * s[2])
-        return energy - rest, 2
+        return _taut(p, e0, e1, e2, s), 2
     if larger > 0.0:
         t = p[15] * larger
         s[0] = 0.5 * t * (1 + half / radius)
         s[1] = 0.5 * t * (1 - half / radius)
         s[2] = 0.5 * t * shear / radius
-        return 0.5 * t * larger - rest, 1
+        return 0.5 * t * larger, 1
     s[0] = s[1] = s[2] = 0.0
-    return -rest, 0
+    return 0.0, 0
+
+
+@numba.njit(cache=True)
+def _orthotropic(p, e0, e1, e2, s):  # type: ignore[no-untyped-def]
+    """As `stress`, at the strain from the stress-free state."""
+    energy = _taut(p, e0, e1, e2, s)
+    if s[0] >= 0.0 and s[1] >= 0.0 and s[0] * s[1] >= s[2] * s[2]:
+        return energy, 2
+    if e0 > 0.0 or e1 > 0.0 or 4 * e0 * e1 < e2 * e2:
+        cos, sin, N, _ = tension_line(p, e0, e1, e2)
+        if N > 0.0:
+            rho = p[16]
+            t = p[15] * N / (1 + 0.5 * (p[17] - 1) * sin * sin)
+            s[0] = 0.5 * t * (1 + cos)
+            s[1] = 0.5 * t * (1 - cos) * rho * rho
+            s[2] = 0.5 * t * sin * rho
+            return 0.5 * t * N, 1
+    s[0] = s[1] = s[2] = 0.0
+    return 0.0, 0
+
+
+@numba.njit(cache=True)
+def _taut(p, e0, e1, e2, s):  # type: ignore[no-untyped-def]
+    """Energy per area of the linear law without prestress; section forces into s."""
+    for i in range(3):
+        s[i] = p[3 * i] * e0 + p[3 * i + 1] * e1 + p[3 * i + 2] * e2
+    return 0.5 * (e0 * s[0] + e1 * s[1] + e2 * s[2])
 
 
 @numba.njit(cache=True)
@@ -53,25 +136,67 @@ def tangent(law, p, e, floor, C):  # type: ignore[no-untyped-def]
     for i in range(3):
         for j in range(3):
             C[i, j] = p[3 * i + j]
-    if law != TENSION_FIELD:
+    if law == LINEAR:
         return
     e0, e1, e2 = e[0] + p[9], e[1] + p[10], e[2] + p[11]
+    if law == TENSION_FIELD:
+        taut, along, across, first, second = _isotropic_dyads(p, e0, e1, e2)
+    else:
+        taut, along, across, first, second = _orthotropic_dyads(p, e0, e1, e2)
+    factor = 1 + floor if taut else floor
+    for i in range(3):
+        for j in range(3):
+            C[i, j] *= factor
+            if not taut:
+                C[i, j] += first * along[i] * along[j] + second * across[i] * across[j]
+
+
+@numba.njit(cache=True)
+def _isotropic_dyads(p, e0, e1, e2):  # type: ignore[no-untyped-def]
+    """Whether (nearly) taut, else the tangent's dyads, paired with (E11, E22, 2 E12).
+
+    One along the tension, and one across as it turns with the strain, each with its factor.
+    """
+    nothing = (0.0, 0.0, 0.0)
     mean, half, shear = 0.5 * (e0 + e1), 0.5 * (e0 - e1), 0.5 * e2
     radius = math.sqrt(half * half + shear * shear)
     larger, smaller = mean + radius, mean - radius
-    if smaller + p[16] * larger >= -UNSTRAINED:
-        for i in range(3):
-            for j in range(3):
-                C[i, j] *= 1 + floor
-        return
-    for i in range(3):
-        for j in range(3):
-            C[i, j] *= floor
-    if larger > 0.0:
-        # dyads along and across the tension line, paired with (E11, E22, 2 E12)
-        c, s = half / radius, shear / radius
-        along = (0.5 * (1 + c), 0.5 * (1 - c), 0.5 * s)
-        across = (-0.5 * s, 0.5 * s, 0.5 * c)
-        for i in range(3):
-            for j in range(3):
-                C[i, j] += p[15] * (along[i] * along[j] + larger / radius * across[i] * across[j])
+    taut = smaller + p[16] * larger >= -UNSTRAINED
+    if taut or larger <= 0.0:
+        return taut, nothing, nothing, 0.0, 0.0
+    c, s = half / radius, shear / radius
+    along = (0.5 * (1 + c), 0.5 * (1 - c), 0.5 * s)
+    across = (-0.5 * s, 0.5 * s, 0.5 * c)
+    return taut, along, across, p[15], p[15] * larger / radius
+
+
+@numba.njit(cache=True)
+def _orthotropic_dyads(p, e0, e1, e2):  # type: ignore[no-untyped-def]
+    """As `_isotropic_dyads`.
+
+    With f(psi, E) the energy in a given direction, the tangent of its maximum over psi is
+    ``f_EE + f_Epsi f_Epsi^T / (-f_psipsi)``.
+    """
+    nothing = (0.0, 0.0, 0.0)
+    s0 = p[0] * e0 + p[1] * e1 + UNSTRAINED * p[0]
+    s1 = p[3] * e0 + p[4] * e1 + UNSTRAINED * p[4]
+    s2 = p[8] * e2
+    taut = s0 >= 0.0 and s1 >= 0.0 and s0 * s1 >= s2 * s2
+    if taut or (e0 <= 0.0 and e1 <= 0.0 and 4 * e0 * e1 >= e2 * e2):
+        return taut, nothing, nothing, 0.0, 0.0
+    cos, sin, N, mean = tension_line(p, e0, e1, e2)
+    if N <= 0.0:
+        return taut, nothing, nothing, 0.0, 0.0
+    rho, m = p[16], 0.5 * (p[17] - 1)
+    q = 1 + m * sin * sin
+    turn = m * sin * cos / q  # q' / (2 q), which at the maximum is N' / N
+    along = (0.5 * (1 + cos), 0.5 * (1 - cos) * rho * rho, 0.5 * sin * rho)
+    across = (
+        -0.5 * sin - turn * along[0],
+        0.5 * sin * rho * rho - turn * along[1],
+        0.5 * cos * rho - turn * along[2],
+    )
+    # -f_psipsi c11 q / N^2; positive, as the stress at the maximum is unique
+    curvature = (N - mean) / N + m * (cos * cos - sin * sin) / q - turn * turn
+    factor = p[15] / q
+    return taut, along, across, factor, factor / curvature

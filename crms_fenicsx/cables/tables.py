@@ -18,6 +18,7 @@ from crms_fenicsx.cables.network import Edge, Link, Member, Network, side_of
 from crms_fenicsx.cables.penalty import Kinks
 from crms_fenicsx.cables.volume import Facets, fan_facets
 from crms_fenicsx.compat import geometry_dofmap
+from crms_fenicsx.materials import N_PARAMETERS
 from crms_fenicsx.membrane import MembraneEnergy, area_vectors
 
 Array = npt.NDArray[np.float64]
@@ -154,7 +155,7 @@ class _FoldedCellsOf:
             sides=sides,
             side_vectors=np.einsum("nki,nai->nka", vectors, membrane.material_axes(cells)),
             laws=np.array([m.law for m in materials], dtype=np.int32),
-            parameters=np.array([m.parameters for m in materials]).reshape(-1, 17),
+            parameters=np.array([m.parameters for m in materials]).reshape(-1, N_PARAMETERS),
         )
 
     def kinks(self) -> list[tuple[tuple[int, int, int, int], int, int]]:
