@@ -35,6 +35,9 @@ has no direction any more, and a cable caught there can look as if it were in eq
 of sound states are below 0.01 on meshes of 9 cells a side.
 """
 
+TENSE = 0.01
+"""Kinks (rad) from which on the fold points of a cable with friction are put back in place."""
+
 NEAR = 0.1
 """Part of an edge: so near to a vertex a polish tries its other side."""
 
@@ -151,7 +154,7 @@ class EquilibriumSearch:
     def _slide(self, h0_prestress: tuple[float, ...]) -> Outcome:
         """Try new paths while the energy falls."""
         from crms_fenicsx.cables.crossings import tangled
-        from crms_fenicsx.cables.give_way import give_way
+        from crms_fenicsx.cables.give_way import give_way, relax
         from crms_fenicsx.cables.network import BLOCKED
 
         paths, best = self.paths, self._try(h0_prestress)
@@ -168,9 +171,10 @@ class EquilibriumSearch:
                     laid_again |= caught
                     paths.lay_again(caught)
                 elif not paths.pass_next(NEAR if self.polish else BLOCKED):
-                    flips = give_way(paths)
-                    if not flips:
-                        break
+                    if not relax(paths, self.system.caught_nodes(TENSE)):
+                        flips = give_way(paths)
+                        if not flips:
+                            break
             if tries == MAX_PATHS:
                 reason = f"after {tries} changes the paths of the cables still want to change"
                 return replace(total, converged=False, reason=reason)

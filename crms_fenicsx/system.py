@@ -21,7 +21,7 @@ from crms_fenicsx.unknowns import Unknowns
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.fold import FoldedCells, FoldEnergy
-    from crms_fenicsx.cables.network import Network
+    from crms_fenicsx.cables.network import Member, Network
     from crms_fenicsx.cables.penalty import KinkPenalty
     from crms_fenicsx.cables.stick_slip import StickSlip
     from crms_fenicsx.cables.tables import CableTables
@@ -303,19 +303,22 @@ class System:
         self.potential.begin_step()
         return self.minimizer.solve(h0_prestress, interrupt)
 
-    def caught_cables(self, limit: float) -> set[int]:
-        """Numbers of the cables with a kink of a folded edge of more than a limit (rad).
+    def caught_nodes(self, limit: float) -> set[Member]:
+        """Fold points at which a folded edge has a kink of more than a limit (rad).
 
         Judged at the state last evaluated; not for the paper's literal penalty. Collective.
         """
         if self.tables is None or self.scene.literal_penalty is not None:
             return set()
-        most = np.zeros(len(self.scene.cables))
+        mine: set[Member] = set()
         if self.tables.kinks:
-            numbers = [cable for *_, cable in self.tables.kinks]
-            np.maximum.at(most, numbers, np.abs(self.kinks.residuals))
-        self.scene.comm.Allreduce(MPI.IN_PLACE, most, op=MPI.MAX)
-        return {int(c) for c in np.flatnonzero(most > limit)}
+            sharp = np.flatnonzero(np.abs(self.kinks.residuals) > limit)
+            mine = {self.tables.kinks[k][2] for k in sharp}
+        return set().union(*self.scene.comm.allgather(mine))
+
+    def caught_cables(self, limit: float) -> set[int]:
+        """Numbers of the cables with caught nodes."""
+        return {c for c, _ in self.caught_nodes(limit)}
 
     @property
     def has_history(self) -> bool:

@@ -11,18 +11,19 @@ from __future__ import annotations
 
 import itertools
 from collections import defaultdict
+from collections.abc import Iterable
 
 import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.cables.cable import CableNode, LaidCable
 from crms_fenicsx.cables.contact_force import contact_forces
-from crms_fenicsx.cables.corridor import Corridor, Support
+from crms_fenicsx.cables.corridor import Corridor, Support, corridor, flaw
 from crms_fenicsx.cables.folded_surface import FoldedSurface
 from crms_fenicsx.cables.intrinsic import MissingStars
 from crms_fenicsx.cables.path import EdgePoint, VertexPoint
 from crms_fenicsx.cables.retrace import Retracer
-from crms_fenicsx.cables.shorten import other_side
+from crms_fenicsx.cables.shorten import other_side, shorten
 from crms_fenicsx.cables.slip import node_slips
 from crms_fenicsx.cables.strip import StripShape, grow
 
@@ -67,6 +68,68 @@ def give_way(paths: Retracer, most: int | None = None) -> int:
     return passed
 
 
+def relax(paths: Retracer, caught: Iterable[tuple[int, int]]) -> bool:
+    """Put caught fold points of cables with friction back on straight edges. Collective.
+
+    Two points on edges that meet in a vertex may have closed in on each other away from it, so that
+    the chord between them has no direction any more. They go to where a string between the points
+    around them would cross their edges.
+
+    Parameters
+    ----------
+    paths
+        The scene's paths.
+    caught
+        Cables and their nodes, by number.
+
+    Returns
+    -------
+    Whether any was moved that has not been before from the same place on the path.
+    """
+    cables, moved = paths.scene.cables, False
+    for c, k in sorted(caught):
+        cable = cables[c]
+        if cable.slides_freely or not cable.nodes[k].slides:
+            continue
+        rim = _rim(cable)
+        i = rim.index(k)
+        way = cable.name, tuple(_support(cable.nodes[m]) for m in rim[max(i - 1, 0) : i + 2])
+        if way in paths.withheld:
+            continue
+        paths.withheld.add(way)
+        contacts = [j for j, m in enumerate(rim) if not cable.lifted[m]]
+        at = contacts.index(i)
+        first = rim.index(rim[contacts[max(at - 2, 0)]])
+        last = rim.index(rim[contacts[min(at + 2, len(contacts) - 1)]])
+        moved |= _straighten(paths, cable, rim[first : last + 1])
+    return moved
+
+
+def _straighten(paths: Retracer, cable: LaidCable, part: list[int]) -> bool:
+    """Pull a part of a cable taut between its ends, in the cells that it crosses."""
+    path = dict(zip(_rim(cable), cable.path.points, strict=True))
+    points = [path[k] for k in part]
+    surface = paths.surface([v for point in points for v in point.support])
+    if len(points) < 3 or flaw(corridor(points), surface.thirds):
+        return False
+    string = shorten(points, surface, max_flips=0).points
+    for k, point in zip(part[1:-1], string[1:-1], strict=True):
+        if cable.nodes[k].slides and isinstance(point, EdgePoint):
+            fraction = min(max(point.fraction, BEYOND), 1 - BEYOND)
+            cable.fractions[k] = fraction
+            cable.positions[k] = surface.place(point.edge, fraction)
+    return True
+
+
+def _rim(cable: LaidCable) -> list[int]:
+    """Nodes that the path over the mesh consists of: no anchors, no crossings."""
+    return [
+        k
+        for k, node in enumerate(cable.nodes)
+        if node.point is not None and node.kind != "crossing"
+    ]
+
+
 def _run_into(cable: LaidCable, shape: StripShape) -> list[tuple[int, bool]]:
     """Vertices against which a cable is pulled, and whether it is pulled to its left there.
 
@@ -105,11 +168,7 @@ def _run_into(cable: LaidCable, shape: StripShape) -> list[tuple[int, bool]]:
 def _pass(paths: Retracer, cable: LaidCable, vertex: int, to_left: bool) -> int:
     """Lead a cable around the other side of a vertex; return how many vertices it has passed."""
     surface = paths.surface([vertex])
-    rim = [
-        k
-        for k, node in enumerate(cable.nodes)
-        if node.point is not None and node.kind != "crossing"
-    ]
+    rim = _rim(cable)
     supports: Corridor = tuple(_support(cable.nodes[k]) for k in rim)
     string, first = supports, 0
     joined = paths.with_anchors(cable, surface)

@@ -39,7 +39,7 @@ class CableTables:
         Segments of the cables' polylines, their smoothing, and the cable's place among the taut.
     folded : FoldedCells
         Cells with folded sides.
-    kinks : tuple of (corner blocks (4,), row of `folded`, number of the cable)
+    kinks : list of (corner blocks (4,), row of `folded`, fold point)
         Where chords meet sides at fold points that are free.
     facets : Facets
         Facets of the folded cells.
@@ -49,7 +49,7 @@ class CableTables:
     eps: Array
     cable: Indices
     folded: FoldedCells
-    kinks: list[tuple[tuple[int, int, int, int], int, int]]
+    kinks: list[tuple[tuple[int, int, int, int], int, Member]]
     facets: Facets
 
     def penalty(self, factor: float, moduli: Array) -> Kinks:
@@ -158,8 +158,8 @@ class _FoldedCellsOf:
             parameters=np.array([m.parameters for m in materials]).reshape(-1, N_PARAMETERS),
         )
 
-    def kinks(self) -> list[tuple[tuple[int, int, int, int], int, int]]:
-        """Where chords meet sides at free fold points: corner blocks, the cell's place, cable."""
+    def kinks(self) -> list[tuple[tuple[int, int, int, int], int, Member]]:
+        """Where chords meet sides at free fold points: corner blocks, the cell's place, point."""
         network, kinks = self.network, []
         for n, row in enumerate(self.rows):
             beside: dict[int, tuple[int, int]] = {}
@@ -173,7 +173,7 @@ class _FoldedCellsOf:
                     if self._slides(member) and block in beside:
                         before, after = beside[block]
                         corners = (before, block, after, network.block(*other))
-                        kinks.append((corners, n, member[0]))
+                        kinks.append((corners, n, member))
         return kinks
 
     def _slides(self, member: Member) -> bool:
