@@ -24,12 +24,11 @@ from crms_fenicsx.cables.intrinsic import MissingStars
 from crms_fenicsx.cables.path import EdgePoint, VertexPoint
 from crms_fenicsx.cables.retrace import Retracer
 from crms_fenicsx.cables.shorten import other_side, shorten
-from crms_fenicsx.cables.slip import node_slips
 from crms_fenicsx.cables.strip import StripShape, grow
 
 Array = npt.NDArray[np.float64]
 
-NEAR = 0.02
+NEAR = 0.025
 """Part of an edge: a sliding node as near as this to the vertex that it slides to has run into it.
 
 There the lengths of the segments around are smoothed, which repels it from the vertex."""
@@ -131,38 +130,36 @@ def _rim(cable: LaidCable) -> list[int]:
 
 
 def _run_into(cable: LaidCable, shape: StripShape) -> list[tuple[int, bool]]:
-    """Vertices against which a cable is pulled, and whether it is pulled to its left there.
+    """Vertices against which a cable may be pulled, and whether it is pulled to its left there.
 
-    Nodes near a vertex on all edges around it count as one: only their sum means anything.
+    All nodes on edges at a vertex count as one: only their sum means anything. Some of them may
+    have lifted off where the cable bends inward against the vertex.
     """
     grip = cable.grip
     assert grip is not None
     forces = contact_forces(cable, shape).lateral
-    pull: dict[int, float] = defaultdict(float)
-    hold: dict[int, float] = defaultdict(float)
-    beside: dict[int, set[bool]] = defaultdict(set)
-    slips = node_slips(cable, grip.curve, shape)
-    for k, support, slope in zip(slips.nodes, slips.supports, slips.slope, strict=True):
-        fraction = float(cable.fractions[k])
-        end = int(fraction > 0.5)
-        if (1 - fraction if end else fraction) < NEAR:  # or beyond the edge's end
-            vertex = support[end]
-            pull[vertex] += forces[k]
-            hold[vertex] += grip.at(support)
-            beside[vertex].add((slope > 0) == bool(end))  # it lies to the left of the node
-    for k, node in enumerate(cable.nodes[1:-1], start=1):
-        if node.kind == "vertex" and node.point is not None and node.point.support in grip.row_of:
-            vertex = node.point.support[0]
-            pull[vertex] += forces[k]
-            hold[vertex] += grip.at(node.point.support)
-            beside[vertex] |= {True, False}
-    excess = {
-        vertex: abs(pull[vertex]) - (1 + SLACK) * hold[vertex] - TINY * cable.tension
-        for vertex in pull
-        if (pull[vertex] > 0) in beside[vertex]
-    }
-    blocked = [vertex for vertex in excess if excess[vertex] > 0.0]
-    return [(v, pull[v] > 0) for v in sorted(blocked, key=lambda v: (-excess[v], v))]
+    groups: dict[int, list[int]] = defaultdict(list)
+    near: set[int] = set()
+    for k in _rim(cable):
+        node = cable.nodes[k]
+        if node.kind == "vertex":
+            groups[_support(node)[0]].append(k)
+            near.add(_support(node)[0])
+        elif node.slides:
+            fraction = float(cable.fractions[k])
+            for vertex, away in zip(_support(node), (fraction, 1 - fraction), strict=True):
+                groups[vertex].append(k)
+                if away < NEAR:  # or beyond the edge's end
+                    near.add(vertex)
+    found: list[tuple[float, int, bool]] = []
+    for vertex in near:
+        pull = sum(forces[k] for k in groups[vertex])
+        supports = [_support(cable.nodes[k]) for k in groups[vertex]]
+        hold = sum(grip.at(s) for s in supports if s in grip.row_of)
+        excess = abs(pull) - (1 + SLACK) * hold - TINY * cable.tension
+        if excess > 0.0:
+            found.append((-excess, vertex, bool(pull > 0)))
+    return [(vertex, to_left) for _, vertex, to_left in sorted(found)]
 
 
 def _pass(paths: Retracer, cable: LaidCable, vertex: int, to_left: bool) -> int:
@@ -180,7 +177,8 @@ def _pass(paths: Retracer, cable: LaidCable, vertex: int, to_left: bool) -> int:
         string = (*string, (n + 1,))
     for rings in itertools.count(1):
         try:
-            found = other_side(string, joined, vertex, to_left)
+            upward = _counterclockwise(joined, vertex) != to_left
+            found = other_side(string, joined, vertex, upward)
             break
         except MissingStars as missing:
             grow(paths.scene, missing.vertices, rings)
@@ -196,6 +194,14 @@ def _pass(paths: Retracer, cable: LaidCable, vertex: int, to_left: bool) -> int:
     _adopt(paths, cable, rim, kept, vertex, joined)
     paths.offered.add(way)
     return 1
+
+
+def _counterclockwise(surface: FoldedSurface, vertex: int) -> bool:
+    """Whether the ring of a vertex is in the membrane's order, counterclockwise from outside."""
+    ring = surface.membrane_ring(vertex).neighbours
+    row = surface.strip.rows((vertex, ring[0], ring[1]))[0]
+    cell = surface.strip.corners[row]
+    return cell[cell.index(vertex) - 2] == ring[0]
 
 
 def _adopt(

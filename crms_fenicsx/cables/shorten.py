@@ -206,7 +206,7 @@ class OtherSide:
 
 
 def other_side(
-    supports: Corridor, surface: Surface, vertex: int, to_left: bool | None = None
+    supports: Corridor, surface: Surface, vertex: int, upward: bool | None = None
 ) -> OtherSide | None:
     """Lead a corridor around the other side of a vertex.
 
@@ -218,9 +218,9 @@ def other_side(
         Neighbours.
     vertex
         A vertex whose edges the corridor crosses, or that it visits.
-    to_left
-        For a visit, on which side to go: seen with the ring's order counterclockwise, left or
-        right of the corridor.
+    upward
+        Whether to go around the vertex in the order of its ring, or against it; None: on the side
+        where the corridor does not go. A visit needs to be told.
 
     Returns
     -------
@@ -244,11 +244,10 @@ def other_side(
         return None
     arcs = _Arcs(vertex, ring, supports[first - 1], supports[last + 1])
     own = supports[first : last + 1]
-    if visits:
-        other = arcs.down if to_left else arcs.up
-    else:
-        other = arcs.down if arcs.up == own else arcs.up
-    if other is None:
+    if upward is None:
+        upward = arcs.up != own
+    other = arcs.up if upward else arcs.down
+    if other is None or other == own:
         return None
     new = without_detours([*supports[:first], *other, *supports[last + 1 :]])
     if flaw(new, surface.thirds) is not None:
