@@ -173,7 +173,7 @@ def material_place(cable: LaidCable, k: int, shape: StripShape) -> Array:
 
 
 def node_slips(cable: LaidCable, curve: MaterialCurve, shape: StripShape) -> NodeSlips:
-    """Slips of a cable's sliding nodes that touch the membrane where the cable lay on it."""
+    """Slips of a cable's sliding nodes that touch the membrane; zero where it was not on it."""
     nodes, supports = [], []
     for k in cable.contacts():
         point = cable.nodes[k].point
@@ -191,14 +191,15 @@ def node_slips(cable: LaidCable, curve: MaterialCurve, shape: StripShape) -> Nod
     for part in np.unique(parts[parts >= 0]):
         own = curve.arc[curve.part == part]
         first[parts == part], last[parts == part] = own[0], own[-1]
-    # elsewhere the cable has touched down in this step
+    # Elsewhere the cable has touched down in this step, and does not know of any slip yet.
     known = (at >= first - size) & (at <= last + size)
-    nodes = [k for k, is_known in zip(nodes, known, strict=True) if is_known]
-    supports = [s for s, is_known in zip(supports, known, strict=True) if is_known]
-    at, feet, parts, size = at[known], feet[known], parts[known], size[known]
-    left = np.cross(normals[known], curve.tangents(at, parts, size))
+    at, parts = at[known], parts[known]
+    left = np.cross(normals[known], curve.tangents(at, parts, size[known]))
     left /= np.linalg.norm(left, axis=1)[:, None]
-    slope = np.sum(sides[known] * left, axis=1)
-    offset = np.sum((ends[known, 0] - feet) * left, axis=1) + curve.elastic_at(at, parts)
-    slip = slope * fractions[known] + offset
-    return NodeSlips(nodes, supports, slope, offset, slip, size, curve.moving_at(at, parts))
+    slope, offset, moving = np.zeros((3, len(nodes)))
+    slope[known] = np.sum(sides[known] * left, axis=1)
+    offset[known] = np.sum((ends[known, 0] - feet[known]) * left, axis=1)
+    offset[known] += curve.elastic_at(at, parts)
+    moving[known] = curve.moving_at(at, parts)
+    slip = slope * fractions + offset
+    return NodeSlips(nodes, supports, slope, offset, slip, size, moving)
