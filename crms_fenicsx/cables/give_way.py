@@ -20,6 +20,7 @@ from crms_fenicsx.cables.cable import CableNode, LaidCable
 from crms_fenicsx.cables.contact_force import contact_forces
 from crms_fenicsx.cables.corridor import Corridor, Support, corridor, flaw
 from crms_fenicsx.cables.folded_surface import FoldedSurface
+from crms_fenicsx.cables.grip import friction_forces
 from crms_fenicsx.cables.intrinsic import MissingStars
 from crms_fenicsx.cables.path import EdgePoint, VertexPoint
 from crms_fenicsx.cables.retrace import Retracer
@@ -132,12 +133,14 @@ def _rim(cable: LaidCable) -> list[int]:
 def _run_into(cable: LaidCable, shape: StripShape) -> list[tuple[int, bool]]:
     """Vertices against which a cable may be pulled, and whether it is pulled to its left there.
 
-    All nodes on edges at a vertex count as one: only their sum means anything. Some of them may
-    have lifted off where the cable bends inward against the vertex.
+    What pulls is the part of the cable's force that friction does not carry. All nodes on edges at
+    a vertex count as one: only their sum means anything. Some of them may have lifted off where the
+    cable bends inward against the vertex.
     """
     grip = cable.grip
     assert grip is not None
     forces = contact_forces(cable, shape).lateral
+    held = friction_forces(cable, shape)
     groups: dict[int, list[int]] = defaultdict(list)
     near: set[int] = set()
     for k in _rim(cable):
@@ -153,12 +156,15 @@ def _run_into(cable: LaidCable, shape: StripShape) -> list[tuple[int, bool]]:
                     near.add(vertex)
     found: list[tuple[float, int, bool]] = []
     for vertex in near:
-        pull = sum(forces[k] for k in groups[vertex])
-        supports = [_support(cable.nodes[k]) for k in groups[vertex]]
-        hold = sum(grip.at(s) for s in supports if s in grip.row_of)
-        excess = abs(pull) - (1 + SLACK) * hold - TINY * cable.tension
-        if excess > 0.0:
-            found.append((-excess, vertex, bool(pull > 0)))
+        rows = [
+            row
+            for k in groups[vertex]
+            if (row := grip.row_of.get(_support(cable.nodes[k]))) is not None
+        ]
+        pull = sum(forces[k] for k in groups[vertex]) - held[rows].sum()
+        least = SLACK * grip.bounds[rows].sum() + TINY * cable.tension
+        if abs(pull) > least:
+            found.append((least - abs(pull), vertex, bool(pull > 0)))
     return [(vertex, to_left) for _, vertex, to_left in sorted(found)]
 
 

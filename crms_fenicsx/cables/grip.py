@@ -31,6 +31,8 @@ would set off an avalanche where the static coefficient is larger; with much mor
 
 SETTLED, NEARLY = 1e-3, 0.02
 """Change of the bounds, relative to their sum, below which they have settled, and nearly so."""
+NOISE = 1e-6
+"""Sideways force, relative to the tension, that is none."""
 LEAST_STRAIN = 1e-4
 """Strain of a cable that sets the force by which it is first taken to stick."""
 STEEPEST = 0.9
@@ -87,11 +89,26 @@ def begin(cable: LaidCable, shape: StripShape) -> None:
     friction, n = cable.cable.sideways, len(cable.grip.supports)
     if friction.law == "step":
         bounds = friction.mu * paper_forces(cable)[_numbers(cable)]
-        cable.grip = replace(cable.grip, bounds=bounds, known=True)
+        ways = _ways(cable, cable.grip, shape)
+        cable.grip = replace(cable.grip, bounds=bounds, moving=ways, known=True)
     elif not cable.grip.known:
         elongation = polyline_length(cable.positions[cable.contacts()]) / cable.L0 - 1
         force = cable.cable.EA * max(elongation, LEAST_STRAIN)
         cable.grip = replace(cable.grip, bounds=np.full(n, force))
+
+
+def _ways(cable: LaidCable, grip: Grip, shape: StripShape) -> Array:
+    """Directions in which nodes will slide in a step, for the law that has to know before.
+
+    As in the last step; what has not slid goes where the cable pulls it, if it does.
+    """
+    numbers = _numbers(cable)
+    pull = contact_forces(cable, shape).lateral[numbers]
+    ways: Array = np.sign(pull) * (np.abs(pull) > NOISE * cable.tension)
+    slips = node_slips(cable, grip.curve, shape)
+    rows = [grip.row_of[support] for support in slips.supports]
+    ways[rows] = np.where(slips.moving != 0.0, slips.moving, ways[rows])
+    return ways
 
 
 def align(cable: LaidCable) -> None:
@@ -146,7 +163,9 @@ class Lag:
         self.change = float(np.abs(bounds - grip.bounds).sum()) / max(total, 1e-3 * used)
         if self.change <= SETTLED:  # the state found stays the one that belongs to its bounds
             return self.change
-        if grip.known and total > 0.0 < used:
+        if np.any(moving != grip.moving):  # another law from here on
+            self._before = None
+        elif grip.known and total > 0.0 < used:
             here = float(np.log(used)), float(np.log(total))
             bounds = bounds * np.exp(self._goal(*here) - here[1])
             self._before = here
@@ -196,6 +215,23 @@ def energies(cable: LaidCable, shape: StripShape) -> tuple[float, float]:
     return stored, float(np.sum(bounds * np.maximum(np.abs(slips.slip) - eps, 0.0)))
 
 
+def friction_forces(cable: LaidCable, shape: StripShape) -> Array:
+    """Friction force at each of the grip's nodes, (n,), positive if it holds a cable that goes left
+    (force). A node on a vertex cannot slip: it is given what it takes to hold it, up to its bound.
+    """
+    friction, grip = cable.cable.sideways, cable.grip
+    assert friction is not None and grip is not None
+    if friction.law == "step":
+        return grip.bounds * grip.moving
+    pull = contact_forces(cable, shape).lateral[_numbers(cable)]
+    forces = np.clip(pull, -grip.bounds, grip.bounds)
+    slips = node_slips(cable, grip.curve, shape)
+    rows = [grip.row_of[support] for support in slips.supports]
+    y = np.clip(slips.slip / (friction.tolerance * slips.size), -1.0, 1.0)
+    forces[rows] = grip.bounds[rows] * y * (2.0 - np.abs(y))
+    return np.asarray(forces)
+
+
 def commit(cable: LaidCable, shape: StripShape) -> None:
     """End a load step: the cable's place is the curve that the next step's slip counts from."""
     friction, grip = cable.cable.sideways, cable.grip
@@ -208,7 +244,8 @@ def commit(cable: LaidCable, shape: StripShape) -> None:
         slips = node_slips(cable, grip.curve, shape)
         eps = friction.tolerance * slips.size
         elastic = dict(zip(slips.nodes, np.clip(slips.slip, -eps, eps), strict=True))
-        slid = np.sign(slips.slip) * (np.abs(slips.slip) > SLIDES * slips.size)
+        least = SLIDES * slips.size if friction.law == "coulomb" else eps
+        slid = np.sign(slips.slip) * (np.abs(slips.slip) > least)
         moving = dict(zip(slips.nodes, slid, strict=True))
     curve = material_curve(cable, shape, elastic, moving)
     cable.grip = replace(
