@@ -10,6 +10,7 @@ from crms_fenicsx.cables.cable import Cable, LaidCable
 from crms_fenicsx.cables.friction import Friction
 from crms_fenicsx.errors import (
     ConvergenceError,
+    FrictionWarning,
     InputError,
     MeshError,
     PathError,
@@ -25,6 +26,7 @@ __all__ = [
     "Cable",
     "ConvergenceError",
     "Friction",
+    "FrictionWarning",
     "InputError",
     "IsotropicMembrane",
     "LaidCable",

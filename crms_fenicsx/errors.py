@@ -28,6 +28,10 @@ class PathWarning(UserWarning):
     """A cable's fold point has run into a mesh vertex: its path is blocked there."""
 
 
+class FrictionWarning(UserWarning):
+    """Friction with the paper's law has pushed a cable back: a cable that sticks is beyond it."""
+
+
 class PenaltyWarning(UserWarning):
     """A penalty factor outside the range in which folded elements are stable and do not lock."""
 

@@ -16,7 +16,7 @@ from mpi4py import MPI
 
 from crms_fenicsx import checks
 from crms_fenicsx.equilibrium import EquilibriumSearch
-from crms_fenicsx.errors import ConvergenceError, InputError, PathWarning
+from crms_fenicsx.errors import ConvergenceError, FrictionWarning, InputError, PathWarning
 from crms_fenicsx.loading import Target, checked_target
 from crms_fenicsx.minimizer import Outcome
 from crms_fenicsx.output.recorder import Recorder
@@ -25,6 +25,8 @@ from crms_fenicsx.state import State
 from crms_fenicsx.system import System
 
 if TYPE_CHECKING:
+    from crms_fenicsx.cables.cable import LaidCable
+    from crms_fenicsx.cables.contact_force import ContactForces
     from crms_fenicsx.output import History, Line
     from crms_fenicsx.results import MembraneResults, Reactions
 
@@ -174,6 +176,31 @@ class Solver:
         from crms_fenicsx.results import reactions
 
         return reactions(self.system, where)
+
+    def contact_forces(self, cable: LaidCable) -> ContactForces:
+        """Forces of a cable on the membrane at its points, in the current state. Collective.
+
+        Parameters
+        ----------
+        cable
+            A cable of the scene.
+
+        Returns
+        -------
+        ContactForces
+            At the cable's nodes: among others ``line``, the normal force per length of cable.
+
+        Raises
+        ------
+        InputError
+            It is no cable of this scene.
+        """
+        from crms_fenicsx.cables.contact_force import contact_forces
+        from crms_fenicsx.cables.strip import StripShape
+
+        if not any(cable is own for own in self.scene.cables):
+            raise InputError(f"contact_forces: {cable!r} is not a cable of this scene.")
+        return contact_forces(cable, StripShape.of(self.scene))
 
     def draw(self, filename: str | FilePath, *, colour: str | None = None, **options: Any) -> None:
         """Draw the scene as it is, and say or colour the cables' tensions. Collective.
@@ -335,6 +362,7 @@ class Solver:
                 step = Step(len(self.steps) + 1, spent, dict(scene.energies), seconds, halvings)
                 self.steps.append(step)
                 self._warn_of_blocked()
+                self._warn_of_friction(good)
                 self._recorder.write(step, self.system)
                 if abs(goal - round(goal)) < 1e-9:
                     bar.advance(1, f"energy {step.energy:.6g}")
@@ -377,6 +405,21 @@ class Solver:
         if present > 0.3 * coming:
             return (0.0,)
         return (coming, 0.1 * coming, 0.01 * coming, 0.0)
+
+    def _warn_of_friction(self, before: State) -> None:
+        """The paper's friction element pushes a cable back that should stick."""
+        for cable, was in zip(self.scene.cables, before.cables, strict=True):
+            gained = 0.0 if was.grip is None else was.grip.dissipated
+            if cable.grip is None or cable.has_coulomb or cable.grip.dissipated >= gained:
+                continue
+            if self.scene.comm.rank == 0:
+                warnings.warn(
+                    f"step {len(self.steps)}: the friction elements of {cable.name!r} have pushed "
+                    f"it back and given {gained - cable.grip.dissipated:.3g} of work, as their "
+                    'force does not know of sticking; use Friction(law="coulomb") or more steps.',
+                    FrictionWarning,
+                    stacklevel=3,
+                )
 
     def _warn_of_blocked(self) -> None:
         if self.slide:

@@ -221,14 +221,15 @@ def friction_forces(cable: LaidCable, shape: StripShape) -> Array:
     """
     friction, grip = cable.cable.sideways, cable.grip
     assert friction is not None and grip is not None
-    if friction.law == "step":
-        return grip.bounds * grip.moving
     pull = contact_forces(cable, shape).lateral[_numbers(cable)]
     forces = np.clip(pull, -grip.bounds, grip.bounds)
     slips = node_slips(cable, grip.curve, shape)
     rows = [grip.row_of[support] for support in slips.supports]
-    y = np.clip(slips.slip / (friction.tolerance * slips.size), -1.0, 1.0)
-    forces[rows] = grip.bounds[rows] * y * (2.0 - np.abs(y))
+    if friction.law == "step":
+        forces[rows] = grip.bounds[rows] * grip.moving[rows]
+    else:
+        y = np.clip(slips.slip / (friction.tolerance * slips.size), -1.0, 1.0)
+        forces[rows] = grip.bounds[rows] * y * (2.0 - np.abs(y))
     return np.asarray(forces)
 
 

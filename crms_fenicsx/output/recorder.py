@@ -119,14 +119,25 @@ class Recorder:
 
 
 def cable_lines(scene: Scene) -> list[Line]:
-    """The scene's cables as lines, the same on all ranks.
+    """The scene's cables as lines, the same on all ranks. Collective.
 
-    They know their tension, and which of their points are lifted off the membrane.
+    They know their tension, which of their points are lifted off the membrane, and how hard they
+    press on it: "contact force", per length of cable, zero where they do not touch it.
     """
+    if not scene.cables:
+        return []
+    from crms_fenicsx.cables.contact_force import contact_forces
+    from crms_fenicsx.cables.strip import StripShape
+
+    shape = StripShape.of(scene)
     return [
         Line(
             np.array(cable.positions),
-            {"tension": cable.tension, "lifted": cable.lifted.astype(np.float64)},
+            {
+                "tension": cable.tension,
+                "lifted": cable.lifted.astype(np.float64),
+                "contact force": np.nan_to_num(contact_forces(cable, shape).line),
+            },
             cable.name,
         )
         for cable in scene.cables
