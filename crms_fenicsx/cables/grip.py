@@ -245,8 +245,7 @@ def commit(cable: LaidCable, shape: StripShape) -> None:
         slips = node_slips(cable, grip.curve, shape)
         eps = friction.tolerance * slips.size
         elastic = dict(zip(slips.nodes, np.clip(slips.slip, -eps, eps), strict=True))
-        least = SLIDES * slips.size if friction.law == "coulomb" else eps
-        slid = np.sign(slips.slip) * (np.abs(slips.slip) > least)
+        slid = np.sign(slips.slip) * (np.abs(slips.slip) > SLIDES * slips.size)
         moving = dict(zip(slips.nodes, slid, strict=True))
     curve = material_curve(cable, shape, elastic, moving)
     cable.grip = replace(
