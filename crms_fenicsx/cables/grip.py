@@ -35,8 +35,10 @@ NOISE = 1e-6
 """Sideways force, relative to the tension, that is none."""
 LEAST_STRAIN = 1e-4
 """Strain of a cable that sets the force by which it is first taken to stick."""
+LEAST_SHARE = 0.1
+"""Least share of a change in how the bounds are divided that is taken."""
 STEEPEST = 0.9
-"""Largest share of a change of the bounds that is taken to come back from the state."""
+"""Largest part of a change of their sum that is taken to come back from the state."""
 
 
 @dataclass(frozen=True)
@@ -140,14 +142,22 @@ def align(cable: LaidCable) -> None:
 class Lag:
     """Brings the bounds of one cable in a load step to those of the state that they lead to.
 
-    The bounds are proportional to the tension, and a stiff cable that slides soon loses it. Then
-    taking them over converges slowly: their sum is found by the secant method instead.
+    The bounds are proportional to the tension, and a stiff cable that slides soon loses it: taking
+    their sum over would converge slowly, so it is found by the secant method. How it is divided
+    among the nodes can go back and forth between two states, so of a change of that a share is
+    taken, by Aitken's rule for vectors (B. M. Irons and R. C. Tuck, Int. J. Numer. Meth. Engng 1,
+    1969).
     """
 
     def __init__(self, cable: LaidCable) -> None:
         self.cable = cable
         self.change = np.inf
-        self._before: tuple[float, float] | None = None
+        self._forget()
+
+    def _forget(self) -> None:
+        self._share = 1.0
+        self._division: tuple[tuple[Support, ...], Array] | None = None
+        self._sums: tuple[float, float] | None = None
 
     def renew(self, shape: StripShape) -> float:
         """Take the bounds from the current state; return their change, relative to their sum."""
@@ -156,28 +166,41 @@ class Lag:
         if not cable.taut:
             return 0.0
         # Only what slides while the bounds change little slides because it must.
-        bounds, moving = _bounds(cable, grip, shape, settled=self.change < NEARLY)
-        total, used = float(bounds.sum()), float(grip.bounds.sum())
+        found, moving = _bounds(cable, grip, shape, settled=self.change < NEARLY)
+        total, used = float(found.sum()), float(grip.bounds.sum())
         if used == 0.0 == total:
             return 0.0
-        self.change = float(np.abs(bounds - grip.bounds).sum()) / max(total, 1e-3 * used)
+        self.change = float(np.abs(found - grip.bounds).sum()) / max(total, 1e-3 * used)
         if self.change <= SETTLED:  # the state found stays the one that belongs to its bounds
             return self.change
-        if np.any(moving != grip.moving):  # another law from here on
-            self._before = None
-        elif grip.known and total > 0.0 < used:
-            here = float(np.log(used)), float(np.log(total))
-            bounds = bounds * np.exp(self._goal(*here) - here[1])
-            self._before = here
-        cable.grip = replace(grip, bounds=bounds, moving=moving, known=True)
+        if not grip.known or np.any(moving != grip.moving):  # another law from here on
+            self._forget()
+        elif total > 0.0 < used:
+            before: Array = grip.bounds / used
+            after: Array = found / total
+            found = self._add_up(used, total) * self._divide(grip.supports, before, after)
+        cable.grip = replace(grip, bounds=found, moving=moving, known=True)
         return self.change
 
-    def _goal(self, used: float, found: float) -> float:
-        """Where the sum (its logarithm) that is used and that which is found will be equal."""
-        slope = 0.0
-        if self._before is not None and used != self._before[0]:
-            slope = (found - self._before[1]) / (used - self._before[0])
-        return used + (found - used) / (1.0 - min(max(slope, -1.0), STEEPEST))
+    def _add_up(self, used: float, found: float) -> float:
+        """Where the sum that is used and that which is found will be equal, by their logarithms."""
+        here, slope = (float(np.log(used)), float(np.log(found))), 0.0
+        if self._sums is not None and here[0] != self._sums[0]:
+            slope = (here[1] - self._sums[1]) / (here[0] - self._sums[0])
+        self._sums = here
+        return float(np.exp(here[0] + (here[1] - here[0]) / (1 - min(max(slope, -1.0), STEEPEST))))
+
+    def _divide(self, supports: tuple[Support, ...], used: Array, found: Array) -> Array:
+        """How the sum is divided among the nodes, between how it is and was found to be, (n,)."""
+        change = found - used
+        if self._division is not None and self._division[0] == supports:
+            bend = change - self._division[1]
+            size = float(bend @ bend)
+            if size > 0.0:
+                share = -self._share * float(self._division[1] @ bend) / size
+                self._share = min(max(share, LEAST_SHARE), 1.0)
+        self._division = supports, change
+        return used + self._share * change
 
 
 def _bounds(cable: LaidCable, grip: Grip, shape: StripShape, settled: bool) -> tuple[Array, Array]:
