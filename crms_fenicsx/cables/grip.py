@@ -86,7 +86,7 @@ def begin(cable: LaidCable, shape: StripShape) -> None:
     align(cable)
     friction, n = cable.cable.sideways, len(cable.grip.supports)
     if friction.law == "step":
-        bounds = friction.mu * paper_forces(cable)[_numbers(cable)]
+        bounds = friction.mu * paper_forces(cable)[held_nodes(cable)]
         cable.grip = replace(cable.grip, bounds=bounds, known=True)
     elif not cable.grip.known:
         elongation = polyline_length(cable.positions[cable.contacts()]) / cable.L0 - 1
@@ -97,27 +97,45 @@ def begin(cable: LaidCable, shape: StripShape) -> None:
 def align(cable: LaidCable) -> None:
     """Bring the bounds to the nodes that the cable has now."""
     grip = cable.grip
-    if grip is None or (now := tuple(_supports(cable))) == grip.supports:
+    if grip is None or (now := tuple(supports_of(cable))) == grip.supports:
         return
+    stays, rows, heirs = succession(grip.supports, now)
     bounds, moving = np.zeros(len(now)), np.zeros(len(now))
-    old = {support: k for k, support in enumerate(grip.supports)}
-    stays = [k for k, support in enumerate(now) if support in old]
-    rows = [old[now[k]] for k in stays]
+    bounds[stays], moving[stays] = grip.bounds[rows], grip.moving[rows]
+    for gone, new in heirs:
+        bounds[new] += float(grip.bounds[gone].sum()) / len(new)
+        strongest = int(np.argmax(np.abs(grip.moving[gone])))
+        for k in new:
+            moving[k] = moving[k] or grip.moving[gone][strongest]
+    cable.grip = replace(grip, supports=now, bounds=bounds, moving=moving)
+
+
+def succession(
+    old: Sequence[Support], now: Sequence[Support]
+) -> tuple[list[int], list[int], list[tuple[slice, list[int]]]]:
+    """How the nodes of a changed path follow on those of the old one.
+
+    Returns
+    -------
+    stays, rows
+        Nodes that stay, and what they were.
+    heirs
+        Old nodes that go, a stretch at a time, with those that take their place: the new ones
+        there, or the neighbours.
+    """
+    was = {support: k for k, support in enumerate(old)}
+    stays = [k for k, support in enumerate(now) if support in was]
+    rows = [was[now[k]] for k in stays]
     if sorted(rows) != rows:  # no such path comes from this one
         stays, rows = [], []
-    bounds[stays], moving[stays] = grip.bounds[rows], grip.moving[rows]
     starts, ends = [-1, *stays], [*stays, len(now)]
-    was_starts, was_ends = [-1, *rows], [*rows, len(grip.supports)]
+    was_starts, was_ends = [-1, *rows], [*rows, len(old)]
+    heirs = []
     for a, b, c, d in zip(starts, ends, was_starts, was_ends, strict=True):
-        gone, new = slice(c + 1, d), list(range(a + 1, b))
-        freed = float(grip.bounds[gone].sum())
-        new = new or [k for k in (a, b) if 0 <= k < len(now)]
+        new = list(range(a + 1, b)) or [k for k in (a, b) if 0 <= k < len(now)]
         if new and d > c + 1:
-            bounds[new] += freed / len(new)
-            strongest = int(np.argmax(np.abs(grip.moving[gone])))
-            for k in new:
-                moving[k] = moving[k] or grip.moving[gone][strongest]
-    cable.grip = replace(grip, supports=now, bounds=bounds, moving=moving)
+            heirs.append((slice(c + 1, d), new))
+    return stays, rows, heirs
 
 
 class Lag:
@@ -174,7 +192,7 @@ def _bounds(cable: LaidCable, grip: Grip, shape: StripShape, settled: bool) -> t
     in_motion = (moving[rows] != 0.0) | (slips.moving * slips.slip > 0.0)
     coefficients = np.full(len(grip.supports), friction.at_rest)
     coefficients[rows] = np.where(in_motion, friction.mu, friction.at_rest)
-    return coefficients * contact_forces(cable, shape).bearing[_numbers(cable)], moving
+    return coefficients * contact_forces(cable, shape).bearing[held_nodes(cable)], moving
 
 
 def energies(cable: LaidCable, shape: StripShape) -> tuple[float, float]:
@@ -226,7 +244,7 @@ def _support(cable: LaidCable, k: int) -> Support:
     return point.support
 
 
-def _numbers(cable: LaidCable) -> list[int]:
+def held_nodes(cable: LaidCable) -> list[int]:
     """Nodes that friction may hold: those that touch the membrane, inside of the cable's ends."""
     return [
         k
@@ -235,5 +253,6 @@ def _numbers(cable: LaidCable) -> list[int]:
     ]
 
 
-def _supports(cable: LaidCable) -> Sequence[Support]:
-    return [_support(cable, k) for k in _numbers(cable)]
+def supports_of(cable: LaidCable) -> Sequence[Support]:
+    """Places of these nodes on the mesh."""
+    return [_support(cable, k) for k in held_nodes(cable)]

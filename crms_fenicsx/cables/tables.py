@@ -36,6 +36,8 @@ class CableTables:
     ----------
     segments : (n, 2), eps : (n,), cable : (n,)
         Segments of the cables' polylines, their smoothing, and the cable's place among the taut.
+    links
+        Which nodes of which cables the segments join.
     folded : FoldedCells
         Cells with folded sides.
     kinks : tuple of (corner blocks (4,), row of `folded`, number of the cable)
@@ -47,6 +49,7 @@ class CableTables:
     segments: Indices
     eps: Array
     cable: Indices
+    links: list[Link]
     folded: FoldedCells
     kinks: list[tuple[tuple[int, int, int, int], int, int]]
     facets: Facets
@@ -79,6 +82,7 @@ def cable_tables(network: Network, membrane: MembraneEnergy) -> CableTables:
         np.array(segments, dtype=np.int32).reshape(-1, 2),
         np.array([_smoothing(network, link, sizes) for link in own]),
         np.array([taut[link.cable] for link in own], dtype=np.int32),
+        own,
         cells.folded(membrane),
         cells.kinks(),
         cells.facets(),
