@@ -188,7 +188,12 @@ class System:
             from crms_fenicsx.cables.strip import StripShape
 
             assert self.network is not None
-            self.stick_slip.renew(slip_table(self.network, StripShape.of(self.scene)))
+            table = slip_table(self.network, StripShape.of(self.scene))
+            same = np.array_equal(table.blocks, self.stick_slip.table.blocks)
+            if not self.scene.comm.allreduce(same, op=MPI.LAND):
+                self.rebuild()  # a node has slid to where the cable lay, or away from there
+                return
+            self.stick_slip.renew(table)
         if self.capstan is not None:
             from crms_fenicsx.cables.capstan_tables import grip_table
             from crms_fenicsx.cables.strip import StripShape
