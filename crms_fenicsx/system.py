@@ -56,6 +56,7 @@ class System:
         self.pressure_value = fem.Constant(scene.mesh.mesh, PETSc.ScalarType(0.0))
         self.network: Network | None = None
         self.tables: CableTables | None = None
+        self.stick_slip: StickSlip | None = None
         self.tension: CableTension | None = None
         self.capstan: CapstanTension | None = None
         self.minimizer: Minimizer | None = None
@@ -79,7 +80,7 @@ class System:
         """Make layout, tables and solver anew for the scene as it is."""
         self.destroy()
         scene = self.scene
-        self.tables = self.tension = self.capstan = None
+        self.tables = self.stick_slip = self.tension = self.capstan = None
         if scene.cables:
             from crms_fenicsx.cables.crossings import arrange
             from crms_fenicsx.cables.network import Network
@@ -157,7 +158,6 @@ class System:
             for cable in self.scene.cables
             if cable.taut and cable.cable.sideways is not None
         }
-        self.stick_slip: StickSlip | None = None
         if not laws:
             return []
         from crms_fenicsx.cables.grip import align
@@ -399,3 +399,4 @@ class System:
             shape = StripShape.of(self.scene)
             for cable in self.scene.cables:
                 commit_axial(cable, shape)
+        self.renew_friction()  # slips count from here

@@ -20,12 +20,16 @@ import numpy.typing as npt
 
 from crms_fenicsx.cables.cable import LaidCable
 from crms_fenicsx.cables.contact import is_foot
-from crms_fenicsx.cables.contact_force import wrap_angles
+from crms_fenicsx.cables.contact_force import edge_direction, turns, wrap_angles
 from crms_fenicsx.cables.grip import SETTLED, held_nodes, succession, supports_of
 from crms_fenicsx.cables.slip import MaterialCurve, Support, material_place
 from crms_fenicsx.cables.strip import StripShape
 
 Array = npt.NDArray[np.float64]
+
+ACCURACY = 1e-4
+"""Change of the tensions, relative to the sum of the bounds, from which on these have settled. It
+costs one pass more than `SETTLED` would."""
 
 
 @dataclass(frozen=True)
@@ -114,38 +118,52 @@ def align_axial(cable: LaidCable) -> None:
 
 
 def rest_places(cable: LaidCable, shape: StripShape) -> RestPlaces:
-    """What rests at a cable's nodes, and how that changes along their edges."""
+    """What rests at a cable's nodes, and how that changes along their edges.
+
+    Notes
+    -----
+    A fold point that is moved along its edge by v takes the cable's material along by v . t, with t
+    the mean of the cable's directions before and after: divided by the stretch, this is the slope.
+    With it the forces of the tensions T1 and T2 and of friction on the fold point sum up to
+    ``(T1 + T2)/2 (t2 - t1)`` along the edge, which vanishes on a geodesic as without friction.
+    """
     grip = cable.axial
     assert grip is not None
-    nodes, curve = held_nodes(cable), grip.curve
+    nodes, contacts, direction = held_nodes(cable), cable.contacts(), turns(cable)
     places = np.array([material_place(cable, k, shape) for k in nodes]).reshape(-1, 3)
-    sides, size = np.zeros((len(nodes), 3)), np.zeros(len(nodes))
+    slope, size = np.zeros((2, len(nodes)))
     for i, k in enumerate(nodes):
         point = cable.nodes[k].point
         assert point is not None
-        if cable.nodes[k].slides:
-            a, b = (shape.stress_free_at(v) for v in point.support)
-            sides[i] = b - a
         around = shape.stress_free_normals[shape.strip.rows(point.support)]
         size[i] = np.linalg.norm(around, axis=1).mean() ** 0.5
-    at, _, parts = curve.nearest(places)
-    if not len(nodes) or np.any(parts < 0):  # the cable was nowhere on the membrane
-        zero = np.zeros(len(nodes))
-        return RestPlaces(nodes, zero, zero, zero, size)
-    first, last = curve.arc[0], curve.arc[-1]
-    before, after = np.maximum(at - size, first), np.minimum(at + size, last)
-    before, after = np.minimum(before, last - size / 2), np.maximum(after, first + size / 2)
-    rate = (_rest_at(grip, after) - _rest_at(grip, before)) / (after - before)
-    inside = np.clip(at, first, last)
-    rest = _rest_at(grip, inside) + rate * (at - inside)
-    slope = rate * np.sum(sides * curve.tangents(at, parts, size), axis=1)
+        if cable.nodes[k].slides and k in direction:
+            at = contacts.index(k)
+            stretch = 1 + cable.tensions[at - 1 : at + 1].mean() / cable.cable.EA
+            edge = edge_direction(cable, k, shape) * _edge_length(cable, k, shape)
+            slope[i] = edge @ np.add(*direction[k]) / (2 * stretch)
+    rest = _rest_at(grip, places)
     fractions = np.where(np.isnan(cable.fractions[nodes]), 0.0, cable.fractions[nodes])
     return RestPlaces(nodes, slope, rest - slope * fractions, rest, size)
 
 
-def _rest_at(grip: AxialGrip, at: Array) -> Array:
-    """Unstressed arcs that rest at places of the curve (length)."""
-    return np.interp(at, grip.curve.arc, grip.rest)
+def _edge_length(cable: LaidCable, k: int, shape: StripShape) -> float:
+    """Length of the edge of a node, through the node."""
+    point = cable.nodes[k].point
+    assert point is not None
+    return float(sum(np.linalg.norm(shape.at(v) - cable.positions[k]) for v in point.support))
+
+
+def _rest_at(grip: AxialGrip, places: Array) -> Array:
+    """Unstressed arcs that rest at places on the stress-free membrane (length)."""
+    at, _, parts = grip.curve.nearest(places)
+    if np.any(parts < 0):  # the cable was nowhere on the membrane
+        return np.zeros(len(places))
+    first, last = grip.curve.arc[[0, -1]]
+    inside = np.clip(at, first, last)
+    # beyond its ends, the cable as it is on the whole
+    rate = (grip.rest[-1] - grip.rest[0]) / (last - first)
+    return np.interp(inside, grip.curve.arc, grip.rest) + rate * (at - inside)
 
 
 class AxialLag:
@@ -155,7 +173,11 @@ class AxialLag:
         self.cable = cable
 
     def renew(self, shape: StripShape) -> float:
-        """Take the bounds from the current state; return their change, relative to their sum."""
+        """Take the bounds from the current state; return how far from settled they are.
+
+        That is `SETTLED` where the tensions change by `ACCURACY`, relative to the sum of the
+        bounds.
+        """
         from crms_fenicsx.cables.slip_chain import LAW, find_slips
 
         cable, grip = self.cable, self.cable.axial
@@ -176,9 +198,12 @@ class AxialLag:
         total, used = float(bounds.sum()), float(grip.bounds.sum())
         if used == 0.0 == total:
             return 0.0
-        change = float(np.abs(bounds - grip.bounds).sum()) / max(total, 1e-3 * used)
+        # What counts is the tension: as nodes move along their edges, neighbours share differently.
+        error = np.abs(np.cumsum(bounds - grip.bounds)).max()
+        change = float(error) / max(total, 1e-3 * used) * (SETTLED / ACCURACY)
         if change > SETTLED:  # the state found stays the one that belongs to its bounds
-            cable.axial = replace(grip, bounds=bounds, eps=eps)
+            tensions = _by_link(cable, EA * strains)
+            cable.axial = replace(grip, bounds=bounds, eps=eps, tensions=tensions)
         return change
 
 
@@ -229,11 +254,20 @@ def found(
     assert grip is not None
     cable.length = float(spans.sum())
     cable.tension = cable.cable.EA / cable.L0 * max(cable.length - cable.L0, 0.0)
-    span = np.searchsorted(held_nodes(cable), cable.contacts()[:-1], side="right")
-    arcs = np.cumsum(unstressed)[:-1]
     cable.axial = replace(
-        grip, tensions=tensions[span], spans=spans.copy(), arcs=arcs, slips=slips.copy(), loss=loss
+        grip,
+        tensions=_by_link(cable, tensions),
+        spans=spans.copy(),
+        arcs=np.cumsum(unstressed)[:-1],
+        slips=slips.copy(),
+        loss=loss,
     )
+
+
+def _by_link(cable: LaidCable, of_spans: Array) -> Array:
+    """Values of spans for the cable's parts between the nodes that it touches."""
+    span = np.searchsorted(held_nodes(cable), cable.contacts()[:-1], side="right")
+    return np.asarray(of_spans[span])
 
 
 def commit_axial(cable: LaidCable, shape: StripShape) -> None:
@@ -258,10 +292,13 @@ def _curve(
 
     Places under the cable where it is off the membrane count as well: there it may touch down.
     """
+    last = len(cable.nodes) - 1
     on = [
         k
         for k, node in enumerate(cable.nodes)
-        if node.point is not None and node.kind != "crossing" and not is_foot(cable, k)
+        if node.point is not None
+        and node.kind != "crossing"
+        and not (0 < k < last and is_foot(cable, k))
     ]
     points = np.array([material_place(cable, k, shape) for k in on]).reshape(-1, 3)
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
@@ -270,6 +307,5 @@ def _curve(
     curve = MaterialCurve(points, arc, np.zeros(len(on), dtype=np.int64), none, none)
     way = np.linalg.norm(np.diff(cable.positions, axis=0), axis=1)
     passed = np.concatenate([[0.0], np.cumsum(way)])
-    last = len(cable.nodes) - 1
     rest = np.interp(passed, passed[[0, *nodes, last]], [0.0, *arcs, cable.L0])
     return curve, rest[on]

@@ -166,17 +166,24 @@ def directions(
     along = before + after
     size = np.linalg.norm(along)
     along = along / size if size > 0.0 else before
-    up = outside - (outside @ along) * along
+    up: Array = outside - (outside @ along) * along
     if node.slides:
-        a, b = (shape.at(vertex) for vertex in node.point.support)
-        halves = [cable.positions[k] - a, b - cable.positions[k]]
-        sizes = [float(np.linalg.norm(half)) for half in halves]
-        edge = np.sum([h / s for h, s in zip(halves, sizes, strict=True) if s > 0.0], axis=0)
-        square = np.cross(edge / np.linalg.norm(edge), along)
+        square = np.cross(edge_direction(cable, k, shape), along)
         if np.linalg.norm(square) > ACROSS:
             up = square if square @ outside > 0 else -square
     up = np.asarray(up / np.linalg.norm(up), dtype=float)
     return up, np.asarray(np.cross(up, along), dtype=float)
+
+
+def edge_direction(cable: LaidCable, k: int, shape: StripShape) -> Array:
+    """Direction of the edge of a sliding node: the mean of its two halves, (3,)."""
+    point = cable.nodes[k].point
+    assert point is not None
+    a, b = (shape.at(vertex) for vertex in point.support)
+    halves = [cable.positions[k] - a, b - cable.positions[k]]
+    sizes = [float(np.linalg.norm(half)) for half in halves]
+    edge = np.sum([h / s for h, s in zip(halves, sizes, strict=True) if s > 0.0], axis=0)
+    return np.asarray(edge / np.linalg.norm(edge))
 
 
 def runs(cable: LaidCable) -> list[list[int]]:
