@@ -235,10 +235,10 @@ def test_tensions_converge_with_the_mesh(comm) -> None:
         ends.append(cable.tensions[[0, -1]])
     errors = np.abs(np.array(ends) / LIMIT - 1)
     assert np.all(errors[1] < 0.6 * errors[0])
-    assert np.all(errors[1] < 0.005)
+    assert np.all(errors[1] < 1.5e-3)
 
 
-LIMIT = (852.6, 1049.2)
+LIMIT = (853.2, 1049.7)
 """Tensions at the two ends, extrapolated; see benchmarks/capstan.py."""
 
 

@@ -168,7 +168,7 @@ def directions(
     along = along / size if size > 0.0 else before
     up: Array = outside - (outside @ along) * along
     if node.slides:
-        square = np.cross(edge_direction(cable, k, shape), along)
+        square = np.asarray(np.cross(edge_direction(cable, k, shape), along), dtype=float)
         if np.linalg.norm(square) > ACROSS:
             up = square if square @ outside > 0 else -square
     up = np.asarray(up / np.linalg.norm(up), dtype=float)
