@@ -130,7 +130,7 @@ class EquilibriumSearch:
         lags = self._lags()
         if not lags:
             return outcome
-        from crms_fenicsx.cables.grip import NEARLY, SETTLED
+        from crms_fenicsx.cables.grip import NEARLY
         from crms_fenicsx.cables.strip import StripShape
 
         change = 0.0
@@ -139,13 +139,16 @@ class EquilibriumSearch:
             if not outcome.converged:
                 return outcome
             shape = StripShape.of(self.scene)
-            change = max(lag.renew(shape) for lag in lags)
-            if change <= SETTLED:
+            changes = [lag.renew(shape) for lag in lags]
+            if all(c <= lag.settled for c, lag in zip(changes, lags, strict=True)):
                 return outcome
+            change = max(changes)
             logger.debug("pass %d: friction forces change by %.2g", passes, change)
             if change > NEARLY and self.paths is not None:
                 self.paths.withheld.clear()
             self.system.renew_friction()
+            if change <= NEARLY and not any(cable.has_coulomb for cable in self.scene.cables):
+                solve = self._settle  # friction along moves a path too little to try others again
             outcome = outcome + solve((0.0,))
         reason = f"friction forces still change by {change:.1%} after {MAX_PASSES} passes"
         return replace(outcome, converged=False, reason=reason)

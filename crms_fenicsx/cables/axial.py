@@ -9,6 +9,8 @@ The friction bound of a node follows from the angle of wrap and the tension ther
 minimisation does not know yet: it is held while the potential is minimised. Then the law
 ``T2/T1 = exp(mu theta)`` itself is solved for the lengths found (`crms_fenicsx.cables.slip_chain`),
 and gives the bounds for the next pass. Only lengths and angles change from pass to pass, little.
+A cable of which no bounds are known yet begins without friction: its lengths then are near to
+those sought, whereas one that sticks would have those that the movement of its ends tears it to.
 """
 
 from __future__ import annotations
@@ -21,15 +23,15 @@ import numpy.typing as npt
 from crms_fenicsx.cables.cable import LaidCable
 from crms_fenicsx.cables.contact import is_foot
 from crms_fenicsx.cables.contact_force import edge_direction, turns, wrap_angles
-from crms_fenicsx.cables.grip import SETTLED, held_nodes, succession, supports_of
+from crms_fenicsx.cables.grip import held_nodes, succession, supports_of
 from crms_fenicsx.cables.slip import MaterialCurve, Support, material_place
 from crms_fenicsx.cables.strip import StripShape
 
 Array = npt.NDArray[np.float64]
 
-ACCURACY = 1e-4
-"""Change of the tensions, relative to the sum of the bounds, from which on these have settled. It
-costs one pass more than `SETTLED` would."""
+SETTLED = 1e-4
+"""Change of the tensions, relative to the sum of the bounds, below which these have settled. What
+is sharper than sideways costs one short pass here."""
 
 
 @dataclass(frozen=True)
@@ -169,14 +171,17 @@ def _rest_at(grip: AxialGrip, places: Array) -> Array:
 class AxialLag:
     """Brings the bounds of one cable in a load step to those of the state that they lead to."""
 
+    settled = SETTLED
+
     def __init__(self, cable: LaidCable) -> None:
         self.cable = cable
 
     def renew(self, shape: StripShape) -> float:
-        """Take the bounds from the current state; return how far from settled they are.
+        """Take the bounds from the current state.
 
-        That is `SETTLED` where the tensions change by `ACCURACY`, relative to the sum of the
-        bounds.
+        Returns
+        -------
+        Change of the tension that follows from them, relative to their sum.
         """
         from crms_fenicsx.cables.slip_chain import LAW, find_slips
 
@@ -200,8 +205,8 @@ class AxialLag:
             return 0.0
         # What counts is the tension: as nodes move along their edges, neighbours share differently.
         error = np.abs(np.cumsum(bounds - grip.bounds)).max()
-        change = float(error) / max(total, 1e-3 * used) * (SETTLED / ACCURACY)
-        if change > SETTLED:  # the state found stays the one that belongs to its bounds
+        change = float(error) / max(total, 1e-3 * used)
+        if change > self.settled:  # the state found stays the one that belongs to its bounds
             tensions = _by_link(cable, EA * strains)
             cable.axial = replace(grip, bounds=bounds, eps=eps, tensions=tensions)
         return change

@@ -145,6 +145,8 @@ class Lag:
     taking them over converges slowly: their sum is found by the secant method instead.
     """
 
+    settled = SETTLED
+
     def __init__(self, cable: LaidCable) -> None:
         self.cable = cable
         self.change = np.inf
