@@ -231,13 +231,19 @@ class CapstanTension:
         self._add_links(x, sums, A)
 
     def _find_runs(self, sums: Array) -> list[_Run]:
-        """The cables between nodes that stick, slack parts left out."""
+        """The cables between nodes that stick, slack parts left out.
+
+        A node sticks if friction is stiffer there than the cable beside it: by ``force / slip``, as
+        many nodes have little slip and will stick as soon as they turn back.
+        """
         grips, lengths = self.grips, sums[: self.n_spans]
-        sticks = (grips.bound > 0.0) & (np.abs(self.slips) < grips.eps)
+        y = np.abs(self.slips) / grips.eps
+        stiffness = grips.bound / grips.eps * np.where(y < 1.0, 2.0 - y, 1.0 / np.maximum(y, 1.0))
         runs = []
         for c, EA in enumerate(self.chains.EA):
             spans, nodes = self.spans_of(c), self.nodes_of(c)
-            stuck = np.flatnonzero(sticks[nodes])
+            springs = EA / self.unstressed[spans]
+            stuck = np.flatnonzero(stiffness[nodes] > np.minimum(springs[1:], springs[:-1]))
             firsts, lasts = [0, *(stuck + 1)], [*stuck, spans.stop - spans.start - 1]
             for a, b in zip(firsts, lasts, strict=True):
                 own = slice(spans.start + int(a), spans.start + int(b) + 1)
