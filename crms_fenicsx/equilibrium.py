@@ -23,6 +23,8 @@ from crms_fenicsx.system import System
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.active import ActiveSet
+    from crms_fenicsx.cables.axial import AxialLag
+    from crms_fenicsx.cables.grip import Lag
     from crms_fenicsx.cables.retrace import Retracer
 
 logger = logging.getLogger("crms_fenicsx")
@@ -116,7 +118,7 @@ class EquilibriumSearch:
     def _begin_friction(self) -> None:
         """Let a load step begin for the cables with friction."""
         if all(cable.slides_freely for cable in self.scene.cables):
-            return
+            return  # friction along a cable begins with its grip from before
         from crms_fenicsx.cables.grip import begin
         from crms_fenicsx.cables.strip import StripShape
 
@@ -128,28 +130,45 @@ class EquilibriumSearch:
         self, outcome: Outcome, solve: Callable[[tuple[float, ...]], Outcome]
     ) -> Outcome:
         """Repeat a solve until the friction forces are those of its own state."""
-        from crms_fenicsx.cables.grip import NEARLY, SETTLED, Lag
-        from crms_fenicsx.cables.strip import StripShape
-
-        lags = [Lag(cable) for cable in self.scene.cables if cable.has_coulomb]
+        lags = self._lags()
         if not lags:
             return outcome
+        from crms_fenicsx.cables.grip import NEARLY
+        from crms_fenicsx.cables.strip import StripShape
+
         change = 0.0
         for passes in range(1, MAX_PASSES + 1):
             outcome = replace(outcome, passes=passes)
             if not outcome.converged:
                 return outcome
             shape = StripShape.of(self.scene)
-            change = max(lag.renew(shape) for lag in lags)
-            if change <= SETTLED:
+            changes = [lag.renew(shape) for lag in lags]
+            if all(c <= lag.settled for c, lag in zip(changes, lags, strict=True)):
                 return outcome
+            change = max(changes)
             logger.debug("pass %d: friction forces change by %.2g", passes, change)
             if change > NEARLY and self.paths is not None:
                 self.paths.withheld.clear()
             self.system.renew_friction()
+            if change <= NEARLY and not any(cable.has_coulomb for cable in self.scene.cables):
+                solve = self._settle  # friction along moves a path too little to try others again
             outcome = outcome + solve((0.0,))
         reason = f"friction forces still change by {change:.1%} after {MAX_PASSES} passes"
         return replace(outcome, converged=False, reason=reason)
+
+    def _lags(self) -> list[Lag | AxialLag]:
+        """What follows the friction forces of the cables, sideways and along."""
+        lags: list[Lag | AxialLag] = []
+        for cable in self.scene.cables:
+            if cable.has_coulomb:
+                from crms_fenicsx.cables.grip import Lag
+
+                lags.append(Lag(cable))
+            if cable.axial is not None:
+                from crms_fenicsx.cables.axial import AxialLag
+
+                lags.append(AxialLag(cable))
+        return lags
 
     def _slide(self, h0_prestress: tuple[float, ...]) -> Outcome:
         """Try new paths while the energy falls."""

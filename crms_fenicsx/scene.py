@@ -131,7 +131,8 @@ class Scene:
     @property
     def dissipated(self) -> float:
         """Energy that friction has dissipated in all load steps (force x length)."""
-        return sum(cable.grip.dissipated for cable in self.cables if cable.grip is not None)
+        grips = [grip for c in self.cables for grip in (c.grip, c.axial) if grip is not None]
+        return sum(grip.dissipated for grip in grips)
 
     @property
     def volume(self) -> float:

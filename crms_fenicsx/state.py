@@ -12,6 +12,7 @@ import numpy.typing as npt
 from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
+    from crms_fenicsx.cables.axial import AxialGrip
     from crms_fenicsx.cables.cable import CableNode, Crossing
     from crms_fenicsx.cables.grip import Grip
 
@@ -33,6 +34,7 @@ class CableState:
     taut: bool
     blocked: tuple[int, ...]
     grip: Grip | None
+    axial: AxialGrip | None
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ class State:
                 CableState(
                     c.nodes, c.positions.copy(), c.fractions.copy(), c.lifted.copy(),
                     c.material.copy(), c.L0, c.length, c.tension, c.taut, c.blocked,
-                    c.grip,
+                    c.grip, c.axial,
                 )
                 for c in scene.cables
             ),
@@ -73,7 +75,7 @@ class State:
                 was.nodes, was.positions.copy(), was.fractions.copy(), was.lifted.copy()
             )
             cable.material[:] = was.material
-            cable.grip = was.grip
+            cable.grip, cable.axial = was.grip, was.axial
         scene.crossings = [crossing for crossing, _ in self.crossings]
         for crossing, apart in self.crossings:
             crossing.apart = apart

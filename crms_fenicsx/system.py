@@ -20,6 +20,8 @@ from crms_fenicsx.scene import Scene
 from crms_fenicsx.unknowns import Unknowns
 
 if TYPE_CHECKING:
+    from crms_fenicsx.cables.cable import LaidCable
+    from crms_fenicsx.cables.capstan import CapstanTension
     from crms_fenicsx.cables.fold import FoldedCells, FoldEnergy
     from crms_fenicsx.cables.network import Member, Network
     from crms_fenicsx.cables.penalty import KinkPenalty
@@ -54,6 +56,9 @@ class System:
         self.pressure_value = fem.Constant(scene.mesh.mesh, PETSc.ScalarType(0.0))
         self.network: Network | None = None
         self.tables: CableTables | None = None
+        self.stick_slip: StickSlip | None = None
+        self.tension: CableTension | None = None
+        self.capstan: CapstanTension | None = None
         self.minimizer: Minimizer | None = None
         self.objective = 0.0
         """What the last solve has minimised; with friction more than the scene's energy."""
@@ -75,7 +80,7 @@ class System:
         """Make layout, tables and solver anew for the scene as it is."""
         self.destroy()
         scene = self.scene
-        self.tables = None
+        self.tables = self.stick_slip = self.tension = self.capstan = None
         if scene.cables:
             from crms_fenicsx.cables.crossings import arrange
             from crms_fenicsx.cables.network import Network
@@ -138,7 +143,7 @@ class System:
         self.tables = cable_tables(self.network, self.membrane)
         folded = self.tables.folded
         self.membrane.plain.x.array[folded.cells] = 0.0
-        terms: list[Term] = [self._tension_term(self.tables)]
+        terms = self._tension_terms(self.network, self.tables)
         # Every rank has the same terms, so that sums line up; folds may be on some ranks only.
         if self.scene.comm.allreduce(len(folded.cells), op=MPI.SUM) > 0:
             terms += [self._fold_term(folded), self._penalty_term(self.tables)]
@@ -153,7 +158,6 @@ class System:
             for cable in self.scene.cables
             if cable.taut and cable.cable.sideways is not None
         }
-        self.stick_slip: StickSlip | None = None
         if not laws:
             return []
         from crms_fenicsx.cables.grip import align
@@ -184,22 +188,56 @@ class System:
             from crms_fenicsx.cables.strip import StripShape
 
             assert self.network is not None
-            self.stick_slip.renew(slip_table(self.network, StripShape.of(self.scene)))
+            table = slip_table(self.network, StripShape.of(self.scene))
+            same = np.array_equal(table.blocks, self.stick_slip.table.blocks)
+            if not self.scene.comm.allreduce(same, op=MPI.LAND):
+                self.rebuild()  # a node has slid to where the cable lay, or away from there
+                return
+            self.stick_slip.renew(table)
+        if self.capstan is not None:
+            from crms_fenicsx.cables.capstan_tables import grip_table
+            from crms_fenicsx.cables.strip import StripShape
 
-    def _tension_term(self, tables: CableTables) -> CableTension:
+            assert self.network is not None
+            self.capstan.renew(grip_table(self.network, StripShape.of(self.scene)))
+
+    def _tension_terms(self, network: Network, tables: CableTables) -> list[Term]:
+        """Terms of the cables with one tension, and of those that friction holds along."""
+        taut = [cable for cable in self.scene.cables if cable.taut]
+        self._sliding = [cable for cable in taut if cable.axial is None]
+        self._gripped = [cable for cable in taut if cable.axial is not None]
+        terms: list[Term] = []
+        if self._sliding:
+            self.tension = self._tension_term(tables, taut)
+            terms.append(self.tension)
+        if self._gripped:
+            from crms_fenicsx.cables.axial import align_axial
+            from crms_fenicsx.cables.capstan import CapstanTension
+            from crms_fenicsx.cables.capstan_tables import chain_table, grip_table
+            from crms_fenicsx.cables.strip import StripShape
+
+            for cable in self._gripped:
+                align_axial(cable)
+            grips = grip_table(network, StripShape.of(self.scene))
+            L0 = np.array([cable.L0 for cable in self._gripped])
+            self.capstan = CapstanTension(chain_table(network, tables), grips, L0)
+            terms.append(self.capstan)
+        return terms
+
+    def _tension_term(self, tables: CableTables, taut: list[LaidCable]) -> CableTension:
         from crms_fenicsx.cables.tension import CableTension, StepCableTension
 
-        taut = [cable for cable in self.scene.cables if cable.taut]
-        EA, L0 = np.array([c.cable.EA for c in taut]), np.array([c.L0 for c in taut])
-        starts = [cable.step_start for cable in taut]
-        links = (tables.segments, tables.eps, tables.cable)
-        term = (
+        own = self._sliding
+        EA, L0 = np.array([c.cable.EA for c in own]), np.array([c.L0 for c in own])
+        starts = [cable.step_start for cable in own]
+        one = np.array([cable.axial is None for cable in taut])
+        mine, number = one[tables.cable], np.cumsum(one, dtype=np.int32) - np.int32(1)
+        links = (tables.segments[mine], tables.eps[mine], number[tables.cable[mine]])
+        return (
             StepCableTension(*links, EA, L0, starts)
             if any(starts)
             else CableTension(*links, EA, L0)
         )
-        self.tension: CableTension = term
-        return term
 
     def _fold_term(self, folded: FoldedCells) -> FoldEnergy:
         from crms_fenicsx.cables.fold import FoldEnergy
@@ -255,8 +293,10 @@ class System:
                     potential.x[block] = scene.cables[c].positions[k] - self.unknowns.X[block]
             self.unknowns.update_ghosts(potential.x_vector)  # far vertices, with rails on them
             self.network.place_rails(self.unknowns, potential.x)
-            if self.tables is not None:
-                self.tension.L0[:] = [cable.L0 for cable in scene.cables if cable.taut]
+            if self.tables is not None and self.tension is not None:
+                self.tension.L0[:] = [cable.L0 for cable in self._sliding]
+            if self.tables is not None and self.capstan is not None:
+                self.capstan.L0[:] = [cable.L0 for cable in self._gripped]
         potential.place()
 
     def push(self) -> None:
@@ -271,10 +311,10 @@ class System:
         for cable in scene.cables:
             cable.length = polyline_length(cable.positions[cable.contacts()])
             cable.tension = 0.0
-        if self.tables is not None:
+        if self.tables is not None and self.tension is not None:
             part = self.potential.sums_of(self.tension)
-            taut = [cable for cable in scene.cables if cable.taut]
-            for cable, length, force in zip(taut, part, self.tension.tensions(part), strict=True):
+            forces = self.tension.tensions(part)
+            for cable, length, force in zip(self._sliding, part, forces, strict=True):
                 cable.length, cable.tension = float(length), float(force)
         if "friction" in scene.energies:  # the state has what it stores; the rest is heat
             from crms_fenicsx.cables.grip import energies
@@ -282,6 +322,21 @@ class System:
 
             shape = StripShape.of(scene)
             scene.energies["friction"] = sum(energies(c, shape)[0] for c in scene.cables)
+        if self.tables is not None and self.capstan is not None:
+            self._push_gripped(self.capstan)
+
+    def _push_gripped(self, capstan: CapstanTension) -> None:
+        """Give the state of the cables that friction holds along back to the scene."""
+        from crms_fenicsx.cables.axial import found
+
+        energies, sums = self.scene.energies, self.potential.sums_of(capstan)
+        tensions, (stored, lost) = capstan.tensions(sums), capstan.friction(sums)
+        for c, cable in enumerate(self._gripped):
+            spans, nodes = capstan.spans_of(c), capstan.nodes_of(c)
+            unstressed, slips = capstan.unstressed[spans], capstan.slips[nodes]
+            found(cable, sums[spans], unstressed, tensions[spans], slips, float(lost[c]))
+        energies["cables"] -= float(stored.sum() + lost.sum())
+        energies["friction"] = energies.get("friction", 0.0) + float(stored.sum())
 
     def prepare(self) -> None:
         """Bring the potential up to date with the scene's parts and loads."""
@@ -340,3 +395,11 @@ class System:
             shape = StripShape.of(self.scene)
             for cable in self.scene.cables:
                 commit(cable, shape)
+        if any(cable.axial is not None for cable in self.scene.cables):
+            from crms_fenicsx.cables.axial import commit_axial
+            from crms_fenicsx.cables.strip import StripShape
+
+            shape = StripShape.of(self.scene)
+            for cable in self.scene.cables:
+                commit_axial(cable, shape)
+        self.renew_friction()  # slips count from here

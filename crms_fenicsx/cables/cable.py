@@ -15,6 +15,7 @@ from crms_fenicsx.cables.path import EdgePoint, Path, SurfacePoint, VertexPoint
 from crms_fenicsx.errors import InputError
 
 if TYPE_CHECKING:
+    from crms_fenicsx.cables.axial import AxialGrip
     from crms_fenicsx.cables.grip import Grip
 
 Array = npt.NDArray[np.float64]
@@ -53,6 +54,11 @@ class Cable:
             Friction(checks.finite("Cable: friction", self.friction))
         if self.law not in ("total", "step"):
             raise InputError(f"Cable: law = {self.law!r} is not known; use 'total' or 'step'.")
+        if self.law == "step" and self.along:
+            raise InputError(
+                f'Cable: law = "step" has one tension for the whole cable, but its friction has '
+                f'along = {self.along}; use law="total", or leave it out.'
+            )
 
     @property
     def sideways(self) -> Friction | None:
@@ -167,7 +173,8 @@ class CableEnd:
         outward = points[0] - points[1:]
         away = np.linalg.norm(outward, axis=1)
         first = int(np.argmax(away > COINCIDENT * cable.length))
-        return np.asarray(cable.tension * outward[first] / away[first])
+        tension = cable.tensions[0 if self.which == "start" else -1]
+        return np.asarray(tension * outward[first] / away[first])
 
 
 @dataclass
@@ -204,7 +211,8 @@ class LaidCable:
     L0
         Unstressed length (length).
     length, tension
-        Current length and tension (force).
+        Current length and tension (force). With friction along the cable this is the mean tension
+        by unstressed length, ``EA (length - L0)/L0`` as without; see `tensions`.
     step_start
         State at the start of a step, where the cable has the step-wise law.
     taut
@@ -221,7 +229,9 @@ class LaidCable:
     blocked
         Nodes that have run into a mesh vertex.
     grip
-        What friction holds it with; None before its first load step, or without friction.
+        What friction holds it with sideways; None before its first load step, or without.
+    axial
+        What friction holds it with along its axis; None without.
     """
 
     name: str
@@ -241,6 +251,7 @@ class LaidCable:
     ends_before: Array | None = None
     blocked: tuple[int, ...] = ()
     grip: Grip | None = None
+    axial: AxialGrip | None = None
 
     def __post_init__(self) -> None:
         self.material = np.full_like(self.positions, np.nan)
@@ -255,6 +266,14 @@ class LaidCable:
         """Whether friction with stick and slip holds it sideways."""
         friction = self.cable.sideways
         return friction is not None and friction.law == "coulomb"
+
+    @property
+    def tensions(self) -> Array:
+        """Tensions of its parts between the nodes that it touches, in order (force)."""
+        parts = int(np.count_nonzero(~self.lifted)) - 1
+        if self.axial is not None and self.taut and len(self.axial.tensions) == parts:
+            return self.axial.tensions
+        return np.full(parts, self.tension)
 
     @property
     def start(self) -> CableEnd:

@@ -65,7 +65,8 @@ def contact_forces(cable: LaidCable, shape: StripShape) -> ContactForces:
     Notes
     -----
     With e the direction of the edge at a node, t1 and t2 those of the cable before and after, and t
-    their mean, ``normal = -T (t2 - t1) . n`` with n = e x t to the outside. Where cables cross, the
+    their mean, ``normal = -(T2 t2 - T1 t1) . n`` with n = e x t to the outside; the tensions T1 and
+    T2 differ where friction along the cable holds it. Where cables cross, the
     upper one presses on the lower and not on the membrane: what the lower hands on is in its own
     forces beside the crossing.
     """
@@ -74,17 +75,36 @@ def contact_forces(cable: LaidCable, shape: StripShape) -> ContactForces:
     line = np.full(n, np.nan)
     if not cable.taut:
         return ContactForces(normal, lateral, bearing, line)
+    first, last = _tensions_at(cable)
     for k, (before, after) in turns(cable).items():
         if cable.nodes[k].kind == "crossing":
             continue
         up, left = directions(cable, k, shape, before, after)
-        pull = cable.tension * (after - before)
+        pull = last[k] * after - first[k] * before
         normal[k], lateral[k] = -pull @ up, pull @ left
     for run in runs(cable):
         _smooth(cable, run, shape, normal, bearing, line)
     if cable.sleeve:  # it bears from below as well
         return ContactForces(normal, lateral, np.abs(bearing), np.abs(line))
     return ContactForces(normal, lateral, np.maximum(bearing, 0.0), line)
+
+
+def wrap_angles(cable: LaidCable, shape: StripShape) -> Array:
+    """Angle by which the cable wraps the membrane at each node, (n,).
+
+    It is the turn around the membrane that the normal contact force comes from, without the turn
+    sideways, and smoothed like that force; zero where the membrane would be pulled.
+    """
+    angles, wrap = np.zeros((2, len(cable.nodes)))
+    for k, (before, after) in turns(cable).items():
+        if cable.nodes[k].kind != "crossing":
+            up, _ = directions(cable, k, shape, before, after)
+            half = np.clip((before - after) @ up / 2, -1.0, 1.0)
+            angles[k] = 2 * np.arcsin(half)
+    line = np.zeros_like(angles)
+    for run in runs(cable):
+        _smooth(cable, run, shape, angles, wrap, line)
+    return np.abs(wrap) if cable.sleeve else np.maximum(wrap, 0.0)
 
 
 def paper_forces(cable: LaidCable) -> Array:
@@ -113,6 +133,14 @@ def paper_forces(cable: LaidCable) -> Array:
     return forces
 
 
+def _tensions_at(cable: LaidCable) -> tuple[Array, Array]:
+    """Tensions before and after each node that the cable touches, (n,); zero elsewhere."""
+    contacts = cable.contacts()
+    first, last = np.zeros((2, len(cable.nodes)))
+    first[contacts[1:]], last[contacts[:-1]] = cable.tensions, cable.tensions
+    return first, last
+
+
 def turns(cable: LaidCable) -> dict[int, tuple[Array, Array]]:
     """Directions of the cable before and after each node that it touches but its ends."""
     contacts = cable.contacts()
@@ -138,17 +166,24 @@ def directions(
     along = before + after
     size = np.linalg.norm(along)
     along = along / size if size > 0.0 else before
-    up = outside - (outside @ along) * along
+    up: Array = outside - (outside @ along) * along
     if node.slides:
-        a, b = (shape.at(vertex) for vertex in node.point.support)
-        halves = [cable.positions[k] - a, b - cable.positions[k]]
-        sizes = [float(np.linalg.norm(half)) for half in halves]
-        edge = np.sum([h / s for h, s in zip(halves, sizes, strict=True) if s > 0.0], axis=0)
-        square = np.cross(edge / np.linalg.norm(edge), along)
+        square = np.asarray(np.cross(edge_direction(cable, k, shape), along), dtype=float)
         if np.linalg.norm(square) > ACROSS:
             up = square if square @ outside > 0 else -square
     up = np.asarray(up / np.linalg.norm(up), dtype=float)
     return up, np.asarray(np.cross(up, along), dtype=float)
+
+
+def edge_direction(cable: LaidCable, k: int, shape: StripShape) -> Array:
+    """Direction of the edge of a sliding node: the mean of its two halves, (3,)."""
+    point = cable.nodes[k].point
+    assert point is not None
+    a, b = (shape.at(vertex) for vertex in point.support)
+    halves = [cable.positions[k] - a, b - cable.positions[k]]
+    sizes = [float(np.linalg.norm(half)) for half in halves]
+    edge = np.sum([h / s for h, s in zip(halves, sizes, strict=True) if s > 0.0], axis=0)
+    return np.asarray(edge / np.linalg.norm(edge))
 
 
 def runs(cable: LaidCable) -> list[list[int]]:

@@ -25,14 +25,18 @@ class Friction:
         Coefficient for a cable that is at rest, `mu` or more; None: as `mu`.
     along
         Coefficient against sliding along the cable's axis; with one the tension varies along the
-        cable. 0: the cable slides along itself freely, assumption 6 of the paper.
+        cable, between two nodes by ``exp(along * angle)`` at most (`LaidCable.tensions`). It sticks
+        and slides independently of `mu`: where a cable does both, the limit of the friction force
+        is a box and not a circle. An unstressed length that changes is taken in or let out at the
+        cable's last end. 0: the cable slides along itself freely, assumption 6 of the paper.
     law
         "coulomb": stick and slip. "step": the paper's friction element (section 3.3), whose force
         keeps its direction and size in a load step (assumption 7), so that nothing can stick: a
         cable that should stay is pushed back.
     tolerance
-        Elastic slip at which the friction force is fully mobilised, relative to the size of the
-        cells: the width that the jump of the friction force is smoothed to.
+        Elastic slip at which the friction force is fully mobilised: the width that the jump of the
+        friction force is smoothed to. Sideways it is relative to the size of the cells, along the
+        cable to what the friction force of a node stretches the cable by in a cell.
 
     Raises
     ------

@@ -90,7 +90,7 @@ def begin(cable: LaidCable, shape: StripShape) -> None:
     align(cable)
     friction, n = cable.cable.sideways, len(cable.grip.supports)
     if friction.law == "step":
-        bounds = friction.mu * paper_forces(cable)[_numbers(cable)]
+        bounds = friction.mu * paper_forces(cable)[held_nodes(cable)]
         ways = _ways(cable, cable.grip, shape)
         cable.grip = replace(cable.grip, bounds=bounds, moving=ways, known=True)
     elif not cable.grip.known:
@@ -104,7 +104,7 @@ def _ways(cable: LaidCable, grip: Grip, shape: StripShape) -> Array:
 
     As in the last step; what has not slid goes where the cable pulls it, if it does.
     """
-    numbers = _numbers(cable)
+    numbers = held_nodes(cable)
     pull = contact_forces(cable, shape).lateral[numbers]
     ways: Array = np.sign(pull) * (np.abs(pull) > NOISE * cable.tension)
     slips = node_slips(cable, grip.curve, shape)
@@ -116,27 +116,45 @@ def _ways(cable: LaidCable, grip: Grip, shape: StripShape) -> Array:
 def align(cable: LaidCable) -> None:
     """Bring the bounds to the nodes that the cable has now."""
     grip = cable.grip
-    if grip is None or (now := tuple(_supports(cable))) == grip.supports:
+    if grip is None or (now := tuple(supports_of(cable))) == grip.supports:
         return
+    stays, rows, heirs = succession(grip.supports, now)
     bounds, moving = np.zeros(len(now)), np.zeros(len(now))
-    old = {support: k for k, support in enumerate(grip.supports)}
-    stays = [k for k, support in enumerate(now) if support in old]
-    rows = [old[now[k]] for k in stays]
+    bounds[stays], moving[stays] = grip.bounds[rows], grip.moving[rows]
+    for gone, new in heirs:
+        bounds[new] += float(grip.bounds[gone].sum()) / len(new)
+        strongest = int(np.argmax(np.abs(grip.moving[gone])))
+        for k in new:
+            moving[k] = moving[k] or grip.moving[gone][strongest]
+    cable.grip = replace(grip, supports=now, bounds=bounds, moving=moving)
+
+
+def succession(
+    old: Sequence[Support], now: Sequence[Support]
+) -> tuple[list[int], list[int], list[tuple[slice, list[int]]]]:
+    """How the nodes of a changed path follow on those of the old one.
+
+    Returns
+    -------
+    stays, rows
+        Nodes that stay, and what they were.
+    heirs
+        Old nodes that go, a stretch at a time, with those that take their place: the new ones
+        there, or the neighbours.
+    """
+    was = {support: k for k, support in enumerate(old)}
+    stays = [k for k, support in enumerate(now) if support in was]
+    rows = [was[now[k]] for k in stays]
     if sorted(rows) != rows:  # no such path comes from this one
         stays, rows = [], []
-    bounds[stays], moving[stays] = grip.bounds[rows], grip.moving[rows]
     starts, ends = [-1, *stays], [*stays, len(now)]
-    was_starts, was_ends = [-1, *rows], [*rows, len(grip.supports)]
+    was_starts, was_ends = [-1, *rows], [*rows, len(old)]
+    heirs = []
     for a, b, c, d in zip(starts, ends, was_starts, was_ends, strict=True):
-        gone, new = slice(c + 1, d), list(range(a + 1, b))
-        freed = float(grip.bounds[gone].sum())
-        new = new or [k for k in (a, b) if 0 <= k < len(now)]
+        new = list(range(a + 1, b)) or [k for k in (a, b) if 0 <= k < len(now)]
         if new and d > c + 1:
-            bounds[new] += freed / len(new)
-            strongest = int(np.argmax(np.abs(grip.moving[gone])))
-            for k in new:
-                moving[k] = moving[k] or grip.moving[gone][strongest]
-    cable.grip = replace(grip, supports=now, bounds=bounds, moving=moving)
+            heirs.append((slice(c + 1, d), new))
+    return stays, rows, heirs
 
 
 class Lag:
@@ -148,6 +166,8 @@ class Lag:
     taken, by Aitken's rule for vectors (B. M. Irons and R. C. Tuck, Int. J. Numer. Meth. Engng 1,
     1969).
     """
+
+    settled = SETTLED
 
     def __init__(self, cable: LaidCable) -> None:
         self.cable = cable
@@ -176,9 +196,8 @@ class Lag:
         if not grip.known or np.any(moving != grip.moving):  # another law from here on
             self._forget()
         elif total > 0.0 < used:
-            before: Array = grip.bounds / used
-            after: Array = found / total
-            found = self._add_up(used, total) * self._divide(grip.supports, before, after)
+            shares = np.asarray(grip.bounds / used), np.asarray(found / total)
+            found = self._add_up(used, total) * self._divide(grip.supports, *shares)
         cable.grip = replace(grip, bounds=found, moving=moving, known=True)
         return self.change
 
@@ -216,7 +235,7 @@ def _bounds(cable: LaidCable, grip: Grip, shape: StripShape, settled: bool) -> t
     in_motion = (moving[rows] != 0.0) | (slips.moving * slips.slip > 0.0)
     coefficients = np.full(len(grip.supports), friction.at_rest)
     coefficients[rows] = np.where(in_motion, friction.mu, friction.at_rest)
-    return coefficients * contact_forces(cable, shape).bearing[_numbers(cable)], moving
+    return coefficients * contact_forces(cable, shape).bearing[held_nodes(cable)], moving
 
 
 def energies(cable: LaidCable, shape: StripShape) -> tuple[float, float]:
@@ -244,7 +263,7 @@ def friction_forces(cable: LaidCable, shape: StripShape) -> Array:
     """
     friction, grip = cable.cable.sideways, cable.grip
     assert friction is not None and grip is not None
-    pull = contact_forces(cable, shape).lateral[_numbers(cable)]
+    pull = contact_forces(cable, shape).lateral[held_nodes(cable)]
     forces = np.clip(pull, -grip.bounds, grip.bounds)
     slips = node_slips(cable, grip.curve, shape)
     rows = [grip.row_of[support] for support in slips.supports]
@@ -286,7 +305,7 @@ def _support(cable: LaidCable, k: int) -> Support:
     return point.support
 
 
-def _numbers(cable: LaidCable) -> list[int]:
+def held_nodes(cable: LaidCable) -> list[int]:
     """Nodes that friction may hold: those that touch the membrane, inside of the cable's ends."""
     return [
         k
@@ -295,5 +314,6 @@ def _numbers(cable: LaidCable) -> list[int]:
     ]
 
 
-def _supports(cable: LaidCable) -> Sequence[Support]:
-    return [_support(cable, k) for k in _numbers(cable)]
+def supports_of(cable: LaidCable) -> Sequence[Support]:
+    """Places of these nodes on the mesh."""
+    return [_support(cable, k) for k in held_nodes(cable)]

@@ -81,6 +81,10 @@ def lay(
         energy = laid.tension * (length - laid.L0) / 2
         laid.step_start = StepStart(laid.tension, length, energy)
     laid.taut = cable.law == "step" or laid.tension > 0
+    if cable.along > 0:
+        from crms_fenicsx.cables.axial import laid_grip
+
+        laid.axial = laid_grip(laid, shape)
     scene.cables.append(laid)
     return laid
 

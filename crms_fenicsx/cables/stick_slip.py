@@ -140,7 +140,7 @@ class StickSlip:
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Add the friction forces."""
         t = self.table
-        _add_forces(t.pointers, t.blocks, self._gradients, self._force, t.slope, g)
+        add_slip_forces(t.pointers, t.blocks, self._gradients, self._force, t.slope, g)
 
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add the stiffness ``force / slip`` against the slip.
@@ -163,7 +163,8 @@ class StickSlip:
 
 
 @numba.njit(cache=True)
-def _add_forces(pointers, blocks, gradients, force, slope, g):  # type: ignore[no-untyped-def]
+def add_slip_forces(pointers, blocks, gradients, force, slope, g):  # type: ignore[no-untyped-def]
+    """Add ``sum force * slope * d(fractions)/dx`` to g, (n_blocks, 3)."""
     for k in range(force.shape[0]):
         for q in range(pointers[k], pointers[k + 1]):
             for i in range(3):

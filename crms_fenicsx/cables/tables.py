@@ -37,6 +37,8 @@ class CableTables:
     ----------
     segments : (n, 2), eps : (n,), cable : (n,)
         Segments of the cables' polylines, their smoothing, and the cable's place among the taut.
+    links
+        Which nodes of which cables the segments join.
     folded : FoldedCells
         Cells with folded sides.
     kinks : list of (corner blocks (4,), row of `folded`, fold point)
@@ -48,6 +50,7 @@ class CableTables:
     segments: Indices
     eps: Array
     cable: Indices
+    links: list[Link]
     folded: FoldedCells
     kinks: list[tuple[tuple[int, int, int, int], int, Member]]
     facets: Facets
@@ -80,6 +83,7 @@ def cable_tables(network: Network, membrane: MembraneEnergy) -> CableTables:
         np.array(segments, dtype=np.int32).reshape(-1, 2),
         np.array([_smoothing(network, link, sizes) for link in own]),
         np.array([taut[link.cable] for link in own], dtype=np.int32),
+        own,
         cells.folded(membrane),
         cells.kinks(),
         cells.facets(),

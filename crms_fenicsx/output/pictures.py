@@ -366,11 +366,15 @@ def _paint_lines(
                 of_piece = given[segment] + middle * (given[segment + 1] - given[segment])
             else:
                 of_piece = np.broadcast_to(given, len(np.asarray(line.points)) - 1)[segment]
+        if len(seen) >= 2 * _SHORTEST:  # no specks of what is hidden all around
+            starts = np.flatnonzero(np.r_[True, seen[1:] != seen[:-1]])
+            for start, end in zip(starts, [*starts[1:], len(seen)], strict=True):
+                seen[start:end] &= end - start >= _SHORTEST
         # a run: pieces that are seen, one after the other, in one colour and style
         kinds = np.column_stack([seen, of_piece, off[number][segment]])
         starts = np.flatnonzero(np.r_[True, np.any(kinds[1:] != kinds[:-1], axis=1)])
         for start, end in zip(starts, [*starts[1:], len(seen)], strict=True):
-            if seen[start] and (end - start >= _SHORTEST or len(seen) < 2 * _SHORTEST):
+            if seen[start]:
                 runs.append(nodes[start : end + 1, :2])
                 run_values.append(float(of_piece[start]))
                 run_off.append(bool(off[number][segment[start]]))

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from crms_fenicsx.output.history import History, Value
 from crms_fenicsx.output.shapes import Line, Surface
@@ -13,6 +14,7 @@ from crms_fenicsx.results import gained_volume, membrane_results
 from crms_fenicsx.shape import current_surface
 
 if TYPE_CHECKING:
+    from crms_fenicsx.cables.cable import LaidCable
     from crms_fenicsx.output.paraview import Series
     from crms_fenicsx.scene import Scene
     from crms_fenicsx.solver import Step
@@ -37,7 +39,8 @@ class Recorder:
         of the dead load, once there is one), "energy" and
         that of each kind of term ("energy membrane"), "dissipated" by friction in all steps and
         "passes" of friction forces (once a cable has friction), "volume" gained (once there is
-        pressure), "tension", "length" and "L0" of each cable by its name ("tension cable 1"),
+        pressure), "tension", "length" and "L0" of each cable by its name ("tension cable 1"; with
+        friction along it also "tension cable 1 start" and "... end"),
         "blocked points" (fold points that have run into a vertex), and what the solve took:
         "iterations",
         "evaluations", "factorizations", "solves", "flips", "residual" (force), "seconds".
@@ -82,13 +85,16 @@ class Recorder:
             row["load"] = scene.load
         row["energy"] = step.energy
         row |= {f"energy {name}": value for name, value in step.energies.items()}
-        if any(cable.grip is not None for cable in scene.cables):
+        if any(cable.grip is not None or cable.axial is not None for cable in scene.cables):
             row["dissipated"] = scene.dissipated
             row["passes"] = outcome.passes
         if scene.pressure != 0.0 or "volume" in self.history.columns:
             row["volume"] = gained_volume(scene)
         for cable in scene.cables:
             row[f"tension {cable.name}"] = cable.tension
+            if cable.axial is not None:
+                row[f"tension {cable.name} start"] = float(cable.tensions[0])
+                row[f"tension {cable.name} end"] = float(cable.tensions[-1])
             row[f"length {cable.name}"] = cable.length
             row[f"L0 {cable.name}"] = cable.L0
         if scene.cables:
@@ -121,8 +127,9 @@ class Recorder:
 def cable_lines(scene: Scene) -> list[Line]:
     """The scene's cables as lines, the same on all ranks. Collective.
 
-    They know their tension, which of their points are lifted off the membrane, and how hard they
-    press on it: "contact force", per length of cable, zero where they do not touch it.
+    They know their tension, of each segment where friction along the cable makes it vary, which of
+    their points are lifted off the membrane, and how hard they press on it: "contact force", per
+    length of cable, zero where they do not touch it.
     """
     if not scene.cables:
         return []
@@ -134,7 +141,7 @@ def cable_lines(scene: Scene) -> list[Line]:
         Line(
             np.array(cable.positions),
             {
-                "tension": cable.tension,
+                "tension": _tension_of(cable),
                 "lifted": cable.lifted.astype(np.float64),
                 "contact force": np.nan_to_num(contact_forces(cable, shape).line),
             },
@@ -142,3 +149,10 @@ def cable_lines(scene: Scene) -> list[Line]:
         )
         for cable in scene.cables
     ]
+
+
+def _tension_of(cable: LaidCable) -> float | npt.NDArray[np.float64]:
+    """One tension, or that of each segment."""
+    if cable.axial is None:
+        return cable.tension
+    return cable.tensions[np.cumsum(~cable.lifted)[:-1] - 1]

@@ -1,0 +1,337 @@
+"""Cables with friction along their axis: strain energy and friction, with stick and slip.
+
+The tension T_k of such a cable varies from span to span between the nodes at which the membrane
+holds it. Its energy is
+
+    sum over spans EA/2 <l_k - d_k>^2 / d_k  +  sum over nodes B_k eps_k f(s_k/eps_k),
+
+l_k the current length of a span, d_k the unstressed length that it has at the moment, s_k the slip
+of the cable along itself at a node, counted on the unstressed cable. The slips are no unknowns of
+the solver: for the lengths of the spans, which every rank knows from the one reduction, they are
+those that minimise this energy (`crms_fenicsx.cables.slip_chain`). So the derivative by l_k is T_k.
+
+The unstressed arc that rests at a fold point depends on its place on its edge, as an edge is not
+square to the cable: ``rest = slope * fraction + offset``. Without that the cable's friction along
+itself would hold it sideways as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from petsc4py import PETSc
+
+from crms_fenicsx.cables.blocks import ElementPattern, SegmentPattern
+from crms_fenicsx.cables.length import add_segment_forces, segment_lengths, segment_stiffness
+from crms_fenicsx.cables.slip_chain import ENERGY, find_slips
+from crms_fenicsx.cables.stick_slip import add_slip_forces, edge_fractions, friction_energy
+from crms_fenicsx.unknowns import Unknowns
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int32]
+
+MOST_DYADS = 8
+"""Columns of H0 for one cable. Each costs a solve; parts of the cable beyond are taken stiffer."""
+
+
+@dataclass(frozen=True)
+class Grips:
+    """What holds the cables at their nodes, the same on all ranks: bounds and places of rest.
+
+    Attributes
+    ----------
+    offset : (n_nodes,)
+        Unstressed arc that rests at place zero of a node's edge (length).
+    bound, eps : (n_nodes,)
+        B (force), and the slip at which it is reached (length).
+    slips : (n_nodes,)
+        Where to begin to look for the slips (length).
+    slope : (n,)
+        Unstressed arc by place on the edge, of this rank's fold points (length).
+    """
+
+    offset: Array
+    bound: Array
+    eps: Array
+    slips: Array
+    slope: Array
+
+
+@dataclass(frozen=True)
+class Chains:
+    """Cables with friction along their axis.
+
+    Attributes
+    ----------
+    EA : (n_cables,)
+        Axial stiffness (force).
+    starts : (n_cables + 1,)
+        First span of each cable, and the number of all spans. Cable c has the nodes from
+        ``starts[c] - c`` on.
+    segments : (n, 2), smoothing : (n,), span : (n,)
+        This rank's segments, the smoothing of their lengths, and their spans.
+    pointers, blocks, place : CSR
+        Blocks along the edges of the fold points near to this rank's cells, and which of them the
+        fold point is; see `crms_fenicsx.cables.stick_slip.Slips`.
+    node, owned
+        Number of each such fold point among all nodes, and whether this rank owns its edge.
+    """
+
+    EA: Array
+    starts: npt.NDArray[np.int64]
+    segments: Indices
+    smoothing: Array
+    span: Indices
+    pointers: Indices
+    blocks: Indices
+    place: Indices
+    node: Indices
+    owned: npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class _Run:
+    """Spans of a cable between two nodes at which it sticks: they share one elongation."""
+
+    first: int
+    last: int
+    nodes: tuple[int, int]
+    stiffness: float
+    stretch: float
+
+
+class CapstanTension:
+    """Strain energy of cables with friction along their axis, and the potential of that friction.
+
+    Parameters
+    ----------
+    chains
+        The cables.
+    grips
+        What holds them.
+    L0 : (n_cables,)
+        Unstressed lengths (length). Changed in place between solves.
+    """
+
+    name = "cables"
+
+    def __init__(self, chains: Chains, grips: Grips, L0: Array) -> None:
+        self.chains, self.grips, self.L0 = chains, grips, L0
+        c = chains
+        self.n_spans, self.n_nodes = int(c.starts[-1]), int(c.starts[-1]) - len(c.EA)
+        self.n_sums = self.n_spans + self.n_nodes
+        self._lengths, self._forces = np.zeros((2, len(c.segments)))
+        self._fractions, self._pulls = np.zeros((2, len(c.place)))
+        self._gradients = np.zeros((len(c.blocks), 3))
+        self.slips, self.unstressed = grips.slips.copy(), np.zeros(self.n_spans)
+        self._friction, self._force = np.zeros(len(c.EA)), np.zeros(self.n_nodes)
+        self._solved: Array | None = None
+        self._runs: list[_Run] = []
+        self.pattern = SegmentPattern(c.segments)
+        self._prepare_links()
+
+    def attach(self, unknowns: Unknowns) -> None:
+        """Use the positions of this layout."""
+        self.unknowns = unknowns
+
+    def renew(self, grips: Grips) -> None:
+        """Take other bounds and places of rest for the same nodes."""
+        self.grips, self.slips, self._solved = grips, grips.slips.copy(), None
+
+    def spans_of(self, c: int) -> slice:
+        """Spans of a cable."""
+        return slice(int(self.chains.starts[c]), int(self.chains.starts[c + 1]))
+
+    def nodes_of(self, c: int) -> slice:
+        """Nodes of a cable that friction holds."""
+        return slice(int(self.chains.starts[c]) - c, int(self.chains.starts[c + 1]) - c - 1)
+
+    def sums(self, x: Array, out: Array) -> None:
+        """This rank's part of the spans' lengths, and what rests at its nodes, less the offset."""
+        c, X = self.chains, self.unknowns.X
+        segment_lengths(X, x, c.segments, c.smoothing, self._lengths)
+        edge_fractions(X, x, c.pointers, c.blocks, c.place, self._fractions, self._gradients)
+        out[:] = 0.0
+        np.add.at(out, c.span, self._lengths)
+        own = self.n_spans + c.node[c.owned]
+        out[own] = (self.grips.slope * self._fractions)[c.owned]
+
+    def _solve(self, sums: Array) -> None:
+        """Slips and unstressed lengths for these sums, friction and its forces."""
+        if self._solved is not None and np.array_equal(sums, self._solved):
+            return
+        grips = self.grips
+        lengths, rest = sums[: self.n_spans], sums[self.n_spans :] + grips.offset
+        for c, EA in enumerate(self.chains.EA):
+            spans, nodes = self.spans_of(c), self.nodes_of(c)
+            eps = grips.eps[nodes]
+            found = find_slips(
+                ENERGY, lengths[spans], rest[nodes], self.L0[c], grips.bound[nodes] / EA, eps,
+                self.slips[nodes], self.unstressed[spans],
+            )  # fmt: skip
+            self._friction[c] = friction_energy(
+                self.slips[nodes], grips.bound[nodes], eps, self._force[nodes]
+            )
+            if found < 0:  # the line search comes back from there
+                self._friction[c] = np.nan
+        self._solved = sums.copy()
+
+    def tensions(self, sums: Array) -> Array:
+        """Tension of each span (force)."""
+        self._solve(sums)
+        EA = np.repeat(self.chains.EA, np.diff(self.chains.starts))
+        elongation = sums[: self.n_spans] - self.unstressed
+        return np.asarray(EA * np.maximum(elongation, 0.0) / self.unstressed)
+
+    def strain_energies(self, sums: Array) -> Array:
+        """Strain energy of each cable (force x length)."""
+        EA = np.repeat(self.chains.EA, np.diff(self.chains.starts))
+        energies = self.tensions(sums) ** 2 * self.unstressed / (2 * EA)
+        return np.add.reduceat(energies, self.chains.starts[:-1])
+
+    def friction(self, sums: Array) -> tuple[Array, Array]:
+        """The energy that friction stores and dissipates, of each cable (force x length).
+
+        Of the potential B eps f(s/eps) the part up to the slip eps is elastic.
+        """
+        self._solve(sums)
+        grips, slips = self.grips, np.abs(self.slips)
+        stored, lost = np.zeros((2, len(self.chains.EA)))
+        loss = grips.bound * np.maximum(slips - grips.eps, 0.0)
+        for c in range(len(lost)):
+            lost[c] = loss[self.nodes_of(c)].sum()
+            stored[c] = max(self._friction[c] - lost[c], 0.0)
+        return stored, lost
+
+    def energy(self, sums: Array) -> float:
+        """Strain energy and friction potential (force x length)."""
+        return float(self.strain_energies(sums).sum() + self._friction.sum())
+
+    def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
+        """Add the tensions' nodal forces, and the friction's along the edges."""
+        c = self.chains
+        np.take(self.tensions(sums), c.span, out=self._forces)
+        add_segment_forces(self.unknowns.X, x, c.segments, c.smoothing, self._forces, g)
+        self._pulls[:] = np.where(c.owned, -self._force[c.node], 0.0)
+        self._add_rest(self._pulls, g)
+
+    def _add_rest(self, weights: Array, g: Array) -> None:
+        """Add the gradient of what rests at this rank's fold points, weighted."""
+        c = self.chains
+        add_slip_forces(c.pointers, c.blocks, self._gradients, weights, self.grips.slope, g)
+
+    def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+        """Add the geometric stiffness, and that of single spans between nodes that stick."""
+        c = self.chains
+        forces = self.tensions(sums)[c.span]
+        segment_stiffness(self.unknowns.X, x, c.segments, c.smoothing, forces, self.pattern.values)
+        self.pattern.add(A, self.unknowns)
+        self._add_links(x, sums, A)
+
+    def _find_runs(self, sums: Array) -> list[_Run]:
+        """The cables between nodes that stick, slack parts left out.
+
+        A node sticks if friction is stiffer there than the cable beside it: by ``force / slip``, as
+        many nodes have little slip and will stick as soon as they turn back.
+        """
+        grips, lengths = self.grips, sums[: self.n_spans]
+        y = np.abs(self.slips) / grips.eps
+        stiffness = grips.bound / grips.eps * np.where(y < 1.0, 2.0 - y, 1.0 / np.maximum(y, 1.0))
+        runs = []
+        for c, EA in enumerate(self.chains.EA):
+            spans, nodes = self.spans_of(c), self.nodes_of(c)
+            springs = EA / self.unstressed[spans]
+            stuck = np.flatnonzero(stiffness[nodes] > np.minimum(springs[1:], springs[:-1]))
+            firsts, lasts = [0, *(stuck + 1)], [*stuck, spans.stop - spans.start - 1]
+            for a, b in zip(firsts, lasts, strict=True):
+                own = slice(spans.start + int(a), spans.start + int(b) + 1)
+                length, unstressed = lengths[own].sum(), self.unstressed[own].sum()
+                if length > unstressed:
+                    ends = (
+                        nodes.start + int(a) - 1 if a > 0 else -1,
+                        nodes.start + int(b) if own.stop < spans.stop else -1,
+                    )
+                    stretch = float(length / unstressed)
+                    runs.append(_Run(own.start, own.stop - 1, ends, EA / unstressed, stretch))
+        return runs
+
+    def dyads(self, sums: Array) -> Array:
+        """Stiffness against the elongation of the longest runs of spans (force/length)."""
+        return np.array([run.stiffness for run in self._dyad_runs(sums)])
+
+    def _dyad_runs(self, sums: Array) -> list[_Run]:
+        self._solve(sums)
+        several = [run for run in self._find_runs(sums) if run.last > run.first]
+        several.sort(key=lambda run: run.first - run.last)
+        self._runs = several[: MOST_DYADS * len(self.chains.EA)]
+        return self._runs
+
+    def add_dyad_column(self, k: int, x: Array, g: Array) -> None:
+        """Add the gradient of a run's elongation."""
+        c, run = self.chains, self._runs[k]
+        self._forces[:] = (c.span >= run.first) & (c.span <= run.last)
+        add_segment_forces(self.unknowns.X, x, c.segments, c.smoothing, self._forces, g)
+        ends = 1.0 * (c.node == run.nodes[0]) - 1.0 * (c.node == run.nodes[1])
+        self._add_rest(np.where(c.owned, run.stretch * ends, 0.0), g)
+
+    def _prepare_links(self) -> None:
+        """Blocks that the elongation of each segment depends on, with those of its ends' edges."""
+        c = self.chains
+        cable_of = np.repeat(np.arange(len(c.EA)), np.diff(c.starts))
+        row_of = {int(node): row for row, node in enumerate(c.node)}
+        pointers = [0]
+        blocks: list[int] = []
+        self._ends: list[tuple[int, int]] = []
+        for k, span in enumerate(c.span):
+            # the nodes before and after span s of cable n have the numbers s - n - 1 and s - n
+            before = int(span) - int(cable_of[span]) - 1
+            inside = np.isin([span, span + 1], c.starts, invert=True)
+            rows = [
+                row_of.get(node, -1) if there else -1
+                for node, there in zip((before, before + 1), inside, strict=True)
+            ]
+            own = [int(block) for block in c.segments[k]]
+            for row in rows:
+                if row >= 0:
+                    own += [int(block) for block in c.blocks[c.pointers[row] : c.pointers[row + 1]]]
+            blocks += own
+            pointers.append(len(blocks))
+            self._ends.append((rows[0], rows[1]))
+        self.link_pointers = np.array(pointers, dtype=np.int32)
+        self.links = ElementPattern(self.link_pointers, np.array(blocks, dtype=np.int32))
+
+    def _add_links(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+        c, X = self.chains, self.unknowns.X
+        stiffness, stretch = np.zeros(self.n_spans), np.ones(self.n_spans)
+        EA = np.repeat(c.EA, np.diff(c.starts))
+        dyads = {run.first for run in self._dyad_runs(sums)}
+        for run in self._find_runs(sums):
+            if run.first not in dyads:
+                own = slice(run.first, run.last + 1)
+                # of springs in series it is the upper bound that has no coupling
+                stiffness[own] = EA[own] / self.unstressed[own]
+                stretch[own] = run.stretch
+        slope, start = self.grips.slope, 0
+        for k, span in enumerate(c.span):
+            n = int(self.link_pointers[k + 1] - self.link_pointers[k])
+            values = self.links.values[start : start + n * n]
+            values[:] = 0.0
+            start += n * n
+            if stiffness[span] == 0.0 or self._lengths[k] == 0.0:
+                continue
+            column, (a, b) = np.zeros((n, 3)), c.segments[k].tolist()
+            way = X[b] + x[b] - X[a] - x[a]
+            column[1] = way / max(float(np.linalg.norm(way)), abs(float(c.smoothing[k])))
+            column[0] = -column[1]
+            at = 2
+            for row, sign in zip(self._ends[k], (1.0, -1.0), strict=True):
+                if row >= 0:
+                    edge = self._gradients[c.pointers[row] : c.pointers[row + 1]]
+                    column[at : at + len(edge)] = sign * stretch[span] * slope[row] * edge
+                    at += len(edge)
+            share = sums[span] / self._lengths[k]  # of a span of several segments
+            dyad = np.einsum("ai,bj->abij", column, column).reshape(n * n, 3, 3)
+            values[:] = stiffness[span] * share * dyad
+        self.links.add(A, self.unknowns)

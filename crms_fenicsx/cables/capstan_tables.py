@@ -1,0 +1,91 @@
+"""Tables of what a rank computes for the cables with friction along their axis."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from crms_fenicsx.cables.axial import rest_places
+from crms_fenicsx.cables.cable import LaidCable
+from crms_fenicsx.cables.capstan import Chains, Grips
+from crms_fenicsx.cables.grip import held_nodes
+from crms_fenicsx.cables.network import Network
+from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.tables import CableTables
+
+Array = npt.NDArray[np.float64]
+
+
+def held_along(cable: LaidCable) -> bool:
+    """Whether a cable is in tension and friction holds it along its axis."""
+    return cable.taut and cable.axial is not None
+
+
+def chain_table(network: Network, tables: CableTables) -> Chains:
+    """Spans and nodes of the cables that friction holds along their axis."""
+    cables = [c for c, cable in enumerate(network.cables) if held_along(cable)]
+    held = {c: held_nodes(network.cables[c]) for c in cables}
+    starts = np.cumsum([0] + [len(held[c]) + 1 for c in cables])
+    first = dict(zip(cables, starts, strict=False))
+    own = [s for s, link in enumerate(tables.links) if link.cable in first]
+    span = [
+        first[link.cable] + np.searchsorted(held[link.cable], link.first, side="right")
+        for link in (tables.links[s] for s in own)
+    ]
+    on_edge = network.points_by_edge({c for c, cable in enumerate(network.cables) if cable.taut})
+    strip, pointers, places = network.strip, [0], []
+    blocks: list[int] = []
+    nodes: list[int] = []
+    owned: list[bool] = []
+    for n, c, i, edge in _fold_points(network):
+        inner = [network.block(d, m) for _, d, m in on_edge[edge]]
+        blocks += [network.vertex(edge[0]), *inner, network.vertex(edge[1])]
+        pointers.append(len(blocks))
+        places.append(1 + inner.index(network.block(c, held[c][i])))
+        nodes.append(int(first[c]) - n + i)
+        owned.append(strip.owner_of(edge) == network.rank)
+    return Chains(
+        np.array([network.cables[c].cable.EA for c in cables]),
+        starts.astype(np.int64),
+        tables.segments[own], tables.eps[own], np.array(span, dtype=np.int32),
+        np.array(pointers, dtype=np.int32), np.array(blocks, dtype=np.int32),
+        np.array(places, dtype=np.int32), np.array(nodes, dtype=np.int32),
+        np.array(owned, dtype=bool),
+    )  # fmt: skip
+
+
+def grip_table(network: Network, shape: StripShape) -> Grips:
+    """What holds these cables now."""
+    places = {c: rest_places(k, shape) for c, k in enumerate(network.cables) if held_along(k)}
+    grips = [axial for c in places if (axial := network.cables[c].axial) is not None]
+
+    def joined(parts: list[Array]) -> Array:
+        return np.concatenate([np.zeros(0), *parts])
+
+    bound = joined([grip.bounds for grip in grips])
+    return Grips(
+        joined([p.offset for p in places.values()]),
+        bound,
+        np.where(bound > 0.0, joined([grip.eps for grip in grips]), 1.0),
+        joined([grip.slips for grip in grips]),
+        np.array([places[c].slope[i] for _, c, i, _ in _fold_points(network)]),
+    )
+
+
+def _fold_points(network: Network) -> list[tuple[int, int, int, tuple[int, int]]]:
+    """Fold points and rails on the edges of this rank's cells that friction holds.
+
+    The number of the cable among those held, its number, that of the node among its held ones, and
+    the edge.
+    """
+    strip = network.strip
+    found = []
+    cables = [c for c, cable in enumerate(network.cables) if held_along(cable)]
+    for n, c in enumerate(cables):
+        for i, k in enumerate(held_nodes(network.cables[c])):
+            node = network.cables[c].nodes[k]
+            if node.slides and node.point is not None:
+                a, b = node.point.support
+                if np.any(strip.owner[strip.rows((a, b))] == network.rank):
+                    found.append((n, c, i, (a, b)))
+    return found
