@@ -86,6 +86,7 @@ class EquilibriumSearch:
         h0_prestress
             As for `Minimizer.solve`.
         """
+        self._begin_friction()
         self.system.prepare()
         self.start = State.of(self.scene)
         if not self.scene.cables:
@@ -96,7 +97,6 @@ class EquilibriumSearch:
         from crms_fenicsx.cables.active import ActiveSet
 
         self.active: ActiveSet = ActiveSet(self.scene)
-        self._begin_friction()
         if not self.slide:
             return self._with_friction(self._settle(h0_prestress), self._settle)
         from crms_fenicsx.cables.ends import renew_ends
@@ -120,9 +120,14 @@ class EquilibriumSearch:
         from crms_fenicsx.cables.grip import begin
         from crms_fenicsx.cables.strip import StripShape
 
-        shape = StripShape.of(self.scene)
-        for cable in self.scene.cables:
+        shape, cables = StripShape.of(self.scene), self.scene.cables
+        known = all(cable.slides_freely or cable.grip is not None for cable in cables)
+        for cable in cables:
             begin(cable, shape)
+        if known:  # the potential still counts slips from where the last step began
+            self.system.renew_friction()
+        else:
+            self.system.expire()
 
     def _with_friction(
         self, outcome: Outcome, solve: Callable[[tuple[float, ...]], Outcome]

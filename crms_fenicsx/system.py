@@ -21,6 +21,7 @@ from crms_fenicsx.unknowns import Unknowns
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.fold import FoldedCells, FoldEnergy
+    from crms_fenicsx.cables.friction_element import FrictionElementEnergy
     from crms_fenicsx.cables.network import Member, Network
     from crms_fenicsx.cables.penalty import KinkPenalty
     from crms_fenicsx.cables.stick_slip import StickSlip
@@ -90,6 +91,8 @@ class System:
         blocks = self.unknowns.vertex_blocks()
         self.unknowns.held[blocks] = scene.held
         terms: list[Term] = [self.membrane]
+        self.stick_slip: StickSlip | None = None
+        self.friction_elements: FrictionElementEnergy | None = None
         self.membrane.plain.x.array[:] = 1.0
         if scene.pressure != 0.0 or self.pressure is not None:
             terms.append(self._pressure_term())
@@ -153,7 +156,6 @@ class System:
             for cable in self.scene.cables
             if cable.taut and cable.cable.sideways is not None
         }
-        self.stick_slip: StickSlip | None = None
         if not laws:
             return []
         from crms_fenicsx.cables.grip import align
@@ -174,17 +176,23 @@ class System:
             from crms_fenicsx.cables.friction_element import FrictionElementEnergy
             from crms_fenicsx.cables.friction_tables import element_table
 
-            terms.append(FrictionElementEnergy(element_table(network, shape)))
+            self.friction_elements = FrictionElementEnergy(element_table(network, shape))
+            terms.append(self.friction_elements)
         return terms
 
     def renew_friction(self) -> None:
         """Bring the friction forces of the potential to those that the cables have. Collective."""
-        if self.stick_slip is not None:
-            from crms_fenicsx.cables.friction_tables import slip_table
-            from crms_fenicsx.cables.strip import StripShape
+        if self.stick_slip is None is self.friction_elements:
+            return
+        from crms_fenicsx.cables.friction_tables import element_table, slip_table
+        from crms_fenicsx.cables.strip import StripShape
 
-            assert self.network is not None
-            self.stick_slip.renew(slip_table(self.network, StripShape.of(self.scene)))
+        assert self.network is not None
+        shape = StripShape.of(self.scene)
+        if self.stick_slip is not None:
+            self.stick_slip.renew(slip_table(self.network, shape))
+        if self.friction_elements is not None:
+            self.friction_elements.renew(element_table(self.network, shape))
 
     def _tension_term(self, tables: CableTables) -> CableTension:
         from crms_fenicsx.cables.tension import CableTension, StepCableTension

@@ -249,7 +249,7 @@ def test_term_of_a_scene(comm):
     assert abs(energy) < 1e-20
     frozen = frozen_slips(system.scene)
     x = slid(system, 0.02)
-    energy, g = f.value(x)
+    energy, _g = f.value(x)
     y = np.abs(term.slips) / term.table.eps
     assert comm.allreduce(int(np.sum(y > 1))) > 3 < comm.allreduce(int(np.sum(y < 0.9)))
     system.network.update_cables(system.unknowns, f.potential.x)
