@@ -124,9 +124,7 @@ class EquilibriumSearch:
         known = all(cable.slides_freely or cable.grip is not None for cable in cables)
         for cable in cables:
             begin(cable, shape)
-        if known:  # the potential still counts slips from where the last step began
-            self.system.renew_friction()
-        else:
+        if not known:
             self.system.expire()
 
     def _with_friction(

@@ -292,11 +292,13 @@ class System:
             scene.energies["friction"] = sum(energies(c, shape)[0] for c in scene.cables)
 
     def prepare(self) -> None:
-        """Bring the potential up to date with the scene's parts and loads."""
+        """Bring the potential up to date with the scene's parts and loads. Collective."""
         if self.built_for != self.scene.changes or (
             self.scene.pressure != 0.0 and self.pressure is None
         ):
             self.rebuild()
+        else:  # it still counts the slips of cables from where the last load step began
+            self.renew_friction()
 
     def locate_cables(self) -> None:
         """Tell all ranks where the cables' points are."""
