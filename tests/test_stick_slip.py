@@ -245,7 +245,7 @@ def test_term_of_a_scene(comm):
     assert sizes[3] > 10 and sizes[4] > 2
     assert comm.allreduce(int(system.unknowns.n_rails)) > 0
     # nothing has slipped at the start of the step
-    energy, g = f.value(np.zeros((system.unknowns.n_owned, 3)))
+    energy, _ = f.value(np.zeros((system.unknowns.n_owned, 3)))
     assert abs(energy) < 1e-20
     frozen = frozen_slips(system.scene)
     x = slid(system, 0.02)
