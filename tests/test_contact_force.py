@@ -125,7 +125,8 @@ def test_smoothing_is_a_hat_reflected_at_the_ends():
     rng = np.random.default_rng(0)
     arc = np.sort(rng.uniform(2.0, 12.0, 15))
     forces, at, width = rng.normal(size=15), np.linspace(arc[0], arc[-1], 9)[1:], 1.7
-    found, twin = smoothed(arc, forces, at, width), hat_twin(arc, forces, at, width)
+    ends = float(arc[0]), float(arc[-1])
+    found, twin = smoothed(arc, forces, at, width, ends), hat_twin(arc, forces, at, width)
     # a step of the twin's grid, 4e-3, holds at most 4e-3/1.7 of a force
     np.testing.assert_allclose(found, twin, atol=2.5e-3 * np.abs(forces).sum())
     assert np.ptp(found) > 1.0
@@ -138,14 +139,14 @@ def test_smoothing_keeps_the_sum(width):
     forces = rng.normal(size=12)
     width = min(width, arc[-1] - arc[0])
     ends = stretches(arc)
-    sums = smoothed(arc, forces, ends.ravel(), width).reshape(-1, 2)
+    sums = smoothed(arc, forces, ends.ravel(), width, (arc[0], arc[-1])).reshape(-1, 2)
     assert np.all(ends[1:, 0] == ends[:-1, 1])
     assert (ends[0, 0], ends[-1, 1]) == (arc[0], arc[-1])
     assert np.sum(sums[:, 1] - sums[:, 0]) == pytest.approx(forces.sum(), abs=1e-13)
 
 
 def on_cylinder(h, seed=0, ratio=0.0, kind="jittered"):
-    """A cable around the top of a cylinder of radius 1, along a circle if the ratio is zero."""
+    """A cable around the top of a cylinder of radius 1, along a helix if the ratio is zero."""
     way = curve(SURFACES["cylinder"], ratio, 0.8)
     scene, cable = rigid(COMM, way, band(way, h, seed, kind), 0.5)
     cable.taut, cable.tension = True, T
@@ -170,17 +171,18 @@ def forces_twin(cable, shape):
 
 
 def bearing_twin(cable, shape, normal):
-    """Smoothed force of each node, as a cumulated sum at the ends of its stretch of cable."""
-    x, n = cable.positions, len(cable.positions)
+    """Smoothed force of each node but the ends, as a difference of sums at the ends of its stretch,
+    which begins and ends in the middles between it and the nodes beside it."""
+    x = cable.positions
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1))])
     sizes = []
-    for node in cable.nodes:
+    for node in cable.nodes[1:-1]:
         cells = shape.strip.rows(node.point.support)
         sizes.append(np.mean(np.linalg.norm(shape.normals[cells], axis=1)) ** 0.5)
-    width = WIDTH * np.mean(sizes)
-    middles = np.concatenate([arc[:1], (arc[1:] + arc[:-1]) / 2, arc[-1:]])
-    sums = smoothed(arc, normal, middles, width)
-    return np.array([sums[k + 1] - sums[k] for k in range(n)])
+    middles = (arc[1:] + arc[:-1]) / 2
+    width, ends = WIDTH * np.mean(sizes), (middles[0], middles[-1])
+    sums = smoothed(arc[1:-1], normal[1:-1], middles, width, ends)
+    return np.concatenate([[0.0], np.diff(sums), [0.0]])
 
 
 def test_forces_are_those_of_a_slow_twin():
@@ -209,7 +211,7 @@ def test_geodesic_turn_is_sideways_only_to_its_share():
     assert abs(np.sin(np.radians(30.0)) / way.ratio - 1) > 4 * 0.03
 
 
-def test_line_force_on_a_circle():
+def test_line_force_on_a_helix():
     """What has been passed up to a place tends to T/R times the way, with order 1: the normals of
     cells are off by up to h/R. The smoothed force per length is off by that over the filter's
     width, whatever h is, however irregularly the fold points come; that of single nodes is useless.
@@ -224,13 +226,14 @@ def test_line_force_on_a_circle():
             x = cable.positions
             arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1))])
             inner = (arc > 0.45) & (arc < way.length - 0.45)
-            assert np.all(np.abs(forces.line[inner] / T - 1) < 0.3)
-            raw = forces.normal[inner] / np.diff(stretches(arc), axis=1)[inner, 0]
-            roughest = max(roughest, float(np.ptp(raw / T)))
+            density = T * np.cos(way.surface.course) ** 2
+            assert np.all(np.abs(forces.line[inner] / density - 1) < 0.3)
+            raw = forces.normal[inner] / np.diff(stretches(arc), axis=1)[inner, 0] / density
+            roughest = max(roughest, float(np.ptp(raw)))
             start = np.flatnonzero(inner)[0]
             passed = np.cumsum(forces.bearing)[inner] - np.cumsum(forces.bearing)[start]
             ends = stretches(arc)[:, 1]
-            off.append(passed / T - (ends[inner] - ends[start]))
+            off.append(passed / density - (ends[inner] - ends[start]))
         assert roughest > 1.0
         errors.append(float(np.sqrt(np.mean(np.concatenate(off) ** 2))))
     assert errors[-1] < 0.5 * sizes[-1]

@@ -252,7 +252,7 @@ def test_kinetic_coefficient_where_it_slides():
 
 
 def test_what_slides_is_seen_even_if_the_bounds_settle_at_once(monkeypatch):
-    """A pass that settles after one that has not nearly settled must not end with static friction."""
+    """A pass that settles without having nearly settled must not end with static friction."""
     cable = along((0, 1), (1, 2))
     cable.grip = gripped([0.6, 0.6])
     asked: list[bool] = []

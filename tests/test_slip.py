@@ -80,8 +80,8 @@ def test_nearest_points():
 
 def test_nearest_of_nothing():
     places = np.array([(1.0, 2.0, 3.0)])
-    for curve in (some_curve([(0, 0, 0)]), some_curve([(0, 0, 0), (0, 0, 0)])):
-        at, feet, parts = curve.nearest(places)
+    for nothing in (some_curve([(0, 0, 0)]), some_curve([(0, 0, 0), (0, 0, 0)])):
+        at, feet, parts = nothing.nearest(places)
         assert (at.tolist(), feet.tolist(), parts.tolist()) == ([0.0], places.tolist(), [-1])
 
 
