@@ -113,9 +113,14 @@ class EquilibriumSearch:
         self.paths.end_step()
         return outcome
 
+    @property
+    def _has_friction(self) -> bool:
+        """Whether friction holds some cable sideways; without it nothing of it is loaded."""
+        return not all(cable.slides_freely for cable in self.scene.cables)
+
     def _begin_friction(self) -> None:
         """Let a load step begin for the cables with friction."""
-        if all(cable.slides_freely for cable in self.scene.cables):
+        if not self._has_friction:
             return
         from crms_fenicsx.cables.grip import begin
         from crms_fenicsx.cables.strip import StripShape
@@ -131,12 +136,13 @@ class EquilibriumSearch:
         self, outcome: Outcome, solve: Callable[[tuple[float, ...]], Outcome]
     ) -> Outcome:
         """Repeat a solve until the friction forces are those of its own state."""
+        held = [cable for cable in self.scene.cables if cable.has_coulomb]
+        if not held:
+            return outcome
         from crms_fenicsx.cables.grip import NEARLY, SETTLED, Lag
         from crms_fenicsx.cables.strip import StripShape
 
-        lags = [Lag(cable) for cable in self.scene.cables if cable.has_coulomb]
-        if not lags:
-            return outcome
+        lags = [Lag(cable) for cable in held]
         change = 0.0
         for passes in range(1, MAX_PASSES + 1):
             outcome = replace(outcome, passes=passes)
@@ -157,7 +163,6 @@ class EquilibriumSearch:
     def _slide(self, h0_prestress: tuple[float, ...]) -> Outcome:
         """Try new paths while the energy falls."""
         from crms_fenicsx.cables.crossings import tangled
-        from crms_fenicsx.cables.give_way import give_way, relax
         from crms_fenicsx.cables.network import BLOCKED
 
         paths, best = self.paths, self._try(h0_prestress)
@@ -174,8 +179,8 @@ class EquilibriumSearch:
                     laid_again |= caught
                     paths.lay_again(caught)
                 elif not paths.pass_next(NEAR if self.polish else BLOCKED):
-                    if not relax(paths, self.system.caught_nodes(TENSE)):
-                        flips = give_way(paths)
+                    if not self._relax_held():
+                        flips = self._give_way(None)
                         if not flips:
                             break
             if tries == MAX_PATHS:
@@ -223,12 +228,29 @@ class EquilibriumSearch:
 
     def _change_paths(self, most: int | None) -> int:
         """Lead the cables over vertices, `most` at most each; return over how many."""
-        from crms_fenicsx.cables.give_way import give_way
-
         paths = self.paths
         if paths is None or most == 0:
             return 0
-        return max(paths.retrace(most), give_way(paths, most))
+        return max(paths.retrace(most), self._give_way(most))
+
+    def _give_way(self, most: int | None) -> int:
+        """Lead cables with friction over the vertices that they have run into."""
+        assert self.paths is not None
+        self.paths.offered = set()
+        if not self._has_friction:
+            return 0
+        from crms_fenicsx.cables.give_way import give_way
+
+        return give_way(self.paths, most)
+
+    def _relax_held(self) -> bool:
+        """Put caught fold points of cables with friction back on straight edges."""
+        if not self._has_friction:
+            return False
+        from crms_fenicsx.cables.give_way import relax
+
+        assert self.paths is not None
+        return relax(self.paths, self.system.caught_nodes(TENSE))
 
     def _settle(
         self, h0_prestress: tuple[float, ...], look: Callable[[], bool] | None = None
