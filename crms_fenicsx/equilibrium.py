@@ -88,6 +88,7 @@ class EquilibriumSearch:
         h0_prestress
             As for `Minimizer.solve`.
         """
+        self._begin_friction()
         self.system.prepare()
         self.start = State.of(self.scene)
         if not self.scene.cables:
@@ -98,7 +99,6 @@ class EquilibriumSearch:
         from crms_fenicsx.cables.active import ActiveSet
 
         self.active: ActiveSet = ActiveSet(self.scene)
-        self._begin_friction()
         if not self.slide:
             return self._with_friction(self._settle(h0_prestress), self._settle)
         from crms_fenicsx.cables.ends import renew_ends
@@ -115,16 +115,24 @@ class EquilibriumSearch:
         self.paths.end_step()
         return outcome
 
+    @property
+    def _has_friction(self) -> bool:
+        """Whether friction holds some cable sideways; without it nothing of it is loaded."""
+        return not all(cable.slides_freely for cable in self.scene.cables)
+
     def _begin_friction(self) -> None:
         """Let a load step begin for the cables with friction."""
-        if all(cable.slides_freely for cable in self.scene.cables):
+        if not self._has_friction:
             return  # friction along a cable begins with its grip from before
         from crms_fenicsx.cables.grip import begin
         from crms_fenicsx.cables.strip import StripShape
 
-        shape = StripShape.of(self.scene)
-        for cable in self.scene.cables:
+        shape, cables = StripShape.of(self.scene), self.scene.cables
+        known = all(cable.slides_freely or cable.grip is not None for cable in cables)
+        for cable in cables:
             begin(cable, shape)
+        if not known:
+            self.system.expire()
 
     def _with_friction(
         self, outcome: Outcome, solve: Callable[[tuple[float, ...]], Outcome]
@@ -173,7 +181,6 @@ class EquilibriumSearch:
     def _slide(self, h0_prestress: tuple[float, ...]) -> Outcome:
         """Try new paths while the energy falls."""
         from crms_fenicsx.cables.crossings import tangled
-        from crms_fenicsx.cables.give_way import give_way, relax
         from crms_fenicsx.cables.network import BLOCKED
 
         paths, best = self.paths, self._try(h0_prestress)
@@ -190,8 +197,8 @@ class EquilibriumSearch:
                     laid_again |= caught
                     paths.lay_again(caught)
                 elif not paths.pass_next(NEAR if self.polish else BLOCKED):
-                    if not relax(paths, self.system.caught_nodes(TENSE)):
-                        flips = give_way(paths)
+                    if not self._relax_held():
+                        flips = self._give_way(None)
                         if not flips:
                             break
             if tries == MAX_PATHS:
@@ -239,12 +246,29 @@ class EquilibriumSearch:
 
     def _change_paths(self, most: int | None) -> int:
         """Lead the cables over vertices, `most` at most each; return over how many."""
-        from crms_fenicsx.cables.give_way import give_way
-
         paths = self.paths
         if paths is None or most == 0:
             return 0
-        return max(paths.retrace(most), give_way(paths, most))
+        return max(paths.retrace(most), self._give_way(most))
+
+    def _give_way(self, most: int | None) -> int:
+        """Lead cables with friction over the vertices that they have run into."""
+        assert self.paths is not None
+        self.paths.offered = set()
+        if not self._has_friction:
+            return 0
+        from crms_fenicsx.cables.give_way import give_way
+
+        return give_way(self.paths, most)
+
+    def _relax_held(self) -> bool:
+        """Put caught fold points of cables with friction back on straight edges."""
+        if not self._has_friction:
+            return False
+        from crms_fenicsx.cables.give_way import relax
+
+        assert self.paths is not None
+        return relax(self.paths, self.system.caught_nodes(TENSE))
 
     def _settle(
         self, h0_prestress: tuple[float, ...], look: Callable[[], bool] | None = None

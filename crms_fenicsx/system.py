@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from crms_fenicsx.cables.cable import LaidCable
     from crms_fenicsx.cables.capstan import CapstanTension
     from crms_fenicsx.cables.fold import FoldedCells, FoldEnergy
+    from crms_fenicsx.cables.friction_element import FrictionElementEnergy
     from crms_fenicsx.cables.network import Member, Network
     from crms_fenicsx.cables.penalty import KinkPenalty
     from crms_fenicsx.cables.stick_slip import StickSlip
@@ -57,6 +58,7 @@ class System:
         self.network: Network | None = None
         self.tables: CableTables | None = None
         self.stick_slip: StickSlip | None = None
+        self.friction_elements: FrictionElementEnergy | None = None
         self.tension: CableTension | None = None
         self.capstan: CapstanTension | None = None
         self.minimizer: Minimizer | None = None
@@ -80,7 +82,8 @@ class System:
         """Make layout, tables and solver anew for the scene as it is."""
         self.destroy()
         scene = self.scene
-        self.tables = self.stick_slip = self.tension = self.capstan = None
+        self.tables = self.tension = self.capstan = None
+        self.stick_slip = self.friction_elements = None
         if scene.cables:
             from crms_fenicsx.cables.crossings import arrange
             from crms_fenicsx.cables.network import Network
@@ -178,28 +181,30 @@ class System:
             from crms_fenicsx.cables.friction_element import FrictionElementEnergy
             from crms_fenicsx.cables.friction_tables import element_table
 
-            terms.append(FrictionElementEnergy(element_table(network, shape)))
+            self.friction_elements = FrictionElementEnergy(element_table(network, shape))
+            terms.append(self.friction_elements)
         return terms
 
     def renew_friction(self) -> None:
         """Bring the friction forces of the potential to those that the cables have. Collective."""
+        if self.stick_slip is None is self.friction_elements and self.capstan is None:
+            return
+        from crms_fenicsx.cables.strip import StripShape
+
+        assert self.network is not None
+        shape = StripShape.of(self.scene)
         if self.stick_slip is not None:
             from crms_fenicsx.cables.friction_tables import slip_table
-            from crms_fenicsx.cables.strip import StripShape
 
-            assert self.network is not None
-            table = slip_table(self.network, StripShape.of(self.scene))
-            same = np.array_equal(table.blocks, self.stick_slip.table.blocks)
-            if not self.scene.comm.allreduce(same, op=MPI.LAND):
-                self.rebuild()  # a node has slid to where the cable lay, or away from there
-                return
-            self.stick_slip.renew(table)
+            self.stick_slip.renew(slip_table(self.network, shape))
+        if self.friction_elements is not None:
+            from crms_fenicsx.cables.friction_tables import element_table
+
+            self.friction_elements.renew(element_table(self.network, shape))
         if self.capstan is not None:
             from crms_fenicsx.cables.capstan_tables import grip_table
-            from crms_fenicsx.cables.strip import StripShape
 
-            assert self.network is not None
-            self.capstan.renew(grip_table(self.network, StripShape.of(self.scene)))
+            self.capstan.renew(grip_table(self.network, shape))
 
     def _tension_terms(self, network: Network, tables: CableTables) -> list[Term]:
         """Terms of the cables with one tension, and of those that friction holds along."""
@@ -339,11 +344,13 @@ class System:
         energies["friction"] = energies.get("friction", 0.0) + float(stored.sum())
 
     def prepare(self) -> None:
-        """Bring the potential up to date with the scene's parts and loads."""
+        """Bring the potential up to date with the scene's parts and loads. Collective."""
         if self.built_for != self.scene.changes or (
             self.scene.pressure != 0.0 and self.pressure is None
         ):
             self.rebuild()
+        else:  # it still counts the slips of cables from where the last load step began
+            self.renew_friction()
 
     def locate_cables(self) -> None:
         """Tell all ranks where the cables' points are."""
@@ -402,4 +409,3 @@ class System:
             shape = StripShape.of(self.scene)
             for cable in self.scene.cables:
                 commit_axial(cable, shape)
-        self.renew_friction()  # slips count from here

@@ -230,7 +230,7 @@ def test_refused_step_leaves_no_trace(comm) -> None:
     scene, solver, cable = anchored(comm, 0.2)
     solver.advance(move={cable: (0.0, 3.0, 0.0)})
     before = cable.grip, scene.energy, cable.positions.copy()
-    strict = Solver(scene, rtol=1e-20, max_halvings=0)
+    strict = Solver(scene, rtol=1e-16, max_halvings=0)
     with pytest.raises(ConvergenceError):
         strict.advance(move={cable: (0.0, 3.0, 0.0)})
     assert cable.grip is before[0]
@@ -243,7 +243,7 @@ def test_slack_cable_has_no_grip(comm) -> None:
     scene, solver, cable = anchored(comm, 0.2)
     length = cable.L0
     solver.advance(L0={cable: 1.05 * length})
-    assert not cable.taut and scene.energies["friction"] == 0.0
+    assert not cable.taut and "friction" not in scene.energies
     solver.advance(L0={cable: length})
     assert cable.taut and cable.tension > 1.0
 

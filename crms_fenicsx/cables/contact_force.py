@@ -205,8 +205,10 @@ def stretches(arc: Array) -> Array:
     )
 
 
-def smoothed(arc: Array, forces: Array, at: Array, width: float) -> Array:
-    """Smoothed forces from the start of the cable up to some places, (m,).
+def smoothed(
+    arc: Array, forces: Array, at: Array, width: float, ends: tuple[float, float]
+) -> Array:
+    """Smoothed forces from the start of their stretch of cable up to some places, (m,).
 
     Parameters
     ----------
@@ -216,13 +218,15 @@ def smoothed(arc: Array, forces: Array, at: Array, width: float) -> Array:
         Places (length).
     width
         Width of the box filter that is applied twice (length).
+    ends
+        Where the stretch begins and ends (length).
 
     Notes
     -----
-    Two boxes make a hat. What it would spread beyond an end of the cable is reflected there, so
-    that the sum stays.
+    Two boxes make a hat. What it would spread beyond an end is reflected there, so that the sum
+    stays.
     """
-    start, end = arc[0], arc[-1]
+    start, end = ends
     images = np.concatenate([arc, 2 * start - arc, 2 * end - arc])
 
     def passed(to: Array) -> Array:
@@ -238,30 +242,34 @@ def _smooth(
     cable: LaidCable, run: list[int], shape: StripShape, normal: Array, bearing: Array, line: Array
 ) -> None:
     """Fill in `bearing` and `line` for one run of nodes on the membrane."""
-    # What presses on an edge of the boundary, next to an anchor, is no line force.
-    inner = [k for k in run if not _beside_anchor(cable, k)]
-    for k in set(run) - set(inner):
-        bearing[k] = normal[k]
-    if len(inner) < 2:
-        bearing[inner] = normal[inner]
-        return
-    arc = np.concatenate(
-        [[0.0], np.cumsum(np.linalg.norm(np.diff(cable.positions[run], axis=0), axis=1))]
-    )
-    arc = arc[[run.index(k) for k in inner]]
-    total = arc[-1] - arc[0]
-    if total <= 0.0:
-        bearing[inner] = normal[inner]
+    bearing[run] = normal[run]
+    # Of the turn at the cable's ends nothing is known, and what presses on an edge of the boundary,
+    # next to an anchor, is no line force.
+    rows = [i for i, k in enumerate(run) if _may_slide(cable, k) and not _beside_anchor(cable, k)]
+    steps = np.linalg.norm(np.diff(cable.positions[run], axis=0), axis=1)
+    arc = np.concatenate([[0.0], np.cumsum(steps)])
+    own = stretches(arc)[rows]
+    inner = [run[i] for i in rows]
+    if len(inner) < 2 or own[-1, 1] <= own[0, 0]:
         return
     supports = [node.point.support for k in inner if (node := cable.nodes[k]).point is not None]
     size = float(np.mean([size_at(shape, support) for support in supports]))
-    width = min(WIDTH * size, total)
-    ends = stretches(arc)
-    sums = smoothed(arc, normal[inner], ends.ravel(), width).reshape(-1, 2)
-    bearing[inner] = sums[:, 1] - sums[:, 0]
-    half = np.clip(np.stack([arc - size / 2, arc + size / 2], axis=1), arc[0], arc[-1])
-    sums = smoothed(arc, normal[inner], half.ravel(), width).reshape(-1, 2)
-    line[inner] = (sums[:, 1] - sums[:, 0]) / (half[:, 1] - half[:, 0])
+    ends = float(own[0, 0]), float(own[-1, 1])
+    width = min(WIDTH * size, ends[1] - ends[0])
+
+    def between(places: Array) -> Array:
+        """Smoothed force between pairs of places (n, 2)."""
+        sums = smoothed(arc[rows], normal[inner], places.ravel(), width, ends).reshape(-1, 2)
+        return np.asarray(sums[:, 1] - sums[:, 0])
+
+    bearing[inner] = between(own)
+    around = np.clip(arc[rows][:, None] + (-size / 2, size / 2), *ends)
+    line[inner] = between(around) / (around[:, 1] - around[:, 0])
+
+
+def _may_slide(cable: LaidCable, k: int) -> bool:
+    """Whether a node is neither an end of its cable nor tied to the membrane."""
+    return cable.nodes[k].kind != "rider" and 0 < k < len(cable.nodes) - 1
 
 
 def _beside_anchor(cable: LaidCable, k: int) -> bool:

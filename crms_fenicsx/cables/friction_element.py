@@ -62,6 +62,10 @@ class FrictionElementEnergy:
         """Use the positions of this layout."""
         self.unknowns = unknowns
 
+    def renew(self, table: FrictionElements) -> None:
+        """Take the elements of another load step."""
+        self.table = table
+
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the work."""
         t = self.table

@@ -35,6 +35,9 @@ NEAR = 0.025
 There the lengths of the segments around are smoothed, which repels it from the vertex."""
 BEYOND = 0.01
 """Part of an edge: where a path starts on the other side, off the smoothing."""
+THERE_AND_BACK = 3
+"""How often in a load step a cable is led around a vertex to either side: on each side friction may
+have bounds with which the other one is better."""
 SLACK, TINY = 0.05, 1e-5
 """By how much the pull must exceed the friction force, relative to it and to the tension."""
 
@@ -194,11 +197,15 @@ def _pass(paths: Retracer, cable: LaidCable, vertex: int, to_left: bool) -> int:
     way = cable.name, (*found.left, *found.taken)
     if way in paths.withheld or way in paths.offered:
         return 0
+    here = cable.name, vertex, to_left
+    if min(paths.led[here], paths.led[cable.name, vertex, not to_left]) >= THERE_AND_BACK:
+        return 0
     kept = found.corridor[first : len(found.corridor) - (n + 1 in anchors)]
     if any(len(s) == 1 and s[0] >= n for s in kept):
         return 0
     _adopt(paths, cable, rim, kept, vertex, joined)
     paths.offered.add(way)
+    paths.led[here] += 1
     return 1
 
 

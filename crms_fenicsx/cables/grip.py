@@ -186,11 +186,13 @@ class Lag:
         if not cable.taut:
             return 0.0
         # Only what slides while the bounds change little slides because it must.
-        found, moving = _bounds(cable, grip, shape, settled=self.change < NEARLY)
+        nearly = self.change < NEARLY
+        found, moving = _bounds(cable, grip, shape, settled=nearly)
+        self.change = _change(grip.bounds, found)
+        if self.change <= SETTLED and not nearly:
+            found, moving = _bounds(cable, grip, shape, settled=True)
+            self.change = _change(grip.bounds, found)
         total, used = float(found.sum()), float(grip.bounds.sum())
-        if used == 0.0 == total:
-            return 0.0
-        self.change = float(np.abs(found - grip.bounds).sum()) / max(total, 1e-3 * used)
         if self.change <= SETTLED:  # the state found stays the one that belongs to its bounds
             return self.change
         if not grip.known or np.any(moving != grip.moving):  # another law from here on
@@ -220,6 +222,14 @@ class Lag:
                 self._share = min(max(share, LEAST_SHARE), 1.0)
         self._division = supports, change
         return used + self._share * change
+
+
+def _change(used: Array, found: Array) -> float:
+    """Change of the bounds, relative to their sum."""
+    total, before = float(found.sum()), float(used.sum())
+    if before == 0.0 == total:
+        return 0.0
+    return float(np.abs(found - used).sum()) / max(total, 1e-3 * before)
 
 
 def _bounds(cable: LaidCable, grip: Grip, shape: StripShape, settled: bool) -> tuple[Array, Array]:

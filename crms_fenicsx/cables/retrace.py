@@ -9,6 +9,7 @@ is tried twice, so this ends.
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Sequence, Set
 from typing import TYPE_CHECKING
 
@@ -65,11 +66,15 @@ class Retracer:
         self.withheld: set[tuple[str, Corridor]] = set()
         """Ways past a vertex, by cable, that cables with friction are led now, and that they have
         not taken."""
+        self.led: Counter[tuple[str, int, bool]] = Counter()
+        """How often cables with friction have been led past a vertex in this step, to its left or
+        not."""
 
     def begin_step(self) -> None:
         """Prepare for a load step."""
         self._first_look = True
         self.offered, self.withheld = set(), set()
+        self.led.clear()
 
     def _forget(self) -> None:
         """Forget which paths were tried, but not those of cables that have not moved since.
