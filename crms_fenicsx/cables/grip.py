@@ -102,14 +102,14 @@ def begin(cable: LaidCable, shape: StripShape) -> None:
 def _ways(cable: LaidCable, grip: Grip, shape: StripShape) -> Array:
     """Directions in which nodes will slide in a step, for the law that has to know before.
 
-    As in the last step; what has not slid goes where the cable pulls it, if it does.
+    They go where the cable pulls them, or else as in the last step.
     """
     numbers = held_nodes(cable)
     pull = contact_forces(cable, shape).lateral[numbers]
     ways: Array = np.sign(pull) * (np.abs(pull) > NOISE * cable.tension)
     slips = node_slips(cable, grip.curve, shape)
     rows = [grip.row_of[support] for support in slips.supports]
-    ways[rows] = np.where(slips.moving != 0.0, slips.moving, ways[rows])
+    ways[rows] = np.where(ways[rows] != 0.0, ways[rows], slips.moving)
     return ways
 
 
