@@ -34,7 +34,7 @@ def circle(half: float = 0.8) -> Curve:
 
 
 def pulled(comm, way, friction, *, seed=0, kind="jittered", h=H, strain=0.01, L=None, **choices):
-    """A cable laid along a curve and tightened; the strain is that at the length L, or its own."""
+    """A cable laid along a curve and tightened, by a strain of its length or of the length L."""
     mesh = choices.pop("mesh", None) or band(way, h, seed, kind)
     scene, cable = rigid(comm, way, mesh, friction, **choices)
     solver = Solver(scene)
@@ -193,29 +193,34 @@ def test_static_and_kinetic_friction(comm, static, mu):
         assert scene.energies == plain_scene.energies
     else:
         assert way.coefficient_of(cable.positions) == pytest.approx(mu, rel=0.08)
-        # not where the static coefficient alone would let it go to
-        assert cable.tension == pytest.approx(plain.tension, rel=0.05)
+        # on the same mesh, so that it is told from the static coefficient, 6 % larger
+        found, other = (way.coefficient_of(c.positions) for c in (cable, plain))
+        assert found == pytest.approx(other, rel=0.02)
 
 
 def test_an_idle_cable_does_not_creep(comm):
-    """50 steps without any load: it moves by less than the elastic slip of 0.003 cells, in all."""
+    """50 steps without any load. In the first the direction in which friction acts becomes that of
+    the new curve, and the cable, which has just slid by 100 elastic slips, settles by some more;
+    then it stays to rounding.
+    """
     way = circle()
     mu = 0.9 * way.ratio
-    scene = rigid(comm, way, band(way, H, 0), mu)[0]
-    cable, solver = scene.cables[0], Solver(scene)
+    scene, cable = rigid(comm, way, band(way, H, 0), mu)
+    solver = Solver(scene)
     L0 = way.slid(mu).length * 0.99
     solver.advance(L0={cable: L0})
-    x, heat = cable.positions.copy(), scene.dissipated
-    slid = furthest(way, cable)
-    assert slid > 0.15
-    for _ in range(50):
-        solver.advance(L0={cable: L0})
-    assert np.abs(cable.positions - x).max() < 0.003 * H
-    # what friction could dissipate in a slip of eps along all of the cable
     eps = 0.003 * H
-    assert 0.0 <= scene.dissipated - heat < eps * mu * cable.tension * way.length
-    last = [step.outcome for step in solver.steps[-10:]]
-    assert max(outcome.solves for outcome in last) <= 2
+    assert furthest(way, cable) * H > 60 * eps
+    x = cable.positions.copy()
+    solver.advance(L0={cable: L0})
+    assert np.abs(cable.positions - x).max() < 10 * eps
+    x, heat = cable.positions.copy(), scene.dissipated
+    for _ in range(49):
+        solver.advance(L0={cable: L0})
+    assert np.abs(cable.positions - x).max() < 0.3 * eps
+    # against what friction dissipates in a slip of eps along all of the cable
+    assert 0.0 <= scene.dissipated - heat < 0.1 * eps * mu * cable.tension * way.length
+    assert max(step.outcome.solves for step in solver.steps[-10:]) <= 2
 
 
 def vault(comm, friction):
@@ -288,7 +293,7 @@ def test_dragged_there_and_back(comm):
 
 @pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="a rank cannot start another MPI program")
 def test_without_friction_nothing_of_it_is_loaded():
-    """Whichever way it is said that there is none; the same work leads to the same result."""
+    """However it is said that there is none; and it takes the same work to the same result."""
     code = f"""
 import sys
 sys.path.insert(0, {str(ROOT / "tests")!r})
