@@ -21,6 +21,7 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
+from crms_fenicsx.cables.friction import Friction
 from crms_fenicsx.equilibrium import EquilibriumSearch
 
 NAN = float("nan")
@@ -153,6 +154,40 @@ def test_laws_by_name(square) -> None:
     refused(lambda: Cable(1.0, law="steps"), "law", "'steps'", "'total' or 'step'")
     for name in ("strain", "pressure"):
         refused(lambda name=name: Scene(square, MATERIAL, **{name: "x"}), name, "'x'", "'total'")
+
+
+@pytest.mark.parametrize("value", [-0.1, NAN, np.inf, "0.3", None, [0.3]])
+def test_bad_coefficients_of_friction(value) -> None:
+    for name in ("mu", "along", *(["static"] if value is not None else [])):
+        given = {"mu": 0.0, name: value}
+        refused(lambda given=given: Friction(**given), "Friction", name, str(value), "give")  # type: ignore[misc]
+    refused(lambda: Cable(1.0, friction=value), "friction" if value != -0.1 else "mu", str(value))
+
+
+def test_bad_friction() -> None:
+    refused(lambda: Friction(0.5, static=0.4), "static = 0.4", "mu = 0.5", "at least")
+    refused(lambda: Friction(0.5, law="paper"), "'paper'", "'coulomb' or 'step'")  # type: ignore[arg-type]
+    for choices in ({"static": 0.6}, {"along": 0.1}):
+        refused(lambda c=choices: Friction(0.5, law="step", **c), "step", "0.", "coulomb")  # type: ignore[misc]
+    for tolerance in (0.0, -1e-3, NAN, "small"):
+        refused(lambda t=tolerance: Friction(0.5, tolerance=t), "tolerance", str(tolerance), "give")  # type: ignore[misc]
+    refused(lambda: Friction(0.5, tolerance=0.2), "tolerance = 0.2", "0.1", "0.003")
+    Friction(0.5, static=0.5, law="step")  # what says nothing else is no contradiction
+    assert Friction(0.5, static=0.6).at_rest == 0.6 and Friction(0.5).at_rest == 0.5
+    assert Friction(0.0, static=0.1).any and not Friction(0.0).any and Friction(0.0, along=0.1).any
+
+
+def test_friction_of_a_cable() -> None:
+    """A number is short for a `Friction`; zero is none."""
+    assert (
+        Cable(1.0, friction=0.3).sideways
+        == Friction(0.3)
+        == Cable(1.0, friction=Friction(0.3)).sideways
+    )
+    assert Cable(1.0).sideways is Cable(1.0, friction=0).sideways is None
+    assert Cable(1.0, friction=Friction(0.0, along=0.2)).sideways is None
+    assert Cable(1.0, friction=Friction(0.1, along=0.2)).along == 0.2
+    assert Cable(1.0, friction=0.3).along == 0.0
 
 
 @pytest.mark.parametrize("name", ["penalty", "literal_penalty"])

@@ -34,7 +34,7 @@ def circle(half: float = 0.8) -> Curve:
 
 
 def pulled(comm, way, friction, *, seed=0, kind="jittered", h=H, strain=0.01, L=None, **choices):
-    """A cable laid along a curve and tightened; the strain is that at the length L, or its own."""
+    """A cable laid along a curve and tightened, by a strain of its length or of the length L."""
     mesh = choices.pop("mesh", None) or band(way, h, seed, kind)
     scene, cable = rigid(comm, way, mesh, friction, **choices)
     solver = Solver(scene)
@@ -57,55 +57,44 @@ def test_a_cable_stays_if_friction_can_hold_it(comm, name):
     assert step.outcome.flips == 0
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", ["sphere", *SURFACES])
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [*(("sphere", kind) for kind in KINDS), *((name, "delaunay") for name in SURFACES)],
+)
 def test_a_sliding_cable_ends_where_friction_holds_it(comm, name, kind):
     """On the curve of ratio mu between the same ends, 0.15 ... 0.7 cells away in the middle."""
-    if (name, kind) in {("ellipsoid", "structured"), ("torus", "structured")}:
-        pytest.skip("its diagonals run across the curvature: valleys, 7 % at this size")
     way = circle() if name == "sphere" else curve(SURFACES[name], 0.5, 0.8)
     mu = 0.85 * way.ratio
-    exact = way.slid(mu)
-    scene, cable, step = pulled(comm, way, mu, kind=kind, L=exact.length)
+    scene, cable, step = pulled(comm, way, mu, kind=kind, L=way.slid(mu).length)
     assert cable.taut
-    assert way.coefficient_of(cable.positions) == pytest.approx(mu, rel=0.08)
+    assert way.coefficient_of(cable.positions) == pytest.approx(mu, rel=0.06)
     assert step.outcome.passes <= 20
     assert step.halvings == 0
     assert scene.dissipated > 0
 
 
-def test_mean_over_meshes(comm):
-    """2 % for one mesh makes 1 % for the mean of five."""
-    way = circle()
-    mu = 0.85 * way.ratio
-    L = way.slid(mu).length
-    found = [
-        way.coefficient_of(pulled(comm, way, mu, seed=seed, L=L)[1].positions) for seed in range(5)
-    ]
-    assert np.mean(found) == pytest.approx(mu, rel=0.02)
-    assert np.std(found) < 0.04 * mu
-
-
 @pytest.mark.parametrize(("EA", "strain"), [(1.0, 2e-3), (0.02, 0.4)], ids=["stiff", "soft"])
 def test_tension_that_is_lost_or_kept_does_not_matter(comm, EA, strain):
-    """A stiff cable loses 9/10 of its tension while it slides, a soft one less than 1/10."""
+    """A stiff cable loses 4/5 of its tension while it slides, a soft one less than 1/10."""
     way = circle()
     mu = 0.8 * way.ratio
     exact = way.slid(mu)
     _, cable, _ = pulled(comm, way, mu, EA=EA, L=exact.length, strain=strain)
     start = EA * (way.length / (exact.length * (1 - strain)) - 1)
     if EA == 1.0:
-        assert cable.tension < 0.15 * start
+        assert cable.tension < 0.2 * start
     else:
         assert cable.tension > 0.9 * start
     assert way.coefficient_of(cable.positions) == pytest.approx(mu, rel=0.08)
 
 
-def test_direction_mirror_and_numbers_do_not_matter(comm):
-    """To 1e-6 of a cell. Where a cable passes a vertex is decided by comparing energies; none is so
-    close here that rounding would decide it."""
+@pytest.mark.parametrize("share", [0.97, 0.9], ids=["in its cells", "over vertices"])
+def test_direction_mirror_and_numbers_do_not_matter(comm, share):
+    """On the same path results are alike to the solver's tolerance. Where the cable passes vertices
+    slips are counted from places of then, and what differs by rounding ends within the tolerance of
+    the friction forces, 1e-3."""
     way = circle()
-    mu = 0.9 * way.ratio
+    mu = share * way.ratio
     L = way.slid(mu).length
     points, cells = band(way, H, 2)
     route = way.points[::16]
@@ -117,23 +106,18 @@ def test_direction_mirror_and_numbers_do_not_matter(comm):
         "mirrored": ((points * flip, cells[:, ::-1]), route * flip, flip),
         "renumbered": ((points[np.argsort(number)], number[cells][::-1]), route, np.ones(3)),
     }
-    found = {}
+    results, curves = [], []
     for name, (mesh, path, image) in ways.items():
-        scene, cable, _ = pulled(comm, way, mu, mesh=mesh, path=path, L=L)
+        scene, cable, step = pulled(comm, way, mu, mesh=mesh, path=path, L=L)
+        assert (step.outcome.flips > 0) == (share < 0.95)
         x = cable.positions * image
-        found[name] = (
-            cable.tension,
-            scene.energy,
-            scene.dissipated,
-            x[:: -1 if "other" in name else 1],
-        )
-    T, W, heat, x = found["as it is"]
-    assert np.abs(way.sideways(x)).max() > 0.15 * H
-    for name, (other_T, other_W, other_heat, other_x) in found.items():
-        assert other_T == pytest.approx(T, rel=2e-6), name
-        assert other_W == pytest.approx(W, rel=2e-6), name
-        assert other_heat == pytest.approx(heat, rel=2e-5), name
-        np.testing.assert_allclose(other_x, x, rtol=0, atol=1e-6 * H, err_msg=name)
+        results.append((cable.tension, scene.energy, scene.dissipated))
+        curves.append(x[::-1] if "other" in name else x)
+    assert np.abs(way.sideways(curves[0])).max() > 0.04 * H
+    force, place = (1e-6, 1e-4 * H) if share > 0.95 else (2e-3, 0.02 * H)
+    for result, x in zip(results, curves, strict=True):
+        assert result == pytest.approx(results[0], rel=force)
+        np.testing.assert_allclose(x, curves[0], rtol=0, atol=place)
 
 
 def lattice_vertices(comm, mu):
@@ -168,7 +152,7 @@ def test_a_cable_laid_on_mesh_lines(comm, share, slides):
         assert kinds.count("fold") > 10
     else:
         assert np.abs(north).max() < 1e-6
-        assert kinds.count("vertex") == 13
+        assert kinds.count("vertex") == 15
 
 
 STATIC = pytest.mark.parametrize(
@@ -188,34 +172,40 @@ def test_static_and_kinetic_friction(comm, static, mu):
         assert furthest(way, cable) < 0.06
         return
     plain_scene, plain, _ = pulled(comm, way, mu, mesh=mesh, L=L)
-    if static == mu:  # the same numbers, not only the same law
-        np.testing.assert_array_equal(cable.positions, plain.positions)
-        assert scene.energies == plain_scene.energies
+    if static == mu:  # the same numbers, but that ranks may get other parts of the mesh
+        atol, rtol = (0.0, 0.0) if comm.size == 1 else (0.02 * H, 2e-3)
+        np.testing.assert_allclose(cable.positions, plain.positions, rtol=0, atol=atol)
+        assert scene.energy == pytest.approx(plain_scene.energy, rel=rtol, abs=0)
     else:
         assert way.coefficient_of(cable.positions) == pytest.approx(mu, rel=0.08)
-        # not where the static coefficient alone would let it go to
-        assert cable.tension == pytest.approx(plain.tension, rel=0.05)
+        # on the same mesh, so that it is told from the static coefficient, 6 % larger
+        found, other = (way.coefficient_of(c.positions) for c in (cable, plain))
+        assert found == pytest.approx(other, rel=0.02)
 
 
 def test_an_idle_cable_does_not_creep(comm):
-    """50 steps without any load: it moves by less than the elastic slip of 0.003 cells, in all."""
+    """50 steps without any load. In the first the direction in which friction acts becomes that of
+    the new curve, and the cable, which has just slid by 100 elastic slips, settles by some more;
+    then it stays to rounding.
+    """
     way = circle()
     mu = 0.9 * way.ratio
-    scene = rigid(comm, way, band(way, H, 0), mu)[0]
-    cable, solver = scene.cables[0], Solver(scene)
+    scene, cable = rigid(comm, way, band(way, H, 0), mu)
+    solver = Solver(scene)
     L0 = way.slid(mu).length * 0.99
     solver.advance(L0={cable: L0})
-    x, heat = cable.positions.copy(), scene.dissipated
-    slid = furthest(way, cable)
-    assert slid > 0.15
-    for _ in range(50):
-        solver.advance(L0={cable: L0})
-    assert np.abs(cable.positions - x).max() < 0.003 * H
-    # what friction could dissipate in a slip of eps along all of the cable
     eps = 0.003 * H
-    assert 0.0 <= scene.dissipated - heat < eps * mu * cable.tension * way.length
-    last = [step.outcome for step in solver.steps[-10:]]
-    assert max(outcome.solves for outcome in last) <= 2
+    assert furthest(way, cable) * H > 60 * eps
+    x = cable.positions.copy()
+    solver.advance(L0={cable: L0})
+    assert np.abs(cable.positions - x).max() < 10 * eps
+    x, heat = cable.positions.copy(), scene.dissipated
+    for _ in range(49):
+        solver.advance(L0={cable: L0})
+    assert np.abs(cable.positions - x).max() < 0.3 * eps
+    # against what friction dissipates in a slip of eps along all of the cable
+    assert 0.0 <= scene.dissipated - heat < 0.1 * eps * mu * cable.tension * way.length
+    assert max(step.outcome.solves for step in solver.steps[-10:]) <= 2
 
 
 def vault(comm, friction):
@@ -288,7 +278,7 @@ def test_dragged_there_and_back(comm):
 
 @pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="a rank cannot start another MPI program")
 def test_without_friction_nothing_of_it_is_loaded():
-    """Whichever way it is said that there is none; the same work leads to the same result."""
+    """However it is said that there is none; and it takes the same work to the same result."""
     code = f"""
 import sys
 sys.path.insert(0, {str(ROOT / "tests")!r})

@@ -273,7 +273,6 @@ def _may_slide(cable: LaidCable, k: int) -> bool:
 
 
 def _beside_anchor(cable: LaidCable, k: int) -> bool:
-    """Whether a node lies next to an anchor that is off the membrane."""
-    return (k == 1 and cable.ends[0] == "off") or (
-        k == len(cable.nodes) - 2 and cable.ends[1] == "off"
-    )
+    """Whether a node lies next to an anchor, off the membrane or where it is held."""
+    first, last = (cable.nodes[end].kind == "anchor" for end in (0, -1))
+    return (first and k == 1) or (last and k == len(cable.nodes) - 2)

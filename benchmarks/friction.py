@@ -1,0 +1,128 @@
+"""Friction of cables that slide sideways: accuracy and cost. Sections:
+
+rigid
+    A cable on a circle of latitude of a rigid sphere, and on curves of other rigid surfaces along
+    which geodesic and normal curvature have a constant ratio. It should slide if the ratio is
+    larger than mu, and end where it is mu. Means over meshes, whose lattices are turned and shifted
+    against the cable.
+
+    ./run python benchmarks/friction.py [rigid] [--meshes 8] [--sizes 20 40] [--half 1.0]
+
+What is told from a slid cable is the coefficient with which an exact one would have slid as far, in
+the mean over its length. The threshold is where that way is 0.02 cells, some elastic slips, over
+the coefficient at which an exact cable goes as far: a short or flat arc goes a little only, and
+would seem to hold. Both relative to mu.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx import ConvergenceError, Solver
+from crms_fenicsx.cables.cable import LaidCable
+from crms_fenicsx.cables.friction import Friction
+from crms_fenicsx.minimizer import Outcome
+
+sys.path.append(str(Path(__file__).parents[1] / "tests"))  # their surfaces
+from rigid_surfaces import SURFACES, Curve, Mesh, band, curve, rigid, sphere
+
+COMM = MPI.COMM_WORLD
+LATITUDES = (10.0, 20.0, 30.0, 45.0)
+SLID = 0.02
+"""Mean way, in cells, from which on a cable counts as slid."""
+STRAIN = 0.01
+
+
+def say(*texts: object) -> None:
+    """Print on one rank, at once."""
+    if COMM.rank == 0:
+        print(*texts, flush=True)
+
+
+def tightened(way: Curve, mesh: Mesh, mu: float) -> tuple[LaidCable, Outcome] | None:
+    """The cable after it was tightened by 1 % more than where it is to slide to; None: failed."""
+    cable = rigid(COMM, way, mesh, Friction(mu))
+    try:
+        end = way.slid(mu).length if mu < way.ratio else way.length
+        step = Solver(cable[0]).advance(L0={cable[1]: end * (1 - STRAIN)})
+    except ConvergenceError as error:
+        say(f"  mu = {mu:.4g}: {error}")
+        return None
+    return cable[1], step.outcome
+
+
+def threshold(way: Curve, mesh: Mesh, h: float) -> float:
+    """Where the cable begins to slide, over where it should; to a quarter of a per cent."""
+    shares = np.array([0.9, 0.95, 0.98, 1.0])
+    exact = [way.sideways(way.slid(s * way.ratio).points).mean() / h for s in shares]
+    low, high = 0.92, 1.08
+    while high - low > 0.005:
+        middle = (low + high) / 2
+        found = tightened(way, mesh, middle * way.ratio)
+        slid = found is not None and way.sideways(found[0].positions).mean() > SLID * h
+        low, high = (middle, high) if slid else (low, middle)
+    return (low + high) / 2 / float(np.interp(-SLID, -np.array(exact), shares))
+
+
+def row(label: str, way: Curve, h: float, meshes: int, kind: str, bisect: bool) -> None:
+    """One line: coefficient and threshold over mu, mean and scatter, and the work."""
+    mu, coefficients, thresholds, work = 0.95 * way.ratio, [], [], []
+    began, failed = time.perf_counter(), 0
+    for seed in range(meshes):
+        mesh = band(way, h, seed, kind)
+        found = tightened(way, mesh, mu)
+        if found is None:
+            failed += 1
+            continue
+        cable, done = found
+        coefficients.append(way.coefficient_of(cable.positions) / mu)
+        work.append((done.passes, done.solves, done.flips, done.evaluations))
+        if bisect:
+            thresholds.append(threshold(way, mesh, h))
+    c, t = np.array(coefficients), np.array(thresholds or [np.nan])
+    say(f"{label:22}{round(1 / h):5}{c.mean():10.4f}{c.std():8.4f}{t.mean():11.4f}{t.std():8.4f}"
+        + "".join(f"{w:8.1f}" for w in np.mean(work, axis=0))
+        + f"{failed:8}{time.perf_counter() - began:8.0f}")  # fmt: skip
+
+
+def rigid_surfaces(sizes: Sequence[int], meshes: int, half: float) -> None:
+    """Spheres with thresholds; other surfaces and kinds of meshes with coefficients."""
+    say(f"\ncables over {2 * half:g} radii, {meshes} meshes each; over mu:\n"
+        f"{'':22}{'1/h':>5}{'coeff.':>10}{'+-':>8}{'threshold':>11}{'+-':>8}{'passes':>8}"
+        f"{'solves':>8}{'flips':>8}{'eval.':>8}{'failed':>8}{'s':>8}")  # fmt: skip
+    for n in sizes:
+        for degrees in LATITUDES:
+            way = curve(sphere(np.radians(degrees)), float(np.tan(np.radians(degrees))), half)
+            row(f"sphere, {degrees:g} degrees", way, 1 / n, meshes, "jittered", True)
+    for n in sizes:
+        for name, surface in SURFACES.items():
+            for kind in ("structured", "delaunay", "lattice"):
+                way = curve(surface, 0.5, 0.8)
+                row(f"{name}, {kind}", way, 1 / n, min(meshes, 3), kind, False)
+
+
+def main() -> None:
+    """Print the sections asked for."""
+    sections = ("rigid",)
+    parser = argparse.ArgumentParser(description="Friction: see the head of this file.")
+    parser.add_argument("sections", nargs="*", help=f"of {', '.join(sections)}; default all")
+    parser.add_argument("--sizes", type=int, nargs="+", default=[20, 40], help="radii by cells")
+    parser.add_argument("--meshes", type=int, default=8, help="of each size")
+    parser.add_argument("--half", type=float, default=1.0, help="half of the cables' length")
+    given = parser.parse_args()
+    wanted = given.sections or sections
+    if set(wanted) - set(sections):
+        parser.error(f"there are no such sections: {', '.join(set(wanted) - set(sections))}")
+    if "rigid" in wanted:
+        rigid_surfaces(given.sizes, given.meshes, given.half)
+
+
+if __name__ == "__main__":
+    main()
