@@ -76,7 +76,7 @@ def test_pulled_tension_converges_with_the_square_of_the_cells(comm) -> None:
         pull(Solver(scene), rope, 0.012)
         errors.append(rope.tensions[-1] / exact_tensions(5.0, 0.3, [0.012])[-1] - 1)
     assert order([1 / n for n in sizes], errors) > 1.7
-    assert abs(errors[-1]) < 2e-4
+    assert abs(errors[-1]) < 3e-4
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.25])
