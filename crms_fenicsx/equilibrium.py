@@ -197,10 +197,9 @@ class EquilibriumSearch:
                     laid_again |= caught
                     paths.lay_again(caught)
                 elif not paths.pass_next(NEAR if self.polish else BLOCKED):
-                    if not self._relax_held():
-                        flips = self._give_way(None)
-                        if not flips:
-                            break
+                    flips = self._give_way(None)
+                    if not flips and not self._relax_held():
+                        break
             if tries == MAX_PATHS:
                 reason = f"after {tries} changes the paths of the cables still want to change"
                 return replace(total, converged=False, reason=reason)

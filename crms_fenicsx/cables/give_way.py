@@ -63,7 +63,7 @@ def give_way(paths: Retracer, most: int | None = None) -> int:
     shape, passed = StripShape.of(paths.scene), 0
     for cable in held:
         done = 0
-        for vertex, to_left in _run_into(cable, shape):
+        for vertex, to_left, _ in _run_into(cable, shape):
             if most is not None and done == most:
                 break
             done += _pass(paths, cable, vertex, to_left)
@@ -71,27 +71,33 @@ def give_way(paths: Retracer, most: int | None = None) -> int:
     return passed
 
 
-def relax(paths: Retracer, caught: Iterable[tuple[int, int]]) -> bool:
+def relax(paths: Retracer, kinked: Iterable[tuple[int, int]]) -> bool:
     """Put caught fold points of cables with friction back on straight edges. Collective.
 
     Two points on edges that meet in a vertex may have closed in on each other away from it, so that
-    the chord between them has no direction any more. They go to where a string between the points
-    around them would cross their edges.
+    the chord between them has no direction any more. Then edges are kinked, or the points are
+    pulled and do not move. They go to where a string between the points around them would cross
+    their edges.
 
     Parameters
     ----------
     paths
         The scene's paths.
-    caught
-        Cables and their nodes, by number.
+    kinked
+        Cables and their nodes at kinks, by number.
 
     Returns
     -------
     Whether any was moved that has not been before from the same place on the path.
     """
-    cables, moved = paths.scene.cables, False
+    shape, caught = StripShape.of(paths.scene), set(kinked)
+    for c, cable in enumerate(paths.scene.cables):
+        if cable.taut and cable.grip is not None and cable.grip.known:
+            for *_, nodes in _run_into(cable, shape):
+                caught |= {(c, k) for k in nodes if not cable.lifted[k]}
+    moved = False
     for c, k in sorted(caught):
-        cable = cables[c]
+        cable = paths.scene.cables[c]
         if cable.slides_freely or not cable.nodes[k].slides:
             continue
         rim = _rim(cable)
@@ -102,8 +108,7 @@ def relax(paths: Retracer, caught: Iterable[tuple[int, int]]) -> bool:
         paths.withheld.add(way)
         contacts = [j for j, m in enumerate(rim) if not cable.lifted[m]]
         at = contacts.index(i)
-        first = rim.index(rim[contacts[max(at - 2, 0)]])
-        last = rim.index(rim[contacts[min(at + 2, len(contacts) - 1)]])
+        first, last = contacts[max(at - 2, 0)], contacts[min(at + 2, len(contacts) - 1)]
         moved |= _straighten(paths, cable, rim[first : last + 1])
     return moved
 
@@ -133,8 +138,8 @@ def _rim(cable: LaidCable) -> list[int]:
     ]
 
 
-def _run_into(cable: LaidCable, shape: StripShape) -> list[tuple[int, bool]]:
-    """Vertices against which a cable may be pulled, and whether it is pulled to its left there.
+def _run_into(cable: LaidCable, shape: StripShape) -> list[tuple[int, bool, list[int]]]:
+    """Vertices at which a cable may be held up: whether it is pulled to its left; its nodes there.
 
     What pulls is the part of the cable's force that friction does not carry. All nodes on edges at
     a vertex count as one: only their sum means anything. Some of them may have lifted off where the
@@ -168,7 +173,7 @@ def _run_into(cable: LaidCable, shape: StripShape) -> list[tuple[int, bool]]:
         least = SLACK * grip.bounds[rows].sum() + TINY * cable.tension
         if abs(pull) > least:
             found.append((least - abs(pull), vertex, bool(pull > 0)))
-    return [(vertex, to_left) for _, vertex, to_left in sorted(found)]
+    return [(vertex, to_left, groups[vertex]) for _, vertex, to_left in sorted(found)]
 
 
 def _pass(paths: Retracer, cable: LaidCable, vertex: int, to_left: bool) -> int:
@@ -260,6 +265,9 @@ def _adopt(
             fractions.append(float(cable.fractions[k]))
             lifted.append(bool(cable.lifted[k]))
     cable.set_nodes(nodes, np.array(positions), np.array(fractions), np.array(lifted))
+    rim = _rim(cable)
+    new = [i for i, k in enumerate(rim) if _support(cable.nodes[k]) not in old]
+    _straighten(paths, cable, rim[new[0] - 1 : new[-1] + 2])
 
 
 def _support(node: CableNode) -> Support:
