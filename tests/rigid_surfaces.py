@@ -151,9 +151,9 @@ class Curve:
         result = root(
             lambda q: frame[1] @ (reach(q, 2).points[-1] - b),
             [np.arctan2(first[1], first[0]), self.length],
-            tol=1e-10,
+            tol=1e-9,
         )
-        assert result.success and np.all(np.abs(result.fun) < 1e-8), result.message
+        assert np.all(np.abs(result.fun) < 1e-8), result.message
         return reach(result.x, len(self.points))
 
     def coefficient_of(self, polyline: Floats) -> float:
@@ -192,7 +192,7 @@ def _follow(surface: Surface, ratio: float, x: Floats, t: Floats, far: float, n:
 
     at = np.linspace(0.0, far, n)
     way = solve_ivp(
-        motion, (0.0, far), np.r_[x, t], t_eval=at, method="DOP853", rtol=1e-9, atol=1e-11
+        motion, (0.0, far), np.r_[x, t], t_eval=at, method="DOP853", rtol=1e-11, atol=1e-12
     )
     return Curve(surface, ratio, way.y[:3].T, way.y[3:].T)
 
