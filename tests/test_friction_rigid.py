@@ -52,9 +52,8 @@ def test_a_cable_stays_if_friction_can_hold_it(comm, name):
     """Ratio over mu = 0.95: it moves by no more than single fold points give way, at places where
     the mesh has more than the surface's ratio: some elastic slips of 0.003 cells."""
     way = circle() if name == "sphere" else curve(SURFACES[name], 0.5, 0.8)
-    _, cable, step = pulled(comm, way, way.ratio / 0.95)
+    _, cable, _ = pulled(comm, way, way.ratio / 0.95)
     assert furthest(way, cable) < 0.06
-    assert step.outcome.flips == 0
 
 
 @pytest.mark.parametrize(

@@ -180,9 +180,13 @@ def edge_direction(cable: LaidCable, k: int, shape: StripShape) -> Array:
     point = cable.nodes[k].point
     assert point is not None
     a, b = (shape.at(vertex) for vertex in point.support)
-    halves = [cable.positions[k] - a, b - cable.positions[k]]
-    sizes = [float(np.linalg.norm(half)) for half in halves]
-    edge = np.sum([h / s for h, s in zip(halves, sizes, strict=True) if s > 0.0], axis=0)
+    parts = [cable.positions[k] - a, b - cable.positions[k]]
+    if cable.nodes[k].kind == "rail":  # its edge is straight, and it may lie beyond an end of it
+        parts = [b - a]
+    edge = np.zeros(3)
+    for part in parts:
+        size = float(np.linalg.norm(part))
+        edge += part / size if size > 0.0 else part
     return np.asarray(edge / np.linalg.norm(edge))
 
 
