@@ -21,8 +21,8 @@ from crms_fenicsx.cables.contact_force import contact_forces
 from crms_fenicsx.cables.corridor import Corridor, Support, corridor, flaw
 from crms_fenicsx.cables.folded_surface import FoldedSurface
 from crms_fenicsx.cables.grip import friction_forces
-from crms_fenicsx.cables.intrinsic import MissingStars
-from crms_fenicsx.cables.path import EdgePoint, VertexPoint
+from crms_fenicsx.cables.intrinsic import Edge, MissingStars
+from crms_fenicsx.cables.path import EdgePoint
 from crms_fenicsx.cables.retrace import Retracer
 from crms_fenicsx.cables.shorten import other_side, shorten
 from crms_fenicsx.cables.strip import StripShape, grow
@@ -236,40 +236,28 @@ def _adopt(
     assert strip is not None
     old = {_support(cable.nodes[k]): k for k in rim}
     least = BEYOND * (1 + 0.02 * paths.scene.cables.index(cable))
-    nodes: list[CableNode] = []
-    positions, fractions, lifted = [], [], []
-    if cable.nodes[0].kind == "anchor":
-        nodes.append(cable.nodes[0])
-        positions.append(cable.positions[0])
-    for support in supports:
-        k = old.get(support)
-        if k is not None:
-            nodes.append(cable.nodes[k])
-            positions.append(cable.positions[k])
-            continue
-        edge = (support[0], support[1])
+
+    def kept(k: int) -> tuple[CableNode, Array, float, bool]:
+        fraction, lifted = float(cable.fractions[k]), bool(cable.lifted[k])
+        return cable.nodes[k], cable.positions[k], fraction, lifted
+
+    def new(edge: Edge) -> tuple[CableNode, Array, float, bool]:
         fraction = least if edge[0] == vertex else 1 - least
-        kind = "rail" if edge in strip.held_edges else "fold"
-        nodes.append(CableNode(kind, EdgePoint(edge, fraction)))  # type: ignore[arg-type]
-        positions.append(surface.place(edge, fraction))
-    if cable.nodes[-1].kind == "anchor":
-        nodes.append(cable.nodes[-1])
-        positions.append(cable.positions[-1])
-    for node in nodes:
-        k = None if node.point is None else old.get(_support(node))
-        if k is None:
-            on_edge = isinstance(node.point, EdgePoint)
-            fractions.append(node.point.fraction if on_edge else np.nan)  # type: ignore[union-attr]
-            lifted.append(False)
-        else:
-            fractions.append(float(cable.fractions[k]))
-            lifted.append(bool(cable.lifted[k]))
+        point = EdgePoint(edge, fraction)
+        node = CableNode("rail" if edge in strip.held_edges else "fold", point)
+        return node, surface.place(edge, fraction), fraction, False
+
+    last = len(cable.nodes) - 1
+    rows = [kept(0)] if rim[0] > 0 else []  # an anchor
+    rows += [kept(old[s]) if s in old else new((s[0], s[1])) for s in supports]
+    rows += [kept(last)] if rim[-1] < last else []
+    nodes, positions, fractions, lifted = zip(*rows, strict=True)
     cable.set_nodes(nodes, np.array(positions), np.array(fractions), np.array(lifted))
     rim = _rim(cable)
-    new = [i for i, k in enumerate(rim) if _support(cable.nodes[k]) not in old]
-    _straighten(paths, cable, rim[new[0] - 1 : new[-1] + 2])
+    added = [i for i, k in enumerate(rim) if _support(cable.nodes[k]) not in old]
+    _straighten(paths, cable, rim[added[0] - 1 : added[-1] + 2])
 
 
 def _support(node: CableNode) -> Support:
     assert node.point is not None
-    return VertexPoint(node.point.vertex).support if node.kind == "vertex" else node.point.support  # type: ignore[union-attr]
+    return node.point.support
