@@ -153,7 +153,9 @@ class Curve:
             [np.arctan2(first[1], first[0]), self.length],
             tol=1e-9,
         )
-        assert np.all(np.abs(result.fun) < 1e-8), result.message
+        if np.any(np.abs(result.fun) > 1e-8):  # too far for one go
+            assert abs(mu - self.ratio) > 1e-3, result.message
+            return self.slid((mu + self.ratio) / 2).slid(mu)
         return reach(result.x, len(self.points))
 
     def coefficient_of(self, polyline: Floats) -> float:
