@@ -159,9 +159,13 @@ class Curve:
         return reach(result.x, len(self.points))
 
     def coefficient_of(self, polyline: Floats) -> float:
-        """Friction coefficient with which an exact cable would have slid as far, in the mean."""
+        """Friction coefficient with which an exact cable would have slid as far, in the mean.
+
+        It is told up to the ratio of this curve, at which a cable stays; much beyond there may be
+        no curve between the same ends.
+        """
         found = float(self.sideways(polyline).mean())
-        mu = self.ratio * np.array([0.75, 0.85, 0.95, 1.05])
+        mu = self.ratio * np.array([0.75, 0.85, 0.95, 1.0])
         exact = np.array([self.sideways(self.slid(float(m)).points).mean() for m in mu])
         return float(np.interp(-found, -exact, mu))
 
