@@ -153,13 +153,19 @@ class Curve:
             [np.arctan2(first[1], first[0]), self.length],
             tol=1e-9,
         )
-        assert np.all(np.abs(result.fun) < 1e-8), result.message
+        if np.any(np.abs(result.fun) > 1e-8):  # too far for one go
+            assert abs(mu - self.ratio) > 1e-3, result.message
+            return self.slid((mu + self.ratio) / 2).slid(mu)
         return reach(result.x, len(self.points))
 
     def coefficient_of(self, polyline: Floats) -> float:
-        """Friction coefficient with which an exact cable would have slid as far, in the mean."""
+        """Friction coefficient with which an exact cable would have slid as far, in the mean.
+
+        It is told up to the ratio of this curve, at which a cable stays; much beyond there may be
+        no curve between the same ends.
+        """
         found = float(self.sideways(polyline).mean())
-        mu = self.ratio * np.array([0.75, 0.85, 0.95, 1.05])
+        mu = self.ratio * np.array([0.75, 0.85, 0.95, 1.0])
         exact = np.array([self.sideways(self.slid(float(m)).points).mean() for m in mu])
         return float(np.interp(-found, -exact, mu))
 
