@@ -1,8 +1,9 @@
 """The equilibrium of a load step: what changes the potential itself, around its minimisation.
 
-Three loops, one inside the other:
+Loops, one inside the other:
 
-    paths        cables without friction slide into other cells where that lowers the energy,
+    friction     its forces are those of the state found before, until they are its own,
+    paths        cables slide into other cells where that lowers the energy,
     active set   cables turn slack or taut, lift off and touch down, part and join at crossings,
     minimiser    of the potential of these cables on these paths.
 

@@ -352,8 +352,8 @@ class Scene:
         makes it just taut, unless `L0` or `tension` is given. Where it ends on a held edge of the
         membrane it is held there; moved along the boundary its end goes from edge to edge, moved
         off it slides over the edge. Where it ends elsewhere on the membrane it is tied to that
-        place. In load steps it slides, also sideways, held back by friction if it has any, lifts off
-        and touches down.
+        place. In load steps it slides, also sideways, as far as its friction lets it, lifts off and
+        touches down.
 
         Parameters
         ----------
