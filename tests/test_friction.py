@@ -228,6 +228,21 @@ def test_invariance(comm, change: str) -> None:
     np.testing.assert_allclose(results[1], results[0], rtol=1e-3)
 
 
+def test_ends_that_move_along_the_boundary_and_off_it(comm) -> None:
+    """The boundary presses on the cable's end much more than the rest does on all of it."""
+    scene = sheet(comm, 13, "unstructured")
+    solver = Solver(scene)
+    solver.advance(pressure=PRESSURE)
+    cable = scene.lay_cable(Cable(EA=32000.0, friction=0.2), [(0.0, 30.0), (100.0, 30.0)])
+    solver.advance(L0={cable: 100.0})
+    for way in ((0.0, 10.0, 0.0), (0.0, 0.0, -1.0), (0.0, -10.0, 1.0)):
+        step = solver.advance(move={cable: way}, steps=3)
+        assert step.halvings == 0
+    assert cable.ends == ("held", "held")
+    assert 29.6 < place(cable, 50.0)[1] < 30.6  # it lags behind; without friction 29.6
+    assert np.all(np.diff(np.nan_to_num(solver.history["dissipated"])) >= 0.0)
+
+
 def test_refused_step_leaves_no_trace(comm, monkeypatch) -> None:
     """After a step that fails, friction knows nothing of it."""
     scene, solver, cable = anchored(comm, 0.2)

@@ -73,9 +73,9 @@ def gripped(bounds, moving=None):
         ([(0, 1), (1, 2), (2, 8), (2, 3), (3, 4)], [1, 2, 0, 4, 5], [0, -1, 0, -1, 0]),
         # an edge to a vertex
         ([(0, 1), (1, 2), (3,), (3, 4)], [1, 2, 4, 5], [0, -1, -1, 0]),
-        # all new, or the other way round: shared evenly
-        ([(8, 9), (9, 10)], [6, 6], [-1, -1]),
-        ([(3, 4), (2, 3), (1, 2), (0, 1)], [3, 3, 3, 3], [-1, -1, -1, -1]),
+        # all new, or the other way round: the ends have those of the ends, what is left is shared
+        ([(8, 9), (9, 10)], [1 + 3, 5 + 3], [-1, -1]),
+        ([(3, 4), (2, 3), (1, 2), (0, 1)], [1 + 1.5, 1.5, 1.5, 5 + 1.5], [-1, -1, -1, -1]),
     ],
 )
 def test_bounds_move_to_a_new_path(path, bounds, moving):

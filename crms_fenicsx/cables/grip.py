@@ -122,7 +122,13 @@ def align(cable: LaidCable) -> None:
     bounds, moving = np.zeros(len(now)), np.zeros(len(now))
     bounds[stays], moving[stays] = grip.bounds[rows], grip.moving[rows]
     for gone, new in heirs:
-        bounds[new] += float(grip.bounds[gone].sum()) / len(new)
+        freed = grip.bounds[gone].copy()
+        # At its ends a cable may press on an edge of the boundary, much more than on all others.
+        if len(new) > 1 and gone.start == new[0] == 0:
+            bounds[0], freed[0] = freed[0], 0.0
+        if len(new) > 1 and gone.stop == len(grip.supports) and new[-1] == len(now) - 1:
+            bounds[-1], freed[-1] = freed[-1], 0.0
+        bounds[new] += float(freed.sum()) / len(new)
         strongest = int(np.argmax(np.abs(grip.moving[gone])))
         for k in new:
             moving[k] = moving[k] or grip.moving[gone][strongest]
