@@ -253,12 +253,11 @@ class EquilibriumSearch:
 
     def _give_way(self, most: int | None) -> int:
         """Lead cables with friction over the vertices that they have run into."""
-        assert self.paths is not None
-        self.paths.offered = set()
         if not self._has_friction:
             return 0
         from crms_fenicsx.cables.give_way import give_way
 
+        assert self.paths is not None
         return give_way(self.paths, most)
 
     def _relax_held(self) -> bool:

@@ -298,9 +298,9 @@ class System:
                     potential.x[block] = scene.cables[c].positions[k] - self.unknowns.X[block]
             self.unknowns.update_ghosts(potential.x_vector)  # far vertices, with rails on them
             self.network.place_rails(self.unknowns, potential.x)
-            if self.tables is not None and self.tension is not None:
+            if self.tension is not None:
                 self.tension.L0[:] = [cable.L0 for cable in self._sliding]
-            if self.tables is not None and self.capstan is not None:
+            if self.capstan is not None:
                 self.capstan.L0[:] = [cable.L0 for cable in self._gripped]
         potential.place()
 
@@ -316,7 +316,7 @@ class System:
         for cable in scene.cables:
             cable.length = polyline_length(cable.positions[cable.contacts()])
             cable.tension = 0.0
-        if self.tables is not None and self.tension is not None:
+        if self.tension is not None:
             part = self.potential.sums_of(self.tension)
             forces = self.tension.tensions(part)
             for cable, length, force in zip(self._sliding, part, forces, strict=True):
@@ -327,7 +327,7 @@ class System:
 
             shape = StripShape.of(scene)
             scene.energies["friction"] = sum(energies(c, shape)[0] for c in scene.cables)
-        if self.tables is not None and self.capstan is not None:
+        if self.capstan is not None:
             self._push_gripped(self.capstan)
 
     def _push_gripped(self, capstan: CapstanTension) -> None:

@@ -137,8 +137,7 @@ def rest_places(cable: LaidCable, shape: StripShape) -> RestPlaces:
     for i, k in enumerate(nodes):
         point = cable.nodes[k].point
         assert point is not None
-        around = shape.stress_free_normals[shape.strip.rows(point.support)]
-        size[i] = np.linalg.norm(around, axis=1).mean() ** 0.5
+        size[i] = shape.stress_free_size(point.support)
         if cable.nodes[k].slides and k in direction:
             at = contacts.index(k)
             stretch = 1 + cable.tensions[at - 1 : at + 1].mean() / cable.cable.EA
@@ -298,13 +297,7 @@ def _curve(
     Places under the cable where it is off the membrane count as well: there it may touch down.
     """
     last = len(cable.nodes) - 1
-    on = [
-        k
-        for k, node in enumerate(cable.nodes)
-        if node.point is not None
-        and node.kind != "crossing"
-        and not (0 < k < last and is_foot(cable, k))
-    ]
+    on = [k for k in cable.rim() if not (0 < k < last and is_foot(cable, k))]
     points = np.array([material_place(cable, k, shape) for k in on]).reshape(-1, 3)
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     arc = np.concatenate([np.zeros(min(len(points), 1)), np.cumsum(steps)])

@@ -331,6 +331,14 @@ class LaidCable:
         fraction = float(self.fractions[k])
         return self.nodes[k].masters(None if np.isnan(fraction) else fraction)
 
+    def rim(self) -> list[int]:
+        """Nodes of its way over the mesh, in order: no anchors, no crossings."""
+        return [
+            k
+            for k, node in enumerate(self.nodes)
+            if node.point is not None and node.kind != "crossing"
+        ]
+
     def contacts(self) -> list[int]:
         """Nodes that the cable touches, its ends included, in order."""
         return [int(k) for k in np.flatnonzero(~self.lifted)]

@@ -26,7 +26,12 @@ from petsc4py import PETSc
 from crms_fenicsx.cables.blocks import ElementPattern, SegmentPattern
 from crms_fenicsx.cables.length import add_segment_forces, segment_lengths, segment_stiffness
 from crms_fenicsx.cables.slip_chain import ENERGY, find_slips
-from crms_fenicsx.cables.stick_slip import add_slip_forces, edge_fractions, friction_energy
+from crms_fenicsx.cables.stick_slip import (
+    add_slip_forces,
+    edge_fractions,
+    friction_energy,
+    secant_stiffness,
+)
 from crms_fenicsx.unknowns import Unknowns
 
 Array = npt.NDArray[np.float64]
@@ -237,8 +242,7 @@ class CapstanTension:
         many nodes have little slip and will stick as soon as they turn back.
         """
         grips, lengths = self.grips, sums[: self.n_spans]
-        y = np.abs(self.slips) / grips.eps
-        stiffness = grips.bound / grips.eps * np.where(y < 1.0, 2.0 - y, 1.0 / np.maximum(y, 1.0))
+        stiffness = secant_stiffness(self.slips, grips.bound, grips.eps)
         runs = []
         for c, EA in enumerate(self.chains.EA):
             spans, nodes = self.spans_of(c), self.nodes_of(c)

@@ -192,12 +192,7 @@ def edge_direction(cable: LaidCable, k: int, shape: StripShape) -> Array:
 
 def runs(cable: LaidCable) -> list[list[int]]:
     """Nodes of each part of a cable that lies on the membrane, crossings not counted."""
-    rim = [
-        k
-        for k, node in enumerate(cable.nodes)
-        if node.point is not None and node.kind != "crossing"
-    ]
-    parts = itertools.groupby(rim, key=lambda k: bool(cable.lifted[k]))
+    parts = itertools.groupby(cable.rim(), key=lambda k: bool(cable.lifted[k]))
     return [list(part) for lifted, part in parts if not lifted]
 
 

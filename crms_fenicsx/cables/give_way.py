@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -57,11 +57,11 @@ def give_way(paths: Retracer, most: int | None = None) -> int:
     How many vertices the cable that has passed most has.
     """
     paths.offered = set()
-    held = [c for c in paths.scene.cables if c.taut and c.grip is not None and c.grip.known]
+    held = _held(paths.scene.cables)
     if not held:
         return 0
     shape, passed = StripShape.of(paths.scene), 0
-    for cable in held:
+    for cable in held.values():
         done = 0
         for vertex, to_left, _ in _run_into(cable, shape):
             if most is not None and done == most:
@@ -69,6 +69,15 @@ def give_way(paths: Retracer, most: int | None = None) -> int:
             done += _pass(paths, cable, vertex, to_left)
         passed = max(passed, done)
     return passed
+
+
+def _held(cables: Sequence[LaidCable]) -> dict[int, LaidCable]:
+    """Cables that friction holds with known forces, by number."""
+    return {
+        c: cable
+        for c, cable in enumerate(cables)
+        if cable.taut and cable.grip is not None and cable.grip.known
+    }
 
 
 def relax(paths: Retracer, kinked: Iterable[tuple[int, int]]) -> bool:
@@ -91,16 +100,15 @@ def relax(paths: Retracer, kinked: Iterable[tuple[int, int]]) -> bool:
     Whether any was moved that has not been before from the same place on the path.
     """
     shape, caught = StripShape.of(paths.scene), set(kinked)
-    for c, cable in enumerate(paths.scene.cables):
-        if cable.taut and cable.grip is not None and cable.grip.known:
-            for *_, nodes in _run_into(cable, shape):
-                caught |= {(c, k) for k in nodes if not cable.lifted[k]}
+    for c, cable in _held(paths.scene.cables).items():
+        for *_, nodes in _run_into(cable, shape):
+            caught |= {(c, k) for k in nodes if not cable.lifted[k]}
     moved = False
     for c, k in sorted(caught):
         cable = paths.scene.cables[c]
         if cable.slides_freely or not cable.nodes[k].slides:
             continue
-        rim = _rim(cable)
+        rim = cable.rim()
         i = rim.index(k)
         way = cable.name, tuple(_support(cable.nodes[m]) for m in rim[max(i - 1, 0) : i + 2])
         if way in paths.withheld:
@@ -115,7 +123,7 @@ def relax(paths: Retracer, kinked: Iterable[tuple[int, int]]) -> bool:
 
 def _straighten(paths: Retracer, cable: LaidCable, part: list[int]) -> bool:
     """Pull a part of a cable taut between its ends, in the cells that it crosses."""
-    path = dict(zip(_rim(cable), cable.path.points, strict=True))
+    path = dict(zip(cable.rim(), cable.path.points, strict=True))
     points = [path[k] for k in part]
     surface = paths.surface([v for point in points for v in point.support])
     if len(points) < 3 or flaw(corridor(points), surface.thirds):
@@ -127,15 +135,6 @@ def _straighten(paths: Retracer, cable: LaidCable, part: list[int]) -> bool:
             cable.fractions[k] = fraction
             cable.positions[k] = surface.place(point.edge, fraction)
     return True
-
-
-def _rim(cable: LaidCable) -> list[int]:
-    """Nodes that the path over the mesh consists of: no anchors, no crossings."""
-    return [
-        k
-        for k, node in enumerate(cable.nodes)
-        if node.point is not None and node.kind != "crossing"
-    ]
 
 
 def _run_into(cable: LaidCable, shape: StripShape) -> list[tuple[int, bool, list[int]]]:
@@ -151,7 +150,7 @@ def _run_into(cable: LaidCable, shape: StripShape) -> list[tuple[int, bool, list
     held = friction_forces(cable, shape)
     groups: dict[int, list[int]] = defaultdict(list)
     near: set[int] = set()
-    for k in _rim(cable):
+    for k in cable.rim():
         node = cable.nodes[k]
         if node.kind == "vertex":
             groups[_support(node)[0]].append(k)
@@ -179,7 +178,7 @@ def _run_into(cable: LaidCable, shape: StripShape) -> list[tuple[int, bool, list
 def _pass(paths: Retracer, cable: LaidCable, vertex: int, to_left: bool) -> int:
     """Lead a cable around the other side of a vertex; return how many vertices it has passed."""
     surface = paths.surface([vertex])
-    rim = _rim(cable)
+    rim = cable.rim()
     supports: Corridor = tuple(_support(cable.nodes[k]) for k in rim)
     string, first = supports, 0
     joined = paths.with_anchors(cable, surface)
@@ -253,7 +252,7 @@ def _adopt(
     rows += [kept(last)] if rim[-1] < last else []
     nodes, positions, fractions, lifted = zip(*rows, strict=True)
     cable.set_nodes(nodes, np.array(positions), np.array(fractions), np.array(lifted))
-    rim = _rim(cable)
+    rim = cable.rim()
     added = [i for i, k in enumerate(rim) if _support(cable.nodes[k]) not in old]
     _straighten(paths, cable, rim[added[0] - 1 : added[-1] + 2])
 

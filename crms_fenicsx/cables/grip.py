@@ -20,6 +20,7 @@ import numpy.typing as npt
 from crms_fenicsx.cables.cable import LaidCable, polyline_length
 from crms_fenicsx.cables.contact_force import contact_forces, paper_forces
 from crms_fenicsx.cables.slip import MaterialCurve, Support, material_curve, node_slips
+from crms_fenicsx.cables.stick_slip import friction_energy
 from crms_fenicsx.cables.strip import StripShape
 
 Array = npt.NDArray[np.float64]
@@ -268,9 +269,9 @@ def energies(cable: LaidCable, shape: StripShape) -> tuple[float, float]:
         rows = [grip.row_of[support] for support in slips.supports]
         return 0.0, float(np.sum(bounds * grip.moving[rows] * slips.slip))
     eps = friction.tolerance * slips.size
-    s = np.minimum(np.abs(slips.slip) / eps, 1.0)
-    stored = float(np.sum(bounds * eps * s**2 * (1.0 - s / 3.0)))
-    return stored, float(np.sum(bounds * np.maximum(np.abs(slips.slip) - eps, 0.0)))
+    lost = float(np.sum(bounds * np.maximum(np.abs(slips.slip) - eps, 0.0)))
+    total = friction_energy(slips.slip, bounds, eps, np.zeros_like(eps))
+    return max(total - lost, 0.0), lost
 
 
 def friction_forces(cable: LaidCable, shape: StripShape) -> Array:
@@ -286,8 +287,9 @@ def friction_forces(cable: LaidCable, shape: StripShape) -> Array:
     if friction.law == "step":
         forces[rows] = grip.bounds[rows] * grip.moving[rows]
     else:
-        y = np.clip(slips.slip / (friction.tolerance * slips.size), -1.0, 1.0)
-        forces[rows] = grip.bounds[rows] * y * (2.0 - np.abs(y))
+        own, eps = np.zeros(len(rows)), friction.tolerance * slips.size
+        friction_energy(slips.slip, grip.bounds[rows], eps, own)
+        forces[rows] = own
     return np.asarray(forces)
 
 

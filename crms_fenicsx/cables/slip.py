@@ -183,10 +183,9 @@ def node_slips(cable: LaidCable, curve: MaterialCurve, shape: StripShape) -> Nod
     ends = np.array([[shape.stress_free_at(v) for v in s] for s in supports]).reshape(-1, 2, 3)
     fractions, sides = cable.fractions[nodes], ends[:, 1] - ends[:, 0]
     at, feet, parts = curve.nearest(ends[:, 0] + fractions[:, None] * sides)
-    all_normals = shape.stress_free_normals
-    around = [all_normals[shape.strip.rows(s)] for s in supports]
-    size = np.array([np.linalg.norm(normals, axis=1).mean() for normals in around]) ** 0.5
-    normals = np.array([normals.sum(axis=0) for normals in around]).reshape(-1, 3)
+    size = np.array([shape.stress_free_size(s) for s in supports])
+    around = (shape.stress_free_normals[shape.strip.rows(s)] for s in supports)
+    normals = np.array([own.sum(axis=0) for own in around]).reshape(-1, 3)
     first, last = np.full((2, len(nodes)), np.nan)
     for part in np.unique(parts[parts >= 0]):
         own = curve.arc[curve.part == part]

@@ -96,6 +96,16 @@ def friction_energy(slip, bound, eps, force):  # type: ignore[no-untyped-def]
     return energy
 
 
+def secant_stiffness(slip: Array, bound: Array, eps: Array) -> Array:
+    """Stiffness ``force / slip`` of nodes, (n,) (force/length).
+
+    It is that of the parabola which touches the potential at the present slip and lies above it
+    elsewhere: the tangent is zero beyond eps, and says nothing of what comes below.
+    """
+    y = np.abs(slip) / eps
+    return np.asarray(bound / eps * np.where(y < 1.0, 2.0 - y, 1.0 / np.maximum(y, 1.0)))
+
+
 class StickSlip:
     """Friction of the sliding nodes of cables, (3.3-1) with stick.
 
@@ -143,14 +153,9 @@ class StickSlip:
         add_slip_forces(t.pointers, t.blocks, self._gradients, self._force, t.slope, g)
 
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
-        """Add the stiffness ``force / slip`` against the slip.
-
-        It is that of the parabola which touches the potential at the present slip and lies above
-        it elsewhere: the tangent is zero beyond eps, and says nothing of what comes below.
-        """
+        """Add the stiffness ``force / slip`` against the slip; see `secant_stiffness`."""
         t = self.table
-        y = np.abs(self.slips) / t.eps
-        secant = t.bound / t.eps * np.where(y < 1.0, 2.0 - y, 1.0 / np.maximum(y, 1.0))
+        secant = secant_stiffness(self.slips, t.bound, t.eps)
         start = 0
         for k, value in enumerate(secant * t.slope**2):
             own = self._gradients[t.pointers[k] : t.pointers[k + 1]]

@@ -147,6 +147,11 @@ class StripShape:
         x = self.stress_free[np.searchsorted(self.strip.vertices, self.strip.cells)]
         return np.asarray(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), dtype=float)
 
+    def stress_free_size(self, support: tuple[int, ...]) -> float:
+        """Size of the stress-free cells around a vertex or an edge (length)."""
+        around = self.stress_free_normals[self.strip.rows(support)]
+        return float(np.linalg.norm(around, axis=1).mean() ** 0.5)
+
     def stress_free_at(self, vertex: int) -> Array:
         """Stress-free position of a vertex, by id, (3,)."""
         return self.stress_free[self.strip.row_of[vertex]]
