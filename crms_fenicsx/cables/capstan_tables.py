@@ -38,10 +38,10 @@ def chain_table(network: Network, tables: CableTables) -> Chains:
     nodes: list[int] = []
     owned: list[bool] = []
     for n, c, i, edge in _fold_points(network):
-        inner = [network.block(d, m) for _, d, m in on_edge[edge]]
-        blocks += [network.vertex(edge[0]), *inner, network.vertex(edge[1])]
+        line = network.line(edge, on_edge[edge])
+        blocks += line
         pointers.append(len(blocks))
-        places.append(1 + inner.index(network.block(c, held[c][i])))
+        places.append(line.index(network.block(c, held[c][i])))
         nodes.append(int(first[c]) - n + i)
         owned.append(strip.owner_of(edge) == network.rank)
     return Chains(

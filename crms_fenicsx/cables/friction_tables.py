@@ -29,10 +29,10 @@ def slip_table(network: Network, shape: StripShape) -> Slips:
         for i, (k, edge) in enumerate(zip(slips.nodes, slips.supports, strict=True)):
             if network.strip.owner_of(edge) != network.rank:
                 continue
-            inner = [network.block(d, m) for _, d, m in on_edge[edge[0], edge[1]]]
-            blocks += [network.vertex(edge[0]), *inner, network.vertex(edge[1])]
+            line = network.line((edge[0], edge[1]), on_edge[edge[0], edge[1]])
+            blocks += line
             pointers.append(len(blocks))
-            places.append(1 + inner.index(network.block(c, k)))
+            places.append(line.index(network.block(c, k)))
             eps = friction.tolerance * slips.size[i]
             rows.append((slips.slope[i], slips.offset[i], grip.at(edge), eps))
     slope, offset, bound, eps_of = np.array(rows, dtype=float).reshape(-1, 4).T.copy()

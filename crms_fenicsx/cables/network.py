@@ -316,8 +316,7 @@ class Network:
                     local[sizes[c] + k, :3] = unknowns.X[block] + x[block]
         for edge, points in self.points_by_edge(taut).items():
             if self.strip.owner_of(edge) == self.rank:
-                chain = [self.vertex(edge[0]), *(self.block(c, k) for _, c, k in points)]
-                places = (unknowns.X + x)[[*chain, self.vertex(edge[1])]]
+                places = (unknowns.X + x)[self.line(edge, points)]
                 steps = np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))
                 for (_, c, k), run in zip(points, steps[:-1], strict=True):
                     local[sizes[c] + k, 3] = run / steps[-1]
@@ -357,6 +356,11 @@ class Network:
                     fraction = cable.fractions[k] if node.slides else node.masters()[1][1]
                     table[edge[0], edge[1]].append((float(fraction), c, k))
         return {edge: sorted(points) for edge, points in table.items()}
+
+    def line(self, edge: Edge, points: Sequence[tuple[float, int, int]]) -> list[int]:
+        """Local blocks along an edge: its first vertex, its points in order, its last vertex."""
+        inner = (self.block(c, k) for _, c, k in points)
+        return [self.vertex(edge[0]), *inner, self.vertex(edge[1])]
 
     def pieces(self, number: Callable[[Corner], int]) -> list[tuple[int, list[int]]]:
         """Polygons into which the cables in tension cut this rank's folded cells.

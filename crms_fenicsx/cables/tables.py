@@ -119,9 +119,7 @@ class _FoldedCellsOf:
 
     def line(self, edge: Edge) -> list[int]:
         """Blocks along an edge: its first vertex, the points on it, its last vertex."""
-        network = self.network
-        inner = [network.block(c, k) for _, c, k in self.on_edge.get(edge, [])]
-        return [network.vertex(edge[0]), *inner, network.vertex(edge[1])]
+        return self.network.line(edge, self.on_edge.get(edge, []))
 
     def sides(self, row: int) -> list[Edge]:
         """The three sides of a cell."""
