@@ -127,12 +127,17 @@ def _give(
     return True
 
 
+def note_places(cable: LaidCable) -> None:
+    """Let a cable's crossings know where they are now, before its nodes are replaced."""
+    for k, node in enumerate(cable.nodes):
+        if node.crossing is not None:
+            node.crossing.place = cable.positions[k].copy()
+
+
 def _remove_crossings(cable: LaidCable) -> None:
     keep = np.array([node.kind != "crossing" for node in cable.nodes])
     if not keep.all() or any(node.crossing for node in cable.nodes):
-        for k, node in enumerate(cable.nodes):
-            if node.crossing is not None:
-                node.crossing.place = cable.positions[k].copy()
+        note_places(cable)
         cable.set_nodes(
             [
                 CableNode(node.kind, node.point)

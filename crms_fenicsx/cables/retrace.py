@@ -19,6 +19,7 @@ import numpy.typing as npt
 from crms_fenicsx.cables.cable import CableNode, End, LaidCable, polyline_length
 from crms_fenicsx.cables.contact import INSIDE, drape
 from crms_fenicsx.cables.corridor import flaw
+from crms_fenicsx.cables.crossings import note_places
 from crms_fenicsx.cables.folded_surface import FoldedSurface, bends
 from crms_fenicsx.cables.intrinsic import MissingStars
 from crms_fenicsx.cables.laying import fractions_of, nodes_of
@@ -395,6 +396,7 @@ class Retracer:
             else:
                 ids, weights = node.masters()
                 positions[k] = np.dot(weights, [surface.shape.at(i) for i in ids])
+        note_places(cable)
         cable.set_nodes(nodes, positions, fractions, flags)
 
     def _stays(self, cable: LaidCable, old: int, node: CableNode) -> bool:
