@@ -134,8 +134,12 @@ class Potential:
         self.g_vector.copy(G)
 
     def add_stiffness(self, A: PETSc.Mat) -> None:
-        """Add the stiffness of all terms at the current state and the sums last computed."""
-        for term, part in zip(self.terms, self._slices, strict=True):
+        """Add the stiffness of all terms at the current state and the sums last computed.
+
+        Those of DOLFINx's forms come last (they are the first terms): it flushes the matrix, after
+        which PETSc takes long for each new entry.
+        """
+        for term, part in reversed(list(zip(self.terms, self._slices, strict=True))):
             add = getattr(term, "add_stiffness", None)
             if add is not None:
                 add(self.x, self._sums[part], A)

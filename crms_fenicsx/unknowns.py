@@ -96,6 +96,7 @@ class Unknowns:
         none = np.zeros(0, dtype=np.int32)
         self.set_riders(none, none.reshape(0, 3), np.zeros((0, 3)))
         self.set_rails(none, np.zeros((0, 3)))
+        self.set_sliders(none.reshape(0, 3), np.zeros(0))
 
     def vertex_blocks(self) -> Indices:
         """Local blocks of the vertices in DOLFINx's local order (owned, then ghosts)."""
@@ -193,6 +194,18 @@ class Unknowns:
         self.n_rails = len(rails)
         self._at_rails, self._along = np.zeros((self.n_rails, 3)), np.zeros(self.n_rails)
 
+    def set_sliders(self, sliders: Indices, fractions: Array) -> None:
+        """Say which of this rank's cable points slide along edges of the mesh.
+
+        Parameters
+        ----------
+        sliders
+            Local blocks of the point and of the edge's two ends, (n, 3).
+        fractions
+            Place on the edge, (n,).
+        """
+        self.sliders, self.slider_fractions = sliders, fractions
+
     def project(self, values: Array) -> None:
         """Leave of the rails' vectors in `values` (n_local, 3) the part along their lines.
 
@@ -212,19 +225,29 @@ class Unknowns:
             g[self.riders] = 0.0
         self.add_ghosts(vector)
 
-    def spread(self, rows: Indices, cols: Indices, values: Array) -> tuple[Indices, Indices, Array]:
-        """Stiffness blocks (n, 3, 3) with those of riders handed on to their vertices."""
+    def spread(self, rows: Indices, cols: Indices) -> tuple[Indices, Indices, Array]:
+        """Where stiffness blocks go, those of riders to their vertices.
+
+        Parameters
+        ----------
+        rows, cols
+            Local blocks, (n,).
+
+        Returns
+        -------
+        places
+            Local blocks of rows and columns, (2, m).
+        sources, weights
+            Which of the n blocks goes there, and what part of it, (m,).
+        """
         blocks = np.zeros((self.n_local, 3), dtype=np.int32)
         share = np.zeros((self.n_local, 3))
         blocks[:, 0], share[:, 0] = np.arange(self.n_local), 1.0
         blocks[self.riders], share[self.riders] = self.masters, self.weights
         weights = share[rows][:, :, None] * share[cols][:, None, :]
         entry, i, j = np.nonzero(weights)
-        return (
-            blocks[rows[entry], i],
-            blocks[cols[entry], j],
-            weights[entry, i, j][:, None, None] * values[entry],
-        )
+        places = np.stack([blocks[rows[entry], i], blocks[cols[entry], j]])
+        return places, entry.astype(np.int32), weights[entry, i, j]
 
     def project_blocks(self, rows: Indices, cols: Indices, values: Array) -> Array:
         """Stiffness blocks (n, 3, 3) with those of rails projected: P_row K P_col."""

@@ -1,4 +1,9 @@
-"""Adding (3, 3) blocks of cable elements to the global stiffness."""
+"""Adding (3, 3) blocks of cable elements to the global stiffness.
+
+Many elements give something to the same block, and petsc4py hands over blocks one by one. So those
+of equal place are summed first, and handed over in whole rows; which those are is found once for a
+layout.
+"""
 
 from __future__ import annotations
 
@@ -12,57 +17,93 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 
 
-def add_blocks(
-    A: PETSc.Mat, unknowns: Unknowns, rows: Indices, cols: Indices, values: Array
-) -> None:
-    """Add blocks (n, 3, 3) at local block rows and columns (n,).
+class BlockPattern:
+    """Blocks at fixed places.
 
-    Points that ride on vertices hand their part on to them; of rails the part along their lines
-    counts.
+    Parameters
+    ----------
+    rows, cols
+        Local blocks, (n,); places may occur repeatedly.
+
+    Attributes
+    ----------
+    values : (n, 3, 3)
+        What `add` adds there.
     """
-    if unknowns.n_riders:
-        rows, cols, values = unknowns.spread(rows, cols, values)
-    if unknowns.n_rails:
-        values = unknowns.project_blocks(rows, cols, values)
-    A.setValuesBlockedLocalRCV(
-        unknowns.matrix_numbers[rows][:, None],
-        unknowns.matrix_numbers[cols][:, None],
-        values.reshape(len(rows), 9),
-        PETSc.InsertMode.ADD,
-    )
+
+    def __init__(self, rows: Indices, cols: Indices) -> None:
+        self.rows, self.cols = rows, cols
+        self.values = np.zeros((len(rows), 3, 3))
+        self._unknowns: Unknowns | None = None
+
+    def _arrange(self, unknowns: Unknowns) -> None:
+        """Find which blocks have the same place, in the matrix's numbers."""
+        self._unknowns = unknowns
+        self._places, self._sources, self._weights = unknowns.spread(self.rows, self.cols)
+        rows, cols = unknowns.matrix_numbers[self._places].astype(np.int64)
+        keys = rows * unknowns.n_local + cols
+        self._order = np.argsort(keys, kind="stable")
+        unique, self._starts = np.unique(keys[self._order], return_index=True)
+        rows, cols = np.divmod(unique, unknowns.n_local)
+        rows, first, counts = np.unique(rows, return_index=True, return_counts=True)
+        components = np.arange(3)
+        # A row of m blocks becomes three rows of 3 m numbers, handed over one after the other.
+        self._rows = (3 * rows[:, None] + components).ravel().astype(PETSc.IntType)
+        self._pointers = np.append(0, np.cumsum(np.repeat(3 * counts, 3))).astype(PETSc.IntType)
+        m, first = (np.repeat(values, counts)[:, None, None] for values in (counts, first))
+        place = np.arange(len(unique))[:, None, None] - first
+        i, j = components[:, None], components
+        self._handed = (9 * first + 3 * m * i + 3 * place + j).ravel()
+        self._cols = np.empty(9 * len(unique), dtype=PETSc.IntType)
+        self._cols[self._handed] = np.tile(3 * cols[:, None, None] + j, (1, 3, 1)).ravel()
+        self._row_values = np.zeros(9 * len(unique))
+
+    def add(self, A: PETSc.Mat, unknowns: Unknowns) -> None:
+        """Add what `values` holds.
+
+        Points that ride on vertices hand their part on to them; of rails the part along their
+        lines counts.
+        """
+        if self._unknowns is not unknowns:
+            self._arrange(unknowns)
+        values = self.values
+        if unknowns.n_riders:
+            values = self._weights[:, None, None] * values[self._sources]
+        if unknowns.n_rails:
+            values = unknowns.project_blocks(*self._places, values)
+        if len(values) == 0:
+            return
+        sums = np.add.reduceat(values.reshape(-1, 9)[self._order], self._starts, axis=0)
+        self._row_values[self._handed] = sums.ravel()
+        A.setValuesLocalIJV(
+            self._pointers, self._cols, self._row_values, PETSc.InsertMode.ADD, self._rows
+        )
 
 
-class SegmentPattern:
+class SegmentPattern(BlockPattern):
     """Blocks of segments (n, 2): plus their value on the diagonal, minus off it."""
 
     def __init__(self, segments: Indices) -> None:
         a, b = segments[:, 0], segments[:, 1]
-        self.rows = np.concatenate([a, b, a, b])
-        self.cols = np.concatenate([a, b, b, a])
-        self.values = np.zeros((len(segments), 3, 3))
+        super().__init__(np.concatenate([a, b, a, b]), np.concatenate([a, b, b, a]))
+        self.own_values = np.zeros((len(segments), 3, 3))
+        """Value of each segment."""
 
     def add(self, A: PETSc.Mat, unknowns: Unknowns) -> None:
-        """Add what `values` holds."""
-        v = self.values
-        add_blocks(A, unknowns, self.rows, self.cols, np.concatenate([v, v, -v, -v]))
+        """Add what `own_values` holds."""
+        v = self.own_values
+        np.concatenate([v, v, -v, -v], out=self.values)
+        super().add(A, unknowns)
 
 
-class ElementPattern:
+class ElementPattern(BlockPattern):
     """Dense blocks of elements whose blocks are listed in CSR form (pointers, blocks)."""
 
     def __init__(self, pointers: Indices, blocks: Indices) -> None:
         sizes = np.diff(pointers)
         self.offsets = np.concatenate([[0], np.cumsum(sizes**2)]).astype(np.int64)
-        rows, cols = [], []
-        for start, size in zip(pointers[:-1], sizes, strict=True):
-            own = blocks[start : start + size]
-            rows.append(np.repeat(own, size))
-            cols.append(np.tile(own, size))
-        empty = np.zeros(0, dtype=np.int32)
-        self.rows = np.concatenate([empty, *rows]).astype(np.int32)
-        self.cols = np.concatenate([empty, *cols]).astype(np.int32)
-        self.values = np.zeros((len(self.rows), 3, 3))
-
-    def add(self, A: PETSc.Mat, unknowns: Unknowns) -> None:
-        """Add what `values` holds."""
-        add_blocks(A, unknowns, self.rows, self.cols, self.values)
+        element = np.repeat(np.arange(len(sizes)), sizes**2)
+        place = np.arange(self.offsets[-1]) - self.offsets[element]
+        row, col = np.divmod(place, sizes[element])
+        first = np.asarray(pointers)[element]
+        super().__init__(blocks[first + row], blocks[first + col])

@@ -252,5 +252,5 @@ class FoldEnergy:
             self.elements.offsets, self.elements.values, self._tension,
         )  # fmt: skip
         self.elements.add(A, self.unknowns)
-        segment_stiffness(X, x, t.segments, t.eps, self._tension, self.edges.values)
+        segment_stiffness(X, x, t.segments, t.eps, self._tension, self.edges.own_values)
         self.edges.add(A, self.unknowns)

@@ -75,7 +75,7 @@ class CableTension:
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add the geometric stiffness."""
         forces = np.maximum(self.tensions(sums), 0.0)[self.cable]
-        segment_stiffness(self.unknowns.X, x, self.segments, self.eps, forces, self.pattern.values)
+        segment_stiffness(self.unknowns.X, x, self.segments, self.eps, forces, self.pattern.own_values)
         self.pattern.add(A, self.unknowns)
 
     def dyads(self, sums: Array) -> Array:
