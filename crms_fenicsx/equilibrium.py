@@ -312,6 +312,7 @@ class EquilibriumSearch:
                 system.pull()
             changes = []
             outcome = system.minimize(h0_prestress, interrupt)
+            h0_prestress = (0.0,)  # the membrane has stresses now
             total = outcome if total is None else total + outcome
             if not outcome.converged:
                 return total

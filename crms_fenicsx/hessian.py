@@ -6,17 +6,9 @@ K of all terms, factorised, a column of G for each cable in tension and C = diag
 solved by the formula of Sherman, Morrison and Woodbury,
 
     H0^-1 = K^-1 - Z (C^-1 + G^T Z)^-1 Z^T,   Z = K^-1 G.
-
-Little holds cables in place sideways but the way to the next vertex. K alone would send their
-points there and beyond, and the line search then hold back everything else as well. So far from
-equilibrium springs hold each point in its place on its edge, as stiff as its unbalanced force needs
-to move it by a small part of the edge; with the forces they vanish (a regularised Newton method,
-Levenberg's with a damping that is proportional to the residual).
 """
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -25,15 +17,10 @@ from petsc4py import PETSc
 
 from crms_fenicsx.potential import Potential
 
-if TYPE_CHECKING:
-    from crms_fenicsx.cables.blocks import BlockPattern
-
 Array = npt.NDArray[np.float64]
 
 SHIFT = 1e-9
 """Added to the diagonal of K, relative to its largest block's trace."""
-SLIDE = 0.05
-"""Part of its edge by which the unbalanced force on a sliding point alone moves it."""
 WORKSPACE = 100
 """How much more memory MUMPS takes than it estimates, in per cent."""
 
@@ -89,7 +76,6 @@ class InitialHessian:
             # is in the options database still comes first.
             pc.setFactorSetUpSolverType()
             pc.getFactorMatrix().setMumpsIcntl(14, WORKSPACE)
-        self._springs: BlockPattern | None = None
         self._new = True
         self._columns: list[PETSc.Vec] = []
         self._solved: list[PETSc.Vec] = []
@@ -107,7 +93,10 @@ class InitialHessian:
         self._columns, self._solved = [], []
 
     def rebuild(self) -> None:
-        """Assemble at the potential's current state; its sums and gradient must be up to date."""
+        """Assemble at the potential's current state.
+
+        Its sums must be up to date, and `g` the unbalanced forces there.
+        """
         held = self.potential.unknowns.held[: self.potential.unknowns.n_owned].copy()
         if self.potential.unknowns.bounds is not None:
             held |= at_bounds(self.potential)
@@ -124,8 +113,6 @@ class InitialHessian:
                 blocks, blocks, np.zeros((unknowns.n_points, 9)), PETSc.InsertMode.ADD
             )
             self._new = False
-        if len(unknowns.sliders):
-            self._hold_sliders()
         self.potential.add_stiffness(A)
         A.assemble()
         diagonal = A.getDiagonal()
@@ -141,23 +128,6 @@ class InitialHessian:
         rows = np.flatnonzero(held) + 3 * unknowns.start
         A.zeroRowsColumns(rows.astype(PETSc.IntType), diag=largest)
         A.setOption(PETSc.Mat.Option.SPD, True)
-
-    def _hold_sliders(self) -> None:
-        """Springs between sliding points and their places on their edges."""
-        unknowns, potential = self.potential.unknowns, self.potential
-        if self._springs is None:
-            from crms_fenicsx.cables.blocks import ElementPattern
-
-            pointers = np.arange(0, 3 * len(unknowns.sliders) + 1, 3, dtype=np.int32)
-            self._springs = ElementPattern(pointers, unknowns.sliders.ravel())
-        point, start, end = unknowns.sliders.T
-        s = unknowns.slider_fractions
-        side = unknowns.X[end] + potential.x[end] - unknowns.X[start] - potential.x[start]
-        force, length = (np.linalg.norm(v, axis=1) for v in (potential.g[point], side))
-        w = np.stack([np.ones(len(s)), s - 1, -s], axis=1)
-        stiffness = (force / (SLIDE * length))[:, None, None] * w[:, :, None] * w[:, None, :]
-        self._springs.values[:] = stiffness.reshape(-1, 1, 1) * np.eye(3)
-        self._springs.add(self.matrix, unknowns)
 
     def _stiffen_across_rails(self, value: float) -> None:
         """Give the components across the rails, which have no stiffness, this one."""

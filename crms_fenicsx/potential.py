@@ -48,6 +48,12 @@ class Term(Protocol):
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None: ...
 
 
+class Damping(Protocol):
+    """Stiffness that H0 gets on top while forces are unbalanced, and that vanishes with them."""
+
+    def add_stiffness(self, unknowns: Unknowns, x: Array, g: Array, A: PETSc.Mat) -> None: ...
+
+
 class Potential:
     """Sum of terms over one layout of unknowns.
 
@@ -59,10 +65,19 @@ class Potential:
         DOLFINx's view of the vertex displacements; kept equal to the unknowns.
     terms
         The terms.
+    damping
+        What damps the quasi-Newton steps; None if nothing does.
     """
 
-    def __init__(self, unknowns: Unknowns, u: fem.Function, terms: Sequence[Term]) -> None:
+    def __init__(
+        self,
+        unknowns: Unknowns,
+        u: fem.Function,
+        terms: Sequence[Term],
+        damping: Damping | None = None,
+    ) -> None:
         self.unknowns, self.u, self.terms = unknowns, u, list(terms)
+        self.damping = damping
         self.comm = unknowns.comm
         self.x_vector, self.x = unknowns.vector()
         self.g_vector, self.g = unknowns.vector()
@@ -134,11 +149,14 @@ class Potential:
         self.g_vector.copy(G)
 
     def add_stiffness(self, A: PETSc.Mat) -> None:
-        """Add the stiffness of all terms at the current state and the sums last computed.
+        """Add stiffness and damping at the current state, the sums and the gradient there.
 
-        Those of DOLFINx's forms come last (they are the first terms): it flushes the matrix, after
-        which PETSc takes long for each new entry.
+        DOLFINx's forms come last (they are the first terms): they flush the matrix, after which
+        PETSc takes long for each new entry.
         """
+        if self.damping is not None:
+            self.unknowns.update_ghosts(self.g_vector)
+            self.damping.add_stiffness(self.unknowns, self.x, self.g, A)
         for term, part in reversed(list(zip(self.terms, self._slices, strict=True))):
             add = getattr(term, "add_stiffness", None)
             if add is not None:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from crms_fenicsx.cables.friction_element import FrictionElementEnergy
     from crms_fenicsx.cables.network import Member, Network
     from crms_fenicsx.cables.penalty import KinkPenalty
+    from crms_fenicsx.cables.restraint import Restraint
     from crms_fenicsx.cables.stick_slip import StickSlip
     from crms_fenicsx.cables.tables import CableTables
     from crms_fenicsx.cables.tension import CableTension
@@ -115,7 +116,7 @@ class System:
             lower[self.unknowns.held] = -np.inf
             lower[self.unknowns.rails] = -np.inf
             self.unknowns.bounds = (lower, np.full_like(lower, np.inf))
-        self.potential = Potential(self.unknowns, scene.u, terms)
+        self.potential = Potential(self.unknowns, scene.u, terms, self._damping())
         self.minimizer = Minimizer(self.potential, self.prefix, self.rtol, self._tiny_force())
         self.built_for = scene.changes
 
@@ -153,6 +154,13 @@ class System:
             if self.pressure is not None:
                 terms.append(self._folded_pressure_term(self.tables))
         return terms + self._friction_terms(self.network)
+
+    def _damping(self) -> Restraint | None:
+        if self.network is None or self.tables is None:
+            return None
+        from crms_fenicsx.cables.restraint import Restraint
+
+        return Restraint.of(self.network, self.tables.segments)
 
     def _friction_terms(self, network: Network) -> list[Term]:
         """Terms of the cables in tension that friction holds back sideways."""

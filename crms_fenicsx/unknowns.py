@@ -96,7 +96,6 @@ class Unknowns:
         none = np.zeros(0, dtype=np.int32)
         self.set_riders(none, none.reshape(0, 3), np.zeros((0, 3)))
         self.set_rails(none, np.zeros((0, 3)))
-        self.set_sliders(none.reshape(0, 3), np.zeros(0))
 
     def vertex_blocks(self) -> Indices:
         """Local blocks of the vertices in DOLFINx's local order (owned, then ghosts)."""
@@ -193,18 +192,6 @@ class Unknowns:
         self.rails, self.directions = np.asarray(rails, dtype=np.intp), directions
         self.n_rails = len(rails)
         self._at_rails, self._along = np.zeros((self.n_rails, 3)), np.zeros(self.n_rails)
-
-    def set_sliders(self, sliders: Indices, fractions: Array) -> None:
-        """Say which of this rank's cable points slide along edges of the mesh.
-
-        Parameters
-        ----------
-        sliders
-            Local blocks of the point and of the edge's two ends, (n, 3).
-        fractions
-            Place on the edge, (n,).
-        """
-        self.sliders, self.slider_fractions = sliders, fractions
 
     def project(self, values: Array) -> None:
         """Leave of the rails' vectors in `values` (n_local, 3) the part along their lines.

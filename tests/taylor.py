@@ -43,7 +43,12 @@ class Points:
     def __init__(self, X: Array) -> None:
         self.X = X
         self.n_riders = self.n_rails = 0
+        self.n_local = len(X)
         self.matrix_numbers = np.arange(len(X), dtype=PETSc.IntType)
+
+    def spread(self, rows: Array, cols: Array) -> tuple[Array, Array, Array]:
+        """Every block goes where it is."""
+        return np.stack([rows, cols]), np.arange(len(rows)), np.ones(len(rows))
 
 
 class TermOnPoints:

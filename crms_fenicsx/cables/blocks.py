@@ -66,11 +66,12 @@ class BlockPattern:
         """
         if self._unknowns is not unknowns:
             self._arrange(unknowns)
-        values = self.values
+        values: Array = self.values
         if unknowns.n_riders:
             values = self._weights[:, None, None] * values[self._sources]
         if unknowns.n_rails:
-            values = unknowns.project_blocks(*self._places, values)
+            rows, cols = self._places
+            values = unknowns.project_blocks(rows, cols, values)
         if len(values) == 0:
             return
         sums = np.add.reduceat(values.reshape(-1, 9)[self._order], self._starts, axis=0)

@@ -26,6 +26,9 @@ LEAST, MOST = float(np.finfo(float).tiny), float(1.0 - np.finfo(float).epsneg)
 COINCIDENT = 1e-9
 """An anchor this near to the cable's next point, relative to its length, lies on it."""
 
+NEARLY_TAUT = 2e-3
+"""Strain by which a cable may be too long for its path and still count as taut at first."""
+
 
 @dataclass(frozen=True)
 class Cable:

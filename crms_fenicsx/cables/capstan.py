@@ -231,7 +231,9 @@ class CapstanTension:
         """Add the geometric stiffness, and that of single spans between nodes that stick."""
         c = self.chains
         forces = self.tensions(sums)[c.span]
-        segment_stiffness(self.unknowns.X, x, c.segments, c.smoothing, forces, self.pattern.own_values)
+        segment_stiffness(
+            self.unknowns.X, x, c.segments, c.smoothing, forces, self.pattern.own_values
+        )
         self.pattern.add(A, self.unknowns)
         self._add_links(x, sums, A)
 

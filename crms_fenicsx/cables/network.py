@@ -237,7 +237,7 @@ class Network:
     def hold(self, unknowns: Unknowns) -> None:
         """Hold the anchors; let tied points and the sliding points of slack cables ride.
 
-        The sliding points of taut ones become `Unknowns.sliders`. Collective.
+        Collective.
         """
         riders, masters, weights = [], [], []
         self.rails: list[Member] = []
@@ -260,25 +260,12 @@ class Network:
             np.array(masters, dtype=np.int32).reshape(-1, 3),
             np.array(weights, dtype=float).reshape(-1, 3),
         )
-        self._find_sliders(unknowns)
         if any(n.kind == "rail" for cable in self.cables if cable.taut for n in cable.nodes):
             vector, x = unknowns.vector()
             x[unknowns.vertex_blocks()] = self.u.x.array.reshape(-1, 3)
             unknowns.update_ghosts(vector)  # on far vertices
             self.place_rails(unknowns, x)
             vector.destroy()
-
-    def _find_sliders(self, unknowns: Unknowns) -> None:
-        taut = {c for c, cable in enumerate(self.cables) if cable.taut}
-        sliders, fractions = [], []
-        for edge, points in self.points_by_edge(taut).items():
-            for fraction, c, k in points:
-                if self.cables[c].nodes[k].slides and self.owners[self.numbers[c, k]] == self.rank:
-                    sliders.append((self.block(c, k), self.vertex(edge[0]), self.vertex(edge[1])))
-                    fractions.append(fraction)
-        unknowns.set_sliders(
-            np.array(sliders, dtype=np.int32).reshape(-1, 3), np.array(fractions, dtype=float)
-        )
 
     def rail_table(self) -> tuple[Indices, Indices, Array]:
         """Rails: blocks (n,), blocks of their edges' ends (n, 2), places on the edges (n,)."""

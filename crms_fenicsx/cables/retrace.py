@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.cable import CableNode, End, LaidCable, polyline_length
+from crms_fenicsx.cables.cable import NEARLY_TAUT, CableNode, End, LaidCable, polyline_length
 from crms_fenicsx.cables.contact import INSIDE, drape
 from crms_fenicsx.cables.corridor import flaw
 from crms_fenicsx.cables.crossings import note_places
@@ -40,8 +40,8 @@ has pressed its crease into the membrane: a path along a line of the mesh stays 
 
 
 NEAR = 0.1
-"""Points nearer to the string's than this part of an edge stay where equilibrium has put them;
-others would make the new path a zigzag."""
+"""Part of an edge by which a point of a cable with friction may have to move on a new path, and
+still stays where it is: others are those that are put back in place."""
 
 
 STILL = 1e-4
@@ -127,7 +127,8 @@ class Retracer:
                 drape(cable, shape)
             # Pulled straight it may turn out to be too long for its path: slack after all.
             length = polyline_length(cable.positions[cable.contacts()])
-            cable.taut = cable.cable.law == "step" or length > cable.L0
+            enough = cable.L0 * (1 - NEARLY_TAUT if cable.ends_before is None else 1)
+            cable.taut = cable.cable.law == "step" or length > enough
             cable.traced = cable.taut
         return True
 
@@ -389,7 +390,7 @@ class Retracer:
             old = before.get(_key(node))
             if node.kind == "anchor":
                 positions[k] = cable.positions[0 if k == 0 else -1]
-            elif old is not None and self._stays(cable, old, node):
+            elif old is not None and _stays(cable, old, node):
                 positions[k], fractions[k] = cable.positions[old], cable.fractions[old]
             elif isinstance(node.point, EdgePoint):
                 positions[k] = surface.place(node.point.edge, node.point.fraction)
@@ -398,14 +399,6 @@ class Retracer:
                 positions[k] = np.dot(weights, [surface.shape.at(i) for i in ids])
         note_places(cable)
         cable.set_nodes(nodes, positions, fractions, flags)
-
-    def _stays(self, cable: LaidCable, old: int, node: CableNode) -> bool:
-        """Whether a point that the path had before may stay where it is."""
-        if not node.slides or not isinstance(node.point, EdgePoint):
-            return True
-        fraction = float(cable.fractions[old])
-        near = abs(fraction - node.point.fraction) <= NEAR
-        return near and INSIDE <= fraction <= 1 - INSIDE
 
     def _clipped(self, cable: LaidCable, point: SurfacePoint) -> SurfacePoint:
         """Keep a point of a string off the vertices.
@@ -422,3 +415,12 @@ class Retracer:
 def _key(node: CableNode) -> object:
     """What a node is known by while a path changes: its edge if it slides, else its place."""
     return None if node.point is None else node.point.support if node.slides else node.point
+
+
+def _stays(cable: LaidCable, old: int, node: CableNode) -> bool:
+    """Whether a point that the path had before stays where equilibrium has put it."""
+    if not node.slides or not isinstance(node.point, EdgePoint):
+        return True
+    fraction = float(cable.fractions[old])
+    moved = 0.0 if cable.slides_freely else abs(fraction - node.point.fraction)
+    return moved <= NEAR and INSIDE <= fraction <= 1 - INSIDE

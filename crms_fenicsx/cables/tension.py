@@ -9,7 +9,7 @@ import numpy.typing as npt
 from petsc4py import PETSc
 
 from crms_fenicsx.cables.blocks import SegmentPattern
-from crms_fenicsx.cables.cable import StepStart
+from crms_fenicsx.cables.cable import NEARLY_TAUT, StepStart
 from crms_fenicsx.cables.length import add_segment_forces, segment_lengths, segment_stiffness
 from crms_fenicsx.unknowns import Unknowns
 
@@ -75,12 +75,17 @@ class CableTension:
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add the geometric stiffness."""
         forces = np.maximum(self.tensions(sums), 0.0)[self.cable]
-        segment_stiffness(self.unknowns.X, x, self.segments, self.eps, forces, self.pattern.own_values)
+        segment_stiffness(
+            self.unknowns.X, x, self.segments, self.eps, forces, self.pattern.own_values
+        )
         self.pattern.add(A, self.unknowns)
 
     def dyads(self, sums: Array) -> Array:
-        """Stiffness EA/L0 against the elongation of each cable in tension (force/length)."""
-        return np.where(self.tensions(sums) > 0, self.EA / self.L0, 0.0)
+        """Stiffness EA/L0 against the elongation of each cable in tension (force/length).
+
+        One that is nearly as long as it must be to have tension counts: it soon will.
+        """
+        return np.where(sums > (1 - NEARLY_TAUT) * self.L0, self.EA / self.L0, 0.0)
 
     def add_dyad_column(self, k: int, x: Array, g: Array) -> None:
         """Add the gradient of a cable's length."""
