@@ -1,0 +1,98 @@
+"""Springs that hold the points of cables back in H0 while forces are unbalanced.
+
+Little holds a cable in place sideways but the next vertex, and where it crosses another one near an
+edge two of its points lie so close together that their distance says little of their next one.
+Newton's step sends such points far beyond where the energy is like its quadratic model, and the
+line search then holds back everything else as well. So springs hold
+
+* each sliding point to its place on its edge, and
+* the two ends of each straight part of a cable to each other,
+
+as stiff as the unbalanced force on a point needs to move it, alone, by a part of the edge or by the
+length of the part. With the forces the springs vanish: a regularised Newton method, with
+Levenberg's damping in proportion to the residual.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from petsc4py import PETSc
+
+from crms_fenicsx.cables.blocks import ElementPattern, SegmentPattern
+from crms_fenicsx.cables.network import Network
+from crms_fenicsx.unknowns import Unknowns
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int32]
+
+SLIDE = 0.1
+"""Part of its edge by which the unbalanced force on a sliding point alone moves it. Between 0.02
+and 0.2 it matters little."""
+
+
+class Restraint:
+    """Stiffness of the springs.
+
+    Parameters
+    ----------
+    sliders, fractions
+        This rank's sliding points: blocks of the point and of its edge's two ends (n, 3), and the
+        place on the edge (n,).
+    segments
+        This rank's straight parts of cables, blocks (m, 2).
+    """
+
+    def __init__(self, sliders: Indices, fractions: Array, segments: Indices) -> None:
+        self.sliders, self.segments = sliders, segments
+        pointers = np.arange(0, 3 * len(sliders) + 1, 3, dtype=np.int32)
+        self._on_edges = ElementPattern(pointers, sliders.ravel())
+        self._along = SegmentPattern(segments)
+        weights = np.stack([np.ones(len(sliders)), fractions - 1, -fractions], axis=1)
+        self._shares = weights[:, :, None] * weights[:, None, :]
+
+    @classmethod
+    def of(cls, network: Network, segments: Indices) -> Restraint:
+        """For the cables in tension and their segments on this rank, blocks (m, 2)."""
+        taut = {c for c, cable in enumerate(network.cables) if cable.taut}
+        sliders, fractions = [], []
+        for edge, points in network.points_by_edge(taut).items():
+            for fraction, c, k in points:
+                own = network.owners[network.numbers[c, k]] == network.rank
+                if own and network.cables[c].nodes[k].slides:
+                    ends = (network.vertex(vertex) for vertex in edge)
+                    sliders.append((network.block(c, k), *ends))
+                    fractions.append(fraction)
+        return cls(np.array(sliders, dtype=np.int32).reshape(-1, 3), np.array(fractions), segments)
+
+    def add_stiffness(self, unknowns: Unknowns, x: Array, g: Array, A: PETSc.Mat) -> None:
+        """Add the springs' stiffness to the matrix.
+
+        Parameters
+        ----------
+        unknowns
+            The layout.
+        x, g : (n_local, 3)
+            Displacements and unbalanced forces, ghosts included.
+        A
+            The stiffness.
+        """
+        X = unknowns.X + x
+        force = np.linalg.norm(g, axis=1)
+        point, start, end = self.sliders.T
+        to_start, to_end = (np.linalg.norm(X[point] - X[v], axis=1) for v in (start, end))
+        travel = np.minimum(SLIDE * np.linalg.norm(X[end] - X[start], axis=1), to_start)
+        travel = np.minimum(travel, to_end)
+        stiffness = _ratio(force[point], travel)
+        blocks = (stiffness[:, None, None] * self._shares).reshape(-1, 1, 1)
+        np.multiply(blocks, np.eye(3), out=self._on_edges.values)
+        self._on_edges.add(A, unknowns)
+        a, b = self.segments.T
+        stiffness = _ratio(np.maximum(force[a], force[b]), np.linalg.norm(X[a] - X[b], axis=1))
+        np.multiply(stiffness[:, None, None], np.eye(3), out=self._along.own_values)
+        self._along.add(A, unknowns)
+
+
+def _ratio(force: Array, length: Array) -> Array:
+    """Force by length; none where two points coincide, which says nothing of where they may go."""
+    return np.divide(force, length, out=np.zeros_like(force), where=length > 0)
