@@ -6,9 +6,15 @@ K of all terms, factorised, a column of G for each cable in tension and C = diag
 solved by the formula of Sherman, Morrison and Woodbury,
 
     H0^-1 = K^-1 - Z (C^-1 + G^T Z)^-1 Z^T,   Z = K^-1 G.
+
+On large meshes a factorisation of K is too slow and too large. There M, a cycle of algebraic
+multigrid, takes the place of K in that formula, and the formula's result preconditions conjugate
+gradients on K + G C G^T.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +29,17 @@ SHIFT = 1e-9
 """Added to the diagonal of K, relative to its largest block's trace."""
 WORKSPACE = 100
 """How much more memory MUMPS takes than it estimates, in per cent."""
+DIRECT = 60_000
+"""Unknowns up to which K is factorised, else multigrid takes over: there both take as long."""
+ACCURACY = 1e-2
+"""Relative residual of H0's solves by conjugate gradients; with less, BLMVM takes more steps."""
+
+MULTIGRID = {
+    "mg_levels_pc_type": "bjacobi",
+    "mg_levels_sub_pc_type": "icc",
+    "mg_levels_sub_pc_factor_shift_type": "positive_definite",
+}
+"""Smoother of the multigrid: cables are long chains of stiff links, to which Jacobi's is blind."""
 
 
 def at_bounds(potential: Potential) -> npt.NDArray[np.bool_]:
@@ -42,8 +59,9 @@ class InitialHessian:
     potential
         Its terms' stiffness is assembled.
     prefix
-        Prefix of the options of K's solver; by default CHOLMOD on one process and MUMPS on
-        several.
+        Prefix of the options of K's preconditioner. By default it is factorised up to `DIRECT`
+        unknowns, by CHOLMOD on one process and MUMPS on several; beyond, it is a cycle of PETSc's
+        multigrid GAMG with the rigid-body motions as near-null space.
 
     Attributes
     ----------
@@ -63,28 +81,39 @@ class InitialHessian:
         lgmap.destroy()
         self.matrix.setUp()
         self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        self.ksp = PETSc.KSP().create(unknowns.comm)
-        self.ksp.setOptionsPrefix(prefix)
-        self.ksp.setOperators(self.matrix)
-        self.ksp.setType(PETSc.KSP.Type.PREONLY)
-        pc = self.ksp.getPC()
-        pc.setType(PETSc.PC.Type.CHOLESKY)
-        pc.setFactorSolverType("cholmod" if unknowns.comm.size == 1 else "mumps")
-        self.ksp.setFromOptions()
-        if pc.getFactorSolverType() == "mumps":
+        self.pc = PETSc.PC().create(unknowns.comm)
+        self.pc.setOptionsPrefix(prefix)
+        self.pc.setOperators(self.matrix)
+        if 3 * unknowns.n_global <= DIRECT:
+            self.pc.setType(PETSc.PC.Type.CHOLESKY)
+            self.pc.setFactorSolverType("cholmod" if unknowns.comm.size == 1 else "mumps")
+        else:
+            self.pc.setType(PETSc.PC.Type.GAMG)
+            options = PETSc.Options(prefix)
+            for name, value in MULTIGRID.items():
+                if not options.hasName(name):
+                    options[name] = value
+        self.pc.setFromOptions()
+        self._exact = self.pc.getType() in (PETSc.PC.Type.CHOLESKY, PETSc.PC.Type.LU)
+        if self._exact and self.pc.getFactorSolverType() == "mumps":
             # Its estimate is too small for some distributions of a mesh, and it fails then. What
             # is in the options database still comes first.
-            pc.setFactorSetUpSolverType()
-            pc.getFactorMatrix().setMumpsIcntl(14, WORKSPACE)
+            self.pc.setFactorSetUpSolverType()
+            self.pc.getFactorMatrix().setMumpsIcntl(14, WORKSPACE)
+        self._outer: PETSc.KSP | None = None
         self._new = True
         self._columns: list[PETSc.Vec] = []
         self._solved: list[PETSc.Vec] = []
+        self._stiffness: Array = np.zeros(0)
         self._inner: Array = np.zeros((0, 0))
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
         self._drop_columns()
-        self.ksp.destroy()
+        if self._outer is not None:
+            self._outer.getOperators()[0].destroy()
+            self._outer.destroy()
+        self.pc.destroy()
         self.matrix.destroy()
 
     def _drop_columns(self) -> None:
@@ -102,6 +131,9 @@ class InitialHessian:
             held |= at_bounds(self.potential)
         self._assemble(held)
         self._drop_columns()
+        if not self._exact:
+            self._tell_rigid_motions()
+        self.pc.setUp()
         self._add_dyads(held)
 
     def _assemble(self, held: npt.NDArray[np.bool_]) -> None:
@@ -139,6 +171,25 @@ class InitialHessian:
         A.setValuesBlockedLocalRCV(blocks, blocks, across.reshape(-1, 9), PETSc.InsertMode.ADD)
         A.assemble()
 
+    def _tell_rigid_motions(self) -> None:
+        """Attach what costs little energy, of which multigrid makes its coarse levels."""
+        potential = self.potential
+        n = potential.unknowns.n_owned
+        places = potential.unknowns.X[:n] + potential.x[:n]
+        places = places - potential.comm.allreduce(places.sum(axis=0)) / potential.unknowns.n_global
+        motions = [potential.x_vector.duplicate() for _ in range(6)]
+        for k, axis in enumerate(np.eye(3)):
+            motions[k].array[:] = np.tile(axis, n)
+            motions[3 + k].array[:] = np.cross(axis, places).ravel()
+        for k, motion in enumerate(motions):
+            for other in motions[:k]:
+                motion.axpy(-motion.dot(other), other)
+            motion.normalize()
+        space = PETSc.NullSpace().create(vectors=motions, comm=potential.comm)
+        self.matrix.setNearNullSpace(space)
+        for kept in (space, *motions):
+            kept.destroy()
+
     def _add_dyads(self, held: npt.NDArray[np.bool_]) -> None:
         """Columns G, Z = K^-1 G and (C^-1 + G^T Z)^-1."""
         potential, stiffness = self.potential, []
@@ -147,13 +198,14 @@ class InitialHessian:
             potential.dyad_column(term, k)
             potential.g[:n][held] = 0.0
             column, solved = potential.g_vector.copy(), potential.g_vector.duplicate()
-            self.ksp.solve(column, solved)
+            self.pc.apply(column, solved)
             self._columns.append(column)
             self._solved.append(solved)
             stiffness.append(value)
+        self._stiffness = np.array(stiffness)
         products = [[g.dot(z) for z in self._solved] for g in self._columns]
         if stiffness:
-            inner = np.diag(1 / np.array(stiffness)) + np.array(products)
+            inner = np.diag(1 / self._stiffness) + np.array(products)
             self._inner = np.asarray(np.linalg.inv(inner), dtype=float)
 
     def solve_for(self, ksp: PETSc.KSP) -> None:
@@ -161,22 +213,61 @@ class InitialHessian:
         ksp.setType(PETSc.KSP.Type.PREONLY)
         pc = ksp.getPC()
         pc.setType(PETSc.PC.Type.PYTHON)
-        pc.setPythonContext(_Solve(self))
+        pc.setPythonContext(_Apply(self.solve))
 
     def solve(self, b: PETSc.Vec, y: PETSc.Vec) -> None:
         """Solve ``H0 y = b``."""
-        self.ksp.solve(b, y)
+        if self._exact:
+            self.precondition(b, y)
+            return
+        if self._outer is None:
+            self._outer = self._conjugate_gradients()
+        self._outer.solve(b, y)
+
+    def precondition(self, b: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Solve ``H0 y = b`` with K's preconditioner for K: exactly if that factorises it."""
+        self.pc.apply(b, y)
         if self._solved:
             shares = self._inner @ np.array([z.dot(b) for z in self._solved])
             for share, z in zip(shares, self._solved, strict=True):
                 y.axpy(-share, z)
 
+    def multiply(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """``y = (K + G C G^T) x``."""
+        self.matrix.mult(x, y)
+        for value, column in zip(self._stiffness, self._columns, strict=True):
+            y.axpy(value * column.dot(x), column)
 
-class _Solve:
+    def _conjugate_gradients(self) -> PETSc.KSP:
+        ksp = PETSc.KSP().create(self.potential.comm)
+        operator = PETSc.Mat().createPython(self.matrix.getSizes(), comm=self.potential.comm)
+        operator.setPythonContext(_Multiply(self.multiply))
+        operator.setUp()
+        ksp.setOperators(operator)
+        ksp.setOptionsPrefix(self.pc.getOptionsPrefix())
+        ksp.setType(PETSc.KSP.Type.CG)
+        ksp.setTolerances(rtol=ACCURACY)
+        ksp.setFromOptions()
+        ksp.getPC().setType(PETSc.PC.Type.PYTHON)
+        ksp.getPC().setPythonContext(_Apply(self.precondition))
+        return ksp
+
+
+class _Apply:
     """What PETSc calls as a preconditioner; it would also call a `destroy`."""
 
-    def __init__(self, h0: InitialHessian) -> None:
-        self.h0 = h0
+    def __init__(self, solve: Callable[[PETSc.Vec, PETSc.Vec], None]) -> None:
+        self.solve = solve
 
     def apply(self, pc: PETSc.PC, b: PETSc.Vec, y: PETSc.Vec) -> None:
-        self.h0.solve(b, y)
+        self.solve(b, y)
+
+
+class _Multiply:
+    """What PETSc calls as an operator."""
+
+    def __init__(self, multiply: Callable[[PETSc.Vec, PETSc.Vec], None]) -> None:
+        self.multiply = multiply
+
+    def mult(self, A: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        self.multiply(x, y)

@@ -107,7 +107,7 @@ def test_workspace_of_mumps_is_ample_unless_an_option_says_otherwise(own: int | 
         database[name] = value
     try:
         _, h0 = at_some_state(MPI.COMM_SELF)
-        assert h0.ksp.getPC().getFactorMatrix().getMumpsIcntl(14) == (own or WORKSPACE)
+        assert h0.pc.getFactorMatrix().getMumpsIcntl(14) == (own or WORKSPACE)
     finally:
         for name in options:
             database.delValue(name)

@@ -208,7 +208,7 @@ def test_the_factorisation_of_h0_is_an_option(
     options("crms_h0_pc_type", "lu")
     solver = Solver(other)
     solver.advance(pressure=0.01)
-    h0 = solver.system.minimizer.h0.ksp.getPC()
+    h0 = solver.system.minimizer.h0.pc
     assert (h0.getType(), h0.getFactorSolverType()) == ("lu", package)
     assert_same(state(other), state(usual), 1e-9)
 
