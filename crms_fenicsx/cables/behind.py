@@ -1,0 +1,75 @@
+"""Places behind a seam, such as a wall below a roof: no cable can lie there."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from crms_fenicsx.cables.locate import ON_SURFACE, as_text, foot_of
+from crms_fenicsx.cables.path import Path
+from crms_fenicsx.cables.strip import StripShape, own_surface
+from crms_fenicsx.errors import PathError
+
+if TYPE_CHECKING:
+    from crms_fenicsx.scene import Scene
+
+Array = npt.NDArray[np.float64]
+
+
+def refuse_places_behind(scene: Scene, route: Array, name: str) -> None:
+    """Refuse a route in space with a point on cells behind a seam. Collective.
+
+    Parameters
+    ----------
+    scene
+        The scene, in its current shape.
+    route
+        Points, (k, 3), or (k, 2) in plan, which are on top in any case.
+    name
+        Name of the cable.
+
+    Raises
+    ------
+    PathError
+        Naming the point, or all cells lie behind seams.
+    """
+    positions, cells = own_surface(scene)
+    hidden = np.isin(np.arange(len(cells)), scene.mesh.hidden)
+    behind, outer = scene.comm.allreduce(np.array([hidden.sum(), (~hidden).sum()]))
+    if outer == 0:
+        raise PathError(
+            f"lay_cable: {name!r} finds no outer side of the membrane: each of its pieces meets "
+            "others at a seam from behind; turn them with the `outside` of the mesh."
+        )
+    if behind == 0 or route.shape[1] == 2:
+        return
+    for i, point in enumerate(route):
+        on_hidden = foot_of(positions, cells[hidden], point, scene.comm)
+        on_outer = foot_of(positions, cells[~hidden], point, scene.comm)
+        reach = ON_SURFACE * on_hidden.size
+        if on_hidden.distance <= reach and on_outer.distance > max(reach, on_hidden.distance):
+            raise PathError(
+                f"lay_cable: point {i} of {name!r} at {as_text(point)} lies on a part of the "
+                "membrane behind a seam, such as a wall below a roof, where no cable can be laid; "
+                "lead it over the outer side, or turn that part with the `outside` of the mesh."
+            )
+
+
+def refuse_forks(path: Path, shape: StripShape, name: str) -> None:
+    """Refuse a path over a seam with more than two outer cells, where it has no one way on.
+
+    Raises
+    ------
+    PathError
+        Naming the place.
+    """
+    for point, place in zip(
+        path.points, path.positions(shape.strip.vertices, shape.current), strict=True
+    ):
+        if len(point.support) == 2 and (n := len(shape.strip.outer_rows(point.support))) > 2:
+            raise PathError(
+                f"lay_cable: {name!r} comes to a seam of {n} outer cells at {as_text(place)}, "
+                "where it has no one way on; end it before the seam, and lay another one beyond."
+            )
