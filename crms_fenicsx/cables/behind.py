@@ -19,14 +19,14 @@ Array = npt.NDArray[np.float64]
 
 
 def refuse_places_behind(scene: Scene, route: Array, name: str) -> None:
-    """Refuse a route in space with a point on cells behind a seam. Collective.
+    """Refuse a route with a point on cells behind a seam, and on no others. Collective.
 
     Parameters
     ----------
     scene
         The scene, in its current shape.
     route
-        Points, (k, 3), or (k, 2) in plan, which are on top in any case.
+        Points in plan, (k, 2), or in space, (k, 3).
     name
         Name of the cable.
 
@@ -43,9 +43,11 @@ def refuse_places_behind(scene: Scene, route: Array, name: str) -> None:
             f"lay_cable: {name!r} finds no outer side of the membrane: each of its pieces meets "
             "others at a seam from behind; turn them with the `outside` of the mesh."
         )
-    if behind == 0 or route.shape[1] == 2:
+    if behind == 0:
         return
-    for i, point in enumerate(route):
+    if route.shape[1] == 2:
+        positions = positions * (1.0, 1.0, 0.0)
+    for i, point in enumerate(np.pad(route, ((0, 0), (0, 3 - route.shape[1])))):
         on_hidden = foot_of(positions, cells[hidden], point, scene.comm)
         on_outer = foot_of(positions, cells[~hidden], point, scene.comm)
         reach = ON_SURFACE * on_hidden.size
