@@ -361,7 +361,8 @@ class Scene:
     ) -> LaidCable:
         """Lay a cable on the membrane's current shape.
 
-        It lies on the membrane's outer side, drawn straight over hollows, and gets the length that
+        It lies on the membrane's outer side, drawn straight over hollows; at a seam of three parts
+        or more it stays on those that bound the outer side, never on a wall below. It gets the length that
         makes it just taut, unless `L0` or `tension` is given. Where it ends on a held edge of the
         membrane it is held there; moved along the boundary its end goes from edge to edge, moved
         off it slides over the edge. Where it ends elsewhere on the membrane it is tied to that
@@ -398,7 +399,7 @@ class Scene:
         ------
         PathError
             The path cannot be laid, as one that leaves the membrane, could only go around its
-            back or begins inside of it.
+            back, begins inside of it, or goes to a part behind a seam.
         InputError
             L0 or tension that is not positive, or both, or a name that is taken.
         """

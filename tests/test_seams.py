@@ -17,6 +17,12 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
+from crms_fenicsx.cables.contact import size_at
+from crms_fenicsx.cables.ends import _edge_at
+from crms_fenicsx.cables.folded_surface import FoldedSurface
+from crms_fenicsx.cables.shadow import shadow
+from crms_fenicsx.cables.slip import material_curve, node_slips
+from crms_fenicsx.cables.strip import StripShape, cells_near, grow
 from crms_fenicsx.errors import MeshError
 from crms_fenicsx.system import System
 
@@ -157,19 +163,54 @@ def test_cables_stay_on_the_roof():
         assert np.all(points[list(crossed[0]), 1] < 60.0)  # laid at y = 65
 
 
+def test_what_cables_see_of_a_seam(comm):
+    """Neighbours, normals, sizes, slips and shadows at a seam are those of the roof alone."""
+    scene = tent(comm, SOFT)
+    h, cosine = 100.0 / 7.0, 100.0 / np.hypot(100.0, 30.0)
+    route = [(0.0, 31.0), (100.0, 61.0)]
+    cable = scene.lay_cable(CABLE, route)
+    on_seam = next(
+        k
+        for k, n in enumerate(cable.nodes)
+        if n.point and len(scene.strip.rows(n.point.support)) == 3
+    )
+    edge = cable.nodes[on_seam].point.support
+    grow(scene, edge, rings=3)
+    shape = StripShape.of(scene)
+    surface = FoldedSurface(shape, {})
+    assert len(surface.thirds(edge)) == 2
+    assert not surface.is_boundary(edge)
+    for support in (edge, edge[:1], edge[1:]):
+        np.testing.assert_allclose(shape.normal(support), (0.0, 0.0, 1.0), atol=1e-15)
+        assert size_at(shape, support) == pytest.approx(h)
+        assert shape.stress_free_size(support) == pytest.approx(h)
+    assert all(surface.ring(vertex).closed for vertex in edge)
+
+    near = cells_near(scene, np.array(route))
+    assert not near.hidden
+    assert not StripShape.of(scene, near).current[:, 2].any()
+
+    slips = node_slips(cable, material_curve(cable, shape), shape)
+    slope = slips.slope[slips.supports.index(edge)]
+    assert abs(slope) == pytest.approx(h * cosine)
+
+    a, b = on_seam - 1, on_seam + 1
+    below = shadow(shape, cable.nodes[a], cable.positions[a], cable.nodes[b], cable.positions[b])
+    assert [point.support for point in below] == [edge]
+
+    held = _edge_at(scene, np.array((0.0, 50.0, 0.0)), 1e-6)
+    assert held is not None
+    assert _edge_at(scene, np.array((400 / 7, 0.0, -5.0)), 1e-6) is None  # the wall's own rim
+
+
 def test_gradient_with_folded_seams(comm):
     scene = tent(comm, STIFF, rise=20.0)
     scene.lay_cable(CABLE, [(0.0, 31.0), (100.0, 44.0)], tension=30.0)
     scene.pressure = 0.01
     system = System(scene, "crms_test_", 1e-8)
     system.pull()
-    assert {3} == {
-        len(scene.strip.rows(node.point.support))
-        for node in scene.cables[0].nodes
-        if node.kind == "fold"
-        and len(scene.strip.outer_rows(node.point.support))
-        < len(scene.strip.rows(node.point.support))
-    }
+    places = [node.point.support for node in scene.cables[0].nodes if node.kind == "fold"]
+    assert [len(scene.strip.rows(edge)) for edge in places].count(3) == 1
     unknowns = system.unknowns
     f = OnMesh(unknowns, scene.u, system.potential.terms)
     n = unknowns.n_owned
