@@ -362,12 +362,12 @@ class Scene:
         """Lay a cable on the membrane's current shape.
 
         It lies on the membrane's outer side, drawn straight over hollows; at a seam of three parts
-        or more it stays on those that bound the outer side, never on a wall below. It gets the length that
-        makes it just taut, unless `L0` or `tension` is given. Where it ends on a held edge of the
-        membrane it is held there; moved along the boundary its end goes from edge to edge, moved
-        off it slides over the edge. Where it ends elsewhere on the membrane it is tied to that
-        place. In load steps it slides, also sideways, as far as its friction lets it, lifts off and
-        touches down.
+        or more it stays on those that bound the outer side, never on a wall below. It gets the
+        length that makes it just taut, unless `L0` or `tension` is given. Where it ends on a held
+        edge of the membrane it is held there; moved along the boundary its end goes from edge to
+        edge, moved off it slides over the edge. Where it ends elsewhere on the membrane it is tied
+        to that place. In load steps it slides, also sideways, as far as its friction lets it, lifts
+        off and touches down.
 
         Parameters
         ----------

@@ -23,6 +23,7 @@ from crms_fenicsx.cables.folded_surface import FoldedSurface
 from crms_fenicsx.cables.shadow import shadow
 from crms_fenicsx.cables.slip import material_curve, node_slips
 from crms_fenicsx.cables.strip import StripShape, cells_near, grow
+from crms_fenicsx.compat import geometry_dofmap
 from crms_fenicsx.errors import MeshError
 from crms_fenicsx.system import System
 
@@ -69,7 +70,7 @@ def test_a_wall_needs_a_side_of_its_own(comm):
         membrane = meshes.from_arrays(
             comm, points, cells, parts=parts, outside={"wall": (sign, 0.0, 0.0)}
         )
-        x = membrane.mesh.geometry.x[membrane.mesh.geometry.dofmap[membrane.parts["wall"]]]
+        x = membrane.mesh.geometry.x[geometry_dofmap(membrane.mesh)[membrane.parts["wall"]]]
         assert np.all(sign * np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])[:, 0] > 0.0)
 
 

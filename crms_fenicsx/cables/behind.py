@@ -10,6 +10,7 @@ import numpy.typing as npt
 from crms_fenicsx.cables.locate import ON_SURFACE, as_text, foot_of
 from crms_fenicsx.cables.path import Path
 from crms_fenicsx.cables.strip import StripShape, own_surface
+from crms_fenicsx.cables.triangles import vectors
 from crms_fenicsx.errors import PathError
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def refuse_places_behind(scene: Scene, route: Array, name: str) -> None:
         return
     if route.shape[1] == 2:
         positions = positions * (1.0, 1.0, 0.0)
-    for i, point in enumerate(np.pad(route, ((0, 0), (0, 3 - route.shape[1])))):
+    for i, point in enumerate(vectors(np.pad(route, ((0, 0), (0, 3 - route.shape[1]))))):
         on_hidden = foot_of(positions, cells[hidden], point, scene.comm)
         on_outer = foot_of(positions, cells[~hidden], point, scene.comm)
         reach = ON_SURFACE * on_hidden.size
@@ -67,9 +68,8 @@ def refuse_forks(path: Path, shape: StripShape, name: str) -> None:
     PathError
         Naming the place.
     """
-    for point, place in zip(
-        path.points, path.positions(shape.strip.vertices, shape.current), strict=True
-    ):
+    places = vectors(path.positions(shape.strip.vertices, shape.current))
+    for point, place in zip(path.points, places, strict=True):
         if len(point.support) == 2 and (n := len(shape.strip.outer_rows(point.support))) > 2:
             raise PathError(
                 f"lay_cable: {name!r} comes to a seam of {n} outer cells at {as_text(place)}, "

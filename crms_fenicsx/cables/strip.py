@@ -65,8 +65,7 @@ class Strip:
         """`cells`, without those behind seams, (n, 3)."""
         if not self.hidden:
             return self.cells
-        ordered = np.sort(self.cells, axis=1).tolist()
-        return self.cells[[(a, b, c) not in self.hidden for a, b, c in ordered]]
+        return self.cells[[tuple(sorted(cell)) not in self.hidden for cell in self.corners]]
 
     @cached_property
     def corners(self) -> list[list[int]]:
