@@ -11,12 +11,16 @@ import basix.ufl
 import dolfinx.mesh
 import numpy as np
 import ufl
+from dolfinx.cpp.graph import AdjacencyList_int32
 from mpi4py import MPI
 from numpy.typing import NDArray
 
 
 def create_mesh(
-    comm: MPI.Intracomm, cells: NDArray[np.int64], points: NDArray[np.float64]
+    comm: MPI.Intracomm,
+    cells: NDArray[np.int64],
+    points: NDArray[np.float64],
+    ranks: NDArray[np.int32] | None = None,
 ) -> dolfinx.mesh.Mesh:
     """Distribute a triangulated surface in space, without ghost cells.
 
@@ -29,6 +33,9 @@ def create_mesh(
         ranks' points. The order of a cell's vertices survives.
     points
         This rank's share of the coordinates, shape (n, 3), in units of length.
+    ranks
+        Rank that each cell of this rank's share shall go to, shape (m,); None, on all ranks: as
+        DOLFINx sees fit. All cells at an edge with three or more need the same one.
 
     Returns
     -------
@@ -37,7 +44,33 @@ def create_mesh(
     """
     element = basix.ufl.element("Lagrange", "triangle", 1, shape=(3,), dtype=np.float64)
     # 0.9 takes (comm, cells, x, e), later versions (comm, cells, e, x); the names stayed.
-    return dolfinx.mesh.create_mesh(comm, cells=cells, x=points, e=element)
+    partitioner = None if ranks is None else lambda *_: AdjacencyList_int32(ranks[:, None])
+    return dolfinx.mesh.create_mesh(comm, cells=cells, x=points, e=element, partitioner=partitioner)
+
+
+def default_ranks(comm: MPI.Intracomm, cells: NDArray[np.int64]) -> NDArray[np.int32]:
+    """Return the ranks that DOLFINx would send cells to. Collective.
+
+    Parameters
+    ----------
+    comm
+        Communicator of the mesh.
+    cells
+        This rank's share of the cells, shape (m, 3).
+
+    Returns
+    -------
+    ndarray
+        A rank for each cell of this rank's share, shape (m,).
+    """
+    mode = dolfinx.mesh.GhostMode.none
+    try:
+        partitioner = dolfinx.mesh.create_cell_partitioner(mode)
+    except TypeError:  # it needs to know how many cells an edge may have: any number
+        partitioner = dolfinx.mesh.create_cell_partitioner(mode, None)
+    triangles: Any = [dolfinx.mesh.CellType.triangle]
+    found = partitioner(comm, comm.size, triangles, [cells.ravel()])
+    return np.array(found.array, dtype=np.int32)
 
 
 def geometry_dofmap(mesh: dolfinx.mesh.Mesh) -> NDArray[np.int32]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from dolfinx.fem import locate_dofs_topological
 
 from crms_fenicsx import checks
 from crms_fenicsx.cables.cable import CableEnd, LaidCable
@@ -115,7 +116,7 @@ def checked_target(
             # The last node's number changes with the path.
             ends.append((c, 0 if k == 0 else -1, displacement))
     if value != 0.0:
-        _check_boundary_held(scene)
+        _check_open_edges_held(scene)
     moved = _moved(scene, vertices)
     _check_above_floor(scene, moved)
     lengths = []
@@ -176,19 +177,25 @@ def _moved(scene: Scene, vertices: list[tuple[npt.NDArray[np.int32], Array]]) ->
     return moved
 
 
-def _check_boundary_held(scene: Scene) -> None:
-    """The exact follower pressure has a potential only if the boundary is held."""
+def _check_open_edges_held(scene: Scene) -> None:
+    """The exact follower pressure has a potential only if its open edges are held."""
     if scene.pressure_law != "total":
         return
-    if scene.comm.allreduce(len(scene.mesh.edges["boundary"])) == 0:
-        return  # a closed membrane
-    dofs = scene.vertices("boundary")
+    dofs = locate_dofs_topological(scene.V, 1, scene.open_edges)
+    boundary = locate_dofs_topological(scene.V, 1, scene.mesh.edges["boundary"])
     with raised_together(scene.comm):
         free = dofs[~scene.held[dofs].all(axis=1)]
         if len(free):
             place = scene.V.tabulate_dof_coordinates()[free[0]]
+            what, remedy = (
+                ("whose boundary is free at", 'scene.fix("boundary")')
+                if free[0] in boundary
+                else (
+                    "whose cells under pressure end, or meet in a seam, at",
+                    'scene.fix, or leave walls without pressure: Scene(..., pressure_on=["roof"])',
+                )
+            )
             raise InputError(
-                f"advance: pressure on a membrane whose boundary is free at {place}: the "
-                'follower pressure needs it held (scene.fix("boundary")); with free edges '
-                'use Scene(..., pressure="step").'
+                f"advance: pressure on a membrane {what} {place}: the follower pressure needs it "
+                f'held ({remedy}); with free edges use Scene(..., pressure="step").'
             )

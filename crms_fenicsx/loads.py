@@ -5,25 +5,61 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
+from dolfinx import fem, la
+from dolfinx.mesh import Mesh
 
+from crms_fenicsx.compat import geometry_dofmap
 from crms_fenicsx.membrane import Kinematics, one_point, tangent_basis
 from crms_fenicsx.unknowns import Unknowns
 
 Array = npt.NDArray[np.float64]
 
 
+def open_edges(mesh: Mesh, pressed: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
+    """Edges at which the cells under pressure do not cancel each other. Collective.
+
+    The exact follower pressure has a potential only if these are held: each cell makes a volume
+    with the origin, whose sides over an edge cancel if as many cells pass it in the one sense as
+    in the other. It is not so at the rim of what is under pressure, nor at a seam of three.
+
+    Parameters
+    ----------
+    mesh
+        The oriented membrane.
+    pressed
+        Whether there is pressure on each local cell, (n,).
+
+    Returns
+    -------
+    Local numbers of the edges, owned ones and ghosts, sorted.
+    """
+    ids = mesh.geometry.input_global_indices[geometry_dofmap(mesh)]
+    start, end = np.roll(ids, -1, axis=1), np.roll(ids, -2, axis=1)  # side k lies opposite to k
+    sense = np.where(start < end, 1.0, -1.0)[pressed]
+    total = la.vector(mesh.topology.index_map(1), dtype=np.float64)
+    np.add.at(total.array, mesh.topology.connectivity(2, 1).array.reshape(-1, 3)[pressed], sense)
+    total.scatter_reverse(la.InsertMode.add)
+    total.scatter_forward()
+    return np.flatnonzero(total.array).astype(np.int32)
+
+
 class FollowerPressure:
     """Potential ``-p (V - V0)`` of a uniform pressure, V the volume under the membrane.
 
     Its gradient is the pressure's exact nodal forces, normal to the current surface, as long as
-    the membrane's boundary is held. V is counted from `origin`; V0 is that of the stress-free
+    the `open_edges` are held. V is counted from `origin`; V0 is that of the stress-free
     surface, so that the energy is the work done since and does not depend on the origin.
 
-    Attributes
+    Parameters
     ----------
-    pressure : Constant
+    u
+        Vertex displacements.
+    cells
+        1 in the plain cells under pressure, 0 in others (piecewise constant).
+    pressure
         Pressure (force per area) along the surface's normals.
+    origin
+        Point (3,) from which volumes are counted (length).
     """
 
     name = "pressure"
@@ -32,7 +68,7 @@ class FollowerPressure:
     def __init__(
         self,
         u: fem.Function,
-        plain: fem.Function,
+        cells: fem.Function,
         pressure: fem.Constant,
         origin: Array,
     ) -> None:
@@ -46,8 +82,8 @@ class FollowerPressure:
         # V - V0 per area, term by term, so that a small change is not lost in a large volume.
         n0, n = ufl.cross(e1, e2), ufl.cross(F[0], F[1])
         change = ufl.dot(u, n) + ufl.dot(X, n - n0)
-        self._volume = fem.form(plain * change / 3 * dx)
-        gradient = ufl.derivative(-pressure * plain * change / 3 * dx, u)
+        self._volume = fem.form(cells * change / 3 * dx)
+        gradient = ufl.derivative(-pressure * cells * change / 3 * dx, u)
         self._gradient = fem.form(gradient)
         self._work = np.zeros_like(u.x.array)
 
@@ -76,13 +112,14 @@ class StepPressure:
     """The paper's pressure: nodal forces that keep direction and size in a step, (2.4-1, 2).
 
     A node carries a third of the area of each of its cells. The volume is summed up step by step,
-    which is exact only as the steps get small. It needs no held boundary.
+    which is exact only as the steps get small. It needs no held edges.
+    Parameters are those of `FollowerPressure`.
     """
 
     name = "pressure"
     n_sums = 1
 
-    def __init__(self, u: fem.Function, plain: fem.Function, pressure: fem.Constant) -> None:
+    def __init__(self, u: fem.Function, cells: fem.Function, pressure: fem.Constant) -> None:
         mesh, V = u.function_space.mesh, u.function_space
         self.pressure = pressure
         self.u = u
@@ -90,8 +127,8 @@ class StepPressure:
         F = Kinematics(self.u_n, tangent_basis(mesh, None)).F
         n = ufl.cross(F[0], F[1])
         dx = one_point(mesh)
-        self._volume = fem.form(plain * ufl.dot(n, u - self.u_n) * dx)
-        self._force = fem.form(plain * ufl.dot(n, ufl.TestFunction(V)) * dx)
+        self._volume = fem.form(cells * ufl.dot(n, u - self.u_n) * dx)
+        self._force = fem.form(cells * ufl.dot(n, ufl.TestFunction(V)) * dx)
         self._forces, self._scaled = np.zeros_like(u.x.array), np.zeros_like(u.x.array)
         self._volume_n = 0.0
 

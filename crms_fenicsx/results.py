@@ -207,7 +207,7 @@ def reactions(system: System, where: str | Marker) -> Reactions:
 def _subtract_pressure(system: System, g: Array) -> None:
     """Subtract a third of the pressure on each facet at its corners."""
     unknowns, owned = system.unknowns, system.scene.mesh.mesh.topology.index_map(2).size_local
-    dofs = system.scene.V.dofmap.list[:owned][system.membrane.plain.x.array[:owned] > 0.5]
+    dofs = system.scene.V.dofmap.list[:owned][system.plain_pressed.x.array[:owned] > 0.5]
     corners = unknowns.vertex_blocks()[dofs]
     weights: Array = np.ones(len(dofs))
     if system.tables is not None:
@@ -259,24 +259,25 @@ def _sum_over_ranks(scene: Scene, vectors: Array) -> Array:
 
 
 def gained_volume(scene: Scene) -> float:
-    """Volume between the stress-free and the current surface (length cubed). Collective.
+    """Volume between the stress-free and the current cells under pressure (length cubed).
 
-    The volume by which a pressure p does the work p V. While the boundary is held it is that
-    between the two surfaces; if it moves, what its way sweeps out as seen from the stress-free
+    Collective. A pressure p does the work p V on it. While their rim is held it is that between the
+    two surfaces; if it moves, what its way sweeps out as seen from the stress-free
     membrane's centre counts too.
     """
     V, mesh = scene.V, scene.mesh.mesh
     shape = folded_shape(scene)
     owned = mesh.topology.index_map(2).size_local
-    plain = np.ones(owned, dtype=bool)
+    plain = scene.pressed[:owned].copy()
     plain[shape.cells] = False
     cells = V.dofmap.list[:owned]
     X, u = shape.stress_free - scene.centre, shape.points - shape.stress_free
     local = _volume_change(X, u, cells[plain]).sum()
-    if shape.pieces:
+    pieces = [corners for cell, corners in shape.pieces if scene.pressed[cell]]
+    if pieces:
         from crms_fenicsx.cables.volume import fan_facets
 
-        facets = [facet for _, corners in shape.pieces for facet in fan_facets(corners)]
+        facets = [facet for corners in pieces for facet in fan_facets(corners)]
         corners = np.array([facet for facet, _ in facets])
         weights = np.array([weight for _, weight in facets])
         # Pieces of a folded cell together are, stress-free, the cell: their changes add up.

@@ -49,6 +49,9 @@ class Scene:
     pressure
         "total": the exact follower pressure. "step": the paper's nodal forces, which keep
         direction and size in a step, (2.4-1, 2).
+    pressure_on
+        The parts of the mesh on which pressure acts; all of it by default. A wall below the roof
+        has the same air on both its sides: leave it out.
     penalty
         Factor c of the penalty mu = c E t A that keeps unfolded cells triangles; stable and not
         locking from 1e-3 to 1.
@@ -58,8 +61,8 @@ class Scene:
     Raises
     ------
     InputError
-        A material for a part that does not exist, cells without a material or with several, or
-        step-wise strain with a material that wrinkles.
+        A material for a part that does not exist, cells without a material or with several,
+        pressure on a part that does not exist, or step-wise strain with a material that wrinkles.
 
     Warns
     -----
@@ -74,6 +77,7 @@ class Scene:
         *,
         strain: Law = "total",
         pressure: Law = "total",
+        pressure_on: Sequence[str] | None = None,
         penalty: float = 0.1,
         literal_penalty: float | None = None,
     ) -> None:
@@ -101,6 +105,8 @@ class Scene:
                     f'Scene: strain="step" has no wrinkling model, but the material is {own}; '
                     "give it wrinkling=False."
                 )
+        self.pressed = _pressed_cells(mesh, pressure_on)
+        """Whether pressure acts on each local cell."""
         self.V = fem.functionspace(mesh.mesh, ("Lagrange", 1, (3,)))
         self.u = fem.Function(self.V, name="displacement")
         """Displacement of the vertices from the stress-free shape (length)."""
@@ -136,13 +142,20 @@ class Scene:
 
     @property
     def volume(self) -> float:
-        """Volume gained under the membrane since its stress-free shape (length cubed).
+        """Volume gained under the cells under pressure since the stress-free shape (length cubed).
 
-        It is the volume between the two shapes while the boundary is held.
+        It is the volume between the two shapes while the rim of these cells is held.
         """
         from crms_fenicsx.results import gained_volume
 
         return gained_volume(self)
+
+    @cached_property
+    def open_edges(self) -> npt.NDArray[np.int32]:
+        """Local edges that pressure needs to be held; see `loads.open_edges`. Collective."""
+        from crms_fenicsx.loads import open_edges
+
+        return open_edges(self.mesh.mesh, self.pressed)
 
     @cached_property
     def centre(self) -> Array:
@@ -348,12 +361,13 @@ class Scene:
     ) -> LaidCable:
         """Lay a cable on the membrane's current shape.
 
-        It lies on the membrane's outer side, drawn straight over hollows, and gets the length that
-        makes it just taut, unless `L0` or `tension` is given. Where it ends on a held edge of the
-        membrane it is held there; moved along the boundary its end goes from edge to edge, moved
-        off it slides over the edge. Where it ends elsewhere on the membrane it is tied to that
-        place. In load steps it slides, also sideways, as far as its friction lets it, lifts off and
-        touches down.
+        It lies on the membrane's outer side, drawn straight over hollows; at a seam of three parts
+        or more it stays on those that bound the outer side, never on a wall below. It gets the
+        length that makes it just taut, unless `L0` or `tension` is given. Where it ends on a held
+        edge of the membrane it is held there; moved along the boundary its end goes from edge to
+        edge, moved off it slides over the edge. Where it ends elsewhere on the membrane it is tied
+        to that place. In load steps it slides, also sideways, as far as its friction lets it, lifts
+        off and touches down.
 
         Parameters
         ----------
@@ -385,7 +399,7 @@ class Scene:
         ------
         PathError
             The path cannot be laid, as one that leaves the membrane, could only go around its
-            back or begins inside of it.
+            back, begins inside of it, or goes to a part behind a seam.
         InputError
             L0 or tension that is not positive, or both, or a name that is taken.
         """
@@ -433,3 +447,24 @@ def _assign_materials(
             )
     cells = np.arange(n, dtype=np.int32)
     return meshtags(mesh.mesh, 2, cells, tags), dict(enumerate(material.values()))
+
+
+def _pressed_cells(mesh: MembraneMesh, pressure_on: Sequence[str] | None) -> npt.NDArray[np.bool_]:
+    """Whether pressure acts on each local cell, (n,)."""
+    cells = mesh.mesh.topology.index_map(2)
+    n = cells.size_local + cells.num_ghosts
+    if pressure_on is None:
+        return np.ones(n, dtype=bool)
+    if isinstance(pressure_on, str) or not isinstance(pressure_on, Sequence):
+        raise InputError(
+            f'Scene: pressure_on = {pressure_on!r} is no list of parts; write pressure_on=["roof"].'
+        )
+    pressed = np.zeros(n, dtype=bool)
+    for part in pressure_on:
+        if part not in mesh.parts:
+            raise InputError(
+                f"Scene: pressure_on has {part!r}, but the mesh has the parts "
+                f"{', '.join(sorted(mesh.parts)) or '(none)'}; name some of these."
+            )
+        pressed[mesh.parts[part]] = True
+    return pressed

@@ -54,6 +54,7 @@ class System:
     def __init__(self, scene: Scene, prefix: str, rtol: float) -> None:
         self.scene, self.prefix, self.rtol = scene, prefix, rtol
         self.membrane = self._membrane_term()
+        self.plain_pressed = fem.Function(self.membrane.plain.function_space)
         self.pressure: FollowerPressure | StepPressure | None = None
         self.pressure_value = fem.Constant(scene.mesh.mesh, PETSc.ScalarType(0.0))
         self.network: Network | None = None
@@ -99,7 +100,7 @@ class System:
         blocks = self.unknowns.vertex_blocks()
         self.unknowns.held[blocks] = scene.held
         terms: list[Term] = [self.membrane]
-        self.membrane.plain.x.array[:] = 1.0
+        self._set_plain(np.zeros(0, dtype=np.int32))
         if scene.pressure != 0.0 or self.pressure is not None:
             terms.append(self._pressure_term())
         self.dead_load: DeadLoad | None = None
@@ -128,14 +129,21 @@ class System:
 
         return StepMembraneEnergy(scene.u, scene.materials, scene.cell_tags)
 
+    def _set_plain(self, folded: npt.NDArray[np.int32]) -> None:
+        """Say which cells are folded, and so left to terms of their own."""
+        plain = self.membrane.plain.x.array
+        plain[:] = 1.0
+        plain[folded] = 0.0
+        self.plain_pressed.x.array[:] = plain * self.scene.pressed
+
     def _pressure_term(self) -> FollowerPressure | StepPressure:
         term = self.pressure
         if term is None:
-            u, plain, value = self.scene.u, self.membrane.plain, self.pressure_value
+            u, cells, value = self.scene.u, self.plain_pressed, self.pressure_value
             if self.scene.pressure_law == "total":
-                term = FollowerPressure(u, plain, value, self.scene.centre)
+                term = FollowerPressure(u, cells, value, self.scene.centre)
             else:
-                term = StepPressure(u, plain, value)
+                term = StepPressure(u, cells, value)
             self.pressure = term
         return term
 
@@ -144,9 +152,9 @@ class System:
         from crms_fenicsx.cables.tables import cable_tables
 
         assert self.network is not None
-        self.tables = cable_tables(self.network, self.membrane)
+        self.tables = cable_tables(self.network, self.membrane, self.scene.pressed)
         folded = self.tables.folded
-        self.membrane.plain.x.array[folded.cells] = 0.0
+        self._set_plain(folded.cells)
         terms = self._tension_terms(self.network, self.tables)
         # Every rank has the same terms, so that sums line up; folds may be on some ranks only.
         if self.scene.comm.allreduce(len(folded.cells), op=MPI.SUM) > 0:

@@ -94,7 +94,7 @@ def outward_pull(cable: LaidCable, k: int, normal: Array, reach: float) -> float
 
 def size_at(shape: StripShape, support: tuple[int, ...]) -> float:
     """Size of the cells around a vertex or an edge (length)."""
-    areas = np.linalg.norm(shape.normals[shape.strip.rows(support)], axis=1)
+    areas = np.linalg.norm(shape.normals[shape.strip.outer_rows(support)], axis=1)
     return float(np.sqrt(areas.mean()))
 
 

@@ -104,6 +104,8 @@ def _edge_at(scene: Scene, place: Array, tolerance: float) -> tuple[Edge, float]
     mesh = scene.mesh.mesh
     boundary = scene.mesh.edges["boundary"]
     boundary = boundary[scene.held_edges[boundary]]
+    behind = mesh.topology.connectivity(2, 1).array.reshape(-1, 3)[scene.mesh.hidden]
+    boundary = np.setdiff1d(boundary, behind)
     nodes = np.zeros((0, 2), dtype=np.int32)
     if len(boundary):  # DOLFINx divides by the number
         nodes = entities_to_geometry(mesh, 1, boundary).reshape(-1, 2)

@@ -96,7 +96,7 @@ class FoldedSurface:
         if edge[1] in self.anchors:
             around = self.membrane_ring(edge[0]).neighbours
             return tuple(v for v in (around[0], around[-1]) if edge[1] in self._joined_to(v))
-        cells = (self.strip.corners[row] for row in self.strip.rows(edge))
+        cells = (self.strip.corners[row] for row in self.strip.outer_rows(edge))
         thirds = tuple(v for cell in cells for v in cell if v not in edge)
         if self.anchors and self.is_boundary(edge):
             return (*thirds, *sorted(self._joined_to(edge[0]) & self._joined_to(edge[1])))
@@ -107,7 +107,7 @@ class FoldedSurface:
         if len(support) == 1:
             return not self.membrane_ring(support[0]).closed
         known = self.strip.complete.intersection(support)
-        return len(support) == 2 and bool(known) and len(self.strip.rows(support)) == 1
+        return len(support) == 2 and bool(known) and len(self.strip.outer_rows(support)) == 1
 
     def _joined_to(self, vertex: int) -> set[int]:
         """The anchors to which a vertex of the boundary is joined."""
@@ -133,7 +133,7 @@ class FoldedSurface:
             vertex,
             [
                 (cell[k - 2], cell[k - 1])
-                for cell in (self.strip.corners[row] for row in self.strip.rows((vertex,)))
+                for cell in (self.strip.corners[row] for row in self.strip.outer_rows((vertex,)))
                 for k in (cell.index(vertex),)
             ],
         )

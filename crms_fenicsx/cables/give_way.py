@@ -216,7 +216,7 @@ def _pass(paths: Retracer, cable: LaidCable, vertex: int, to_left: bool) -> int:
 def _counterclockwise(surface: FoldedSurface, vertex: int) -> bool:
     """Whether the ring of a vertex is in the membrane's order, counterclockwise from outside."""
     ring = surface.membrane_ring(vertex).neighbours
-    row = surface.strip.rows((vertex, ring[0], ring[1]))[0]
+    row = surface.strip.outer_rows((vertex, ring[0], ring[1]))[0]
     cell = surface.strip.corners[row]
     return cell[cell.index(vertex) - 2] == ring[0]
 

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx import checks
+from crms_fenicsx.cables.behind import refuse_forks, refuse_places_behind
 from crms_fenicsx.cables.cable import Cable, CableNode, End, LaidCable, StepStart, polyline_length
 from crms_fenicsx.cables.contact import drape
 from crms_fenicsx.cables.path import CellPoint, EdgePoint, Path, SurfacePoint, VertexPoint
@@ -53,6 +54,7 @@ def lay(
         if value is not None:
             checks.positive(f"lay_cable: {name!r} with {key}", value)
     route = _route(path)
+    refuse_places_behind(scene, route, name)
     near = cells_near(scene, route)
     shape = StripShape.of(scene, near)
     rows = np.searchsorted(near.vertices, near.cells)
@@ -60,6 +62,7 @@ def lay(
     grow(scene, [v for point in traced.points for v in point.support])
     shape = StripShape.of(scene)
     strip = shape.strip
+    refuse_forks(traced, shape, name)
     nodes = nodes_of(traced.points, strip, _ends(scene, strip, traced))
     laid = LaidCable(
         name, cable, nodes,

@@ -354,7 +354,7 @@ class Retracer:
             for node, lifted in zip(cable.nodes, cable.lifted, strict=True)
             if lifted and node.point is not None
         }
-        way = without_backtracking(points, surface.strip.cells)
+        way = without_backtracking(points, surface.strip.outer_cells)
         self._adopt(cable, way, [point.support in off for point in way], surface, ends)
         cable.traced = False
 

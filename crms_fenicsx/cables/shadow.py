@@ -117,7 +117,7 @@ def _cells(shape: StripShape, support: tuple[int, ...]) -> list[tuple[int, int, 
     missing = [v for v in support if v not in shape.strip.complete]
     if len(missing) == len(support):
         raise MissingStars(missing)
-    cells = (shape.strip.corners[row] for row in shape.strip.rows(support))
+    cells = (shape.strip.corners[row] for row in shape.strip.outer_rows(support))
     return [(a, b, c) for a, b, c in cells]
 
 

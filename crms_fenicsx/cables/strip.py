@@ -7,7 +7,7 @@ those are gathered. It grows as cables slide.
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -38,6 +38,9 @@ class Strip:
         Ids of the vertices all of whose cells are here.
     held_edges
         Edges (a, b), a < b, of these cells that are held over their whole length.
+    hidden
+        Cells (a, b, c), a < b < c, behind a seam: cables fold them at the seam, but do not lie on
+        them.
     """
 
     cells: Integers
@@ -45,16 +48,24 @@ class Strip:
     local: Integers
     complete: frozenset[int] = frozenset()
     held_edges: frozenset[tuple[int, int]] = frozenset()
+    hidden: frozenset[tuple[int, int, int]] = frozenset()
 
     @cached_property
     def around(self) -> dict[tuple[int, ...], list[int]]:
         """Rows of the cells around each vertex (a,), edge (a, b) and cell (a, b, c), sorted."""
-        table: dict[tuple[int, ...], list[int]] = defaultdict(list)
-        for row, cell in enumerate(self.corners):
-            a, b, c = sorted(cell)
-            for key in ((a,), (b,), (c,), (a, b), (a, c), (b, c), (a, b, c)):
-                table[key].append(row)
-        return dict(table)
+        return _around(self.corners, frozenset())
+
+    @cached_property
+    def outer_around(self) -> dict[tuple[int, ...], list[int]]:
+        """`around`, without the cells behind seams."""
+        return _around(self.corners, self.hidden) if self.hidden else self.around
+
+    @cached_property
+    def outer_cells(self) -> Integers:
+        """`cells`, without those behind seams, (n, 3)."""
+        if not self.hidden:
+            return self.cells
+        return self.cells[[tuple(sorted(cell)) not in self.hidden for cell in self.corners]]
 
     @cached_property
     def corners(self) -> list[list[int]]:
@@ -75,6 +86,10 @@ class Strip:
         """Rows of the cells that hold all these vertices."""
         return self.around.get(tuple(sorted(set(vertices))), [])
 
+    def outer_rows(self, vertices: tuple[int, ...]) -> list[int]:
+        """Rows of the cells that hold all these vertices and that cables can lie on."""
+        return self.outer_around.get(tuple(sorted(set(vertices))), [])
+
     def owner_of(self, vertices: tuple[int, ...]) -> int:
         """The rank that owns what lies on these vertices: the lowest one with a cell there."""
         return int(min(self.owner[row] for row in self.rows(vertices)))
@@ -91,7 +106,21 @@ class Strip:
             np.concatenate([self.local, other.local])[first],
             self.complete | other.complete,
             self.held_edges | other.held_edges,
+            self.hidden | other.hidden,
         )
+
+
+def _around(
+    cells: list[list[int]], but: frozenset[tuple[int, int, int]]
+) -> dict[tuple[int, ...], list[int]]:
+    """Rows of the cells around each vertex, edge and cell, without some cells."""
+    table: dict[tuple[int, ...], list[int]] = defaultdict(list)
+    for row, cell in enumerate(cells):
+        a, b, c = sorted(cell)
+        if (a, b, c) not in but:
+            for key in ((a,), (b,), (c,), (a, b), (a, c), (b, c), (a, b, c)):
+                table[key].append(row)
+    return dict(table)
 
 
 EMPTY = Strip(np.zeros((0, 3), dtype=np.int64), *(np.zeros(0, dtype=np.int64),) * 2)
@@ -149,7 +178,7 @@ class StripShape:
 
     def stress_free_size(self, support: tuple[int, ...]) -> float:
         """Size of the stress-free cells around a vertex or an edge (length)."""
-        around = self.stress_free_normals[self.strip.rows(support)]
+        around = self.stress_free_normals[self.strip.outer_rows(support)]
         return float(np.linalg.norm(around, axis=1).mean() ** 0.5)
 
     def stress_free_at(self, vertex: int) -> Array:
@@ -158,7 +187,7 @@ class StripShape:
 
     def normal(self, support: tuple[int, ...]) -> Array:
         """Current unit normal at a vertex, an edge or a cell: that of the cells around, (3,)."""
-        total = self.normals[self.strip.rows(support)].sum(axis=0)
+        total = self.normals[self.strip.outer_rows(support)].sum(axis=0)
         return np.asarray(total / np.linalg.norm(total))
 
 
@@ -169,7 +198,7 @@ def cells_at(scene: Scene, vertices: npt.ArrayLike) -> Strip:
     chosen = np.flatnonzero(np.isin(ids, wanted).any(axis=1))
     strip = _gathered(scene, ids, chosen)
     complete = frozenset(int(vertex) for vertex in wanted)
-    return Strip(strip.cells, strip.owner, strip.local, complete, strip.held_edges)
+    return replace(strip, complete=complete)
 
 
 def grow(scene: Scene, vertices: npt.ArrayLike, rings: int = 1) -> None:
@@ -195,14 +224,24 @@ def grow(scene: Scene, vertices: npt.ArrayLike, rings: int = 1) -> None:
 
 
 def cells_near(scene: Scene, route: Array) -> Strip:
-    """Gather the cells that tracing a route on the current shape needs. Collective."""
+    """Gather the cells that tracing a route on the current shape needs. Collective.
+
+    None behind a seam is among them.
+    """
+    positions, nodes = own_surface(scene)
+    outer = np.setdiff1d(np.arange(len(nodes)), scene.mesh.hidden)
+    near = outer[near_section(positions, nodes[outer], route, comm=scene.comm)]
+    return _gathered(scene, _own_cells(scene), near)
+
+
+def own_surface(scene: Scene) -> tuple[Array, Integers]:
+    """Current positions (k, 3), and rows of them for the corners of this rank's cells, (n, 3)."""
     mesh = scene.mesh.mesh
     owned = mesh.topology.index_map(2).size_local
-    nodes = geometry_dofmap(mesh)[:owned]
+    nodes = np.asarray(geometry_dofmap(mesh)[:owned], dtype=np.int64)
     positions = np.zeros((mesh.geometry.x.shape[0], 3))
     positions[nodes] = scene.positions()[scene.V.dofmap.list[:owned]]
-    near = np.flatnonzero(near_section(positions, nodes, route, comm=scene.comm))
-    return _gathered(scene, _own_cells(scene), near)
+    return positions, nodes
 
 
 def _own_cells(scene: Scene) -> Integers:
@@ -218,10 +257,12 @@ def _gathered(scene: Scene, ids: Integers, chosen: npt.NDArray[np.int64]) -> Str
     edges = scene.mesh.mesh.topology.connectivity(2, 1).array.reshape(-1, 3)[chosen]
     cell, k = np.nonzero(scene.held_edges[edges])  # edge k lies opposite to vertex k
     ends = np.stack([ids[chosen[cell], (k + 1) % 3], ids[chosen[cell], (k + 2) % 3]], axis=1)
-    parts = scene.comm.allgather((ids[chosen], chosen, np.sort(ends, axis=1)))
+    hidden = np.sort(ids[chosen[np.isin(chosen, scene.mesh.hidden)]], axis=1)
+    parts = scene.comm.allgather((ids[chosen], chosen, np.sort(ends, axis=1), hidden))
     return Strip(
         np.concatenate([part[0] for part in parts]).reshape(-1, 3),
         np.concatenate([np.full(len(part[1]), rank) for rank, part in enumerate(parts)]),
         np.concatenate([part[1] for part in parts]),
         held_edges=frozenset((int(a), int(b)) for part in parts for a, b in part[2]),
+        hidden=frozenset((int(a), int(b), int(c)) for part in parts for a, b, c in part[3]),
     )

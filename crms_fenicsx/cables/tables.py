@@ -44,7 +44,7 @@ class CableTables:
     kinks : list of (corner blocks (4,), row of `folded`, fold point)
         Where chords meet sides at fold points that are free.
     facets : Facets
-        Facets of the folded cells.
+        Facets of the folded cells under pressure.
     """
 
     segments: Indices
@@ -68,8 +68,10 @@ class CableTables:
         return np.array([k for k, _, _ in self.kinks], dtype=np.int32).reshape(-1, 4)
 
 
-def cable_tables(network: Network, membrane: MembraneEnergy) -> CableTables:
-    """Tables of the cables in tension."""
+def cable_tables(
+    network: Network, membrane: MembraneEnergy, pressed: npt.NDArray[np.bool_]
+) -> CableTables:
+    """Tables of the cables in tension; `pressed` says which local cells are under pressure."""
     taut = {c: n for n, c in enumerate(c for c, k in enumerate(network.cables) if k.taut)}
     mesh = network.u.function_space.mesh
     strip, rows = network.strip, network.own_rows
@@ -86,7 +88,7 @@ def cable_tables(network: Network, membrane: MembraneEnergy) -> CableTables:
         own,
         cells.folded(membrane),
         cells.kinks(),
-        cells.facets(),
+        cells.facets(pressed),
     )
 
 
@@ -182,15 +184,16 @@ class _FoldedCellsOf:
         cable, node = member
         return self.network.cables[cable].nodes[node].kind == "fold"
 
-    def facets(self) -> Facets:
-        """Facets of the polygons into which chords cut the cells."""
+    def facets(self, pressed: npt.NDArray[np.bool_]) -> Facets:
+        """Facets of the polygons into which chords cut the cells under pressure."""
         network = self.network
+        rows = [row for row in self.rows if pressed[network.strip.local[row]]]
         facets: list[tuple[tuple[int, int, int], float]] = []
-        for row in self.rows:
+        for row in rows:
             chords = self.chords.get(row, [])
             for polygon in network.cut(row, self.on_edge, chords, network.corner_block):
                 facets += fan_facets(polygon)
-        plain = [[network.vertex(int(v)) for v in network.strip.cells[row]] for row in self.rows]
+        plain = [[network.vertex(int(v)) for v in network.strip.cells[row]] for row in rows]
         return Facets(
             np.array([corners for corners, _ in facets], dtype=np.int32).reshape(-1, 3),
             np.array([weight for _, weight in facets]),

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from crms_fenicsx.meshes.arguments import check_point, check_positive, check_size
 from crms_fenicsx.meshes.gmsh_model import mesh_with_sizes, own_model, read_model
 from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, distributed
+from crms_fenicsx.meshes.partition import Ranks
 from crms_fenicsx.meshes.plane import RECTANGLE_CORNERS, RECTANGLE_SIDES, ellipse_arrays
 from crms_fenicsx.meshes.refinement import Refinement, TargetSize
 from crms_fenicsx.meshes.surface import SurfaceArrays
@@ -26,6 +27,7 @@ def spherical_cap(
     *,
     center: Sequence[float] = (0.0, 0.0),
     refinements: Sequence[Refinement] = (),
+    ranks: Ranks | None = None,
 ) -> MembraneMesh:
     """Mesh a spherical cap with its rim in the plane z = 0.
 
@@ -47,6 +49,8 @@ def spherical_cap(
         Coordinates (x, y) of the rim's centre.
     refinements
         Where to make the mesh finer.
+    ranks
+        The rank that shall own each cell, as for `from_arrays`.
 
     Raises
     ------
@@ -79,7 +83,7 @@ def spherical_cap(
         points[np.abs(points[:, 2]) < 1e-10 * diameter, 2] = 0.0
         return SurfaceArrays(points, arrays.cells)
 
-    return distributed(comm, build)
+    return distributed(comm, build, ranks=ranks)
 
 
 def air_hall(
@@ -91,6 +95,7 @@ def air_hall(
     *,
     corner: Sequence[float] = (0.0, 0.0),
     refinements: Sequence[Refinement] = (),
+    ranks: Ranks | None = None,
 ) -> MembraneMesh:
     """Mesh an air hall: a half-cylinder with rounded ends over a rectangle in z = 0.
 
@@ -120,6 +125,8 @@ def air_hall(
         Coordinates (x, y) of the corner of the plan with the least x and y.
     refinements
         Where to make the mesh finer.
+    ranks
+        The rank that shall own each cell, as for `from_arrays`.
 
     Raises
     ------
@@ -148,7 +155,7 @@ def air_hall(
             points[line, axis] = value
         return SurfaceArrays(points, arrays.cells, arrays.edges, {}, arrays.point_groups)
 
-    return distributed(comm, build)
+    return distributed(comm, build, ranks=ranks)
 
 
 def _add_hall(gmsh: Any, x: float, y: float, width: float, depth: float, height: float) -> None:

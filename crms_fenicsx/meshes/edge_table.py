@@ -48,16 +48,24 @@ class EdgeTable:
         vertices = np.sort(sides[order[start]], axis=1)
         return cls(keys, vertices, counts, sides[:, 0] < sides[:, 1], order)
 
-    def sides_of(self, edge: int) -> NDArray[np.intp]:
-        """Return the sides that lie on one edge."""
-        start = int(self.counts[:edge].sum())
-        return self.order[start : start + int(self.counts[edge])]
-
     def inner_sides(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return the two sides of every edge between two cells."""
-        start = np.cumsum(self.counts) - self.counts
-        inner = start[self.counts == 2]
-        return self.order[inner], self.order[inner + 1]
+        return self._chained(self.counts == 2)
+
+    def joined_sides(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return pairs of sides that link all cells of every edge between two cells or more."""
+        return self._chained(self.counts >= 2)
+
+    def seam_sides(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return pairs of sides that link all cells of every seam, an edge of three or more."""
+        return self._chained(self.counts > 2)
+
+    def _chained(self, edges: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return each side on the edges marked but the last one of its edge, and the next side."""
+        before_last = np.repeat(edges, self.counts)
+        before_last[np.cumsum(self.counts) - 1] = False
+        at = np.flatnonzero(before_last)
+        return self.order[at], self.order[at + 1]
 
     def boundary(self) -> NDArray[np.int64]:
         """Return the vertex pairs of the edges with one cell, shape (k, 2)."""

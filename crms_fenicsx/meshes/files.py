@@ -14,15 +14,18 @@ from numpy.typing import NDArray
 
 from crms_fenicsx.errors import MeshError
 from crms_fenicsx.meshes.gmsh_model import own_model, read_model
-from crms_fenicsx.meshes.membrane_mesh import UPWARD, MembraneMesh, distributed
-from crms_fenicsx.meshes.orientation import Outside
+from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, distributed
+from crms_fenicsx.meshes.orientation import UPWARD, Outside
+from crms_fenicsx.meshes.partition import Ranks
 from crms_fenicsx.meshes.surface import SurfaceArrays
 
 _GMSH_SUFFIXES = (".geo", ".msh")
 _TAGS = ("gmsh:physical", "medit:ref")  # meshio's names of the integer marks of cells
 
 
-def from_gmsh(comm: MPI.Intracomm, *, outside: Outside = UPWARD) -> MembraneMesh:
+def from_gmsh(
+    comm: MPI.Intracomm, *, outside: Outside = UPWARD, ranks: Ranks | None = None
+) -> MembraneMesh:
     """Make a membrane from the current gmsh model of rank 0, meshed by the user.
 
     All its triangles are used. Physical groups become groups: surfaces `parts`, curves
@@ -34,6 +37,8 @@ def from_gmsh(comm: MPI.Intracomm, *, outside: Outside = UPWARD) -> MembraneMesh
         Communicator of the mesh; the call is collective. Other ranks need no model.
     outside
         The side that pressure acts towards, as for `from_arrays`.
+    ranks
+        The rank that shall own each cell, as for `from_arrays`.
 
     Raises
     ------
@@ -51,11 +56,15 @@ def from_gmsh(comm: MPI.Intracomm, *, outside: Outside = UPWARD) -> MembraneMesh
             )
         return read_model(gmsh)
 
-    return distributed(comm, build, outside)
+    return distributed(comm, build, outside, ranks)
 
 
 def from_file(
-    comm: MPI.Intracomm, path: str | os.PathLike[str], *, outside: Outside = UPWARD
+    comm: MPI.Intracomm,
+    path: str | os.PathLike[str],
+    *,
+    outside: Outside = UPWARD,
+    ranks: Ranks | None = None,
 ) -> MembraneMesh:
     """Read a membrane from a file.
 
@@ -76,6 +85,8 @@ def from_file(
         The file.
     outside
         The side that pressure acts towards, as for `from_arrays`.
+    ranks
+        The rank that shall own each cell, as for `from_arrays`.
 
     Raises
     ------
@@ -92,7 +103,7 @@ def from_file(
             return _read_by_gmsh(file)
         return _read_by_meshio(file)
 
-    return distributed(comm, build, outside)
+    return distributed(comm, build, outside, ranks)
 
 
 def _read_by_gmsh(file: Path) -> SurfaceArrays:

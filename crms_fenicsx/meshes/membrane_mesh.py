@@ -14,10 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from crms_fenicsx.compat import create_mesh, geometry_dofmap
 from crms_fenicsx.errors import raised_together
 from crms_fenicsx.meshes.edge_table import edge_keys
-from crms_fenicsx.meshes.orientation import Outside
-from crms_fenicsx.meshes.surface import Surface, SurfaceArrays, checked_surface
-
-UPWARD = (0.0, 0.0, 1.0)
+from crms_fenicsx.meshes.orientation import UPWARD, Outside
+from crms_fenicsx.meshes.partition import Ranks, cell_ranks, checked_ranks
+from crms_fenicsx.meshes.surface import EMPTY, SurfaceArrays, checked_surface
 
 
 @dataclass(frozen=True)
@@ -39,12 +38,16 @@ class MembraneMesh:
         Groups of cells.
     points
         Groups of vertices.
+    hidden
+        Cells of pieces that meet others at a seam from behind, such as a wall under a roof: cables
+        do not lie on them.
     """
 
     mesh: dolfinx.mesh.Mesh
     edges: Mapping[str, NDArray[np.int32]]
     parts: Mapping[str, NDArray[np.int32]]
     points: Mapping[str, NDArray[np.int32]]
+    hidden: NDArray[np.int32]
 
     @property
     def comm(self) -> MPI.Intracomm:
@@ -62,12 +65,14 @@ def from_arrays(
     parts: Mapping[str, ArrayLike] | None = None,
     point_groups: Mapping[str, ArrayLike] | None = None,
     outside: Outside = UPWARD,
+    ranks: Ranks | None = None,
 ) -> MembraneMesh:
     """Make a membrane from arrays.
 
     All arguments but `comm` are used on rank 0 only; the others may pass None.
 
-    The surface may have several pieces and holes and may be closed. Vertices at the
+    The surface may have several pieces and holes and may be closed. Pieces may meet at seams, edges
+    of three cells or more, as a wall does with the roof that it hangs from. Vertices at the
     same place are not merged, so that pieces may lie side by side without being joined.
 
     Parameters
@@ -88,7 +93,14 @@ def from_arrays(
         Named vertices, shape (k,).
     outside
         The side that pressure acts towards: a direction with which each piece's normals make
-        an acute angle on the whole, or `AwayFrom` a point inside.
+        an acute angle on the whole, or `AwayFrom` a point inside. A mapping gives parts a side of
+        their own, such as a vertical wall, ``{"wall": (1, 0, 0)}``; that of others is upward. The
+        pieces that seams divide the surface into are turned one by one.
+    ranks
+        The rank that shall own each cell, shape (m,), or a function that gives them from the
+        cells' midpoints, (m, 3); a rank may be left without any cell. Cells that meet at a seam
+        are kept together, on the lowest of their ranks. By default DOLFINx shares out the cells
+        evenly.
 
     Returns
     -------
@@ -100,9 +112,10 @@ def from_arrays(
     MeshError
         On all ranks, if an array has a wrong shape or type, a coordinate is not finite, a
         cell is degenerate (area below 1e-10 times its longest edge squared) or there twice,
-        a vertex is the corner of no cell, an edge has more than two cells, separate parts touch in
+        a vertex is the corner of no cell, separate parts touch in
         nothing but a vertex, a piece has only one side, `outside` does not tell its
-        sides apart, or a group is empty or names what is not there.
+        sides apart, a group is empty or names what is not there, or `ranks` does not name a rank
+        for each cell.
     """
 
     def arrays() -> SurfaceArrays:
@@ -114,24 +127,26 @@ def from_arrays(
             point_groups or {},
         )
 
-    return distributed(comm, arrays, outside)
+    return distributed(comm, arrays, outside, ranks)
 
 
 def distributed(
-    comm: MPI.Intracomm, build: Callable[[], SurfaceArrays], outside: Outside = UPWARD
+    comm: MPI.Intracomm,
+    build: Callable[[], SurfaceArrays],
+    outside: Outside = UPWARD,
+    ranks: Ranks | None = None,
 ) -> MembraneMesh:
     """Let rank 0 build a surface, check and orient it, then distribute it.
 
     `build` is called on rank 0 only and must not communicate; what it raises is raised on all
     ranks.
     """
-    surface: Surface | None = None
+    surface, given = EMPTY, None
     with raised_together(comm):
         if comm.rank == 0:
             surface = checked_surface(build(), outside)
-    if surface is None:
-        surface = Surface(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64), {}, {}, {})
-    mesh = create_mesh(comm, surface.cells, surface.points)
+            given = None if ranks is None else checked_ranks(surface, ranks, comm.size)
+    mesh = create_mesh(comm, surface.cells, surface.points, cell_ranks(comm, surface, given))
     topology = mesh.topology
     topology.create_entities(1)
     for a, b in ((1, 2), (2, 1), (0, 2)):
@@ -143,6 +158,7 @@ def distributed(
         _local_groups(comm, edge_keys(pairs), surface.edges),
         _local_groups(comm, topology.original_cell_index, surface.parts),
         _local_groups(comm, vertices, surface.point_groups),
+        _local_groups(comm, topology.original_cell_index, {"hidden": surface.hidden})["hidden"],
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,8 +29,13 @@ class AwayFrom:
     point: Sequence[float]
 
 
-Outside = Sequence[float] | AwayFrom
+UPWARD = (0.0, 0.0, 1.0)
+
+Side = Sequence[float] | AwayFrom
 """A direction in space (3 numbers, any length but 0), or `AwayFrom` a point."""
+
+Outside = Side | Mapping[str, Side]
+"""A side for the whole surface, or for some parts by name, where others have theirs upward."""
 
 
 def connected_labels(size: int, a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -44,35 +49,43 @@ def connected_labels(size: int, a: NDArray[np.int64], b: NDArray[np.int64]) -> N
 
 
 def oriented(
-    points: NDArray[np.float64], cells: NDArray[np.int64], table: EdgeTable, outside: Outside
-) -> NDArray[np.int64]:
+    points: NDArray[np.float64],
+    cells: NDArray[np.int64],
+    table: EdgeTable,
+    outside: Outside,
+    parts: Mapping[str, NDArray[np.int64]],
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Turn cells so that all normals point outside.
 
     Each cell is two nodes of a graph, "as given" (index c) and "turned" (index m + c). An inner
-    edge links the nodes of its two cells that agree. A piece that can be oriented
-    falls into two components, one for each of its sides.
+    edge links the nodes of its two cells that agree; a seam of three or more links none. A piece
+    that can be oriented falls into two components, one for each of its sides.
 
     Parameters
     ----------
     points
         Coordinates, shape (n, 3).
     cells
-        Vertices of the cells, shape (m, 3), free of non-manifold edges.
+        Vertices of the cells, shape (m, 3).
     table
         The edges of `cells`.
     outside
         What the normals have to point along, or away from; decided piece by piece.
+    parts
+        The cells of the parts that `outside` may name.
 
     Returns
     -------
-    ndarray
-        The cells, shape (m, 3); the second and third vertex of turned ones are swapped.
+    cells
+        Shape (m, 3); the second and third vertex of turned ones are swapped.
+    piece
+        Number of each cell's piece, shape (m,).
 
     Raises
     ------
     MeshError
         If a piece is one-sided, `outside` is no direction or point, or does not tell the
-        two sides of a piece apart.
+        two sides of a piece apart, or it names a part that is not there, or two that share cells.
     """
     first, second = table.inner_sides()
     turned = len(cells) * (table.ascending[first] == table.ascending[second])
@@ -90,46 +103,72 @@ def oriented(
         )
     turn = labels[0] > labels[1]
     piece = np.unique(np.minimum(labels[0], labels[1]), return_inverse=True)[1]
-    turn ^= _pieces_inside_out(points, _turned(cells, turn), piece, outside)[piece]
-    return _turned(cells, turn)
+    targets = _targets(points[cells].mean(axis=1), outside, parts)
+    turn ^= _pieces_inside_out(points, _turned(cells, turn), piece, targets, outside)[piece]
+    return _turned(cells, turn), piece.astype(np.int64)
 
 
 def _turned(cells: NDArray[np.int64], turn: NDArray[np.bool_]) -> NDArray[np.int64]:
     return np.where(turn[:, None], cells[:, [0, 2, 1]], cells)
 
 
+def _targets(
+    centres: NDArray[np.float64], outside: Outside, parts: Mapping[str, NDArray[np.int64]]
+) -> NDArray[np.float64]:
+    """Return what the normal of each cell shall point along, shape (m, 3), of any length."""
+    if not isinstance(outside, Mapping):
+        return _along(centres, outside)
+    targets = _along(centres, UPWARD)
+    named = np.zeros(len(centres), dtype=bool)
+    for part, side in outside.items():
+        if part not in parts:
+            raise MeshError(
+                f"`outside` names the part {part!r}, but there are the parts "
+                f"{', '.join(sorted(parts)) or '(none)'}: name one of these"
+            )
+        own = parts[part]
+        if named[own].any():
+            raise MeshError(
+                f"`outside` is given twice for {np.count_nonzero(named[own])} cells of the part "
+                f"{part!r}, which other parts share: name parts without common cells"
+            )
+        named[own] = True
+        targets[own] = _along(centres[own], side)
+    return targets
+
+
+def _along(centres: NDArray[np.float64], side: Side) -> NDArray[np.float64]:
+    if isinstance(side, AwayFrom):
+        return centres - _three_numbers(side.point, "the inner point of `outside`")
+    direction = _three_numbers(side, "the direction `outside`")
+    if not direction.any():
+        raise MeshError("the direction `outside` is (0, 0, 0): give a non-zero vector")
+    return np.tile(direction, (len(centres), 1))
+
+
 def _pieces_inside_out(
     points: NDArray[np.float64],
     cells: NDArray[np.int64],
     piece: NDArray[np.intp],
+    targets: NDArray[np.float64],
     outside: Outside,
 ) -> NDArray[np.bool_]:
     """Tell for each piece whether its normals point inside on the whole."""
     corners = points[cells]
     area = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    if isinstance(outside, AwayFrom):
-        origin = _three_numbers(outside.point, "the inner point of `outside`")
-        rays = corners.mean(axis=1) - origin
-        flux = np.einsum("ij,ij->i", area, rays)
-        scale = np.linalg.norm(area, axis=1) * np.linalg.norm(rays, axis=1)
-        remedy = "give a point well inside: outside=AwayFrom(point)"
-    else:
-        direction = _three_numbers(outside, "the direction `outside`")
-        length = np.linalg.norm(direction)
-        if length == 0:
-            raise MeshError("the direction `outside` is (0, 0, 0): give a non-zero vector")
-        flux = area @ (direction / length)
-        scale = np.linalg.norm(area, axis=1)
-        remedy = "give another direction, or a point inside: outside=AwayFrom(point)"
-    total = np.bincount(piece, weights=flux)
-    unclear = np.flatnonzero(np.abs(total) <= _VANISHING * np.bincount(piece, weights=scale))
+    flux = np.bincount(piece, weights=np.einsum("ij,ij->i", area, targets))
+    scale = np.linalg.norm(area, axis=1) * np.linalg.norm(targets, axis=1)
+    unclear = np.flatnonzero(np.abs(flux) <= _VANISHING * np.bincount(piece, weights=scale))
     if len(unclear):
         cell = int(np.flatnonzero(piece == unclear[0])[0])
+        x, y, z = corners[cell].mean(axis=0)
         raise MeshError(
-            f"outside={outside} does not tell the two sides of the piece with cell {cell} "
-            f"apart, as on a closed or vertical surface: {remedy}"
+            f"outside={outside} does not tell the two sides of the piece with cell {cell} at "
+            f"({x:.6g}, {y:.6g}, {z:.6g}) apart, as on a closed or vertical surface: give another "
+            "direction, a point well inside (AwayFrom(point)), or a part of the mesh its own side "
+            "({'wall': (1, 0, 0)})"
         )
-    return total < 0
+    return flux < 0
 
 
 def _three_numbers(values: Sequence[float], what: str) -> NDArray[np.float64]:

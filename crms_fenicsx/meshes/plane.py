@@ -14,6 +14,7 @@ from crms_fenicsx.meshes.arguments import check_point, check_positive, check_siz
 from crms_fenicsx.meshes.gmsh_model import mesh_with_sizes, own_model, read_model
 from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, distributed
 from crms_fenicsx.meshes.outline import simple_outline
+from crms_fenicsx.meshes.partition import Ranks
 from crms_fenicsx.meshes.refinement import Refinement, TargetSize
 from crms_fenicsx.meshes.surface import SurfaceArrays
 
@@ -30,6 +31,7 @@ def rectangle(
     corner: Sequence[float] = (0.0, 0.0),
     structured: bool = False,
     refinements: Sequence[Refinement] = (),
+    ranks: Ranks | None = None,
 ) -> MembraneMesh:
     """Mesh a rectangle in the plane z = 0.
 
@@ -51,6 +53,8 @@ def rectangle(
         from lower left to upper right, instead of meshing freely.
     refinements
         Where to make a free mesh finer.
+    ranks
+        The rank that shall own each cell, as for `from_arrays`.
 
     Raises
     ------
@@ -74,7 +78,7 @@ def rectangle(
         target = TargetSize(size, refinements)
         return _polygon_arrays(corners, target, RECTANGLE_SIDES, RECTANGLE_CORNERS)
 
-    return distributed(comm, build)
+    return distributed(comm, build, ranks=ranks)
 
 
 def ellipse(
@@ -85,6 +89,7 @@ def ellipse(
     *,
     center: Sequence[float] = (0.0, 0.0),
     refinements: Sequence[Refinement] = (),
+    ranks: Ranks | None = None,
 ) -> MembraneMesh:
     """Mesh an ellipse in the plane z = 0; the ends of its axes are vertices.
 
@@ -100,6 +105,8 @@ def ellipse(
         Coordinates (x, y) of its centre.
     refinements
         Where to make the mesh finer.
+    ranks
+        The rank that shall own each cell, as for `from_arrays`.
 
     Raises
     ------
@@ -114,7 +121,7 @@ def ellipse(
         x, y = check_point("the ellipse's centre", center)
         return ellipse_arrays(x, y, a, b, TargetSize(size, refinements))
 
-    return distributed(comm, build)
+    return distributed(comm, build, ranks=ranks)
 
 
 def circle(
@@ -124,6 +131,7 @@ def circle(
     *,
     center: Sequence[float] = (0.0, 0.0),
     refinements: Sequence[Refinement] = (),
+    ranks: Ranks | None = None,
 ) -> MembraneMesh:
     """Mesh a circle in the plane z = 0; its points on the axes are vertices.
 
@@ -139,6 +147,8 @@ def circle(
         Coordinates (x, y) of its centre.
     refinements
         Where to make the mesh finer.
+    ranks
+        The rank that shall own each cell, as for `from_arrays`.
 
     Raises
     ------
@@ -153,7 +163,7 @@ def circle(
         x, y = check_point("the circle's centre", center)
         return ellipse_arrays(x, y, radius, radius, TargetSize(size, refinements))
 
-    return distributed(comm, build)
+    return distributed(comm, build, ranks=ranks)
 
 
 def polygon(
@@ -163,6 +173,7 @@ def polygon(
     *,
     names: Sequence[str] | None = None,
     refinements: Sequence[Refinement] = (),
+    ranks: Ranks | None = None,
 ) -> MembraneMesh:
     """Mesh a polygon in the plane z = 0.
 
@@ -181,6 +192,8 @@ def polygon(
         name may be used again; "side 1", "side 2", and so on if not given.
     refinements
         Where to make the mesh finer.
+    ranks
+        The rank that shall own each cell, as for `from_arrays`.
 
     Raises
     ------
@@ -207,7 +220,7 @@ def polygon(
         corner_names = [f"corner {k}" for k in range(1, len(outline) + 1)]
         return _polygon_arrays(outline, TargetSize(size, refinements), sides, corner_names)
 
-    return distributed(comm, build)
+    return distributed(comm, build, ranks=ranks)
 
 
 def ellipse_arrays(

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from crms_fenicsx.errors import MeshError
 from crms_fenicsx.meshes.edge_table import EdgeTable, edge_keys
 from crms_fenicsx.meshes.orientation import Outside, connected_labels, oriented
+from crms_fenicsx.meshes.seams import hidden_cells
 
 BOUNDARY = "boundary"
 """Reserved name of the group of all edges with one cell."""
@@ -44,6 +45,10 @@ class Surface:
         `edge_keys` of the edges of each group, "boundary" among them.
     parts, point_groups
         Cell and vertex indices of each group.
+    seam_links
+        Pairs of cells that link all cells of every seam, shape (k, 2).
+    hidden
+        Indices of the cells of pieces behind seams; see `seams.hidden_cells`.
     """
 
     points: NDArray[np.float64]
@@ -51,6 +56,20 @@ class Surface:
     edges: dict[str, NDArray[np.int64]]
     parts: dict[str, NDArray[np.int64]]
     point_groups: dict[str, NDArray[np.int64]]
+    seam_links: NDArray[np.int64]
+    hidden: NDArray[np.int64]
+
+
+EMPTY = Surface(
+    np.empty((0, 3)),
+    np.empty((0, 3), dtype=np.int64),
+    {},
+    {},
+    {},
+    np.empty((0, 2), dtype=np.int64),
+    np.empty(0, dtype=np.int64),
+)
+"""What the other ranks have of a surface."""
 
 
 def checked_surface(arrays: SurfaceArrays, outside: Outside) -> Surface:
@@ -65,13 +84,17 @@ def checked_surface(arrays: SurfaceArrays, outside: Outside) -> Surface:
     cells = _cells(arrays.cells, points)
     _check_shapes(points, cells)
     table = EdgeTable.of(cells)
-    _check_sheet(points, cells, table)
+    _check_fans(points, cells, table)
+    parts = _index_groups(arrays.parts, "part", "cells", len(cells))
+    cells, piece = oriented(points, cells, table, outside, parts)
     return Surface(
         points,
-        oriented(points, cells, table, outside),
+        cells,
         _edge_groups(arrays.edges, points, table),
-        _index_groups(arrays.parts, "part", "cells", len(cells)),
+        parts,
         _index_groups(arrays.point_groups, "point group", "vertices", len(points)),
+        np.stack(table.seam_sides(), axis=1) // 3,
+        hidden_cells(points, cells, piece),
     )
 
 
@@ -159,17 +182,9 @@ def _check_shapes(points: NDArray[np.float64], cells: NDArray[np.int64]) -> None
         )
 
 
-def _check_sheet(points: NDArray[np.float64], cells: NDArray[np.int64], table: EdgeTable) -> None:
-    """Refuse edges with three cells or more, and vertices where separate fans only touch."""
-    bad = np.flatnonzero(table.counts > 2)
-    if len(bad):
-        around = sorted(int(side) // 3 for side in table.sides_of(int(bad[0])))
-        raise MeshError(
-            f"the edge between {_places(points, table.vertices[bad[0]])} belongs to "
-            f"{len(around)} cells, {around}: a membrane has at most two at an edge; join "
-            "further sheets by vertices of their own"
-        )
-    first, second = table.inner_sides()
+def _check_fans(points: NDArray[np.float64], cells: NDArray[np.int64], table: EdgeTable) -> None:
+    """Refuse vertices where separate fans only touch; one edge with any number of cells joins."""
+    first, second = table.joined_sides()
     next_corner = np.arange(cells.size).reshape(-1, 3)[:, [1, 2, 0]].ravel()
     alike = table.ascending[first] == table.ascending[second]
     starts = np.where(alike, second, next_corner[second])

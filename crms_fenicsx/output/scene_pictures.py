@@ -141,6 +141,7 @@ def draw_scene(
         options.setdefault("loose", "lifted")
     cells = scene.V.dofmap.list[: scene.mesh.mesh.topology.index_map(2).size_local]
     parts = scene.comm.gather((surface, values, cells if ghost else cells[:0]))
+    lines = cable_lines(scene)
     with raised_together(scene.comm):
         if parts is not None:
             ends = np.cumsum([len(part.points) for part, _, _ in parts])
@@ -152,7 +153,7 @@ def draw_scene(
                 filename,
                 np.concatenate([part.points for part, _, _ in parts]),
                 _numbered([part.triangles for part, _, _ in parts], starts),
-                cable_lines(scene),
+                lines,
                 values=None if colour is None else np.concatenate([part[1] for part in parts]),
                 hidden=_numbered([part.inner for part, _, _ in parts], starts),
                 unit=unit,

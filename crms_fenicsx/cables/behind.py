@@ -1,0 +1,77 @@
+"""Places behind a seam, such as a wall below a roof: no cable can lie there."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from crms_fenicsx.cables.locate import ON_SURFACE, as_text, foot_of
+from crms_fenicsx.cables.path import Path
+from crms_fenicsx.cables.strip import StripShape, own_surface
+from crms_fenicsx.cables.triangles import vectors
+from crms_fenicsx.errors import PathError
+
+if TYPE_CHECKING:
+    from crms_fenicsx.scene import Scene
+
+Array = npt.NDArray[np.float64]
+
+
+def refuse_places_behind(scene: Scene, route: Array, name: str) -> None:
+    """Refuse a route with a point on cells behind a seam, and on no others. Collective.
+
+    Parameters
+    ----------
+    scene
+        The scene, in its current shape.
+    route
+        Points in plan, (k, 2), or in space, (k, 3).
+    name
+        Name of the cable.
+
+    Raises
+    ------
+    PathError
+        Naming the point, or all cells lie behind seams.
+    """
+    positions, cells = own_surface(scene)
+    hidden = np.isin(np.arange(len(cells)), scene.mesh.hidden)
+    behind, outer = scene.comm.allreduce(np.array([hidden.sum(), (~hidden).sum()]))
+    if outer == 0:
+        raise PathError(
+            f"lay_cable: {name!r} finds no outer side of the membrane: each of its pieces meets "
+            "others at a seam from behind; turn them with the `outside` of the mesh."
+        )
+    if behind == 0:
+        return
+    if route.shape[1] == 2:
+        positions = positions * (1.0, 1.0, 0.0)
+    for i, point in enumerate(vectors(np.pad(route, ((0, 0), (0, 3 - route.shape[1]))))):
+        on_hidden = foot_of(positions, cells[hidden], point, scene.comm)
+        on_outer = foot_of(positions, cells[~hidden], point, scene.comm)
+        reach = ON_SURFACE * on_hidden.size
+        if on_hidden.distance <= reach and on_outer.distance > max(reach, on_hidden.distance):
+            raise PathError(
+                f"lay_cable: point {i} of {name!r} at {as_text(point)} lies on a part of the "
+                "membrane behind a seam, such as a wall below a roof, where no cable can be laid; "
+                "lead it over the outer side, or turn that part with the `outside` of the mesh."
+            )
+
+
+def refuse_forks(path: Path, shape: StripShape, name: str) -> None:
+    """Refuse a path over a seam with more than two outer cells, where it has no one way on.
+
+    Raises
+    ------
+    PathError
+        Naming the place.
+    """
+    places = vectors(path.positions(shape.strip.vertices, shape.current))
+    for point, place in zip(path.points, places, strict=True):
+        if len(point.support) == 2 and (n := len(shape.strip.outer_rows(point.support))) > 2:
+            raise PathError(
+                f"lay_cable: {name!r} comes to a seam of {n} outer cells at {as_text(place)}, "
+                "where it has no one way on; end it before the seam, and lay another one beyond."
+            )

@@ -1,0 +1,103 @@
+"""Which rank owns each cell: as the caller wants, and all cells at a seam together.
+
+DOLFINx finds the vertices that ranks share at the edges that have fewer than two cells on a rank.
+A seam whose cells are scattered would be torn: two ranks would each have vertices of their own
+there, silently.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import ArrayLike, NDArray
+
+from crms_fenicsx.compat import default_ranks
+from crms_fenicsx.errors import MeshError
+from crms_fenicsx.meshes.orientation import connected_labels
+from crms_fenicsx.meshes.surface import Surface
+
+Ranks = ArrayLike | Callable[[NDArray[np.float64]], ArrayLike]
+"""The rank of each cell, (m,), or a function that gives it from the cells' midpoints, (m, 3)."""
+
+
+def cell_ranks(
+    comm: MPI.Intracomm, surface: Surface, given: NDArray[np.int32] | None
+) -> NDArray[np.int32] | None:
+    """Choose the ranks of the cells of a surface that is all on rank 0. Collective.
+
+    Parameters
+    ----------
+    comm
+        Communicator of the mesh.
+    surface
+        The surface; empty on other ranks.
+    given
+        What the caller wants, on rank 0.
+
+    Returns
+    -------
+    The ranks of this rank's share of the cells; None, on all ranks, to leave it to DOLFINx.
+    """
+    is_given, has_seams = comm.bcast((given is not None, len(surface.seam_links) > 0))
+    if comm.size == 1 or not (is_given or has_seams):
+        return None
+    if not is_given:
+        given = default_ranks(comm, surface.cells)
+    if given is None:
+        given = np.zeros(0, dtype=np.int32)
+    return kept_together(given, surface.seam_links)
+
+
+def kept_together(ranks: NDArray[np.int32], links: NDArray[np.int64]) -> NDArray[np.int32]:
+    """Move linked cells to one rank: the lowest among those that they had.
+
+    Parameters
+    ----------
+    ranks
+        Rank of each cell, shape (m,).
+    links
+        Pairs of cells to keep together, shape (k, 2).
+    """
+    if not len(links):
+        return ranks
+    label = connected_labels(len(ranks), links[:, 0], links[:, 1])
+    least = np.full(label.max() + 1, np.iinfo(np.int32).max, dtype=np.int32)
+    np.minimum.at(least, label, ranks)
+    moved: NDArray[np.int32] = least[label]
+    return moved
+
+
+def checked_ranks(surface: Surface, ranks: Ranks, size: int) -> NDArray[np.int32]:
+    """Return the rank of each cell as the caller wants it.
+
+    Parameters
+    ----------
+    surface
+        All of it.
+    ranks
+        What the caller gave.
+    size
+        How many ranks there are.
+
+    Raises
+    ------
+    MeshError
+        There is not one whole number from 0 to `size` - 1 for each cell.
+    """
+    midpoints = surface.points[surface.cells].mean(axis=1)
+    given = np.asarray(ranks(midpoints) if callable(ranks) else ranks)
+    count = len(midpoints)
+    if given.shape != (count,) or given.dtype.kind not in "iu":
+        raise MeshError(
+            f"`ranks` is an array of {given.dtype} of shape {given.shape}: give an integer for "
+            f"each of the {count} cells"
+        )
+    bad = np.flatnonzero((given < 0) | (given >= size))
+    if len(bad):
+        raise MeshError(
+            f"`ranks` puts cell {bad[0]} on rank {given[bad[0]]}, but there are only ranks 0 to "
+            f"{size - 1}: name one of these"
+        )
+    return given.astype(np.int32)
