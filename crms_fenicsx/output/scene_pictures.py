@@ -140,6 +140,7 @@ def draw_scene(
     if any(cable.lifted.any() for cable in scene.cables):
         options.setdefault("loose", "lifted")
     cells = scene.V.dofmap.list[: scene.mesh.mesh.topology.index_map(2).size_local]
+    lines = cable_lines(scene)
     parts = scene.comm.gather((surface, values, cells if ghost else cells[:0]))
     with raised_together(scene.comm):
         if parts is not None:
@@ -152,7 +153,7 @@ def draw_scene(
                 filename,
                 np.concatenate([part.points for part, _, _ in parts]),
                 _numbered([part.triangles for part, _, _ in parts], starts),
-                cable_lines(scene),
+                lines,
                 values=None if colour is None else np.concatenate([part[1] for part in parts]),
                 hidden=_numbered([part.inner for part, _, _ in parts], starts),
                 unit=unit,
