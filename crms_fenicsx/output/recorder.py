@@ -56,8 +56,6 @@ class Recorder:
         self.series: Series | None = None
         self.history = History(None if folder is None else Path(folder) / "history.csv", scene.comm)
         if folder is not None:
-            import meshio  # noqa: F401 - if it is missing, better now than after the first step
-
             from crms_fenicsx.output.paraview import Series
 
             self.series = Series(folder, scene.comm)
@@ -121,7 +119,25 @@ class Recorder:
                 "direction 1": results.true_directions[surface.parents, 0],
                 "state": results.state[surface.parents],
             },
+            _homes(self.scene, len(surface.points)),
         )
+
+
+def _homes(scene: Scene, points: int) -> npt.NDArray[np.int64]:
+    """Rank and number there of the points of the current surface, (points, 2). Collective.
+
+    Vertices belong to their owners. After them come the points of cables on folded cells: each
+    rank has its own, and writes them, so that those on the border of two ranks are there twice.
+    """
+    vertices = scene.V.dofmap.index_map
+    own, known = vertices.size_local, vertices.size_local + vertices.num_ghosts
+    starts = np.array(scene.comm.allgather(vertices.local_range[0]))
+    homes = np.full((points, 2), scene.comm.rank, dtype=np.int64)
+    homes[:own, 1] = np.arange(own)
+    homes[own:known, 0] = vertices.owners
+    homes[own:known, 1] = vertices.ghosts - starts[vertices.owners]
+    homes[known:, 1] = own + np.arange(points - known)
+    return homes
 
 
 def cable_lines(scene: Scene) -> list[Line]:
