@@ -222,6 +222,11 @@ class Solver:
         ------
         InputError
             An unknown colour or option, or a file that cannot be written.
+
+        Warns
+        -----
+        PictureWarning
+            The mesh is too large for a picture (500 000 cells); nothing is drawn.
         """
         from crms_fenicsx.output.scene_pictures import draw_scene
 
@@ -252,6 +257,11 @@ class Solver:
         ------
         InputError
             Nothing to draw, an unknown option, or a file that cannot be written.
+
+        Warns
+        -----
+        PictureWarning
+            The mesh is too large for a picture (500 000 cells), and left out.
         """
         from crms_fenicsx.output.scene_pictures import draw_scene_paths
 
