@@ -380,6 +380,85 @@ class Solver:
                 began, spent, halvings = time.perf_counter(), None, 0
         return self.steps[-1]
 
+    def save(self, folder: str | FilePath) -> None:
+        """Save the state of the scene and of this solver, to go on from. Collective.
+
+        Parameters
+        ----------
+        folder
+            Created where it is missing; a checkpoint that is there is replaced when the new one is
+            complete, so that a run that is killed at any moment leaves the old or the new one.
+
+        Raises
+        ------
+        InputError
+            On all ranks: the folder holds something else or cannot be written.
+
+        Examples
+        --------
+        A run that may be killed saves after each step:
+
+        >>> for pressure in (0.1, 0.2, 0.3):
+        ...     solver.advance(pressure=pressure)
+        ...     solver.save("results/dome/checkpoint")
+        """
+        from crms_fenicsx.checkpoint import Run, save
+
+        scene, paths = self.scene, None if self._search is None else self._search.paths
+        stepwise = "step" in (scene.strain_law, scene.pressure_law)
+        run = Run(
+            self.steps,
+            list(self.history),
+            self.system.step_history if stepwise else None,
+            None if paths is None else paths.tried,
+        )
+        save(folder, scene, run)
+
+    def load(self, folder: str | FilePath) -> None:
+        """Go on from a state that `save` has saved, on any number of processes. Collective.
+
+        The script builds mesh, scene and solver as they were. Held vertices, floor, loads and
+        cables come from the checkpoint, and replace those that the script has given so far; what
+        follows is as if the run had not ended. Results go on, too, where the solver's folder has
+        those of the steps before.
+
+        Parameters
+        ----------
+        folder
+            Where the checkpoint is.
+
+        Raises
+        ------
+        InputError
+            On all ranks: a solver that has made steps or whose scene has cables, a checkpoint of
+            another mesh, material or law (it says which), or one that is missing or damaged. The
+            scene is then as before.
+
+        Examples
+        --------
+        >>> scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
+        >>> solver = Solver(scene, results="results/dome")
+        >>> solver.load("results/dome/checkpoint")
+        >>> solver.advance(L0={scene.cable("ridge"): 99.0})
+        """
+        from crms_fenicsx.checkpoint import load
+
+        if self.steps or self.scene.cables:
+            raise InputError(
+                f"load: there are {len(self.steps)} load steps and {len(self.scene.cables)} cables "
+                "already; load into a new scene and solver, before laying cables."
+            )
+        run = load(folder, self.scene)
+        if self._system is not None:
+            self._system.destroy()
+        self._system = self._search = None
+        self.steps = list(run.steps)
+        self._recorder.resume(run.rows)
+        if run.step_history is not None:
+            self.system.take_step_history(run.step_history)
+        if run.tried is not None:
+            self.search.remember(run.tried)
+
     def _go_back(self, good: State) -> None:
         """Bring the scene back to a good state after an increment without equilibrium."""
         good.restore(self.scene)

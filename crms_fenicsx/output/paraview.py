@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -51,6 +52,7 @@ class Series:
         self.comm = comm
         self.times: list[float] = []
         self._entries: dict[str, list[str]] = {"surface": [], "cables": []}
+        self._begun = False
         with raised_together(comm):
             if comm.rank == 0:
                 make_writable(self.folder)
@@ -86,12 +88,11 @@ class Series:
             raise InputError(f"no triangle on any rank at time {time}; give the surface")
         own, rows = self._rows(surface)
 
-        step = len(self.times)
-        steps = self.folder / "steps"
-        if step == 0:
-            with raised_together(self.comm):
-                if self.comm.rank == 0:
-                    self._clear(steps)
+        step, steps = len(self.times), self.folder / "steps"
+        with raised_together(self.comm):
+            if self.comm.rank == 0 and not self._begun:
+                self._begin(steps)
+        self._begun = True
         write_vtu(
             steps / f"surface_{step:06d}.vtu",
             self.comm,
@@ -130,26 +131,75 @@ class Series:
                 )
         return own, np.concatenate([[0], np.cumsum(counts)])[homes[:, 0]] + homes[:, 1]
 
-    def _clear(self, steps: Path) -> None:
+    def resume(self, times: Sequence[float]) -> None:
+        """Go on with the series that is in the folder. Collective.
+
+        Its later steps stay until the next one is written.
+
+        Parameters
+        ----------
+        times
+            Those of the steps to keep. If the series does not begin with them, none are kept.
+
+        Raises
+        ------
+        InputError
+            On all ranks, when the series cannot be read.
+        """
+        kept: dict[str, list[str]] = {name: [] for name in self._entries}
+        with raised_together(self.comm):
+            if self.comm.rank == 0:
+                kept = {name: self._listed(name, times) for name in self._entries}
+        kept = self.comm.bcast(kept)
+        same = len(kept["surface"]) == len(times)
+        self.times = [float(time) for time in times] if same else []
+        self._entries = kept if same else {name: [] for name in kept}
+        self._begun = False
+
+    def _listed(self, collection: str, times: Sequence[float]) -> list[str]:
+        """Entries of a collection's file at some times."""
+        path = self.folder / f"{collection}.pvd"
+        if not path.exists():
+            return []
+        try:
+            found = [
+                (float(tag.attrib["timestep"]), Path(tag.attrib["file"]).name)
+                for tag in ElementTree.parse(path).getroot().iter("DataSet")
+            ]
+        except (OSError, KeyError, ValueError, ElementTree.ParseError) as error:
+            raise InputError(f"{path} cannot be read ({error}); give another folder") from error
+        return [_entry(time, name) for time, name in found if time in times]
+
+    def _begin(self, steps: Path) -> None:
+        """Remove an older series, but for the steps that this one goes on from."""
         make_writable(steps)
         # the collections first, so that none ever lists a file that is gone
-        for collection in self._entries:
-            (self.folder / f"{collection}.pvd").unlink(missing_ok=True)
+        for collection, entries in self._entries.items():
+            if entries:
+                self._write(collection)
+            else:
+                (self.folder / f"{collection}.pvd").unlink(missing_ok=True)
+        kept = "".join(entry for entries in self._entries.values() for entry in entries)
         for path in steps.iterdir():
-            if _OURS.fullmatch(path.name):
+            if _OURS.fullmatch(path.name) and quoteattr(f"steps/{path.name}") not in kept:
                 path.unlink()
 
     def _list(self, collection: str, time: float, name: str) -> None:
-        entries = self._entries[collection]
-        entries.append(
-            f'    <DataSet timestep="{float(time)!r}" part="0" '
-            f"file={quoteattr('steps/' + name)}/>\n"
-        )
+        self._entries[collection].append(_entry(time, name))
+        self._write(collection)
+
+    def _write(self, collection: str) -> None:
         with replaced(self.folder / f"{collection}.pvd") as partial:
             partial.write_text(
                 '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n'
-                f"  <Collection>\n{''.join(entries)}  </Collection>\n</VTKFile>\n"
+                f"  <Collection>\n{''.join(self._entries[collection])}  </Collection>\n"
+                "</VTKFile>\n"
             )
+
+
+def _entry(time: float, name: str) -> str:
+    file = quoteattr(f"steps/{name}")
+    return f'    <DataSet timestep="{float(time)!r}" part="0" file={file}/>\n'
 
 
 Joined = tuple[
