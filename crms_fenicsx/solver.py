@@ -27,6 +27,7 @@ from crms_fenicsx.system import System
 if TYPE_CHECKING:
     from crms_fenicsx.cables.cable import LaidCable
     from crms_fenicsx.cables.contact_force import ContactForces
+    from crms_fenicsx.checkpoint import Run
     from crms_fenicsx.output import History, Line
     from crms_fenicsx.results import MembraneResults, Reactions
 
@@ -120,6 +121,8 @@ class Solver:
         self.steps: list[Step] = []
         self._system: System | None = None
         self._search: EquilibriumSearch | None = None
+        self._earlier: Run | None = None
+        """The run that this one goes on from."""
         self._recorder = Recorder(scene, results)
 
     @property
@@ -127,6 +130,8 @@ class Solver:
         """The potential of the scene and its minimiser; made when first needed."""
         if self._system is None:
             self._system = System(self.scene, self.prefix, self.rtol)
+            if self._earlier is not None and self._earlier.step_history is not None:
+                self._system.take_step_history(self._earlier.step_history)
         return self._system
 
     @property
@@ -134,6 +139,8 @@ class Solver:
         """What finds the equilibrium of each load step; made when first needed."""
         if self._search is None:
             self._search = EquilibriumSearch(self.system, self.slide, self.polish)
+            if self._earlier is not None and self._earlier.tried is not None:
+                self._search.remember(self._earlier.tried)
         return self._search
 
     @property
@@ -404,15 +411,12 @@ class Solver:
         """
         from crms_fenicsx.checkpoint import Run, save
 
-        scene, paths = self.scene, None if self._search is None else self._search.paths
+        scene, tried = self.scene, None if self._earlier is None else self._earlier.tried
         stepwise = "step" in (scene.strain_law, scene.pressure_law)
-        run = Run(
-            self.steps,
-            list(self.history),
-            self.system.step_history if stepwise else None,
-            None if paths is None else paths.tried,
-        )
-        save(folder, scene, run)
+        if self._search is not None and self._search.paths is not None:
+            tried = self._search.paths.tried
+        history = self.system.step_history if stepwise else None
+        save(folder, scene, Run(self.steps, list(self.history), history, tried))
 
     def load(self, folder: str | FilePath) -> None:
         """Go on from a state that `save` has saved, on any number of processes. Collective.
@@ -448,16 +452,12 @@ class Solver:
                 f"load: there are {len(self.steps)} load steps and {len(self.scene.cables)} cables "
                 "already; load into a new scene and solver, before laying cables."
             )
-        run = load(folder, self.scene)
+        self._earlier = load(folder, self.scene)
         if self._system is not None:
             self._system.destroy()
         self._system = self._search = None
-        self.steps = list(run.steps)
-        self._recorder.resume(run.rows)
-        if run.step_history is not None:
-            self.system.take_step_history(run.step_history)
-        if run.tried is not None:
-            self.search.remember(run.tried)
+        self.steps = list(self._earlier.steps)
+        self._recorder.resume(self._earlier.rows)
 
     def _go_back(self, good: State) -> None:
         """Bring the scene back to a good state after an increment without equilibrium."""
