@@ -57,7 +57,6 @@ def first_half(solver: Solver) -> None:
 def second_half(solver: Solver) -> None:
     scene = solver.scene
     rough, smooth, tied = (scene.cable(name) for name in ("rough", "smooth", "tied"))
-    solver.advance()  # tries no path again that was refused in this state
     solver.advance(move={smooth: (5.0, 0.0, -3.0), rough: (0.0, 0.0, -2.0)}, load=2.0)
     solver.advance(L0={tied: 0.995 * tied.L0}, pressure=0.011)
 
@@ -108,24 +107,25 @@ def test_a_run_goes_on_as_if_it_had_not_ended(folder: Path) -> None:
     solver.save(folder / "point")
     again = sheet(COMM)
     again.load(folder / "point")
-    np.testing.assert_array_equal(again.scene.u.x.array, scene.u.x.array)
-    for name in (
-        "energies",
-        "pressure",
-        "load",
-        "floor_level",
-        "held",
-        "held_edges",
-        "cables",
-        "crossings",
-    ):
+    for name in ("energies", "pressure", "load", "floor_level", "cables", "crossings"):
         assert_same(getattr(again.scene, name), getattr(scene, name), name)
+    if COMM.size == 1:  # several ranks may divide a mesh in another way
+        for name in ("held", "held_edges"):
+            assert_same(getattr(again.scene, name), getattr(scene, name), name)
+        assert_same(again.scene.u.x.array, scene.u.x.array, "u")
     again.save(folder / "point")  # one that has not gone on yet is saved as well
     again = sheet(COMM)
     again.load(folder / "point")
-    for name in ("true_forces", "folded"):
-        here, there = (getattr(one.results(), name) for one in (solver, again))
-        np.testing.assert_allclose(there, here, rtol=1e-12, atol=1e-12)
+    stress = [
+        COMM.allreduce(float((one.results().true_forces ** 2 * one.results().areas[:, None]).sum()))
+        for one in (solver, again)
+    ]
+    assert stress[1] == pytest.approx(stress[0], rel=1e-12)
+    tried, known = solver.search.paths.tried, again.search.paths.tried
+    assert (known.refused, known.passed) == (tried.refused, tried.passed)
+    assert any(tried.refused.values())
+    for name, places in tried.at.items():
+        np.testing.assert_array_equal(known.at[name], places)
     second_half(solver)
     second_half(again)
     same_run(solver, again, 1e-10)
@@ -178,8 +178,10 @@ def test_laws_with_history(folder: Path) -> None:
     for one in (solver, again):
         one.advance(move={one.scene.cables[0].end: (0.0, 0.0, -2.0)}, pressure=0.012, steps=2)
     same_run(solver, again, 1e-10)
-    forces = [one.results().true_forces for one in (solver, again)]
-    np.testing.assert_allclose(*forces, rtol=1e-8, atol=1e-8)
+    forces = [
+        COMM.allreduce(float((one.results().true_forces ** 2).sum())) for one in (solver, again)
+    ]
+    assert forces[1] == pytest.approx(forces[0], rel=1e-8)
 
 
 def inflated(folder: Path | None = None) -> Solver:
