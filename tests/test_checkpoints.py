@@ -231,7 +231,6 @@ def test_results_go_on(folder: Path) -> None:
 def test_another_scene_is_refused(folder: Path) -> None:
     inflated().save(folder / "point")
     moved = meshes.rectangle(COMM, 100.0, 100.001, size=100 / 3, structured=True)
-    parts = {"all": FABRIC}
     for scene, message in (
         (sheet(COMM, 4).scene, "number of vertices 16, and here 25"),
         (Scene(moved, FABRIC), "another mesh: its vertex"),
@@ -249,7 +248,6 @@ def test_another_scene_is_refused(folder: Path) -> None:
         begun.load(folder / "point")
     with pytest.raises(InputError, match="no cable 'ridge'; there are 'cable 1'"):
         begun.scene.cable("ridge")
-    assert parts
 
 
 BROKEN = {

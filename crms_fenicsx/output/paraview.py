@@ -176,7 +176,7 @@ class Series:
         # the collections first, so that none ever lists a file that is gone
         for collection, entries in self._entries.items():
             if entries:
-                self._write(collection)
+                self._write(collection, entries)
             else:
                 (self.folder / f"{collection}.pvd").unlink(missing_ok=True)
         kept = "".join(entry for entries in self._entries.values() for entry in entries)
@@ -185,14 +185,15 @@ class Series:
                 path.unlink()
 
     def _list(self, collection: str, time: float, name: str) -> None:
-        self._entries[collection].append(_entry(time, name))
-        self._write(collection)
+        entries = [*self._entries[collection], _entry(time, name)]
+        self._write(collection, entries)
+        self._entries[collection] = entries
 
-    def _write(self, collection: str) -> None:
+    def _write(self, collection: str, entries: Sequence[str]) -> None:
         with replaced(self.folder / f"{collection}.pvd") as partial:
             partial.write_text(
                 '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n'
-                f"  <Collection>\n{''.join(self._entries[collection])}  </Collection>\n"
+                f"  <Collection>\n{''.join(entries)}  </Collection>\n"
                 "</VTKFile>\n"
             )
 
