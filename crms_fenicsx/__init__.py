@@ -16,6 +16,7 @@ from crms_fenicsx.errors import (
     PathError,
     PathWarning,
     PenaltyWarning,
+    PictureWarning,
 )
 from crms_fenicsx.materials import IsotropicMembrane, OrthotropicMembrane
 from crms_fenicsx.scene import Scene
@@ -35,6 +36,7 @@ __all__ = [
     "PathError",
     "PathWarning",
     "PenaltyWarning",
+    "PictureWarning",
     "Scene",
     "Solver",
     "Step",

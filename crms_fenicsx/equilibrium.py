@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from crms_fenicsx.cables.active import ActiveSet
     from crms_fenicsx.cables.axial import AxialLag
     from crms_fenicsx.cables.grip import Lag
-    from crms_fenicsx.cables.retrace import Retracer
+    from crms_fenicsx.cables.retrace import Retracer, Tried
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -80,6 +80,14 @@ class EquilibriumSearch:
         self.slide, self.polish = slide, polish
         self.paths: Retracer | None = None
         self.shadows = 0
+
+    def remember(self, tried: Tried) -> None:
+        """Go on from another search's load steps with the same cables."""
+        if self.slide:
+            from crms_fenicsx.cables.retrace import Retracer
+
+            self.paths = Retracer(self.scene)
+            self.paths.remember(tried)
 
     def find(self, h0_prestress: tuple[float, ...]) -> Outcome:
         """Find the equilibrium; the scene is then in it. Collective.

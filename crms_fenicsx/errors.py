@@ -36,6 +36,10 @@ class PenaltyWarning(UserWarning):
     """A penalty factor outside the range in which folded elements are stable and do not lock."""
 
 
+class PictureWarning(UserWarning):
+    """A mesh too large for a picture, which one process draws from all of it."""
+
+
 @contextmanager
 def raised_together(comm: MPI.Intracomm) -> Iterator[None]:
     """Let an exception in the block on any rank be raised on all ranks of `comm`.

@@ -115,6 +115,8 @@ class StepMembraneEnergy(MembraneEnergy):
     ----------
     history : Function
         Per cell the state at the step's start: section forces (11, 22, 12) and shape (a, e, f).
+    energy_n
+        Strain energy of all steps before (force x length).
 
     Raises
     ------
@@ -153,7 +155,7 @@ class StepMembraneEnergy(MembraneEnergy):
         self._after = fem.Expression(ufl.as_vector([*(after[i] for i in range(3)), *new]), points)
         self._next = fem.Function(self.history.function_space)
         self._stress_free = self.history.x.array.reshape(-1, 6)[:, 3:].copy()
-        self._energy_n = 0.0
+        self.energy_n = 0.0
 
     def _start(self) -> None:
         """The stress-free (or prestressed) state in the cells' frames."""
@@ -178,11 +180,11 @@ class StepMembraneEnergy(MembraneEnergy):
 
     def energy(self, sums: Array) -> float:
         """Strain energy over all steps (force x length)."""
-        return self._energy_n + float(sums[0])
+        return self.energy_n + float(sums[0])
 
     def commit(self, x: Array, sums: Array) -> None:
         """End the step: its stresses and shapes are the next step's start."""
-        self._energy_n = self.energy(sums)
+        self.energy_n = self.energy(sums)
         self._next.interpolate(self._after)
         plain = self.plain.x.array > 0.5
         self.history.x.array.reshape(-1, 6)[plain] = self._next.x.array.reshape(-1, 6)[plain]

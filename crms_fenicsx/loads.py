@@ -114,6 +114,11 @@ class StepPressure:
     A node carries a third of the area of each of its cells. The volume is summed up step by step,
     which is exact only as the steps get small. It needs no held edges.
     Parameters are those of `FollowerPressure`.
+
+    Attributes
+    ----------
+    volume_n
+        Volume gained in all steps before (length cubed).
     """
 
     name = "pressure"
@@ -130,7 +135,7 @@ class StepPressure:
         self._volume = fem.form(cells * ufl.dot(n, u - self.u_n) * dx)
         self._force = fem.form(cells * ufl.dot(n, ufl.TestFunction(V)) * dx)
         self._forces, self._scaled = np.zeros_like(u.x.array), np.zeros_like(u.x.array)
-        self._volume_n = 0.0
+        self.volume_n = 0.0
 
     def attach(self, unknowns: Unknowns) -> None:
         """Use this layout."""
@@ -148,11 +153,11 @@ class StepPressure:
 
     def energy(self, sums: Array) -> float:
         """``-p (V - V0)``, with the volume gained over all steps (force x length)."""
-        return -float(self.pressure.value) * (self._volume_n + float(sums[0]))
+        return -float(self.pressure.value) * (self.volume_n + float(sums[0]))
 
     def commit(self, x: Array, sums: Array) -> None:
         """End the step: keep its volume."""
-        self._volume_n += float(sums[0])
+        self.volume_n += float(sums[0])
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Subtract the step's nodal forces."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
-from dolfinx.mesh import meshtags
+from dolfinx.mesh import MeshTags, meshtags
 
 from crms_fenicsx import checks
 from crms_fenicsx.errors import InputError, PenaltyWarning, raised_together
@@ -348,6 +348,20 @@ class Scene:
         self.dead_forces = dead_forces(self, force)
         self.changes += 1
 
+    def cable(self, name: str) -> LaidCable:
+        """The cable with a name.
+
+        Raises
+        ------
+        InputError
+            There is none.
+        """
+        for cable in self.cables:
+            if cable.name == name:
+                return cable
+        names = ", ".join(repr(cable.name) for cable in self.cables) or "none"
+        raise InputError(f"cable: there is no cable {name!r}; there are {names}.")
+
     def lay_cable(
         self,
         cable: Cable,
@@ -414,7 +428,7 @@ class Scene:
 
 def _assign_materials(
     mesh: MembraneMesh, material: Membrane | Mapping[str, Membrane]
-) -> tuple[object | None, dict[int, Membrane]]:
+) -> tuple[MeshTags | None, dict[int, Membrane]]:
     """Cell tags of the parts with a material of their own (None if there is one for all)."""
     if isinstance(material, Membrane):
         return None, {0: material}

@@ -27,6 +27,7 @@ from crms_fenicsx.system import System
 if TYPE_CHECKING:
     from crms_fenicsx.cables.cable import LaidCable
     from crms_fenicsx.cables.contact_force import ContactForces
+    from crms_fenicsx.checkpoint import Run
     from crms_fenicsx.output import History, Line
     from crms_fenicsx.results import MembraneResults, Reactions
 
@@ -120,6 +121,8 @@ class Solver:
         self.steps: list[Step] = []
         self._system: System | None = None
         self._search: EquilibriumSearch | None = None
+        self._earlier: Run | None = None
+        """The run that this one goes on from."""
         self._recorder = Recorder(scene, results)
 
     @property
@@ -127,6 +130,8 @@ class Solver:
         """The potential of the scene and its minimiser; made when first needed."""
         if self._system is None:
             self._system = System(self.scene, self.prefix, self.rtol)
+            if self._earlier is not None and self._earlier.step_history is not None:
+                self._system.take_step_history(self._earlier.step_history)
         return self._system
 
     @property
@@ -134,6 +139,8 @@ class Solver:
         """What finds the equilibrium of each load step; made when first needed."""
         if self._search is None:
             self._search = EquilibriumSearch(self.system, self.slide, self.polish)
+            if self._earlier is not None and self._earlier.tried is not None:
+                self._search.remember(self._earlier.tried)
         return self._search
 
     @property
@@ -222,6 +229,11 @@ class Solver:
         ------
         InputError
             An unknown colour or option, or a file that cannot be written.
+
+        Warns
+        -----
+        PictureWarning
+            The mesh is too large for a picture (500 000 cells); nothing is drawn.
         """
         from crms_fenicsx.output.scene_pictures import draw_scene
 
@@ -252,6 +264,11 @@ class Solver:
         ------
         InputError
             Nothing to draw, an unknown option, or a file that cannot be written.
+
+        Warns
+        -----
+        PictureWarning
+            The mesh is too large for a picture (500 000 cells), and left out.
         """
         from crms_fenicsx.output.scene_pictures import draw_scene_paths
 
@@ -369,6 +386,78 @@ class Solver:
                 done, increment = goal, min(2 * (goal - done), 1.0)
                 began, spent, halvings = time.perf_counter(), None, 0
         return self.steps[-1]
+
+    def save(self, folder: str | FilePath) -> None:
+        """Save the state of the scene and of this solver, to go on from. Collective.
+
+        Parameters
+        ----------
+        folder
+            Created where it is missing; a checkpoint that is there is replaced when the new one is
+            complete, so that a run that is killed at any moment leaves the old or the new one.
+
+        Raises
+        ------
+        InputError
+            On all ranks: the folder holds something else or cannot be written.
+
+        Examples
+        --------
+        A run that may be killed saves after each step:
+
+        >>> for pressure in (0.1, 0.2, 0.3):
+        ...     solver.advance(pressure=pressure)
+        ...     solver.save("results/dome/checkpoint")
+        """
+        from crms_fenicsx.checkpoint import Run, save
+
+        scene, tried = self.scene, None if self._earlier is None else self._earlier.tried
+        stepwise = "step" in (scene.strain_law, scene.pressure_law)
+        if self._search is not None and self._search.paths is not None:
+            tried = self._search.paths.tried
+        history = self.system.step_history if stepwise else None
+        save(folder, scene, Run(self.steps, list(self.history), history, tried))
+
+    def load(self, folder: str | FilePath) -> None:
+        """Go on from a state that `save` has saved, on any number of processes. Collective.
+
+        The script builds mesh, scene and solver as they were. Held vertices, floor, loads and
+        cables come from the checkpoint, and replace those that the script has given so far; what
+        follows is as if the run had not ended. Results go on, too, where the solver's folder has
+        those of the steps before.
+
+        Parameters
+        ----------
+        folder
+            Where the checkpoint is.
+
+        Raises
+        ------
+        InputError
+            On all ranks: a solver that has made steps or whose scene has cables, a checkpoint of
+            another mesh, material or law (it says which), or one that is missing or damaged. The
+            scene is then as before.
+
+        Examples
+        --------
+        >>> scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
+        >>> solver = Solver(scene, results="results/dome")
+        >>> solver.load("results/dome/checkpoint")
+        >>> solver.advance(L0={scene.cable("ridge"): 99.0})
+        """
+        from crms_fenicsx.checkpoint import load
+
+        if self.steps or self.scene.cables:
+            raise InputError(
+                f"load: there are {len(self.steps)} load steps and {len(self.scene.cables)} cables "
+                "already; load into a new scene and solver, before laying cables."
+            )
+        self._earlier = load(folder, self.scene)
+        if self._system is not None:
+            self._system.destroy()
+        self._system = self._search = None
+        self.steps = list(self._earlier.steps)
+        self._recorder.resume(self._earlier.rows)
 
     def _go_back(self, good: State) -> None:
         """Bring the scene back to a good state after an increment without equilibrium."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,6 +34,28 @@ if TYPE_CHECKING:
     from crms_fenicsx.dead_load import DeadLoad
 
 Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class StepHistory:
+    """What the step-wise laws know of the load steps before.
+
+    Attributes
+    ----------
+    cells : (n, 6) or None
+        Section forces and shapes of this rank's cells, as `StepMembraneEnergy.history`; None where
+        the strain has the total law.
+    energy, folded_energy
+        Strain energy so far of plain and folded cells (force x length).
+    volume, folded_volume
+        Volume gained so far under plain and folded cells (length cubed).
+    """
+
+    cells: Array | None
+    energy: float = 0.0
+    folded_energy: float = 0.0
+    volume: float = 0.0
+    folded_volume: float = 0.0
 
 
 class System:
@@ -101,7 +124,7 @@ class System:
         self.unknowns.held[blocks] = scene.held
         terms: list[Term] = [self.membrane]
         self._set_plain(np.zeros(0, dtype=np.int32))
-        if scene.pressure != 0.0 or self.pressure is not None:
+        if scene.pressure != 0.0 or self.pressure is not None or "pressure" in scene.energies:
             terms.append(self._pressure_term())
         self.dead_load: DeadLoad | None = None
         if scene.dead_forces is not None:
@@ -405,6 +428,35 @@ class System:
         return "step" in (scene.strain_law, scene.pressure_law) or any(
             cable.cable.law == "step" for cable in scene.cables
         )
+
+    @property
+    def step_history(self) -> StepHistory:
+        """What the step-wise laws know of the load steps before, this rank's part."""
+        cells, energy, pressure = None, 0.0, self.pressure
+        if self.scene.strain_law == "step":
+            from crms_fenicsx.incremental import StepMembraneEnergy
+
+            assert isinstance(self.membrane, StepMembraneEnergy)
+            cells = self.membrane.history.x.array.reshape(-1, 6)
+            energy = self.membrane.energy_n
+        volume = pressure.volume_n if isinstance(pressure, StepPressure) else 0.0
+        return StepHistory(
+            cells, energy, float(self._folded_energy[0]), volume, float(self._folded_volume[0])
+        )
+
+    def take_step_history(self, history: StepHistory) -> None:
+        """Go on from the load steps of another system of the same scene."""
+        if history.cells is not None:
+            from crms_fenicsx.incremental import StepMembraneEnergy
+
+            assert isinstance(self.membrane, StepMembraneEnergy)
+            self.membrane.history.x.array[:] = history.cells.ravel()
+            self.membrane.energy_n = history.energy
+        if isinstance(self.pressure, StepPressure):
+            self.pressure.volume_n = history.volume
+        self._folded_energy[0] = history.folded_energy
+        self._folded_volume[0] = history.folded_volume
+        self.expire()  # terms of folded cells have their state from the time when they are made
 
     def commit(self) -> None:
         """End a load step."""

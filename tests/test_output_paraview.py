@@ -1,16 +1,17 @@
-"""Series for ParaView: read back with meshio, on any number of ranks."""
+"""Series for ParaView: read back exactly, on any number of ranks."""
 
 import os
+import resource
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
-import meshio
 import numpy as np
 import pytest
 from mpi4py import MPI
+from vtu_file import read_vtu
 
 from crms_fenicsx.errors import InputError
-from crms_fenicsx.output import Line, Series, Surface
+from crms_fenicsx.output import Line, Series, Surface, shared_file
 
 COMM = MPI.COMM_WORLD
 
@@ -43,32 +44,115 @@ def listed(path: Path) -> list[tuple[float, int, str]]:
     return found
 
 
+def everyones(values: object) -> np.ndarray:
+    """The rows of all ranks, one rank's after the other's."""
+    return np.concatenate(COMM.allgather(np.asarray(values)))
+
+
 def test_pieces_come_back_exactly(folder: Path) -> None:
     series = Series(folder / "out", COMM)
     series.write(0.1, strip())
     series.write(0.1 + 0.2, strip(2.5))
     entries = listed(folder / "out" / "surface.pvd")
-    assert [entry[:2] for entry in entries] == [
-        (time, rank) for time in (0.1, 0.1 + 0.2) for rank in range(COMM.size)
+    assert entries == [
+        (0.1, 0, "steps/surface_000000.vtu"),
+        (0.1 + 0.2, 0, "steps/surface_000001.vtu"),
     ]
-    mesh = meshio.read(folder / "out" / entries[COMM.size + COMM.rank][2])
+    mesh = read_vtu(folder / "out" / entries[1][2])
     given = strip(2.5)
-    np.testing.assert_array_equal(mesh.points, given.points)
-    np.testing.assert_array_equal(mesh.cells_dict["triangle"], given.triangles)
+    np.testing.assert_array_equal(mesh.points, everyones(given.points))
+    assert set(mesh.types.tolist()) == {5}
+    np.testing.assert_array_equal(
+        mesh.cells, everyones(np.asarray(given.triangles) + 4 * COMM.rank)
+    )
     for name, values in given.point_data.items():
-        np.testing.assert_array_equal(mesh.point_data[name], values)
+        assert mesh.point_data[name].dtype == np.asarray(values).dtype
+        np.testing.assert_array_equal(mesh.point_data[name], everyones(values))
     for name, values in given.cell_data.items():
-        np.testing.assert_array_equal(mesh.cell_data[name][0], values)
+        np.testing.assert_array_equal(mesh.cell_data[name], everyones(values))
     assert not (folder / "out" / "cables.pvd").exists()
 
 
-def test_files_are_compressed_binary(folder: Path) -> None:
-    Series(folder, COMM).write(0.0, strip())
+def test_shared_points_are_there_once(folder: Path) -> None:
+    """Two triangles on each rank of a band: neighbouring ranks share two points."""
+    rank, last = COMM.rank, COMM.rank == COMM.size - 1
+    x = np.array([[rank, 0, 0], [rank, 1, 0], [rank + 1, 0, 0], [rank + 1, 1, 0]], dtype=float)
+    homes = np.array([(rank, 0), (rank, 1), (rank, 2), (rank, 3)])
+    if not last:  # the next rank's copy is the one that counts
+        x[2:, 2], homes[2:] = 9.0, [(rank + 1, 0), (rank + 1, 1)]
+    order = [2, 0, 3, 1]  # others' points may come before the own
+    surface = Surface(x[order], [[1, 0, 2], [1, 2, 3]], {"y": x[order, 1]}, {}, homes[order])
+    Series(folder, COMM).write(0.0, surface)
     COMM.barrier()
-    text = (folder / "steps" / f"surface_000000_{COMM.rank:04d}.vtu").read_text()
-    assert 'compressor="vtkZLibDataCompressor"' in text
-    assert 'format="binary"' in text
-    assert 'format="ascii"' not in text
+    mesh = read_vtu(folder / "steps" / "surface_000000.vtu")
+    n = COMM.size
+    assert mesh.points[:, 2].tolist() == [0.0] * (2 * n + 2)
+    assert len(np.unique(mesh.points, axis=0)) == 2 * n + 2
+    np.testing.assert_array_equal(mesh.point_data["y"], mesh.points[:, 1])
+    corners = mesh.points[mesh.cells]
+    areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] / 2
+    np.testing.assert_array_equal(areas, 2 * n * [0.5])
+    for change in ((1, 0), (0, 4), (0, -1), None):
+        bad = homes[:3] if change is None else homes + np.array(change)
+        wrong = Surface(x[order], [[1, 0, 2]], homes=bad[order] if len(bad) == 4 else bad)
+        with pytest.raises(InputError, match="homes"):
+            Series(folder, COMM).write(0.0, wrong)
+
+
+def test_vtk_reads_the_same(folder: Path) -> None:
+    vtk = pytest.importorskip("vtk")
+    from vtk.util.numpy_support import vtk_to_numpy
+
+    Series(folder, COMM).write(0.0, strip(), [Line([[0, 0, 0], [1, 1, 1]], {"t": 5.0})])
+    COMM.barrier()
+    for name, corners in (("surface", 3), ("cables", 2)):
+        reader = vtk.vtkXMLUnstructuredGridReader()
+        reader.SetFileName(str(folder / "steps" / f"{name}_000000.vtu"))
+        reader.Update()
+        grid, mesh = reader.GetOutput(), read_vtu(folder / "steps" / f"{name}_000000.vtu")
+        np.testing.assert_array_equal(vtk_to_numpy(grid.GetPoints().GetData()), mesh.points)
+        cells = vtk_to_numpy(grid.GetCells().GetConnectivityArray()).reshape(-1, corners)
+        np.testing.assert_array_equal(cells, mesh.cells)
+        for key, values in mesh.cell_data.items():
+            found = vtk_to_numpy(grid.GetCellData().GetArray(key))
+            np.testing.assert_array_equal(found, values)
+
+
+def test_files_are_raw_and_the_same_however_they_are_written(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    series = Series(folder, COMM)
+    series.write(0.0, strip())
+    monkeypatch.setattr(shared_file, "SLAB", 7)  # bytes: in pieces, as very large files are
+    series.write(1.0, strip())
+    COMM.barrier()
+    first, second = ((folder / f"steps/surface_00000{k}.vtu").read_bytes() for k in (0, 1))
+    assert first == second
+    assert b'<AppendedData encoding="raw">\n_' in first
+    assert b"ascii" not in first
+    #       points, cells (int32), u, w as float32, folded, stress, sizes of the arrays
+    numbers = 4 * 24 + 2 * (12 + 4 + 1) + 4 * 24 + 4 * 4 + 2 * 1 + 2 * 24
+    assert COMM.size * numbers + 8 * 8 < len(first) < COMM.size * numbers + 2000
+
+
+def test_a_full_disk_is_told_on_all_ranks(folder: Path) -> None:
+    """A limit of the file size stands for it: the writing fails half-way, on some ranks."""
+    series = Series(folder, COMM)
+    series.write(0.0, strip())
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    many = np.zeros((3000, 3))
+    big = Surface(many, [[0, 1, 2]])
+    resource.setrlimit(resource.RLIMIT_FSIZE, (40000, hard))
+    try:
+        with pytest.raises(InputError, match=r"surface_000001\.vtu cannot be written.*free some"):
+            series.write(1.0, big)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    COMM.barrier()
+    assert [path.name for path in (folder / "steps").iterdir()] == ["surface_000000.vtu"]
+    assert len(listed(folder / "surface.pvd")) == 1
+    series.write(1.0, big)
+    assert len(listed(folder / "surface.pvd")) == 2
 
 
 def test_lines_with_data_of_all_kinds(folder: Path) -> None:
@@ -84,8 +168,8 @@ def test_lines_with_data_of_all_kinds(folder: Path) -> None:
     series.write(0.0, strip())
     series.write(1.0, strip(), lines if COMM.rank == 0 else [])
     assert listed(folder / "cables.pvd") == [(1.0, 0, "steps/cables_000001.vtu")]
-    mesh = meshio.read(folder / "steps" / "cables_000001.vtu")
-    segments = mesh.cells_dict["line"]
+    mesh = read_vtu(folder / "steps" / "cables_000001.vtu")
+    segments = mesh.cells
     # line by line, segment by segment
     expected, tension, force, number = [], [], [], []
     for index, line in enumerate(lines):
@@ -96,9 +180,10 @@ def test_lines_with_data_of_all_kinds(folder: Path) -> None:
             force.append(np.asarray(line.data["force"])[k] if "force" in line.data else np.nan)
             number.append(index)
     np.testing.assert_array_equal(mesh.points[segments], expected)
-    np.testing.assert_array_equal(mesh.cell_data["tension"][0], tension)
-    np.testing.assert_array_equal(mesh.cell_data["force"][0], force)
-    np.testing.assert_array_equal(mesh.cell_data["line"][0], number)
+    assert set(mesh.types.tolist()) == {3}
+    np.testing.assert_array_equal(mesh.cell_data["tension"], tension)
+    np.testing.assert_array_equal(mesh.cell_data["force"], force)
+    np.testing.assert_array_equal(mesh.cell_data["line"], number)
     np.testing.assert_array_equal(mesh.point_data["slip"], [0.1, 0.2, 0.3] + 5 * [np.nan])
 
 
@@ -108,16 +193,15 @@ def test_a_new_run_starts_anew_and_touches_nothing_else(folder: Path) -> None:
         first.write(time, strip(), [Line([[0, 0, 0], [1, 1, 1]])])
     if COMM.rank == 0:
         (folder / "steps" / "surface_000000_mine.vtu").write_text("mine")
-        (folder / "steps" / ".partial-surface_000007_0000.vtu").write_text("half")
+        (folder / "steps" / ".partial-surface_000007.vtu").write_text("half")
         (folder / "history.csv").write_text("step\n")
     second = Series(folder, COMM)
     assert len(listed(folder / "cables.pvd")) == 3  # until the new run has a result
     second.write(9.0, strip())
-    assert [entry[0] for entry in listed(folder / "surface.pvd")] == COMM.size * [9.0]
+    assert [entry[0] for entry in listed(folder / "surface.pvd")] == [9.0]
     names = {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()}
-    assert names == {"surface.pvd", "history.csv", "steps/surface_000000_mine.vtu"} | {
-        f"steps/surface_000000_{rank:04d}.vtu" for rank in range(COMM.size)
-    }
+    mine = {"history.csv", "steps/surface_000000_mine.vtu"}
+    assert names == {"surface.pvd", "steps/surface_000000.vtu"} | mine
 
 
 def test_a_collection_lists_complete_files_only(
@@ -139,15 +223,15 @@ def test_a_collection_lists_complete_files_only(
             series.write(1.0, strip(), [Line([[0, 0, 0], [1, 1, 1]])])
     assert listed(folder / "surface.pvd") == before
     series.write(1.0, strip(), [Line([[0, 0, 0], [1, 1, 1]])])
-    assert len(listed(folder / "surface.pvd")) == 2 * COMM.size
+    assert len(listed(folder / "surface.pvd")) == 2
 
 
 def test_ranks_without_triangles(folder: Path) -> None:
     series = Series(folder, COMM)
     last = COMM.rank == COMM.size - 1
     series.write(0.0, strip() if last else Surface([], []))
-    name = f"steps/surface_000000_{COMM.size - 1:04d}.vtu"
-    assert listed(folder / "surface.pvd") == [(0.0, 0, name)]
+    assert listed(folder / "surface.pvd") == [(0.0, 0, "steps/surface_000000.vtu")]
+    assert len(read_vtu(folder / "steps" / "surface_000000.vtu").points) == 4
     with pytest.raises(InputError, match="no triangle on any rank"):
         series.write(1.0, Surface([], []))
 
@@ -190,7 +274,7 @@ def test_bad_input_on_one_rank_reaches_all(
     series.write(0.0, strip())
     with pytest.raises(InputError, match=message):
         series.write(time, surface if COMM.rank == 0 else strip(), lines)
-    assert len(listed(folder / "surface.pvd")) == COMM.size
+    assert len(listed(folder / "surface.pvd")) == 1
 
 
 def test_a_folder_that_cannot_be_written(folder: Path) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from collections.abc import Sequence, Set
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -48,6 +48,24 @@ STILL = 1e-4
 """Movement, relative to a cable's length, within which rejected paths stay rejected."""
 
 
+class Tried(NamedTuple):
+    """Paths that were tried in earlier load steps, by cable.
+
+    Attributes
+    ----------
+    refused
+        Paths that have been given up.
+    passed
+        Vertices of which the other side was tried.
+    at : (n, 3)
+        Where the cable was then (length).
+    """
+
+    refused: dict[str, set[Corridor]]
+    passed: dict[str, set[int]]
+    at: dict[str, Array]
+
+
 class Retracer:
     """Pulls the paths of the cables taut, and remembers which paths have been tried.
 
@@ -70,6 +88,15 @@ class Retracer:
         self.led: Counter[tuple[str, int, bool]] = Counter()
         """How often cables with friction have been led past a vertex in this step, to its left or
         not."""
+
+    @property
+    def tried(self) -> Tried:
+        """The paths that were tried in earlier load steps."""
+        return Tried(self.refused, self._passed, self._tried_at)
+
+    def remember(self, tried: Tried) -> None:
+        """Go on from the load steps of another retracer of the same cables."""
+        self.refused, self._passed, self._tried_at = tried
 
     def begin_step(self) -> None:
         """Prepare for a load step."""

@@ -13,6 +13,29 @@ PARTIAL = ".partial-"
 """Prefix of a file that is still being written; it keeps the suffix, which says the format."""
 
 
+def partial_of(path: Path) -> Path:
+    """Where a file or folder is written before it takes the place of `path`."""
+    return path.with_name(PARTIAL + path.name)
+
+
+@contextmanager
+def explained(path: Path) -> Iterator[None]:
+    """Say of what the system refuses to write in the block that it is `path`.
+
+    Raises
+    ------
+    InputError
+        Instead of an `OSError`.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise InputError(
+            f"{path} cannot be written ({error.strerror or error}): free some space or give "
+            "another folder"
+        ) from error
+
+
 @contextmanager
 def replaced(path: Path) -> Iterator[Path]:
     """Write a file beside `path` in the block; it takes the place of `path` when it is complete.
@@ -32,21 +55,24 @@ def replaced(path: Path) -> Iterator[Path]:
     InputError
         When the system refuses to write; the file at `path` is then as before.
     """
-    partial = path.with_name(PARTIAL + path.name)
+    partial = partial_of(path)
     try:
-        yield partial
-        with open(partial, "rb+") as file:
-            os.fsync(file.fileno())
-        os.replace(partial, path)
-    except OSError as error:
-        _forget(partial)
-        raise InputError(
-            f"{path} cannot be written ({error.strerror or error}): free some space or give "
-            "another folder"
-        ) from error
+        with explained(path):
+            yield partial
+            flush(partial)
+            os.replace(partial, path)
     except BaseException:
-        _forget(partial)
+        forget(partial)
         raise
+
+
+def flush(path: Path) -> None:
+    """Wait until a file, or the names in a folder, are on the disk."""
+    number = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(number)
+    finally:
+        os.close(number)
 
 
 def make_writable(folder: Path) -> None:
@@ -69,7 +95,8 @@ def make_writable(folder: Path) -> None:
         ) from error
 
 
-def _forget(partial: Path) -> None:
+def forget(partial: Path) -> None:
+    """Remove a file that has not become complete."""
     try:
         partial.unlink(missing_ok=True)
     except OSError:  # the error that led here says more

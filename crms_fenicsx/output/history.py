@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +108,25 @@ class History:
                     partial.write_text(_line(columns) + "".join(lines), encoding="utf-8")
                 self._lines = lines
         self._columns, self._rows = columns, rows
+
+    def resume(self, rows: Iterable[Mapping[str, Value]]) -> None:
+        """Replace all rows by those of an earlier run; the file follows with the next row.
+
+        Parameters
+        ----------
+        rows
+            As of an iteration over a history, the same on all ranks.
+
+        Raises
+        ------
+        InputError
+            As `append`.
+        """
+        old = History(None, MPI.COMM_SELF)
+        for row in rows:
+            old.append(row)
+        self._columns, self._rows = old._columns, old._rows
+        self._lines = [_line(row.get(name, "") for name in self._columns) for row in self._rows]
 
     def _check_kind(self, column: str, value: Value) -> None:
         for row in reversed(self._rows):

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -15,11 +16,9 @@ from numpy.typing import NDArray
 from crms_fenicsx.errors import InputError, raised_together
 from crms_fenicsx.output.files import PARTIAL, make_writable, replaced
 from crms_fenicsx.output.shapes import Line, Surface
+from crms_fenicsx.output.vtu import write_vtu
 
-if TYPE_CHECKING:
-    import meshio
-
-_OURS = re.compile(rf"(?:{re.escape(PARTIAL)})?(?:surface_\d{{6,}}_\d{{4,}}|cables_\d{{6,}})\.vtu")
+_OURS = re.compile(rf"(?:{re.escape(PARTIAL)})?(?:surface|cables)_\d{{6,}}\.vtu")
 
 
 class Series:
@@ -27,12 +26,12 @@ class Series:
 
     The folder then holds ::
 
-        surface.pvd  cables.pvd         the collections, to be opened in ParaView
-        steps/surface_000000_0000.vtu   step, rank: each rank's piece of the surface
-        steps/cables_000000.vtu         all lines of a step, from rank 0
+        surface.pvd  cables.pvd     the collections, to be opened in ParaView
+        steps/surface_000000.vtu    the surface of a step, written by all ranks together
+        steps/cables_000000.vtu     all lines of a step, from rank 0
 
-    Compressed binary VTK XML, double precision. A collection is replaced, in one go, when the
-    step's files are complete, so what it lists can always be read.
+    Binary VTK XML, double precision. A collection is replaced, in one go, when the step's files are
+    complete, so what it lists can always be read.
 
     Parameters
     ----------
@@ -53,6 +52,7 @@ class Series:
         self.comm = comm
         self.times: list[float] = []
         self._entries: dict[str, list[str]] = {"surface": [], "cables": []}
+        self._begun = False
         with raised_together(comm):
             if comm.rank == 0:
                 make_writable(self.folder)
@@ -65,7 +65,9 @@ class Series:
         time : float
             Time or load factor; more than the step's before.
         surface : Surface
-            This rank's piece; it may be empty. All pieces have data of the same names.
+            This rank's piece; it may be empty. All pieces have data of the same names. A point
+            that belongs to another rank (`Surface.homes`) is written by that one, so that it is
+            in the file once.
         lines : sequence of Line
             All lines, on rank 0; those of other ranks are not looked at. Their data become
             arrays with NaN where a line has none; the array "line" counts the lines from 0.
@@ -74,82 +76,141 @@ class Series:
         ------
         InputError
             On all ranks: shapes that disagree, times that do not grow, pieces with different
-            data, no triangle on any rank, or files that cannot be written.
+            data, no triangle on any rank, points that belong nowhere, or files that cannot be
+            written.
         """
-        import meshio
-
         with raised_together(self.comm):
             surface = surface.checked()
             lines = [line.checked() for line in lines] if self.comm.rank == 0 else []
             if not np.isfinite(time) or (self.times and time <= self.times[-1]):
                 raise InputError(f"time {time} after times {self.times[-3:]}; times must grow")
-        sizes = self.comm.allgather(len(surface.triangles))  # type: ignore[arg-type]
-        names = self.comm.allgather((sorted(surface.point_data), sorted(surface.cell_data)))
-        pieces = [rank for rank, size in enumerate(sizes) if size > 0]
-        if not pieces:
+        if self.comm.allreduce(len(surface.triangles)) == 0:  # type: ignore[arg-type]
             raise InputError(f"no triangle on any rank at time {time}; give the surface")
-        for rank in pieces:
-            if names[rank] != names[pieces[0]]:
-                raise InputError(
-                    f"surface data differ: rank {pieces[0]} has {names[pieces[0]]}, rank {rank} "
-                    f"has {names[rank]}; give the same names on all ranks"
-                )
+        own, rows = self._rows(surface)
 
-        step = len(self.times)
-        steps = self.folder / "steps"
-        if step == 0:
-            with raised_together(self.comm):
-                if self.comm.rank == 0:
-                    self._clear(steps)
+        step, steps = len(self.times), self.folder / "steps"
         with raised_together(self.comm):
-            if self.comm.rank in pieces:
-                with replaced(steps / f"surface_{step:06d}_{self.comm.rank:04d}.vtu") as partial:
-                    meshio.write(
-                        partial,
-                        meshio.Mesh(
-                            surface.points,
-                            [("triangle", surface.triangles)],
-                            point_data=dict(surface.point_data),
-                            cell_data={name: [data] for name, data in surface.cell_data.items()},
-                        ),
-                    )
+            if self.comm.rank == 0 and not self._begun:
+                self._begin(steps)
+        self._begun = True
+        write_vtu(
+            steps / f"surface_{step:06d}.vtu",
+            self.comm,
+            np.asarray(surface.points)[own],
+            rows[np.asarray(surface.triangles)],
+            {name: np.asarray(values)[own] for name, values in surface.point_data.items()},
+            {name: np.asarray(values) for name, values in surface.cell_data.items()},
+        )
+        with raised_together(self.comm):
             if lines:
-                with replaced(steps / f"cables_{step:06d}.vtu") as partial:
-                    meshio.write(partial, _joined(lines))
-        with raised_together(self.comm):
+                write_vtu(steps / f"cables_{step:06d}.vtu", MPI.COMM_SELF, *_joined(lines))
             if self.comm.rank == 0:
-                self._list("surface", time, [f"surface_{step:06d}_{r:04d}.vtu" for r in pieces])
+                self._list("surface", time, f"surface_{step:06d}.vtu")
                 if lines:
-                    self._list("cables", time, [f"cables_{step:06d}.vtu"])
+                    self._list("cables", time, f"cables_{step:06d}.vtu")
         self.times.append(float(time))
 
-    def _clear(self, steps: Path) -> None:
+    def _rows(self, surface: Surface) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """The points that this rank writes, and the row of each of its points in the file."""
+        n = len(surface.points)  # type: ignore[arg-type]
+        homes = np.stack([np.full(n, self.comm.rank), np.arange(n)], axis=1)
+        if surface.homes is not None:
+            homes = np.asarray(surface.homes, dtype=np.int64)
+        own = np.flatnonzero(homes[:, 0] == self.comm.rank)
+        own = own[np.argsort(homes[own, 1])]
+        counts = np.array(self.comm.allgather(len(own)))
+        with raised_together(self.comm):
+            ranks, numbers = homes.T
+            lost = (ranks < 0) | (ranks >= len(counts)) | (numbers < 0)
+            lost |= numbers >= counts[np.where(lost, 0, ranks)]
+            if lost.any() or not np.array_equal(numbers[own], np.arange(len(own))):
+                raise InputError(
+                    f"homes: rank {self.comm.rank} has points number {numbers[own].tolist()[:9]} "
+                    f"of its own and, of others, {homes[lost].tolist()[:3]}, where the ranks have "
+                    f"{counts.tolist()}; number each rank's from 0"
+                )
+        return own, np.concatenate([[0], np.cumsum(counts)])[homes[:, 0]] + homes[:, 1]
+
+    def resume(self, times: Sequence[float]) -> None:
+        """Go on with the series that is in the folder. Collective.
+
+        Its later steps stay until the next one is written.
+
+        Parameters
+        ----------
+        times
+            Those of the steps to keep. If the series does not begin with them, none are kept.
+
+        Raises
+        ------
+        InputError
+            On all ranks, when the series cannot be read.
+        """
+        kept: dict[str, list[str]] = {name: [] for name in self._entries}
+        with raised_together(self.comm):
+            if self.comm.rank == 0:
+                kept = {name: self._listed(name, times) for name in self._entries}
+        kept = self.comm.bcast(kept)
+        same = len(kept["surface"]) == len(times)
+        self.times = [float(time) for time in times] if same else []
+        self._entries = kept if same else {name: [] for name in kept}
+        self._begun = False
+
+    def _listed(self, collection: str, times: Sequence[float]) -> list[str]:
+        """Entries of a collection's file at some times."""
+        path = self.folder / f"{collection}.pvd"
+        if not path.exists():
+            return []
+        try:
+            found = [
+                (float(tag.attrib["timestep"]), Path(tag.attrib["file"]).name)
+                for tag in ElementTree.parse(path).getroot().iter("DataSet")
+            ]
+        except (OSError, KeyError, ValueError, ElementTree.ParseError) as error:
+            raise InputError(f"{path} cannot be read ({error}); give another folder") from error
+        return [_entry(time, name) for time, name in found if time in times]
+
+    def _begin(self, steps: Path) -> None:
+        """Remove an older series, but for the steps that this one goes on from."""
         make_writable(steps)
         # the collections first, so that none ever lists a file that is gone
-        for collection in self._entries:
-            (self.folder / f"{collection}.pvd").unlink(missing_ok=True)
+        for collection, entries in self._entries.items():
+            if entries:
+                self._write(collection, entries)
+            else:
+                (self.folder / f"{collection}.pvd").unlink(missing_ok=True)
+        kept = "".join(entry for entries in self._entries.values() for entry in entries)
         for path in steps.iterdir():
-            if _OURS.fullmatch(path.name):
+            if _OURS.fullmatch(path.name) and quoteattr(f"steps/{path.name}") not in kept:
                 path.unlink()
 
-    def _list(self, collection: str, time: float, files: Sequence[str]) -> None:
-        entries = self._entries[collection]
-        for part, name in enumerate(files):
-            entries.append(
-                f'    <DataSet timestep="{float(time)!r}" part="{part}" '
-                f"file={quoteattr('steps/' + name)}/>\n"
-            )
+    def _list(self, collection: str, time: float, name: str) -> None:
+        entries = [*self._entries[collection], _entry(time, name)]
+        self._write(collection, entries)
+        self._entries[collection] = entries
+
+    def _write(self, collection: str, entries: Sequence[str]) -> None:
         with replaced(self.folder / f"{collection}.pvd") as partial:
             partial.write_text(
                 '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n'
-                f"  <Collection>\n{''.join(entries)}  </Collection>\n</VTKFile>\n"
+                f"  <Collection>\n{''.join(entries)}  </Collection>\n"
+                "</VTKFile>\n"
             )
 
 
-def _joined(lines: Sequence[Line]) -> meshio.Mesh:
-    """Return the lines as one meshio mesh of two-point segments."""
-    import meshio
+def _entry(time: float, name: str) -> str:
+    file = quoteattr(f"steps/{name}")
+    return f'    <DataSet timestep="{float(time)!r}" part="0" file={file}/>\n'
 
+
+Joined = tuple[
+    NDArray[np.float64], NDArray[np.int64], dict[str, NDArray[Any]], dict[str, NDArray[Any]]
+]
+"""Points, cells, and data on both."""
+
+
+def _joined(lines: Sequence[Line]) -> Joined:
+    """Return the lines as one mesh of two-point segments."""
     counts = np.array([len(line.points) for line in lines])  # type: ignore[arg-type]
     starts = np.concatenate([[0], np.cumsum(counts)])
     last = np.zeros(starts[-1], dtype=bool)
@@ -167,9 +228,5 @@ def _joined(lines: Sequence[Line]) -> meshio.Mesh:
                 name, np.full(starts[-1] if per_point else len(first), np.nan)
             )
             whole[start : start + counts[index] - (not per_point)] = array
-    return meshio.Mesh(
-        np.concatenate([line.points for line in lines]),
-        [("line", np.column_stack([first, first + 1]))],
-        point_data=on_points,
-        cell_data={name: [values] for name, values in on_segments.items()},
-    )
+    points: NDArray[np.float64] = np.concatenate([line.points for line in lines])
+    return points, np.column_stack([first, first + 1]), on_points, on_segments

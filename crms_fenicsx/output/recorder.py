@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
+from crms_fenicsx.errors import InputError, raised_together
 from crms_fenicsx.output.history import History, Value
 from crms_fenicsx.output.shapes import Line, Surface
 from crms_fenicsx.results import gained_volume, membrane_results
@@ -56,8 +58,6 @@ class Recorder:
         self.series: Series | None = None
         self.history = History(None if folder is None else Path(folder) / "history.csv", scene.comm)
         if folder is not None:
-            import meshio  # noqa: F401 - if it is missing, better now than after the first step
-
             from crms_fenicsx.output.paraview import Series
 
             self.series = Series(folder, scene.comm)
@@ -73,6 +73,29 @@ class Recorder:
         self.history.append(self._row(step))
         if self.series is not None:
             self.series.write(step.number, self._surface(system), cable_lines(self.scene))
+
+    def resume(self, rows: Sequence[Mapping[str, Value]]) -> None:
+        """Go on after the steps of an earlier run. Collective.
+
+        If the files in the folder begin with the same steps, these stay and new ones follow; else
+        the next step replaces them.
+
+        Parameters
+        ----------
+        rows
+            The earlier run's history, the same on all ranks.
+
+        Raises
+        ------
+        InputError
+            On all ranks: rows that are none, or files of a series that cannot be read.
+        """
+        with raised_together(self.scene.comm):
+            self.history.resume(rows)
+        path = self.history.path
+        if self.series is not None and path is not None:
+            same = self.scene.comm.rank == 0 and path.exists() and _begins(path, self.history)
+            self.series.resume(range(1, len(rows) + 1) if self.scene.comm.bcast(same) else [])
 
     def _row(self, step: Step) -> dict[str, Value]:
         scene, outcome = self.scene, step.outcome
@@ -121,7 +144,38 @@ class Recorder:
                 "direction 1": results.true_directions[surface.parents, 0],
                 "state": results.state[surface.parents],
             },
+            _homes(self.scene, len(surface.points)),
         )
+
+
+def _begins(path: Path, history: History) -> bool:
+    """Whether a table begins with the rows of a history."""
+    try:
+        there = History.read(path)
+    except InputError:
+        return False
+    n = len(history)
+    return len(there) >= n > 0 and all(
+        column in there.columns and np.array_equal(there[column][:n], history[column])
+        for column in ("step", "energy")
+    )
+
+
+def _homes(scene: Scene, points: int) -> npt.NDArray[np.int64]:
+    """Rank and number there of the points of the current surface, (points, 2). Collective.
+
+    Vertices belong to their owners. After them come the points of cables on folded cells: each
+    rank has its own, and writes them, so that those on the border of two ranks are there twice.
+    """
+    vertices = scene.V.dofmap.index_map
+    own, known = vertices.size_local, vertices.size_local + vertices.num_ghosts
+    starts = np.array(scene.comm.allgather(vertices.local_range[0]))
+    homes = np.full((points, 2), scene.comm.rank, dtype=np.int64)
+    homes[:own, 1] = np.arange(own)
+    homes[own:known, 0] = vertices.owners
+    homes[own:known, 1] = vertices.ghosts - starts[vertices.owners]
+    homes[known:, 1] = own + np.arange(points - known)
+    return homes
 
 
 def cable_lines(scene: Scene) -> list[Line]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.errors import InputError, raised_together
+from crms_fenicsx.errors import InputError, PictureWarning, raised_together
 from crms_fenicsx.output.history import History
 from crms_fenicsx.output.paths import draw_path
 from crms_fenicsx.output.pictures import draw_shape
@@ -26,6 +27,10 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
+
+MOST_CELLS = 500_000
+"""Most cells of a mesh that is drawn. The first process gathers and draws all of them, which takes
+20 s and 0.7 GB for a million; and in a picture of a million points nobody would see so many."""
 
 _SEEN = 0.01
 """Share of a panel's largest value from which on a column is seen in it."""
@@ -117,6 +122,11 @@ def draw_scene(
     ------
     InputError
         On all ranks: an unknown colour or option, or a file that cannot be written.
+
+    Warns
+    -----
+    PictureWarning
+        The mesh has more than `MOST_CELLS` cells; nothing is drawn.
     """
     if colour is not None and colour not in COLOURS:
         raise InputError(
@@ -126,6 +136,8 @@ def draw_scene(
     if taken:
         raise InputError(f"draw: {taken} come from the scene; use draw_shape to draw arrays.")
     scene, named = system.scene, units(unit, force)
+    if _too_large(scene, f"{filename} is not drawn"):
+        return
     surface = current_surface(scene)
     values: Array = np.empty(0)
     if colour is not None:
@@ -140,6 +152,7 @@ def draw_scene(
     if any(cable.lifted.any() for cable in scene.cables):
         options.setdefault("loose", "lifted")
     cells = scene.V.dofmap.list[: scene.mesh.mesh.topology.index_map(2).size_local]
+    lines = cable_lines(scene)
     parts = scene.comm.gather((surface, values, cells if ghost else cells[:0]))
     lines = cable_lines(scene)
     with raised_together(scene.comm):
@@ -189,25 +202,40 @@ def draw_scene_paths(
     ------
     InputError
         On all ranks: nothing to draw, an unknown option, or a file that cannot be written.
+
+    Warns
+    -----
+    PictureWarning
+        The mesh has more than `MOST_CELLS` cells, and is left out.
     """
     taken = sorted({"points", "triangles"} & set(options))
     if taken:
         raise InputError(f"draw_paths: {taken} come from the scene; use draw_path to draw arrays.")
-    cells = scene.V.dofmap.list[: scene.mesh.mesh.topology.index_map(2).size_local]
-    parts = scene.comm.gather((scene.V.tabulate_dof_coordinates(), cells))
+    parts = None
+    if not _too_large(scene, f"{filename} is drawn without the mesh"):
+        cells = scene.V.dofmap.list[: scene.mesh.mesh.topology.index_map(2).size_local]
+        parts = scene.comm.gather((scene.V.tabulate_dof_coordinates(), cells))
     with raised_together(scene.comm):
         if parts is not None:
             ends = np.cumsum([len(points) for points, _ in parts])
             starts = [end - len(points) for (points, _), end in zip(parts, ends, strict=True)]
-            draw_path(
-                filename,
-                paths,
-                lines=lines,
-                points=np.concatenate([points for points, _ in parts]),
-                triangles=_numbered([part for _, part in parts], starts),
-                unit=unit,
-                **options,
-            )
+            options["points"] = np.concatenate([points for points, _ in parts])
+            options["triangles"] = _numbered([part for _, part in parts], starts)
+        if scene.comm.rank == 0:
+            draw_path(filename, paths, lines=lines, unit=unit, **options)
+
+
+def _too_large(scene: Scene, happens: str) -> bool:
+    """Whether a scene's mesh is too large for a picture; warns then."""
+    cells = scene.mesh.mesh.topology.index_map(2).size_global
+    if cells > MOST_CELLS and scene.comm.rank == 0:
+        warnings.warn(
+            f"{happens}: the mesh has {cells} cells, more than the {MOST_CELLS} that one process "
+            'draws; look at the ParaView files of Solver(scene, results="folder").',
+            PictureWarning,
+            stacklevel=4,
+        )
+    return cells > MOST_CELLS
 
 
 def _numbered(parts: list[Integers], starts: list[int]) -> Integers:

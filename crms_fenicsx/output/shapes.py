@@ -24,12 +24,16 @@ class Surface:
         Vertices of each triangle. A folded cell arrives as several triangles.
     point_data, cell_data : dict of (n,) or (n, c), and of (m,) or (m, c) arrays
         Values by name.
+    homes : (n, 2) array of int, or None
+        For pieces of a surface on several ranks that share points: the rank that each point belongs
+        to, and its number among the points that belong to that rank. None: all belong to this one.
     """
 
     points: ArrayLike
     triangles: ArrayLike
     point_data: Mapping[str, ArrayLike] = field(default_factory=dict)
     cell_data: Mapping[str, ArrayLike] = field(default_factory=dict)
+    homes: ArrayLike | None = None
 
     def checked(self) -> Surface:
         """Return the surface with plain arrays (float, int64), or raise.
@@ -53,11 +57,18 @@ class Surface:
                 f"triangles refer to vertices {triangles.min()} to {triangles.max()}, but there "
                 f"are {len(points)} points; number them from 0 within this surface"
             )
+        homes = None if self.homes is None else np.asarray(self.homes)
+        if homes is not None and (homes.shape != (len(points), 2) or homes.dtype.kind not in "iu"):
+            raise InputError(
+                f"homes have shape {homes.shape} and type {homes.dtype}; give a rank and a number "
+                f"for each point, integers of shape ({len(points)}, 2)"
+            )
         return Surface(
             points,
             np.ascontiguousarray(triangles, dtype=np.int64),
             checked_data("point data", self.point_data, len(points)),
             checked_data("cell data", self.cell_data, len(triangles)),
+            homes,
         )
 
 

@@ -1,0 +1,18 @@
+"""Checkpoints: the whole state of a run in a folder, to go on from on any number of processes.
+
+    state.json          loads, cables, history: what is small and the same on all ranks
+    displacement.npy    rows by the vertices' ids, that is numbers in the mesh as it was given
+    held.npy            held components, by the same ids
+    held_edges.npy      ids of the ends of the edges that are held over their whole length
+    positions.npy       where the vertices are when stress-free, to tell other meshes
+    dead_forces.npy     where there is a dead load
+    cells.npy           state of the cells at the step's start, with the paper's incremental strain
+
+No rank ever has a whole field. Numbers survive to the last digit, and nothing that is read is
+executed. See `Solver.save` and `Solver.load`.
+"""
+
+from crms_fenicsx.checkpoint.run import Run
+from crms_fenicsx.checkpoint.state import load, save
+
+__all__ = ["Run", "load", "save"]

@@ -1,0 +1,85 @@
+"""What tells the scene of a checkpoint from others: mesh, materials, laws."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from crms_fenicsx.compat import geometry_dofmap
+from crms_fenicsx.errors import InputError
+from crms_fenicsx.materials import Membrane
+from crms_fenicsx.scene import Scene
+
+FACTOR = np.uint64(0x9E3779B97F4A7C15)
+"""An odd number whose multiples look random."""
+
+
+def fingerprint(scene: Scene) -> dict[str, Any]:
+    """Describe what a script must build alike, but for where the vertices are. Collective.
+
+    Returns
+    -------
+    dict
+        By name, in the order in which differences are worth telling; made of numbers and texts.
+    """
+    mesh = scene.mesh.mesh
+    ids = np.asarray(mesh.geometry.input_global_indices, dtype=np.int64)
+    cells = ids[geometry_dofmap(mesh)[: mesh.topology.index_map(2).size_local]]
+    tags = np.zeros((len(cells), 1), dtype=np.int64)
+    if scene.cell_tags is not None:
+        tags[:, 0] = scene.cell_tags.values[: len(cells)]
+    return {
+        "number of vertices": mesh.topology.index_map(0).size_global,
+        "number of cells": mesh.topology.index_map(2).size_global,
+        "cells (their vertices, mixed to one number)": _mixed(scene, cells),
+        "materials": [_described(material) for material in scene.materials.values()],
+        "cells of the materials (mixed to one number)": _mixed(scene, np.hstack([cells, tags])),
+        "strain": scene.strain_law,
+        "pressure": scene.pressure_law,
+        "penalty": scene.penalty,
+        "literal_penalty": scene.literal_penalty,
+    }
+
+
+def check_same(saved: dict[str, Any], scene: Scene) -> None:
+    """Compare a scene with a fingerprint. Collective.
+
+    Raises
+    ------
+    InputError
+        They are of different scenes; it names the first difference.
+    """
+    for name, value in fingerprint(scene).items():
+        was = saved.get(name)
+        if not _same(was, value):
+            raise InputError(
+                f"load: the checkpoint is of another scene: {name} {was!r}, and here {value!r}; "
+                "build the mesh and the scene as they were when it was saved"
+            )
+
+
+def _same(a: object, b: object) -> bool:
+    """Whether two values agree, numbers up to rounding."""
+    if isinstance(a, list | tuple) and isinstance(b, list | tuple):
+        return len(a) == len(b) and all(map(_same, a, b))
+    if isinstance(a, float) and isinstance(b, float):
+        return math.isclose(a, b, rel_tol=1e-12)
+    return a == b
+
+
+def _described(material: Membrane) -> list[Any]:
+    warp = material.warp
+    direction = "a function" if callable(warp) else warp if warp is None else [*map(float, warp)]
+    return [type(material).__name__, [float(value) for value in material.parameters], direction]
+
+
+def _mixed(scene: Scene, rows: npt.NDArray[np.int64]) -> str:
+    """A number of all ranks' rows of integers, whatever their order."""
+    numbers = np.zeros(len(rows), dtype=np.uint64)
+    for column in rows.T.astype(np.uint64):
+        numbers = (numbers ^ column) * FACTOR
+        numbers ^= numbers >> np.uint64(29)
+    return f"{scene.comm.allreduce(int(numbers.sum())) % 2**64:016x}"

@@ -1,0 +1,99 @@
+"""Folders that are complete at any moment, whenever the run is killed.
+
+A new one is written beside the old one, which then moves away, the new one into its place, and the
+old one goes. Where a run is killed between the two moves, the old one is still there, aside.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from mpi4py import MPI
+
+from crms_fenicsx.errors import InputError, raised_together
+from crms_fenicsx.output.files import explained, flush, make_writable, partial_of
+
+ASIDE = ".old-"
+"""Prefix of a folder that is being replaced."""
+
+
+def _aside(folder: Path) -> Path:
+    return folder.with_name(ASIDE + folder.name)
+
+
+def complete(folder: Path) -> Path:
+    """The folder, or the one that was there before if a run was killed while replacing it."""
+    return _aside(folder) if _aside(folder).exists() and not folder.exists() else folder
+
+
+@contextmanager
+def replaced_folder(folder: Path, comm: MPI.Intracomm, mark: str) -> Iterator[Path]:
+    """Fill a folder beside `folder` in the block; then it takes its place. Collective.
+
+    Parameters
+    ----------
+    folder
+        An absolute path; it is created where it is missing.
+    comm
+        Its ranks work together; what is raised in the block is raised on all of them.
+    mark
+        Name of a file that says that a folder may be replaced.
+
+    Yields
+    ------
+    Path
+        What to fill with files.
+
+    Raises
+    ------
+    InputError
+        On all ranks: there is something else, or the system refuses to write. What was at
+        `folder` is then as before.
+    """
+    partial, aside = partial_of(folder), _aside(folder)
+    with raised_together(comm), explained(folder):
+        if comm.rank == 0:
+            make_writable(folder.parent)
+            if aside.exists() and not folder.exists():
+                os.replace(aside, folder)
+            if folder.exists() and not (folder / mark).exists() and _holds_something(folder):
+                raise InputError(f"{folder} is no checkpoint, but is there; give another folder")
+            for rest in (partial, aside):
+                if rest.exists():
+                    shutil.rmtree(rest)
+            partial.mkdir()
+    try:
+        yield partial
+        with raised_together(comm), explained(folder):
+            if comm.rank == 0:
+                _put_in_place(partial, folder)
+    except BaseException:
+        if comm.rank == 0:
+            shutil.rmtree(partial, ignore_errors=True)
+        raise
+
+
+def _holds_something(folder: Path) -> bool:
+    return not folder.is_dir() or any(folder.iterdir())
+
+
+def _put_in_place(partial: Path, folder: Path) -> None:
+    aside = _aside(folder)
+    for file in partial.iterdir():
+        flush(file)
+    flush(partial)
+    if folder.exists():
+        os.replace(folder, aside)
+    try:
+        os.replace(partial, folder)
+    except OSError:
+        if aside.exists():
+            os.replace(aside, folder)
+        raise
+    flush(folder.parent)
+    if aside.exists():
+        shutil.rmtree(aside, ignore_errors=True)  # else the next one does

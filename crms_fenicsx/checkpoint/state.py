@@ -1,0 +1,217 @@
+"""Saving a scene with its run to a folder, and taking it from there."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from crms_fenicsx.checkpoint.fields import Fields, read_fields, write_fields
+from crms_fenicsx.checkpoint.fingerprint import check_same, fingerprint
+from crms_fenicsx.checkpoint.folder import complete, replaced_folder
+from crms_fenicsx.checkpoint.plain import Plain, integers
+from crms_fenicsx.checkpoint.run import Run, plain_run, run_of
+from crms_fenicsx.errors import InputError, raised_together
+from crms_fenicsx.output.files import explained
+from crms_fenicsx.output.npy import read_rows, write_rows
+from crms_fenicsx.scene import Scene
+
+if TYPE_CHECKING:
+    from crms_fenicsx.cables.cable import Crossing, LaidCable
+    from crms_fenicsx.cables.strip import Strip
+
+STATE, CELLS = "state.json", "cells.npy"
+FORMAT = "crms_fenicsx checkpoint 1"
+"""What a checkpoint says it is; the number grows when its content changes."""
+
+
+def save(folder: str | Path, scene: Scene, run: Run) -> None:
+    """Write a checkpoint; see `Solver.save`. Collective."""
+    with replaced_folder(Path(folder).resolve(), scene.comm, STATE) as partial:
+        edges = write_fields(partial, scene)
+        if run.step_history is not None and run.step_history.cells is not None:
+            ids, total = _cell_ids(scene)
+            write_rows(partial / CELLS, scene.comm, ids, run.step_history.cells, total)
+        data = {"format": FORMAT, "scene": fingerprint(scene), "held edges": edges}
+        data |= _plain_rest(scene) | plain_run(run)
+        with raised_together(scene.comm), explained(partial / STATE):
+            if scene.comm.rank == 0:
+                (partial / STATE).write_text(json.dumps(data, allow_nan=False), encoding="utf-8")
+
+
+def load(folder: str | Path, scene: Scene) -> Run:
+    """Bring a scene to the state of a checkpoint; see `Solver.load`. Collective.
+
+    Returns
+    -------
+    Run
+        What its solver must know.
+    """
+    comm = scene.comm
+    place = complete(Path(folder).resolve())
+    data: Plain = {}
+    with raised_together(comm):
+        if comm.rank == 0:
+            data = _read(place / STATE)
+    data = comm.bcast(data)
+    with _told(place / STATE):
+        saved, edges = dict(data["scene"]), int(data["held edges"])
+        rest, run = _rest_of(data), run_of(data)
+        _check_ids(rest, scene)
+    check_same(saved, scene)
+    fields = read_fields(place, scene, edges, rest.intensity is not None)
+    if run.step_history is not None and scene.strain_law == "step":
+        ids, total = _cell_ids(scene)
+        run = run.with_cells(read_rows(place / CELLS, comm, ids, np.float64, (total, 6)))
+    _give(scene, fields, rest, place / STATE)
+    return run
+
+
+@dataclass(frozen=True)
+class _Rest:
+    """A scene's state but for its fields, the same on all ranks."""
+
+    pressure: float
+    load: float
+    floor: float | None
+    energies: dict[str, float]
+    intensity: float | None
+    cables: list[LaidCable]
+    crossings: list[Crossing]
+    complete: npt.NDArray[np.int64]
+
+
+def _plain_rest(scene: Scene) -> Plain:
+    data: Plain = {
+        "pressure": float(scene.pressure),
+        "load": float(scene.load),
+        "floor": scene.floor_level,
+        "energies": {name: float(value) for name, value in scene.energies.items()},
+        "intensity": None if scene.dead_forces is None else scene.dead_forces.intensity,
+        "strip": [],
+        "cables": [],
+        "crossings": [],
+    }
+    if scene.cables and scene.strip is not None:
+        from crms_fenicsx.checkpoint.cables import plain_cable, plain_crossing
+
+        data["strip"] = sorted(scene.strip.complete)
+        data["cables"] = [plain_cable(cable, scene.crossings) for cable in scene.cables]
+        data["crossings"] = [plain_crossing(crossing) for crossing in scene.crossings]
+    return data
+
+
+def _rest_of(data: Plain) -> _Rest:
+    cables, crossings = [], []
+    if data["cables"]:
+        from crms_fenicsx.checkpoint.cables import cable_of, crossing_of
+
+        crossings = [crossing_of(one) for one in data["crossings"]]
+        cables = [cable_of(one, crossings) for one in data["cables"]]
+    floor, intensity = data["floor"], data["intensity"]
+    return _Rest(
+        float(data["pressure"]),
+        float(data["load"]),
+        None if floor is None else float(floor),
+        {str(name): float(value) for name, value in data["energies"].items()},
+        None if intensity is None else float(intensity),
+        cables,
+        crossings,
+        np.array(integers(data["strip"]), dtype=np.int64),
+    )
+
+
+def _check_ids(rest: _Rest, scene: Scene) -> None:
+    """Refuse vertices that the mesh does not have, and crossings of cables that are not there."""
+    total = scene.V.dofmap.index_map.size_global
+    supports = [
+        node.point.support for c in rest.cables for node in c.nodes if node.point is not None
+    ]
+    supports += [crossing.support for crossing in rest.crossings]
+    ids = np.concatenate([rest.complete, *(np.array(support) for support in supports)])
+    if len(ids) and not 0 <= ids.min() <= ids.max() < total:
+        raise ValueError(f"vertices {ids.min()} to {ids.max()} of a mesh with {total}")
+    if any(
+        not 0 <= number < len(rest.cables)
+        for crossing in rest.crossings
+        for number in (crossing.lower, crossing.upper)
+    ):
+        raise ValueError("a crossing of cables that are not there")
+
+
+def _give(scene: Scene, fields: Fields, rest: _Rest, file: Path) -> None:
+    """Bring the scene to a state that has been read."""
+    before, scene.held_edges = scene.held_edges, fields.held_edges  # the strip's cells know them
+    if rest.cables:
+        strip = _strip(scene, rest)
+        if strip is None:
+            scene.held_edges = before
+            raise InputError(
+                f"{file} is damaged: a cable does not lie on cells of the mesh; take another "
+                "checkpoint"
+            )
+        scene.strip = strip
+    scene.u.x.array[:] = fields.u.ravel()
+    scene.held[:] = fields.held
+    scene.floor_level, scene.pressure, scene.load = rest.floor, rest.pressure, rest.load
+    scene.energies = rest.energies
+    scene.dead_forces = None
+    if fields.dead_forces is not None and rest.intensity is not None:
+        from crms_fenicsx.dead_load import DeadForces
+
+        scene.dead_forces = DeadForces(fields.dead_forces, rest.intensity)
+    scene.cables, scene.crossings = rest.cables, rest.crossings
+    scene.changes += 1
+
+
+def _strip(scene: Scene, rest: _Rest) -> Strip | None:
+    """The cells around the cables; None if one lies on none of them. Collective."""
+    from crms_fenicsx.cables.strip import cells_at
+
+    strip = cells_at(scene, rest.complete)
+    points = (node.point for cable in rest.cables for node in cable.nodes)
+    on_cells = (bool(strip.rows(point.support)) for point in points if point is not None)
+    return strip if all(on_cells) else None
+
+
+def _cell_ids(scene: Scene) -> tuple[npt.NDArray[np.int64], int]:
+    """Ids of this rank's cells, numbers in the mesh as it was given, and how many there are."""
+    topology = scene.mesh.mesh.topology
+    return np.asarray(topology.original_cell_index, dtype=np.int64), topology.index_map(
+        2
+    ).size_global
+
+
+def _read(file: Path) -> Plain:
+    try:
+        text = file.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(
+            f"{file} cannot be read ({error.strerror or error}); give the folder of a checkpoint"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{file} is damaged ({error}); take another checkpoint") from error
+    with _told(file):
+        data: Plain = json.loads(text)
+        if data["format"] != FORMAT:
+            raise ValueError(f"it is a {data['format']!r} where a {FORMAT!r} is due")
+    return data
+
+
+@contextmanager
+def _told(file: Path) -> Iterator[None]:
+    """Say of data that are not what they should be which file they are from."""
+    try:
+        yield
+    except (
+        ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError,
+    ) as error:  # fmt: skip
+        raise InputError(
+            f"{file} is damaged or of another version ({error!r}); take another checkpoint"
+        ) from error
