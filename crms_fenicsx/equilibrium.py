@@ -188,13 +188,17 @@ class EquilibriumSearch:
         return lags
 
     def _slide(self, h0_prestress: tuple[float, ...]) -> Outcome:
-        """Try new paths while the energy falls."""
+        """Try new paths while the energy falls.
+
+        What is tried is worked out near its equilibrium only, where energies can be compared; the
+        last digits come at the end.
+        """
         from crms_fenicsx.cables.crossings import tangled
-        from crms_fenicsx.cables.network import BLOCKED
 
         paths, best = self.paths, self._try(h0_prestress)
         assert paths is not None
         total, flips = best.outcome, best.flips
+        self.groups: list[list[tuple[int, int]]] = []
         laid_again: set[int] = set()
         tries = 0
         while best.outcome.converged:
@@ -205,7 +209,7 @@ class EquilibriumSearch:
                 if caught:
                     laid_again |= caught
                     paths.lay_again(caught)
-                elif not paths.pass_next(NEAR if self.polish else BLOCKED):
+                elif not self._pass_vertices():
                     flips = self._give_way(None)
                     if not flips and not self._relax_held():
                         break
@@ -214,20 +218,26 @@ class EquilibriumSearch:
                 return replace(total, converged=False, reason=reason)
             tries += 1
             tried = paths.offered
+            refused = paths.refused_now()
             self.system.rebuild()
-            new = self._try((0.0,))
+            new = self._try((0.0,), rough=True)
             total = total + new.outcome
             if new.outcome.converged and new.energy < best.energy:
                 best, flips = new, new.flips
+                self.groups.clear()
                 continue
+            if self.groups:  # a half of what was tried together is tried next
+                paths.refused = refused
             best.state.restore(self.scene)
             # Half of the flips; one alone cannot be halved.
             flips = self._change_paths(flips // 2)
             if not flips:
                 paths.withheld |= tried
                 self.system.rebuild()
-                total = total + self._settle((0.0,))
+                total = total + self._settle((0.0,), self._stop)
                 best = replace(best, outcome=total)
+        if total.converged and total.residual > total.tolerance:
+            total = total + self._settle((0.0,))
         if not total.converged:
             return total
         paths.check_on_membrane()
@@ -238,8 +248,43 @@ class EquilibriumSearch:
             return replace(total, converged=False, reason=reason)
         return total
 
-    def _try(self, h0_prestress: tuple[float, ...]) -> _Try:
-        """Equilibrium on the paths that there are; the scene then has those to try next."""
+    @staticmethod
+    def _stop() -> bool:
+        """Near the equilibrium is near enough."""
+        return True
+
+    def _pass_vertices(self) -> bool:
+        """Lead cables around the other side of vertices; say whether there was one to try.
+
+        All cables that pass near one at once, and if that is rejected each half of them, and so on.
+        """
+        from crms_fenicsx.cables.network import BLOCKED
+
+        paths = self.paths
+        assert paths is not None
+        while True:
+            if not self.groups:
+                group = paths.near_vertices(NEAR if self.polish else BLOCKED)
+                if not group:
+                    return False
+                self.groups.append(group)
+            led = paths.pass_vertices(self.groups.pop())
+            if len(led) > 1:
+                half = len(led) // 2
+                self.groups += [led[half:], led[:half]]
+            if led:
+                return True
+
+    def _try(self, h0_prestress: tuple[float, ...], rough: bool = False) -> _Try:
+        """Equilibrium on the paths that there are; the scene then has those to try next.
+
+        Parameters
+        ----------
+        h0_prestress
+            As for `Minimizer.solve`.
+        rough
+            Whether to stop near the equilibrium.
+        """
         flips = 0
         state, energy = self.start, 0.0
 
@@ -247,7 +292,7 @@ class EquilibriumSearch:
             nonlocal flips, state, energy
             state, energy = State.of(self.scene), self.system.objective
             flips = self._change_paths(None)
-            return flips > 0
+            return rough or flips > 0
 
         outcome = self._settle(h0_prestress, look)
         return _Try(replace(outcome, flips=flips), state, energy, flips)

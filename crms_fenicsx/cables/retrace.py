@@ -225,8 +225,12 @@ class Retracer:
         free = [cable for cable in self.scene.cables if cable.taut and cable.slides_freely]
         return self._retrace(free, max_flips) if free else 0
 
-    def pass_next(self, near: float) -> bool:
-        """Lead a cable around the other side of a vertex near which it passes. Collective.
+    def refused_now(self) -> dict[str, set[Corridor]]:
+        """A copy of what has been tried."""
+        return {name: set(ways) for name, ways in self.refused.items()}
+
+    def near_vertices(self, near: float) -> list[tuple[int, int]]:
+        """Vertices near which cables pass, one for each cable: (cable, vertex), nearest first.
 
         The string does not tell on which side of a vertex the energy is lower where the fold
         points are pressed against it.
@@ -238,9 +242,9 @@ class Retracer:
 
         Returns
         -------
-        Whether there was a vertex, not tried before.
+        Those that have not been tried before.
         """
-        found: dict[tuple[int, int], float] = {}
+        found: dict[int, tuple[float, int]] = {}
         for c, cable in enumerate(self.scene.cables):
             for k in cable.contacts() if cable.taut and cable.slides_freely else []:
                 node = cable.nodes[k]
@@ -249,13 +253,31 @@ class Retracer:
                     vertex = node.point.edge[int(fraction > 0.5)]
                     away = min(fraction, 1 - fraction)
                     if away < near and vertex not in self._passed.get(cable.name, ()):
-                        found[c, vertex] = min(away, found.get((c, vertex), 1.0))
-        for c, vertex in sorted(found, key=lambda key: (found[key], key)):
+                        found[c] = min((away, vertex), found.get(c, (1.0, vertex)))
+        return [(c, vertex) for c, (_, vertex) in sorted(found.items(), key=lambda item: item[1])]
+
+    def pass_vertices(self, group: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+        """Lead cables around the other side of vertices. Collective.
+
+        Parameters
+        ----------
+        group
+            Of different cables: (cable, vertex).
+
+        Returns
+        -------
+        Those of the group that have another side. The others, and a single one, will not be tried
+        again.
+        """
+        led = []
+        for c, vertex in group:
             cable = self.scene.cables[c]
-            self._passed.setdefault(cable.name, set()).add(vertex)
-            if self._pass_vertex(cable, vertex):
-                return True
-        return False
+            way = self._pass_vertex(cable, vertex)
+            if way:
+                led.append((c, vertex))
+            if not way or len(group) == 1:
+                self._passed.setdefault(cable.name, set()).add(vertex)
+        return led
 
     def _pass_vertex(self, cable: LaidCable, vertex: int) -> bool:
         if cable.lifted.any():
