@@ -129,6 +129,7 @@ class InitialHessian:
         held = self.potential.unknowns.held[: self.potential.unknowns.n_owned].copy()
         if self.potential.unknowns.bounds is not None:
             held |= at_bounds(self.potential)
+        self._held = held
         self._assemble(held)
         self._drop_columns()
         if not self._exact:
@@ -198,7 +199,7 @@ class InitialHessian:
             potential.dyad_column(term, k)
             potential.g[:n][held] = 0.0
             column, solved = potential.g_vector.copy(), potential.g_vector.duplicate()
-            self.pc.apply(column, solved)
+            self._apply(column, solved)
             self._columns.append(column)
             self._solved.append(solved)
             stiffness.append(value)
@@ -226,11 +227,28 @@ class InitialHessian:
 
     def precondition(self, b: PETSc.Vec, y: PETSc.Vec) -> None:
         """Solve ``H0 y = b`` with K's preconditioner for K: exactly if that factorises it."""
-        self.pc.apply(b, y)
+        self._apply(b, y)
         if self._solved:
             shares = self._inner @ np.array([z.dot(b) for z in self._solved])
             for share, z in zip(shares, self._solved, strict=True):
                 y.axpy(-share, z)
+
+    def _apply(self, b: PETSc.Vec, y: PETSc.Vec) -> None:
+        """K's preconditioner.
+
+        Multigrid's coarse levels know nothing of components that are held or lie across rails: they
+        are taken out of its result, which stays symmetric by that for `b` without them.
+        """
+        self.pc.apply(b, y)
+        if self._exact:
+            return
+        unknowns = self.potential.unknowns
+        values = y.array.reshape(-1, 3)
+        values[self._held] = 0.0
+        if unknowns.n_rails:
+            own = unknowns.rails < unknowns.n_owned
+            rails, d = unknowns.rails[own], unknowns.directions[own]
+            values[rails] = np.sum(values[rails] * d, axis=1)[:, None] * d
 
     def multiply(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """``y = (K + G C G^T) x``."""

@@ -8,6 +8,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from taylor import noise
 from term_scene import cable_square, displaced
+from test_held_edges import OBLIQUE, ridged
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.cables.cable import polyline_length
@@ -111,3 +112,50 @@ def test_workspace_of_mumps_is_ample_unless_an_option_says_otherwise(own: int | 
     finally:
         for name in options:
             database.delValue(name)
+
+
+def test_multigrid_solves_too_and_leaves_alone_what_is_held(comm, monkeypatch) -> None:
+    """Held components and those across rails are no business of its coarse levels."""
+    monkeypatch.setattr("crms_fenicsx.hessian.DIRECT", 0)
+    monkeypatch.setattr("crms_fenicsx.hessian.ACCURACY", 1e-10)
+    solver, _ = cabled(comm)
+    solver.advance(pressure=0.01)
+    h0, potential = solver.system.minimizer.h0, solver.system.potential
+    potential.evaluate()
+    h0.rebuild()
+    assert h0.pc.getType() == "gamg" and len(list(potential.dyads())) == 2
+    unknowns = potential.unknowns
+    assert comm.allreduce(unknowns.n_rails) > 0
+    b, y, back = (potential.x_vector.duplicate() for _ in range(3))
+    n = unknowns.n_owned
+    values = noise(unknowns.X, 4)
+    values[unknowns.held] = 0.0
+    unknowns.project(values)
+    b.array[:] = values[:n].ravel()
+    h0.solve(b, y)
+    assert np.all(y.array.reshape(-1, 3)[unknowns.held[:n]] == 0.0)
+    h0.multiply(y, back)
+    back.axpy(-1.0, b)
+    assert back.norm() < 1e-9 * b.norm()
+
+
+def test_multigrid_leads_to_the_same_equilibrium(comm, monkeypatch) -> None:
+    solver, cables = cabled(comm)
+    direct = solver.advance(pressure=0.01)
+    tensions = [cable.tension for cable in cables]
+    monkeypatch.setattr("crms_fenicsx.hessian.DIRECT", 0)
+    solver, cables = cabled(comm)
+    step = solver.advance(pressure=0.01)
+    assert step.energy == pytest.approx(direct.energy, rel=1e-9)
+    assert [cable.tension for cable in cables] == pytest.approx(tensions, rel=1e-7)
+    assert step.outcome.evaluations <= 1.2 * direct.outcome.evaluations
+
+
+def cabled(comm):
+    """A square held around and along a line, with a cable over all that and one beside it."""
+    scene = ridged(comm)
+    cables = [
+        scene.lay_cable(Cable(EA=3200.0), path=path)
+        for path in (OBLIQUE, [(20.0, 0.0), (31.0, 100.0)])
+    ]
+    return Solver(scene), cables

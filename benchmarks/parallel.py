@@ -1,0 +1,243 @@
+"""Scaling of a load step over processes: time and its parts, memory, and what is sent.
+
+    ./run python benchmarks/parallel.py [UNKNOWNS] [CABLES] [PROCESSES ...]
+
+The roof of `demos/air_dome.py` with CABLES cables in each of its two families (0 to 14) is inflated
+to 0.3 kPa and then to 0.5 kPa; that second load step is what counts. For each number of processes
+(1 and 2 by default) it runs itself under mpirun. What is sent is counted by PETSc's own log, in
+stages of their own, after the load step. PETSc does not see the one sum over all ranks that an
+evaluation makes (`Potential.sum_up`): it is counted with its bytes beside the log's figures.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from pathlib import Path
+
+STAGES = ("an evaluation", "a solve with H0")
+ROUNDS = 20
+"""Evaluations and solves over which messages are counted."""
+
+
+class Clock:
+    """Time spent in functions, without that in other watched functions that they call."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = defaultdict(float)
+        self.calls: dict[str, int] = defaultdict(int)
+        self._inner = [0.0]
+
+    def watch(self, owner: type, method: str, part: str) -> None:
+        """Count the calls of a method as a part."""
+        function = getattr(owner, method)
+
+        @functools.wraps(function)
+        def timed(*args, **kwargs):
+            self._inner.append(0.0)
+            begin = time.perf_counter()
+            try:
+                return function(*args, **kwargs)
+            finally:
+                spent = time.perf_counter() - begin
+                self.seconds[part] += spent - self._inner.pop()
+                self.calls[part] += 1
+                self._inner[-1] += spent
+
+        setattr(owner, method, timed)
+
+
+def watched() -> Clock:
+    """A clock on the parts of a load step."""
+    from crms_fenicsx import (
+        dead_load,
+        equilibrium,
+        hessian,
+        loads,
+        membrane,
+        minimizer,
+        potential,
+        system,
+        unknowns,
+    )
+    from crms_fenicsx.cables import fold, penalty, tension, volume
+
+    clock = Clock()
+    plain = [membrane.MembraneEnergy, loads.FollowerPressure, dead_load.DeadLoad]
+    cables = [fold.FoldEnergy, penalty.KinkPenalty, tension.CableTension]
+    cables += [volume.FoldedFollowerPressure]
+    for part, terms in (("membrane", plain), ("cables", cables)):
+        for term in terms:
+            for method in ("sums", "add_gradient"):
+                clock.watch(term, method, f"{part}, energy and forces")
+    clock.watch(potential.Potential, "sum_up", "sum over the ranks")
+    clock.watch(unknowns.Unknowns, "update_ghosts", "ghosts")
+    clock.watch(unknowns.Unknowns, "add_ghosts", "ghosts")
+    clock.watch(hessian.InitialHessian, "_assemble", "H0: assembly")
+    clock.watch(hessian.InitialHessian, "rebuild", "H0: factorisation or multigrid")
+    clock.watch(hessian.InitialHessian, "_add_dyads", "H0: dyads of the cables")
+    clock.watch(hessian.InitialHessian, "solve", "H0: solves")
+    clock.watch(minimizer.Minimizer, "solve", "rest of the minimiser")
+    clock.watch(system.System, "rebuild", "tables of the cables")
+    clock.watch(equilibrium.EquilibriumSearch, "find", "paths and contacts")
+    return clock
+
+
+def roof(unknowns: float, cables: int):
+    """The inflated roof and its solver."""
+    import numpy as np
+    from mpi4py import MPI
+
+    from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+
+    radius, height, spacing = 100.0, 28.0, 8.5
+    sphere = (radius**2 + height**2) / (2 * height)
+
+    def great_circle(angle, offset):
+        along = np.array([np.cos(angle), np.sin(angle)])
+        across = np.array([-along[1], along[0]])
+        half = np.sqrt(radius**2 - offset**2)
+        ends = [offset * across + side * half * along for side in (-1, 1)]
+        start, end = (np.append(point, sphere - height) / sphere for point in ends)
+        turn = np.arccos(start @ end)
+        s = np.linspace(0.0, turn, 33)[:, None]
+        return sphere * (np.sin(turn - s) * start + np.sin(s) * end)[:, :2] / np.sin(turn)
+
+    area = np.pi * (radius**2 + height**2)
+    size = float(np.sqrt(2 / np.sqrt(3) * area * 3 / unknowns))
+    mesh = meshes.spherical_cap(MPI.COMM_WORLD, radius=radius, height=height, size=size)
+    scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
+    scene.fix("boundary")
+    for angle in np.radians([45.0, -45.0]):
+        for offset in spacing * (np.arange(cables) - (cables - 1) / 2):
+            scene.lay_cable(Cable(EA=600e3), path=great_circle(angle, offset))
+    return scene, Solver(scene)
+
+
+def repeat_in_stages(solver) -> None:
+    """Evaluate and solve with H0 some times, each in a stage of PETSc's log."""
+    from petsc4py import PETSc
+
+    potential, minimizer = solver.system.potential, solver.system.minimizer
+    X, G = potential.x_vector.copy(), potential.x_vector.duplicate()
+    potential.objective_gradient(None, X, G)
+    minimizer.h0.rebuild()
+    minimizer.h0.solve(G, X)
+    potential.x_vector.copy(X)
+    with _stage(PETSc, STAGES[0]):
+        for _ in range(ROUNDS):
+            potential.objective_gradient(None, X, G)
+    with _stage(PETSc, STAGES[1]):
+        for _ in range(ROUNDS):
+            minimizer.h0.solve(G, X)
+
+
+@contextlib.contextmanager
+def _stage(PETSc, name: str):
+    stage = PETSc.Log.Stage(name)
+    stage.push()
+    yield
+    stage.pop()
+
+
+def messages(log: str) -> dict[str, list[float]]:
+    """Messages, bytes and reductions of an evaluation and of a solve with H0, from the log."""
+    counts = {}
+    for name in STAGES:
+        line = next(line for line in log.splitlines() if f": {name}:" in " ".join(line.split()))
+        values = [v for v in line.rpartition(name + ":")[2].split() if not v.endswith("%")]
+        _, _, sent, length, reductions = map(float, values)
+        counts[name] = [sent / ROUNDS, sent * length / ROUNDS, reductions / ROUNDS]
+    return counts
+
+
+def work(unknowns: float, cables: int) -> None:
+    """One run: prints its figures on rank 0."""
+    from mpi4py import MPI
+
+    comm = MPI.COMM_WORLD
+    clock = watched()
+    begin = time.perf_counter()
+    scene, solver = roof(unknowns, cables)
+    made = time.perf_counter() - begin
+    first = solver.advance(pressure=0.3)
+    clock.seconds.clear()
+    comm.Barrier()
+    begin = time.perf_counter()
+    step = solver.advance(pressure=0.5)
+    spent = time.perf_counter() - begin
+    parts = dict(clock.seconds)
+    kilobytes = comm.allreduce(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+    sums = len(solver.system.potential._sums)
+    figures = {
+        "unknowns": 3 * solver.system.unknowns.n_global, "processes": comm.size,
+        "scene": made, "first step": first.seconds, "seconds": spent, "parts": parts,
+        "memory": kilobytes * 1024, "energy": scene.energy,
+        "tensions": [cable.tension for cable in scene.cables],
+        "iterations": step.outcome.iterations, "evaluations": step.outcome.evaluations,
+        "factorizations": step.outcome.factorizations, "solves": step.outcome.solves,
+        "first": [first.outcome.iterations, first.outcome.evaluations, first.outcome.solves],
+        "sum": 8 * sums,
+    }  # fmt: skip
+    repeat_in_stages(solver)
+    if comm.rank == 0:
+        print("FIGURES " + json.dumps(figures), flush=True)
+
+
+def main() -> None:
+    """Run for each number of processes, and print the tables."""
+    arguments = sys.argv[1:]
+    unknowns = arguments[0] if arguments else "1e5"
+    cables = arguments[1] if len(arguments) > 1 else "0"
+    processes = [int(p) for p in arguments[2:]] or [1, 2]
+    runs = []
+    for count in processes:
+        command = ["mpirun", "-n", str(count), sys.executable, __file__, "--work", unknowns, cables]
+        with tempfile.TemporaryDirectory() as folder:
+            log = Path(folder) / "petsc.log"
+            options = f"{os.environ.get('PETSC_OPTIONS', '')} -log_view :{log}"
+            environment = os.environ | {"PETSC_OPTIONS": options}
+            out = subprocess.run(command, capture_output=True, text=True, env=environment)
+            lines = [line for line in out.stdout.splitlines() if line.startswith("FIGURES ")]
+            if not lines:
+                sys.exit(out.stdout + out.stderr)
+            runs.append(json.loads(lines[0].removeprefix("FIGURES ")))
+            runs[-1]["messages"] = messages(log.read_text())
+    first = runs[0]
+    print(f"{first['unknowns']} unknowns, {2 * int(cables)} cables; second load step")
+    print("processes " + "".join(f"{run['processes']:>12}" for run in runs))
+    for name in ("scene", "first step", "seconds"):
+        print(f"{name:<34}" + "".join(f"{run[name]:12.2f}" for run in runs) + " s")
+    for part in first["parts"]:
+        own = [run["parts"].get(part, 0.0) for run in runs]
+        print(f"  {part:<32}" + "".join(f"{seconds:12.3f}" for seconds in own) + " s")
+    for name in ("iterations", "evaluations", "factorizations", "solves"):
+        print(f"{name:<34}" + "".join(f"{run[name]:12}" for run in runs))
+    memory = [run["memory"] for run in runs]
+    print(f"{'memory':<34}" + "".join(f"{m / 2**30:12.2f}" for m in memory) + " GiB")
+    each = [m / first["unknowns"] / 1e3 for m in memory]
+    print(f"{'memory per unknown':<34}" + "".join(f"{m:12.2f}" for m in each) + " kB")
+    for name in first["messages"]:
+        for k, what in enumerate(("messages", "bytes", "reductions")):
+            own = [run["messages"][name][k] for run in runs]
+            print(f"{name + ', ' + what:<34}" + "".join(f"{value:12.4g}" for value in own))
+    print(f"and for each evaluation a sum over the ranks of {first['sum']} bytes")
+    for run in runs[1:]:
+        print(f"{run['processes']} processes against {first['processes']}: energy differs by "
+              f"{abs(run['energy'] / first['energy'] - 1):.1e}, speed-up "
+              f"{first['seconds'] / run['seconds']:.2f}")  # fmt: skip
+
+
+if __name__ == "__main__":
+    if "--work" in sys.argv:
+        work(float(sys.argv[2]), int(sys.argv[3]))
+    else:
+        main()
