@@ -19,6 +19,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.output import join_pictures
 
 RESULTS = "results/air_dome"
 RADIUS, HEIGHT = 100.0, 28.0
@@ -50,12 +51,26 @@ for angle in np.radians([45.0, -45.0]):
     for offset in SPACING * (np.arange(CABLES) - (CABLES - 1) / 2):
         scene.lay_cable(Cable(EA=600e3), path=great_circle(angle, offset))
 
-solver.advance(pressure=CALM)
-solver.draw(f"{RESULTS}/calm.png", title="Inflated: 0.3 kPa", colour="stress", unit="m", force="kN")
-calm = np.array([cable.tension for cable in scene.cables])
-solver.advance(pressure=STORM)
-storm = np.array([cable.tension for cable in scene.cables])
-solver.draw(f"{RESULTS}/storm.png", title="Storm: 0.5 kPa", colour="stress", unit="m", force="kN")
+LOOK = {"colour": "stress", "unit": "m", "force": "kN", "view": (-110.0, 28.0), "width": 8.0}
+tensions = {}
+for name, pressure in (("calm", CALM), ("storm", STORM)):
+    solver.advance(pressure=pressure)
+    solver.draw(f"{RESULTS}/{name}.png", title=f"{name.title()}: {pressure} kPa inside", **LOOK)
+    tensions[name] = np.array([cable.tension for cable in scene.cables])
+
+rim = solver.reactions("boundary").total[2]
+ends = sum(end.reaction[2] for cable in scene.cables for end in (cable.start, cable.end))
+lift = STORM * np.pi * RADIUS**2
 if scene.comm.rank == 0:
-    print(f"tensions {calm.min():.0f} to {calm.max():.0f} kN, in the storm {storm.min():.0f} to "
-          f"{storm.max():.0f} kN; energy {scene.energy:.0f} kNm")  # fmt: skip
+    join_pictures(
+        f"{RESULTS}/both.png", [f"{RESULTS}/calm.png", f"{RESULTS}/storm.png"], upright=True
+    )
+    for name, forces in tensions.items():
+        print(f"{name:6} tensions from {forces.min():.0f} to {forces.max():.0f} kN")
+    print(f"the air lifts the roof with {lift / 1e3:.2f} MN; the cables hold {-ends / 1e3:.2f} MN")
+
+# All of the lift ends in the supports, but for what the rim's polygon lacks to a circle.
+np.testing.assert_allclose(rim + ends, -lift, rtol=2 * (size / RADIUS) ** 2 / 3)
+# Measured by this program with 1500, 3000 and 10000 unknowns: means of 294, 288 and 277 kN calm.
+np.testing.assert_allclose(tensions["calm"].mean(), 277.0, rtol=0.1)
+assert np.all(tensions["storm"] > 1.5 * tensions["calm"])
