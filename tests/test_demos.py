@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 
 from crms_fenicsx.output import History
 
@@ -26,10 +25,6 @@ PROMISED = {
 }
 """By demo: its pictures, the folders of its runs with their numbers of steps, and arguments that
 make it fast."""
-
-pytestmark = pytest.mark.skipif(
-    MPI.COMM_WORLD.size > 1, reason="starts processes, which MPI dislikes"
-)
 
 
 def test_every_demo_is_tested() -> None:

@@ -17,7 +17,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 from rigid_surfaces import KINDS, STIFF, SURFACES, Curve, band, curve, rigid, sphere
 
 from crms_fenicsx import Cable, Scene, Solver, meshes
@@ -275,7 +274,6 @@ def test_dragged_there_and_back(comm):
     assert max(step.halvings for step in solver.steps) == 0
 
 
-@pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="a rank cannot start another MPI program")
 def test_without_friction_nothing_of_it_is_loaded():
     """However it is said that there is none; and it takes the same work to the same result."""
     code = f"""

@@ -12,6 +12,7 @@ from mpi4py import MPI
 from crms_fenicsx.errors import InputError
 from crms_fenicsx.output import Line, Series, Surface
 
+pytestmark = pytest.mark.usefixtures("comm")
 COMM = MPI.COMM_WORLD
 
 

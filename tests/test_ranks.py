@@ -1,0 +1,16 @@
+"""Which tests run on several ranks: see conftest.py."""
+
+from pathlib import Path
+
+import pytest
+
+FILES = sorted(Path(__file__).parent.glob("test_*.py"))
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
+def test_all_ranks_come_from_the_fixture(file: Path) -> None:
+    """Who takes them otherwise says so; else the test would be skipped under mpirun."""
+    text = file.read_text()
+    name = "COMM_" + "WORLD"
+    if name in text:
+        assert 'pytestmark = pytest.mark.usefixtures("comm")' in text
