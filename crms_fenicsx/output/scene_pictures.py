@@ -118,7 +118,7 @@ def draw_scene(
     InputError
         On all ranks: an unknown colour or option, or a file that cannot be written.
     """
-    if colour is not None and colour not in COLOURS:
+    if colour is not None and colour not in list(COLOURS):
         raise InputError(
             f"draw: colour = {colour!r} is not known; use one of {list(COLOURS)} or None."
         )
@@ -139,6 +139,7 @@ def draw_scene(
         options.setdefault("line_label", _labelled("tension", force))
     if any(cable.lifted.any() for cable in scene.cables):
         options.setdefault("loose", "lifted")
+    lines = cable_lines(scene)
     cells = scene.V.dofmap.list[: scene.mesh.mesh.topology.index_map(2).size_local]
     parts = scene.comm.gather((surface, values, cells if ghost else cells[:0]))
     with raised_together(scene.comm):
@@ -152,7 +153,7 @@ def draw_scene(
                 filename,
                 np.concatenate([part.points for part, _, _ in parts]),
                 _numbered([part.triangles for part, _, _ in parts], starts),
-                cable_lines(scene),
+                lines,
                 values=None if colour is None else np.concatenate([part[1] for part in parts]),
                 hidden=_numbered([part.inner for part, _, _ in parts], starts),
                 unit=unit,
