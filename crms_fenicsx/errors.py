@@ -2,10 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import functools
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any, TypeVar, cast
 
 from mpi4py import MPI
+
+PATIENCE = 60.0
+"""Seconds for which a rank with an error waits for the others to have one as well."""
+FAILED = 30081
+"""Tag of the messages by which ranks tell each other that they have an error."""
+
+
+Method = TypeVar("Method", bound=Callable[..., Any])
 
 
 class InputError(ValueError):
@@ -63,3 +76,60 @@ def raised_together(comm: MPI.Intracomm) -> Iterator[None]:
             raise passed_on
     if error is not None:
         raise error
+
+
+def collective(method: Method) -> Method:
+    """Let no rank wait for ever in a method that another one has left with an error.
+
+    The errors of this package are raised on all ranks. A bug, a lack of memory or an interrupt may
+    strike one rank alone, while the others are in a reduction that it will never reach. So a rank
+    with an error waits for the others to have one too, for `PATIENCE` seconds, and if they do not
+    it prints its traceback and ends all ranks.
+
+    Parameters
+    ----------
+    method
+        Of an object with a communicator ``comm``; all ranks call it together.
+    """
+
+    @functools.wraps(method)
+    def guarded(self: Any, *args: Any, **kwargs: Any) -> Any:
+        try:
+            return method(self, *args, **kwargs)
+        except BaseException as error:
+            # A collective method that is called by another one has asked already.
+            if not getattr(error, "on_all_ranks", False):
+                if not _all_failed(self.comm):
+                    _end_all(self.comm, method.__qualname__)
+                error.on_all_ranks = True  # type: ignore[attr-defined]
+            raise
+
+    return cast(Method, guarded)
+
+
+def _all_failed(comm: MPI.Intracomm) -> bool:
+    """Whether all ranks come here before long."""
+    # Messages between two ranks, as a collective operation would meet those of the others.
+    others = [rank for rank in range(comm.size) if rank != comm.rank]
+    nothing: Any = [None, 0, MPI.BYTE]
+    requests = [comm.Isend(nothing, rank, FAILED) for rank in others]
+    requests += [comm.Irecv(nothing, rank, FAILED) for rank in others]
+    deadline, pause = time.monotonic() + PATIENCE, 1e-4
+    while not MPI.Request.Testall(requests):
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(pause)
+        pause = min(2 * pause, 0.1)
+    return True
+
+
+def _end_all(comm: MPI.Intracomm, where: str) -> None:
+    """Print the error that is being handled, and end all ranks."""
+    traceback.print_exc()
+    print(
+        f"{where}: this was raised on rank {comm.rank} of {comm.size}, and not on all ranks within "
+        f"{PATIENCE:g} seconds; all ranks are ended.",
+        file=sys.stderr,
+        flush=True,
+    )
+    comm.Abort(1)
