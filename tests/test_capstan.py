@@ -346,6 +346,20 @@ def test_stiffness_is_positive_semidefinite_and_has_few_dyads(comm, bound, eps) 
         np.testing.assert_allclose(np.sort(values), np.sort(EA / L0), rtol=1e-9)
 
 
+def test_segments_as_short_as_rounding_are_not_stiff(comm) -> None:
+    """At a held end a segment has no length, or what rounding makes of it; H0 is the same."""
+    f = on_mesh(gripped(comm, bound=1e4, eps=1e-3), "CapstanTension")
+    n = f.unknowns.n_owned
+    stiff = [
+        np.abs(dense(f.assembled(noise))).max()
+        for noise in (
+            np.zeros((n, 3)),
+            1e-13 * np.random.default_rng(comm.rank).normal(size=(n, 3)),
+        )
+    ]
+    assert stiff[1] < 1e4 * stiff[0]
+
+
 # the chain of slips
 
 

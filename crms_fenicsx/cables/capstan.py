@@ -37,6 +37,8 @@ from crms_fenicsx.unknowns import Unknowns
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 
+MOST_SHARE = 1e3
+"""Stiffness of a segment in H0, relative to that of its span."""
 MOST_DYADS = 8
 """Columns of H0 for one cable. Each costs a solve; parts of the cable beyond are taken stiffer."""
 
@@ -325,6 +327,8 @@ class CapstanTension:
             start += n * n
             if stiffness[span] == 0.0 or self._lengths[k] == 0.0:
                 continue
+            # of a span of several segments; at held ends some are as short as rounding makes them
+            share = min(sums[span] / self._lengths[k], MOST_SHARE)
             column, (a, b) = np.zeros((n, 3)), c.segments[k].tolist()
             way = X[b] + x[b] - X[a] - x[a]
             column[1] = way / max(float(np.linalg.norm(way)), abs(float(c.smoothing[k])))
@@ -335,7 +339,6 @@ class CapstanTension:
                     edge = self._gradients[c.pointers[row] : c.pointers[row + 1]]
                     column[at : at + len(edge)] = sign * stretch[span] * slope[row] * edge
                     at += len(edge)
-            share = sums[span] / self._lengths[k]  # of a span of several segments
             dyad = np.einsum("ai,bj->abij", column, column).reshape(n * n, 3, 3)
             values[:] = stiffness[span] * share * dyad
         self.links.add(A, self.unknowns)
