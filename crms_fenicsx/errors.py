@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import pickle
 import sys
 import time
 import traceback
@@ -65,9 +66,7 @@ def raised_together(comm: MPI.Intracomm) -> Iterator[None]:
     if failed == comm.size:
         return
     if comm.size > 1:
-        kind, text = comm.bcast(
-            (type(error), str(error)) if comm.rank == failed else None, root=failed
-        )
+        kind, text = comm.bcast(_kind_and_text(error) if comm.rank == failed else None, failed)
         if comm.rank != failed:
             try:
                 passed_on = kind(text)
@@ -76,6 +75,16 @@ def raised_together(comm: MPI.Intracomm) -> Iterator[None]:
             raise passed_on
     if error is not None:
         raise error
+
+
+def _kind_and_text(error: Exception | None) -> tuple[type[Exception], str]:
+    """What makes the same error on another rank."""
+    kind, text = type(error or RuntimeError()), str(error)
+    try:
+        pickle.dumps(kind)
+    except Exception:  # of a class that is known here only, as one inside of a function
+        return RuntimeError, f"{kind.__name__}: {text}"
+    return kind, text
 
 
 def collective(method: Method) -> Method:
@@ -99,16 +108,16 @@ def collective(method: Method) -> Method:
         except BaseException as error:
             # A collective method that is called by another one has asked already.
             if not getattr(error, "on_all_ranks", False):
-                if not _all_failed(self.comm):
-                    _end_all(self.comm, method.__qualname__)
+                if not all_failed(self.comm):
+                    end_all(self.comm, traceback.format_exc(), method.__qualname__)
                 error.on_all_ranks = True  # type: ignore[attr-defined]
             raise
 
     return cast(Method, guarded)
 
 
-def _all_failed(comm: MPI.Intracomm) -> bool:
-    """Whether all ranks come here before long."""
+def all_failed(comm: MPI.Intracomm) -> bool:
+    """Whether all ranks come here, because of an error, within `PATIENCE` seconds."""
     # Messages between two ranks, as a collective operation would meet those of the others.
     others = [rank for rank in range(comm.size) if rank != comm.rank]
     nothing: Any = [None, 0, MPI.BYTE]
@@ -123,12 +132,11 @@ def _all_failed(comm: MPI.Intracomm) -> bool:
     return True
 
 
-def _end_all(comm: MPI.Intracomm, where: str) -> None:
-    """Print the error that is being handled, and end all ranks."""
-    traceback.print_exc()
+def end_all(comm: MPI.Intracomm, error: str, where: str) -> None:
+    """Print an error that one rank alone has had somewhere, and end all ranks."""
     print(
-        f"{where}: this was raised on rank {comm.rank} of {comm.size}, and not on all ranks within "
-        f"{PATIENCE:g} seconds; all ranks are ended.",
+        f"{error}\n{where}: this was raised on rank {comm.rank} of {comm.size}, and not on all "
+        f"ranks within {PATIENCE:g} seconds; all ranks are ended.",
         file=sys.stderr,
         flush=True,
     )

@@ -1,7 +1,11 @@
 """Fixtures that all tests share, and the rule which tests run under mpirun."""
 
+from collections.abc import Iterator
+
 import pytest
 from mpi4py import MPI
+
+from crms_fenicsx import errors
 
 
 @pytest.fixture(scope="session")
@@ -17,3 +21,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         for item in items:
             if "comm" not in getattr(item, "fixturenames", ()):
                 item.add_marker(skip)
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
+    """A test that fails on one rank only ends all, as the others may wait in it for ever."""
+    outcome = yield
+    report = outcome.get_result()  # type: ignore[attr-defined]
+    if report.failed and not errors.all_failed(MPI.COMM_WORLD):
+        capture = item.config.pluginmanager.getplugin("capturemanager")
+        with capture.global_and_fixture_disabled():
+            errors.end_all(MPI.COMM_WORLD, report.longreprtext, item.nodeid)

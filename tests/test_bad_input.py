@@ -451,8 +451,17 @@ def test_warp_lies_in_the_surface(square, warp: Any, words: tuple[str, ...]) -> 
     refused(lambda: solver.advance(pressure=0.01), "warp", *words, scene=scene)
 
 
+class Nested:
+    class Error(Exception):
+        """Known by this name here only."""
+
+
+Nested.Error.__qualname__ = "elsewhere.<locals>.Error"
+
+
 @pytest.mark.parametrize(
-    "error", [IndexError("no row 7"), UnicodeDecodeError("utf-8", b"", 0, 1, "?")]
+    "error",
+    [IndexError("no row 7"), UnicodeDecodeError("utf-8", b"", 0, 1, "?"), Nested.Error("local")],
 )
 def test_an_error_on_one_rank_reaches_all(scene: Scene, error: Exception) -> None:
     """A marker function that fails on the last rank's vertices only."""

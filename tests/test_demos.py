@@ -17,7 +17,7 @@ PROMISED = {
     "friction_experiment": (
         ["smooth", "rough", "both", "along", "curves"],
         {"smooth": 15, "rough": 15},
-        ["8"],
+        ["10"],
     ),
     "inflated_square": (["inflated", "tightened", "both", "history"], {".": 10}, []),
     "single_element": (["up", "down", "sliding_nodes"], {"up": 6, "down": 6}, []),
