@@ -37,8 +37,6 @@ from crms_fenicsx.unknowns import Unknowns
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 
-MOST_SHARE = 1e3
-"""Stiffness of a segment in H0, relative to that of its span."""
 MOST_DYADS = 8
 """Columns of H0 for one cable. Each costs a solve; parts of the cable beyond are taken stiffer."""
 
@@ -325,10 +323,10 @@ class CapstanTension:
             values = self.links.values[start : start + n * n]
             values[:] = 0.0
             start += n * n
-            if stiffness[span] == 0.0 or self._lengths[k] == 0.0:
+            # An anchor on the held place next to it, up to rounding: there is no direction.
+            if stiffness[span] == 0.0 or self._lengths[k] <= -c.smoothing[k]:
                 continue
-            # of a span of several segments; at held ends some are as short as rounding makes them
-            share = min(sums[span] / self._lengths[k], MOST_SHARE)
+            share = sums[span] / self._lengths[k]  # of a span of several segments
             column, (a, b) = np.zeros((n, 3)), c.segments[k].tolist()
             way = X[b] + x[b] - X[a] - x[a]
             column[1] = way / max(float(np.linalg.norm(way)), abs(float(c.smoothing[k])))
