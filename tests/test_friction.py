@@ -47,7 +47,7 @@ def dragged(comm) -> Callable[..., Any]:
     """The paper's model 3: down by 10 cm, then sideways by 10 cm. Each choice is solved once."""
 
     @functools.cache
-    def solve(friction, steps: int = 4, structured: bool = False):
+    def solve(friction, steps: int = 2, structured: bool = False):
         scene = Scene(meshes.rectangle(comm, 100.0, 100.0, 10.0, structured=structured), MODEL_3)
         scene.fix("front")
         scene.fix("back")
@@ -69,13 +69,13 @@ def test_closed_cycle(comm) -> None:
     dissipation with each step's last forces: both are of first order in the steps.
     """
     errors = []
-    for steps in (4, 12):
+    for steps, ways in ((4, (6.0, -6.0, 6.0, -6.0)), (12, (6.0, -6.0))):
         scene, solver, cable = anchored(comm, 0.2, n=7)
         energy, work = scene.energy, 0.0
         force = cable.start.reaction + cable.end.reaction
         dissipated = [0.0]
         ends = []
-        for way in (6.0, -6.0, 6.0, -6.0):
+        for way in ways:
             for _ in range(steps):
                 solver.advance(move={cable: (0.0, way / steps, 0.0)})
                 new = cable.start.reaction + cable.end.reaction
@@ -84,12 +84,12 @@ def test_closed_cycle(comm) -> None:
                 dissipated.append(scene.dissipated)
             ends.append((cable.tension, scene.energy))
         assert np.all(np.diff(dissipated) >= 0.0)
-        assert dissipated[-1] > 50.0
+        assert dissipated[-1] > 20.0 * len(ways)
         gained = scene.energy - energy
         errors.append(abs(gained + scene.dissipated - work) / scene.dissipated)
-        # it does not come back to where it was, but the second round is as the first
+        # it does not come back to where it was, but a second round is as the first
         assert gained > 1.0
-        np.testing.assert_allclose(ends[3], ends[1], rtol=2e-4)
+        np.testing.assert_allclose(ends[-1], ends[1], rtol=2e-4)
     assert errors[0] < 0.1 and errors[1] < errors[0] / 2
 
 
@@ -107,7 +107,7 @@ def test_closed_cycle_without_friction(comm) -> None:
 def test_steps(dragged) -> None:
     """Model 3 hardly depends on the number of steps."""
     values = []
-    for steps in (4, 8, 16):
+    for steps in (2, 4, 8):
         solver, cable = dragged(0.7, steps=steps)
         values.append((cable.tension, place(cable, 50.0)[1], solver.scene.dissipated))
         assert np.all(np.diff(np.nan_to_num(solver.history["dissipated"])) >= 0.0)
@@ -282,7 +282,7 @@ def test_element_of_the_paper(comm, dragged) -> None:
     with first if comm.rank == 0 else nullcontext():
         dragged(Friction(0.7, law="step"), steps=2, structured=True)
     solver, literal = dragged(Friction(0.7, law="step"), steps=8, structured=True)
-    _, free = dragged(0.0, steps=8, structured=True)
+    _, free = dragged(0.0, structured=True)
     assert all(step.outcome.passes == 0 for step in solver.steps)
     assert place(literal, 50.0)[1] < place(free, 50.0)[1] - 1.0
     assert literal.tension > 1.1 * free.tension
