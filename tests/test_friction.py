@@ -156,7 +156,7 @@ def test_meshes_agree(comm) -> None:
     found = []
     for kind in ("structured", "unstructured", "rotated"):
         scene, solver, cable = anchored(comm, 0.3, n=13, kind=kind)
-        solver.advance(move={cable: (0.0, 10.0, 0.0)}, steps=4)
+        solver.advance(move={cable: (0.0, 10.0, 0.0)}, steps=2)
         found.append((cable.tension, *place(cable, 50.0)[1:], scene.dissipated))
     tension, y, z, dissipated = np.array(found).T
     assert np.ptp(tension) < 0.03 * tension[0]
@@ -180,10 +180,10 @@ def test_idle_steps(comm) -> None:
     scene, solver, cable = anchored(comm, 0.2)
     solver.advance(move={cable: (0.0, 6.0, 0.0)}, steps=3)
     before, tension, dissipated = cable.positions.copy(), cable.tension, scene.dissipated
-    for _ in range(10):
+    for _ in range(6):
         solver.advance()
     size = 100.0 / 9
-    assert np.abs(cable.positions - before).max() < 0.3 * 3e-3 * size
+    assert np.abs(cable.positions - before).max() < 0.2 * 3e-3 * size
     assert cable.tension == pytest.approx(tension, rel=1e-4)
     assert scene.dissipated - dissipated < 1e-3 * dissipated
 
@@ -219,7 +219,7 @@ def lattice_result(comm, x: np.ndarray, cells: np.ndarray, unit: float = 1.0) ->
     path = np.array([(-10.0, 30.0, -5.0), (110.0, 30.0, -5.0)]) * unit
     cable = scene.lay_cable(Cable(EA=32000.0 * unit, friction=0.2), path)
     solver.advance(L0={cable: 0.99 * cable.length})
-    solver.advance(move={cable: (0.0, 6.0 * unit, 0.0)}, steps=3)
+    solver.advance(move={cable: (0.0, 6.0 * unit, 0.0)}, steps=2)
     return [cable.tension / unit, scene.energy / unit**2, scene.dissipated / unit**2]
 
 
@@ -243,7 +243,7 @@ def test_ends_that_move_along_the_boundary_and_off_it(comm) -> None:
     cable = scene.lay_cable(Cable(EA=32000.0, friction=0.2), [(0.0, 30.0), (100.0, 30.0)])
     solver.advance(L0={cable: 100.0})
     for way in ((0.0, 10.0, 0.0), (0.0, 0.0, -1.0), (0.0, -10.0, 1.0)):
-        step = solver.advance(move={cable: way}, steps=3)
+        step = solver.advance(move={cable: way}, steps=2)
         assert step.halvings == 0
     assert cable.ends == ("held", "held")
     assert 29.6 < place(cable, 50.0)[1] < 30.6  # it lags behind; without friction 29.6
