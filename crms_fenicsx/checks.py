@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import math
 import operator
+import os
+import re
+import sys
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from mpi4py import MPI
 
 from crms_fenicsx.errors import InputError
 
 Array = npt.NDArray[np.float64]
+
+LONGEST = 200
+"""Letters of a value that a message quotes."""
 
 
 def finite(what: str, value: object) -> float:
@@ -34,6 +42,8 @@ def finite(what: str, value: object) -> float:
         number = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError):
         raise InputError(f"{what} = {value!r} is no number; give a finite one.") from None
+    except OverflowError:  # an integer of more than 300 digits
+        number = math.inf
     if not math.isfinite(number):
         raise InputError(f"{what} = {value!r} is not finite; give a finite number.")
     return number
@@ -62,8 +72,56 @@ def vector(what: str, value: object) -> Array:
     """Return three finite numbers, (3,); `what` and errors as for `finite`."""
     try:
         numbers = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         numbers = np.zeros(0)
     if numbers.shape != (3,) or not np.all(np.isfinite(numbers)):
         raise InputError(f"{what} = {value!r} must be three finite numbers (x, y, z).")
     return numbers
+
+
+def file(what: str, value: object) -> Path:
+    """Return the path of a file or folder; `what` and errors as for `finite`."""
+    if not isinstance(value, str | os.PathLike):
+        raise InputError(f"{what} = {value!r} is no path; give a text or a pathlib.Path.")
+    return Path(value)
+
+
+def same(comm: MPI.Intracomm, call: str, /, **arguments: object) -> None:
+    """Refuse arguments that differ between the ranks. Collective.
+
+    Parameters
+    ----------
+    comm
+        The ranks. They must all come here, so that this is the first of all checks.
+    call
+        What the arguments are given to, for the message.
+    **arguments
+        By name. Numbers must be the same to the last digit. Of functions, which may do on each rank
+        what is right there, only the names count.
+
+    Raises
+    ------
+    InputError
+        On all ranks, naming the first such argument and two of its values.
+    """
+    if comm.size == 1:
+        return
+    own = {name: _text(value) for name, value in arguments.items()}
+    first = comm.bcast(own)
+    names = {**first, **own}  # some ranks may leave out what others give
+    differing = next((name for name in names if own.get(name) != first.get(name)), None)
+    rank = comm.allreduce(comm.size if differing is None else comm.rank, op=MPI.MIN)
+    if rank == comm.size:
+        return
+    name, text = comm.bcast((differing, own.get(differing or "", "nothing")), root=rank)
+    other = first.get(name, "nothing")
+    raise InputError(
+        f"{call}: {name} = {other[:LONGEST]} on rank 0, but {text[:LONGEST]} on rank {rank}; "
+        "give the same on all ranks, as comm.bcast makes it."
+    )
+
+
+def _text(value: object) -> str:
+    """All digits of a value, without what differs between processes: addresses."""
+    with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
+        return re.sub(r" at 0x[0-9a-fA-F]+", "", repr(value))

@@ -2,10 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import functools
+import pickle
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any, TypeVar, cast
 
 from mpi4py import MPI
+
+PATIENCE = 60.0
+"""Seconds for which a rank with an error waits for the others to have one as well."""
+FAILED = 30081
+"""Tag of the messages by which ranks tell each other that they have an error."""
+
+
+Method = TypeVar("Method", bound=Callable[..., Any])
 
 
 class InputError(ValueError):
@@ -56,9 +70,7 @@ def raised_together(comm: MPI.Intracomm) -> Iterator[None]:
     if failed == comm.size:
         return
     if comm.size > 1:
-        kind, text = comm.bcast(
-            (type(error), str(error)) if comm.rank == failed else None, root=failed
-        )
+        kind, text = comm.bcast(_kind_and_text(error) if comm.rank == failed else None, failed)
         if comm.rank != failed:
             try:
                 passed_on = kind(text)
@@ -67,3 +79,69 @@ def raised_together(comm: MPI.Intracomm) -> Iterator[None]:
             raise passed_on
     if error is not None:
         raise error
+
+
+def _kind_and_text(error: Exception | None) -> tuple[type[Exception], str]:
+    """What makes the same error on another rank."""
+    kind, text = type(error or RuntimeError()), str(error)
+    try:
+        pickle.dumps(kind)
+    except Exception:  # of a class that is known here only, as one inside of a function
+        return RuntimeError, f"{kind.__name__}: {text}"
+    return kind, text
+
+
+def collective(method: Method) -> Method:
+    """Let no rank wait for ever in a method that another one has left with an error.
+
+    The errors of this package are raised on all ranks. A bug, a lack of memory or an interrupt may
+    strike one rank alone, while the others are in a reduction that it will never reach. So a rank
+    with an error waits for the others to have one too, for `PATIENCE` seconds, and if they do not
+    it prints its traceback and ends all ranks.
+
+    Parameters
+    ----------
+    method
+        Of an object with a communicator ``comm``; all ranks call it together.
+    """
+
+    @functools.wraps(method)
+    def guarded(self: Any, *args: Any, **kwargs: Any) -> Any:
+        try:
+            return method(self, *args, **kwargs)
+        except BaseException as error:
+            # A collective method that is called by another one has asked already.
+            if not getattr(error, "on_all_ranks", False):
+                if not all_failed(self.comm):
+                    end_all(self.comm, traceback.format_exc(), method.__qualname__)
+                error.on_all_ranks = True  # type: ignore[attr-defined]
+            raise
+
+    return cast(Method, guarded)
+
+
+def all_failed(comm: MPI.Intracomm) -> bool:
+    """Whether all ranks come here, because of an error, within `PATIENCE` seconds."""
+    # Messages between two ranks, as a collective operation would meet those of the others.
+    others = [rank for rank in range(comm.size) if rank != comm.rank]
+    nothing: Any = [None, 0, MPI.BYTE]
+    requests = [comm.Isend(nothing, rank, FAILED) for rank in others]
+    requests += [comm.Irecv(nothing, rank, FAILED) for rank in others]
+    deadline, pause = time.monotonic() + PATIENCE, 1e-4
+    while not MPI.Request.Testall(requests):
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(pause)
+        pause = min(2 * pause, 0.1)
+    return True
+
+
+def end_all(comm: MPI.Intracomm, error: str, where: str) -> None:
+    """Print an error that one rank alone has had somewhere, and end all ranks."""
+    print(
+        f"{error}\n{where}: this was raised on rank {comm.rank} of {comm.size}, and not on all "
+        f"ranks within {PATIENCE:g} seconds; all ranks are ended.",
+        file=sys.stderr,
+        flush=True,
+    )
+    comm.Abort(1)

@@ -87,7 +87,7 @@ class Membrane(ABC):
         owner = type(self).__name__
         try:
             values = np.atleast_1d(np.asarray(self.prestress, dtype=float))
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             values = np.full(1, np.nan)
         if values.shape not in [(1,), (2,)] or not np.all(np.isfinite(values)):
             raise InputError(

@@ -13,7 +13,7 @@ from dolfinx import fem
 from dolfinx.mesh import MeshTags, meshtags
 
 from crms_fenicsx import checks
-from crms_fenicsx.errors import InputError, PenaltyWarning, raised_together
+from crms_fenicsx.errors import InputError, PenaltyWarning, collective, raised_together
 from crms_fenicsx.materials import LINEAR, Membrane
 from crms_fenicsx.membrane import area_vectors
 from crms_fenicsx.meshes import MembraneMesh
@@ -86,6 +86,15 @@ class Scene:
                 f"Scene: mesh is of type {type(mesh).__name__}; give a MembraneMesh, as the "
                 "functions of crms_fenicsx.meshes return."
             )
+        checks.same(
+            mesh.comm,
+            "Scene",
+            material=material,
+            strain=strain,
+            pressure=pressure,
+            penalty=penalty,
+            literal_penalty=literal_penalty,
+        )
         for name, value in (("strain", strain), ("pressure", pressure)):
             if value not in ("total", "step"):
                 raise InputError(f"Scene: {name} = {value!r} is not known; use 'total' or 'step'.")
@@ -217,6 +226,7 @@ class Scene:
                 stacklevel=3,
             )
 
+    @collective
     def vertices(self, where: str | Marker) -> npt.NDArray[np.int32]:
         """Local degrees of freedom of the vertices of a named group or marked by a function.
 
@@ -231,6 +241,7 @@ class Scene:
         InputError
             No such group, or no vertex is marked.
         """
+        checks.same(self.comm, "vertices", where=where)
         mesh = self.mesh
         dofs: npt.NDArray[np.int32] = np.zeros(0, dtype=np.int32)
         with raised_together(self.comm):
@@ -263,6 +274,7 @@ class Scene:
             raise InputError(f"vertices: {what} marks no vertex of the membrane; mark one or more.")
         return dofs
 
+    @collective
     def fix(self, where: str | Marker, directions: str = "xyz") -> None:
         """Hold vertices at their current displacement.
 
@@ -282,7 +294,8 @@ class Scene:
         InputError
             No such vertices or directions, or edges that cables have been laid over already.
         """
-        if not directions or set(directions) - set(COMPONENTS):
+        checks.same(self.comm, "fix", where=where, directions=directions)
+        if not isinstance(directions, str) or not directions or set(directions) - set(COMPONENTS):
             raise InputError(
                 f"fix: directions = {directions!r} must be made of the letters x, y and z."
             )
@@ -301,6 +314,7 @@ class Scene:
         self.held_edges[edges] = True
         self.changes += 1
 
+    @collective
     def floor(self, z: float = 0.0) -> None:
         """Put a rigid, frictionless floor at height z: no vertex or fold point goes below it.
 
@@ -309,6 +323,7 @@ class Scene:
         InputError
             If the membrane is below it now.
         """
+        checks.same(self.comm, "floor", z=z)
         z = checks.finite("floor: z", z)
         self.check_finite("floor")
         heights = self.positions()[:, 2]
@@ -321,6 +336,7 @@ class Scene:
         self.floor_level = z
         self.changes += 1
 
+    @collective
     def put_load(self, force: Traction) -> None:
         """Put a dead load on the membrane's current shape; `Solver.advance` brings it on.
 
@@ -344,6 +360,7 @@ class Scene:
         """
         from crms_fenicsx.dead_load import dead_forces
 
+        checks.same(self.comm, "put_load", force=force)
         self.check_finite("put_load")
         self.dead_forces = dead_forces(self, force)
         self.changes += 1
@@ -362,6 +379,7 @@ class Scene:
         names = ", ".join(repr(cable.name) for cable in self.cables) or "none"
         raise InputError(f"cable: there is no cable {name!r}; there are {names}.")
 
+    @collective
     def lay_cable(
         self,
         cable: Cable,
@@ -419,6 +437,8 @@ class Scene:
         """
         from crms_fenicsx.cables.laying import lay
 
+        given = {"L0": L0, "tension": tension, "sleeve": sleeve, "level": level, "name": name}
+        checks.same(self.comm, "lay_cable", cable=cable, path=path, **given)
         self.check_finite("lay_cable")
         level = checks.whole("lay_cable: level", level, 0)
         laid = lay(self, cable, path, L0=L0, tension=tension, sleeve=sleeve, level=level, name=name)

@@ -16,7 +16,13 @@ from mpi4py import MPI
 
 from crms_fenicsx import checks
 from crms_fenicsx.equilibrium import EquilibriumSearch
-from crms_fenicsx.errors import ConvergenceError, FrictionWarning, InputError, PathWarning
+from crms_fenicsx.errors import (
+    ConvergenceError,
+    FrictionWarning,
+    InputError,
+    PathWarning,
+    collective,
+)
 from crms_fenicsx.loading import Target, checked_target
 from crms_fenicsx.minimizer import Outcome
 from crms_fenicsx.output.recorder import Recorder
@@ -108,6 +114,16 @@ class Solver:
     ) -> None:
         if not isinstance(scene, Scene):
             raise InputError(f"Solver: scene is of type {type(scene).__name__}; give a Scene.")
+        checks.same(
+            scene.comm,
+            "Solver",
+            results=results,
+            prefix=prefix,
+            rtol=rtol,
+            max_halvings=max_halvings,
+            slide=slide,
+            polish=polish,
+        )
         if not 0 < checks.finite("Solver: rtol", rtol) < 1:
             raise InputError(f"Solver: rtol = {rtol} must lie between 0 and 1, as 1e-9 does.")
         if not isinstance(prefix, str) or prefix.startswith("-"):
@@ -115,7 +131,10 @@ class Solver:
                 f"Solver: prefix = {prefix!r} is no options prefix; give a text without the "
                 'leading hyphen, as in "crms_".'
             )
-        self.scene, self.prefix, self.rtol = scene, prefix, float(rtol)
+        if results is not None:
+            results = checks.file("Solver: results", results)
+        self.scene, self.comm = scene, scene.comm
+        self.prefix, self.rtol = prefix, float(rtol)
         self.max_halvings = checks.whole("Solver: max_halvings", max_halvings, 0)
         self.slide, self.polish = bool(slide), bool(polish)
         self.steps: list[Step] = []
@@ -148,6 +167,7 @@ class Solver:
         """A row of numbers for each accepted step; `Recorder` says which."""
         return self._recorder.history
 
+    @collective
     def results(self) -> MembraneResults:
         """Stresses, strains and state of the membrane's cells in the current state. Collective.
 
@@ -160,6 +180,7 @@ class Solver:
 
         return membrane_results(self.system)
 
+    @collective
     def reactions(self, where: str | Marker) -> Reactions:
         """Forces that supports exert on the membrane, in the current state. Collective.
 
@@ -184,6 +205,7 @@ class Solver:
 
         return reactions(self.system, where)
 
+    @collective
     def contact_forces(self, cable: LaidCable) -> ContactForces:
         """Forces of a cable on the membrane at its points, in the current state. Collective.
 
@@ -205,10 +227,12 @@ class Solver:
         from crms_fenicsx.cables.contact_force import contact_forces
         from crms_fenicsx.cables.strip import StripShape
 
+        checks.same(self.comm, "contact_forces", cable=cable)
         if not any(cable is own for own in self.scene.cables):
             raise InputError(f"contact_forces: {cable!r} is not a cable of this scene.")
         return contact_forces(cable, StripShape.of(self.scene))
 
+    @collective
     def draw(self, filename: str | FilePath, *, colour: str | None = None, **options: Any) -> None:
         """Draw the scene as it is, and say or colour the cables' tensions. Collective.
 
@@ -237,8 +261,11 @@ class Solver:
         """
         from crms_fenicsx.output.scene_pictures import draw_scene
 
+        checks.same(self.comm, "draw", filename=filename, colour=colour, **options)
+        filename = checks.file("draw: filename", filename)
         draw_scene(self.system, filename, colour=colour, **options)
 
+    @collective
     def draw_paths(
         self,
         filename: str | FilePath,
@@ -272,8 +299,11 @@ class Solver:
         """
         from crms_fenicsx.output.scene_pictures import draw_scene_paths
 
+        checks.same(self.comm, "draw_paths", filename=filename, **options)
+        filename = checks.file("draw_paths: filename", filename)
         draw_scene_paths(self.scene, filename, lines, paths, **options)
 
+    @collective
     def draw_history(
         self,
         filename: str | FilePath,
@@ -299,8 +329,11 @@ class Solver:
         """
         from crms_fenicsx.output.scene_pictures import draw_scene_history
 
+        checks.same(self.comm, "draw_history", filename=filename, panels=panels, **options)
+        filename = checks.file("draw_history: filename", filename)
         draw_scene_history(self.history, filename, panels, **options)
 
+    @collective
     def advance(
         self,
         *,
@@ -346,6 +379,9 @@ class Solver:
         from crms_fenicsx.progress import progress
 
         scene = self.scene
+        checks.same(
+            self.comm, "advance", pressure=pressure, move=move, L0=L0, load=load, steps=steps
+        )
         checks.whole("advance: steps", steps, 1)
         target = checked_target(
             scene, pressure, {} if move is None else move, {} if L0 is None else L0, load
@@ -507,7 +543,7 @@ class Solver:
                     f"it back and given {gained - cable.grip.dissipated:.3g} of work, as their "
                     'force does not know of sticking; use Friction(law="coulomb") or more steps.',
                     FrictionWarning,
-                    stacklevel=3,
+                    stacklevel=4,
                 )
 
     def _warn_of_blocked(self) -> None:
@@ -521,5 +557,5 @@ class Solver:
                     f"mesh vertices, the first at {place}; it cannot slide on into other cells, so "
                     "that the result is that of a cable blocked there.",
                     PathWarning,
-                    stacklevel=3,
+                    stacklevel=4,
                 )

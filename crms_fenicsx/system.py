@@ -402,7 +402,12 @@ class System:
         """Minimise the potential from the state pulled; see `Minimizer.solve`."""
         assert self.minimizer is not None
         self.potential.begin_step()
-        return self.minimizer.solve(h0_prestress, interrupt)
+        try:
+            return self.minimizer.solve(h0_prestress, interrupt)
+        except PETSc.Error as error:
+            if error.__cause__ is not None:  # an error in a callback, or an interrupt
+                raise error.__cause__ from None
+            raise
 
     def caught_nodes(self, limit: float) -> set[Member]:
         """Fold points at which a folded edge has a kink of more than a limit (rad).

@@ -206,8 +206,7 @@ def test_strip_holds_all_that_a_steep_leg_needs():
         assert_part_is_enough(ids, points, cells, mask, route)
 
 
-def test_anchors_over_a_mesh_divided_among_ranks():
-    comm = MPI.COMM_WORLD
+def test_anchors_over_a_mesh_divided_among_ranks(comm):
     points, cells = cap(1.2)
     ids = np.arange(len(points))
     route = np.array([[-4.0, 1.0, 14.0], [1.0, -0.3, 10.0], [8.0, 4.0, 9.5]])

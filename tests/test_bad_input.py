@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 
 from crms_fenicsx import (
     Cable,
@@ -32,8 +31,8 @@ ACROSS = [(0.0, 47.0), (100.0, 52.0)]
 
 
 @pytest.fixture(scope="module")
-def square():
-    return meshes.rectangle(MPI.COMM_WORLD, 100.0, 100.0, 25.0, structured=True)
+def square(comm):
+    return meshes.rectangle(comm, 100.0, 100.0, 25.0, structured=True)
 
 
 @pytest.fixture
@@ -367,12 +366,12 @@ def test_solver_takes_a_scene(square) -> None:
     refused(lambda: Solver(square), "MembraneMesh", "Scene")
 
 
-def two_parts() -> meshes.MembraneMesh:
+def two_parts(comm) -> meshes.MembraneMesh:
     """A square of four cells; the parts "left" and "right" share none, "all" has all."""
     points = [(0, 0), (1, 0), (1, 1), (0, 1), (0.5, 0.5)]
     cells = [(0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)]
     parts = {"left": [2, 3], "right": [0, 1], "all": [0, 1, 2, 3]}
-    return meshes.from_arrays(MPI.COMM_WORLD, points, cells, parts=parts)
+    return meshes.from_arrays(comm, points, cells, parts=parts)
 
 
 @pytest.mark.parametrize(
@@ -387,8 +386,8 @@ def two_parts() -> meshes.MembraneMesh:
         ({"left": MATERIAL, "all": MATERIAL}, ("'all'", "shares cells", "one material")),
     ],
 )
-def test_materials_of_parts(material: Any, words: tuple[str, ...]) -> None:
-    refused(lambda: Scene(two_parts(), material), "Scene", *words)
+def test_materials_of_parts(comm, material: Any, words: tuple[str, ...]) -> None:
+    refused(lambda: Scene(two_parts(comm), material), "Scene", *words)
 
 
 def test_scene_takes_a_mesh_with_groups(square) -> None:
@@ -452,8 +451,17 @@ def test_warp_lies_in_the_surface(square, warp: Any, words: tuple[str, ...]) -> 
     refused(lambda: solver.advance(pressure=0.01), "warp", *words, scene=scene)
 
 
+class Nested:
+    class Error(Exception):
+        """Known by this name here only."""
+
+
+Nested.Error.__qualname__ = "elsewhere.<locals>.Error"
+
+
 @pytest.mark.parametrize(
-    "error", [IndexError("no row 7"), UnicodeDecodeError("utf-8", b"", 0, 1, "?")]
+    "error",
+    [IndexError("no row 7"), UnicodeDecodeError("utf-8", b"", 0, 1, "?"), Nested.Error("local")],
 )
 def test_an_error_on_one_rank_reaches_all(scene: Scene, error: Exception) -> None:
     """A marker function that fails on the last rank's vertices only."""

@@ -129,6 +129,7 @@ def rotation(seed: int) -> Array:
     return np.asarray(q * np.sign(np.linalg.det(q)))
 
 
+pytestmark = pytest.mark.usefixtures("comm")
 VARIANTS = {
     "mirrored": Variant(turn=np.diag([1.0, -1.0, 1.0])),
     "mirrored upside down": Variant(turn=np.diag([1.0, 1.0, -1.0])),

@@ -105,19 +105,19 @@ def test_rope_sticks_beyond_the_slip_front_and_reverses(comm, jitter: float) -> 
 def test_cycles_dissipate_the_same_and_the_balance_closes(comm) -> None:
     """The trapezoidal rule's error of the work falls with the square of the steps."""
     gaps = []
-    for steps in (4, 8):
+    for steps, rounds in ((4, 3), (8, 2)):
         scene, rope = roped(comm, 20, 0.3, tension=5.0)
         solver = Solver(scene)
         solver.advance()
         start, losses, work = scene.energy, [0.0], 0.0
-        for _ in range(3):
+        for _ in range(rounds):
             for by in (0.012, -0.012):
                 before = scene.dissipated
                 work += pull(solver, rope, by, steps)
                 assert scene.dissipated > before
             losses.append(scene.dissipated)
-        second, third = np.diff(losses)[1:]
-        assert third == pytest.approx(second, rel=2e-3)
+        if rounds == 3:
+            assert losses[3] - losses[2] == pytest.approx(losses[2] - losses[1], rel=2e-3)
         gaps.append((work - (scene.energy - start) - scene.dissipated) / scene.dissipated)
     assert abs(gaps[1]) < 0.03
     assert abs(gaps[1]) < 0.35 * abs(gaps[0])
@@ -344,6 +344,14 @@ def test_stiffness_is_positive_semidefinite_and_has_few_dyads(comm, bound, eps) 
     if bound == 1e-3:  # all slides, each cable as one
         EA, L0 = term.chains.EA, term.L0
         np.testing.assert_allclose(np.sort(values), np.sort(EA / L0), rtol=1e-9)
+
+
+def test_segments_as_short_as_rounding_are_not_stiff(comm) -> None:
+    """At a held end a segment has no length, or what rounding makes of it; H0 is the same."""
+    f = on_mesh(gripped(comm, bound=1e4, eps=1e-3), "CapstanTension")
+    noise = np.random.default_rng(comm.rank).normal(size=(f.unknowns.n_owned, 3))
+    exact, rounded = (np.abs(dense(f.assembled(size * noise))).max() for size in (0.0, 1e-13))
+    assert rounded < 1e4 * exact
 
 
 # the chain of slips

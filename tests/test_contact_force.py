@@ -23,7 +23,6 @@ from crms_fenicsx.cables.contact_force import (
 from crms_fenicsx.cables.path import EdgePoint
 from crms_fenicsx.cables.strip import StripShape
 
-pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.rank > 0, reason="no communication in it")
 COMM = MPI.COMM_SELF
 T = 3.0
 

@@ -427,8 +427,8 @@ def crossed_square(
 
 
 @pytest.fixture(scope="module")
-def square() -> tuple[Scene, list[LaidCable], Solver]:
-    return crossed_square(MPI.COMM_WORLD)
+def square(comm: MPI.Intracomm) -> tuple[Scene, list[LaidCable], Solver]:
+    return crossed_square(comm)
 
 
 def test_crossing_cables_share_a_point_in_equilibrium(square) -> None:
@@ -486,9 +486,9 @@ def test_the_material_curve_is_on_the_stress_free_membrane(square) -> None:
     assert seen >= {"anchor", "rider", "fold", "crossing"}
 
 
-def test_beside_a_lifted_point_a_crossing_is_where_the_other_cable_has_it() -> None:
+def test_beside_a_lifted_point_a_crossing_is_where_the_other_cable_has_it(comm) -> None:
     """Its own cell point is old, and where neither cable has it, it is off the membrane."""
-    _, cables, solver = crossed_square(MPI.COMM_WORLD)
+    _, cables, solver = crossed_square(comm)
     system = solver.system
     places = []
     for cable in cables[::-1]:
@@ -507,10 +507,10 @@ def test_beside_a_lifted_point_a_crossing_is_where_the_other_cable_has_it() -> N
     assert np.isnan(upper.material[k]).all() and np.isnan(lower.material[m]).all()
 
 
-def test_the_looser_one_on_top_parts_from_the_other(square) -> None:
+def test_the_looser_one_on_top_parts_from_the_other(comm, square) -> None:
     """It is not pressed down any more, which the lower one cannot do."""
     scene, *_ = square
-    other, cables, _ = crossed_square(MPI.COMM_WORLD, first=1)
+    other, cables, _ = crossed_square(comm, first=1)
     (crossing,) = other.crossings
     assert crossing.apart and (crossing.lower, crossing.upper) == (1, 0)
     assert all("x" not in kinds(cable) for cable in cables)
@@ -523,15 +523,15 @@ def test_the_looser_one_on_top_parts_from_the_other(square) -> None:
     assert heights[0] > heights[1] + 0.1
 
 
-def test_which_lies_on_top_does_not_matter_while_both_press_on_the_membrane() -> None:
-    found = [crossed_square(MPI.COMM_WORLD, 0.99, first=level)[0] for level in (0, 1)]
+def test_which_lies_on_top_does_not_matter_while_both_press_on_the_membrane(comm) -> None:
+    found = [crossed_square(comm, 0.99, first=level)[0] for level in (0, 1)]
     assert [(k.lower, k.upper) for s in found for k in s.crossings] == [(0, 1), (1, 0)]
     assert found[0].energy == pytest.approx(found[1].energy, rel=1e-9)
 
 
-def test_all_pairs_of_many_cables_are_found() -> None:
+def test_all_pairs_of_many_cables_are_found(comm) -> None:
     """A net of three by two, laid at once."""
-    scene = Scene(meshes.rectangle(MPI.COMM_WORLD, 100.0, 100.0, 20.0), ISOTROPIC)
+    scene = Scene(meshes.rectangle(comm, 100.0, 100.0, 20.0), ISOTROPIC)
     scene.fix("boundary")
     for y in (22.0, 51.0, 77.0):
         scene.lay_cable(Cable(32000.0), [(0.0, y), (100.0, y + 3.0)], tension=10.0)

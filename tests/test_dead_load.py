@@ -22,8 +22,6 @@ from crms_fenicsx.dead_load import DeadLoad, dead_forces
 from crms_fenicsx.minimizer import Minimizer, Outcome
 from crms_fenicsx.unknowns import Unknowns
 
-COMM = MPI.COMM_WORLD
-
 
 def lifted_scene(comm):
     scene = Scene(irregular_square(comm, 20.0), ISOTROPIC)

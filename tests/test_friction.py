@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from contextlib import nullcontext
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,19 +42,24 @@ def anchored(comm, friction, n: int = 9, kind: str = "unstructured"):
     return scene, solver, cable
 
 
-def dragged(comm, friction, size: float = 10.0, steps: int = 4, structured: bool = False):
-    """The paper's model 3: down by 10 cm, then sideways by 10 cm."""
-    mesh = meshes.rectangle(comm, 100.0, 100.0, size, structured=structured)
-    scene = Scene(mesh, MODEL_3)
-    scene.fix("front")
-    scene.fix("back")
-    cable = scene.lay_cable(
-        Cable(EA=47638.0, friction=friction), [(-10.0, 50.0, 0.0), (110.0, 50.0, 0.0)]
-    )
-    solver = Solver(scene)
-    solver.advance(move={cable: (0.0, 0.0, -10.0)}, steps=2)
-    solver.advance(move={cable: (0.0, 10.0, 0.0)}, steps=steps)
-    return solver, cable
+@pytest.fixture(scope="module")
+def dragged(comm) -> Callable[..., Any]:
+    """The paper's model 3: down by 10 cm, then sideways by 10 cm. Each choice is solved once."""
+
+    @functools.cache
+    def solve(friction, steps: int = 2, structured: bool = False):
+        scene = Scene(meshes.rectangle(comm, 100.0, 100.0, 10.0, structured=structured), MODEL_3)
+        scene.fix("front")
+        scene.fix("back")
+        cable = scene.lay_cable(
+            Cable(EA=47638.0, friction=friction), [(-10.0, 50.0, 0.0), (110.0, 50.0, 0.0)]
+        )
+        solver = Solver(scene)
+        solver.advance(move={cable: (0.0, 0.0, -10.0)}, steps=2)
+        solver.advance(move={cable: (0.0, 10.0, 0.0)}, steps=steps)
+        return solver, cable
+
+    return solve
 
 
 def test_closed_cycle(comm) -> None:
@@ -61,13 +69,13 @@ def test_closed_cycle(comm) -> None:
     dissipation with each step's last forces: both are of first order in the steps.
     """
     errors = []
-    for steps in (4, 12):
-        scene, solver, cable = anchored(comm, 0.2)
+    for steps, ways in ((4, (6.0, -6.0, 6.0, -6.0)), (12, (6.0, -6.0))):
+        scene, solver, cable = anchored(comm, 0.2, n=7)
         energy, work = scene.energy, 0.0
         force = cable.start.reaction + cable.end.reaction
         dissipated = [0.0]
         ends = []
-        for way in (6.0, -6.0, 6.0, -6.0):
+        for way in ways:
             for _ in range(steps):
                 solver.advance(move={cable: (0.0, way / steps, 0.0)})
                 new = cable.start.reaction + cable.end.reaction
@@ -76,12 +84,12 @@ def test_closed_cycle(comm) -> None:
                 dissipated.append(scene.dissipated)
             ends.append((cable.tension, scene.energy))
         assert np.all(np.diff(dissipated) >= 0.0)
-        assert dissipated[-1] > 50.0
+        assert dissipated[-1] > 20.0 * len(ways)
         gained = scene.energy - energy
         errors.append(abs(gained + scene.dissipated - work) / scene.dissipated)
-        # it does not come back to where it was, but the second round is as the first
+        # it does not come back to where it was, but a second round is as the first
         assert gained > 1.0
-        np.testing.assert_allclose(ends[3], ends[1], rtol=2e-4)
+        np.testing.assert_allclose(ends[-1], ends[1], rtol=2e-4)
     assert errors[0] < 0.1 and errors[1] < errors[0] / 2
 
 
@@ -96,11 +104,11 @@ def test_closed_cycle_without_friction(comm) -> None:
     assert "dissipated" not in solver.history.columns
 
 
-def test_steps(comm) -> None:
+def test_steps(dragged) -> None:
     """Model 3 hardly depends on the number of steps."""
     values = []
-    for steps in (4, 8, 16):
-        solver, cable = dragged(comm, 0.7, steps=steps)
+    for steps in (2, 4, 8):
+        solver, cable = dragged(0.7, steps=steps)
         values.append((cable.tension, place(cable, 50.0)[1], solver.scene.dissipated))
         assert np.all(np.diff(np.nan_to_num(solver.history["dissipated"])) >= 0.0)
     tension, y, dissipated = np.array(values).T
@@ -110,21 +118,21 @@ def test_steps(comm) -> None:
     assert abs(dissipated[2] - dissipated[1]) < abs(dissipated[1] - dissipated[0])
 
 
-def test_slip_tolerance_has_a_plateau(comm) -> None:
+def test_slip_tolerance_has_a_plateau(dragged) -> None:
     tensions, ways = [], []
-    for tolerance in (1e-5, 1e-4, 1e-3, 1e-2):
-        _, cable = dragged(comm, Friction(0.7, tolerance=tolerance))
+    for tolerance in (1e-5, 1e-3, 1e-2):
+        _, cable = dragged(Friction(0.7, tolerance=tolerance))
         tensions.append(cable.tension)
         ways.append(place(cable, 50.0)[1])
     assert np.ptp(tensions) < 1e-3 * tensions[0]
     assert np.ptp(ways) < 0.02
 
 
-def test_friction_holds_back(comm) -> None:
+def test_friction_holds_back(dragged) -> None:
     """The more friction, the less the cable slides and the tighter it gets; a lot holds it."""
     ways, tensions = [], []
     for mu in (0.0, 0.3, 0.7, 5.0):
-        _, cable = dragged(comm, mu)
+        _, cable = dragged(mu)
         fabric = cable.material[np.isfinite(cable.material[:, 0])]
         order = np.argsort(fabric[:, 0])
         ways.append(float(np.interp(50.0, *fabric[order, :2].T)))
@@ -135,10 +143,10 @@ def test_friction_holds_back(comm) -> None:
     assert tensions == sorted(tensions)
 
 
-def test_cable_along_mesh_lines_leaves_them(comm) -> None:
+def test_cable_along_mesh_lines_leaves_them(dragged) -> None:
     """It begins on the mesh's vertices, and slides as one that lies anywhere."""
-    _, along = dragged(comm, 0.7, structured=True)
-    _, anywhere = dragged(comm, 0.7)
+    _, along = dragged(0.7, structured=True)
+    _, anywhere = dragged(0.7)
     assert along.tension == pytest.approx(anywhere.tension, rel=0.01)
     assert place(along, 50.0)[1] == pytest.approx(place(anywhere, 50.0)[1], abs=0.1)
 
@@ -148,7 +156,7 @@ def test_meshes_agree(comm) -> None:
     found = []
     for kind in ("structured", "unstructured", "rotated"):
         scene, solver, cable = anchored(comm, 0.3, n=13, kind=kind)
-        solver.advance(move={cable: (0.0, 10.0, 0.0)}, steps=4)
+        solver.advance(move={cable: (0.0, 10.0, 0.0)}, steps=2)
         found.append((cable.tension, *place(cable, 50.0)[1:], scene.dissipated))
     tension, y, z, dissipated = np.array(found).T
     assert np.ptp(tension) < 0.03 * tension[0]
@@ -172,10 +180,10 @@ def test_idle_steps(comm) -> None:
     scene, solver, cable = anchored(comm, 0.2)
     solver.advance(move={cable: (0.0, 6.0, 0.0)}, steps=3)
     before, tension, dissipated = cable.positions.copy(), cable.tension, scene.dissipated
-    for _ in range(10):
+    for _ in range(6):
         solver.advance()
     size = 100.0 / 9
-    assert np.abs(cable.positions - before).max() < 0.3 * 3e-3 * size
+    assert np.abs(cable.positions - before).max() < 0.2 * 3e-3 * size
     assert cable.tension == pytest.approx(tension, rel=1e-4)
     assert scene.dissipated - dissipated < 1e-3 * dissipated
 
@@ -201,42 +209,41 @@ def test_crossing_cables(comm) -> None:
     assert np.abs(np.array(found[2]) / found[0] - 1).max() < 0.2
 
 
-@pytest.mark.parametrize("change", ["mirrored", "renumbered", "in other units"])
-def test_invariance(comm, change: str) -> None:
+def lattice_result(comm, x: np.ndarray, cells: np.ndarray, unit: float = 1.0) -> list[float]:
+    """Tension and energies of a cable dragged over a lattice, units of force and length smaller."""
+    mesh = meshes.from_arrays(comm, x * unit, cells)
+    scene = Scene(mesh, IsotropicMembrane(E=300.0 / unit, nu=0.25, thickness=0.08 * unit))
+    scene.fix("boundary")
+    solver = Solver(scene)
+    solver.advance(pressure=PRESSURE / unit)
+    path = np.array([(-10.0, 30.0, -5.0), (110.0, 30.0, -5.0)]) * unit
+    cable = scene.lay_cable(Cable(EA=32000.0 * unit, friction=0.2), path)
+    solver.advance(L0={cable: 0.99 * cable.length})
+    solver.advance(move={cable: (0.0, 6.0 * unit, 0.0)}, steps=2)
+    return [cable.tension / unit, scene.energy / unit**2, scene.dissipated / unit**2]
+
+
+def test_invariance(comm) -> None:
     """The equilibrium is that of the lag's tolerance, in whatever order things are tried."""
     points, cells = rotated_lattice(9)
-    unit = 100.0 if change == "in other units" else 1.0
-    results = []
-    for other in (False, True):
-        x, own = points.copy(), cells
-        if other and change == "mirrored":
-            x[:, 0], own = 100.0 - x[:, 0], cells[:, ::-1]
-        if other and change == "renumbered":
-            order = np.random.default_rng(1).permutation(len(x))
-            x, own = x[order], np.argsort(order)[cells]
-        s = unit if other else 1.0  # force and length in units s times smaller
-        mesh = meshes.from_arrays(comm, x * s, own)
-        scene = Scene(mesh, IsotropicMembrane(E=300.0 / s, nu=0.25, thickness=0.08 * s))
-        scene.fix("boundary")
-        solver = Solver(scene)
-        solver.advance(pressure=PRESSURE / s)
-        path = np.array([(-10.0, 30.0, -5.0), (110.0, 30.0, -5.0)]) * s
-        cable = scene.lay_cable(Cable(EA=32000.0 * s, friction=0.2), path)
-        solver.advance(L0={cable: 0.99 * cable.length})
-        solver.advance(move={cable: (0.0, 6.0 * s, 0.0)}, steps=3)
-        results.append((cable.tension / s, scene.energy / s**2, scene.dissipated / s**2))
-    np.testing.assert_allclose(results[1], results[0], rtol=1e-3)
+    expected = lattice_result(comm, points, cells)
+    mirrored = lattice_result(comm, points * [-1.0, 1.0] + [100.0, 0.0], cells[:, ::-1])
+    order = np.random.default_rng(1).permutation(len(points))
+    renumbered = lattice_result(comm, points[order], np.argsort(order)[cells])
+    in_other_units = lattice_result(comm, points, cells, 100.0)
+    for found in (mirrored, renumbered, in_other_units):
+        np.testing.assert_allclose(found, expected, rtol=1e-3)
 
 
 def test_ends_that_move_along_the_boundary_and_off_it(comm) -> None:
     """The boundary presses on the cable's end much more than the rest does on all of it."""
-    scene = sheet(comm, 13, "unstructured")
+    scene = sheet(comm, 9, "unstructured")
     solver = Solver(scene)
     solver.advance(pressure=PRESSURE)
     cable = scene.lay_cable(Cable(EA=32000.0, friction=0.2), [(0.0, 30.0), (100.0, 30.0)])
     solver.advance(L0={cable: 100.0})
     for way in ((0.0, 10.0, 0.0), (0.0, 0.0, -1.0), (0.0, -10.0, 1.0)):
-        step = solver.advance(move={cable: way}, steps=3)
+        step = solver.advance(move={cable: way}, steps=2)
         assert step.halvings == 0
     assert cable.ends == ("held", "held")
     assert 29.6 < place(cable, 50.0)[1] < 30.6  # it lags behind; without friction 29.6
@@ -266,16 +273,16 @@ def test_slack_cable_has_no_grip(comm) -> None:
     assert cable.taut and cable.tension > 1.0
 
 
-def test_element_of_the_paper(comm) -> None:
+def test_element_of_the_paper(comm, dragged) -> None:
     """Friction with a direction that is known before: it lags a step behind, but holds back.
 
     In large steps a part that should stick is pushed back, which a warning says.
     """
     first = pytest.warns(FrictionWarning, match="pushed it back")
     with first if comm.rank == 0 else nullcontext():
-        dragged(comm, Friction(0.7, law="step"), steps=2, structured=True)
-    solver, literal = dragged(comm, Friction(0.7, law="step"), steps=8, structured=True)
-    _, free = dragged(comm, 0.0, steps=8, structured=True)
+        dragged(Friction(0.7, law="step"), steps=2, structured=True)
+    solver, literal = dragged(Friction(0.7, law="step"), steps=8, structured=True)
+    _, free = dragged(0.0, structured=True)
     assert all(step.outcome.passes == 0 for step in solver.steps)
     assert place(literal, 50.0)[1] < place(free, 50.0)[1] - 1.0
     assert literal.tension > 1.1 * free.tension

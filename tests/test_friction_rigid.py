@@ -17,7 +17,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 from rigid_surfaces import KINDS, STIFF, SURFACES, Curve, band, curve, rigid, sphere
 
 from crms_fenicsx import Cable, Scene, Solver, meshes
@@ -183,7 +182,7 @@ def test_static_and_kinetic_friction(comm, static, mu):
 
 
 def test_an_idle_cable_does_not_creep(comm):
-    """50 steps without any load. In the first the direction in which friction acts becomes that of
+    """25 steps without any load. In the first the direction in which friction acts becomes that of
     the new curve, and the cable, which has just slid by 100 elastic slips, settles by some more;
     then it stays to rounding.
     """
@@ -199,11 +198,11 @@ def test_an_idle_cable_does_not_creep(comm):
     solver.advance(L0={cable: L0})
     assert np.abs(cable.positions - x).max() < 10 * eps
     x, heat = cable.positions.copy(), scene.dissipated
-    for _ in range(49):
+    for _ in range(24):
         solver.advance(L0={cable: L0})
-    assert np.abs(cable.positions - x).max() < 0.3 * eps
+    assert np.abs(cable.positions - x).max() < 0.15 * eps
     # against what friction dissipates in a slip of eps along all of the cable
-    assert 0.0 <= scene.dissipated - heat < 0.1 * eps * mu * cable.tension * way.length
+    assert 0.0 <= scene.dissipated - heat < 0.05 * eps * mu * cable.tension * way.length
     assert max(step.outcome.solves for step in solver.steps[-10:]) <= 2
 
 
@@ -275,7 +274,6 @@ def test_dragged_there_and_back(comm):
     assert max(step.halvings for step in solver.steps) == 0
 
 
-@pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="a rank cannot start another MPI program")
 def test_without_friction_nothing_of_it_is_loaded():
     """However it is said that there is none; and it takes the same work to the same result."""
     code = f"""

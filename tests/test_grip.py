@@ -8,7 +8,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from friction_scene import friction_dome, shaken_fractions
-from mpi4py import MPI
 
 from crms_fenicsx.cables import grip as grips
 from crms_fenicsx.cables.cable import Cable, CableNode, LaidCable
@@ -18,8 +17,6 @@ from crms_fenicsx.cables.grip import Grip, Lag, align, begin, commit, energies
 from crms_fenicsx.cables.path import EdgePoint, VertexPoint
 from crms_fenicsx.cables.slip import MaterialCurve, node_slips
 from crms_fenicsx.cables.strip import StripShape
-
-pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.rank > 0, reason="no communication in it")
 
 NOWHERE = MaterialCurve(
     np.zeros((1, 3)), np.zeros(1), np.zeros(1, dtype=np.int64), np.zeros(1), np.zeros(1)

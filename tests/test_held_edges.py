@@ -167,8 +167,8 @@ def test_an_oblique_cable_over_a_held_boundary(comm) -> None:
     assert max(abs(pull_at(cable, k)[1]) for k in places) > 5e-3 * cable.tension
 
 
-def test_the_number_of_processes_does_not_matter() -> None:
-    (apart, cable, _), (alone, twin, _) = oblique(MPI.COMM_WORLD), oblique(MPI.COMM_SELF)
+def test_the_number_of_processes_does_not_matter(comm) -> None:
+    (apart, cable, _), (alone, twin, _) = oblique(comm), oblique(MPI.COMM_SELF)
     assert cable.tension == pytest.approx(twin.tension, rel=1e-9)
     assert apart.energy == pytest.approx(alone.energy, rel=1e-9)
     np.testing.assert_allclose(cable.positions, twin.positions, rtol=0, atol=1e-7)
@@ -239,10 +239,10 @@ def test_gradient_and_stiffness_of_a_whole_potential(comm) -> None:
     }  # fmt: skip
 
 
-def test_whole_potential_does_not_depend_on_the_number_of_ranks() -> None:
+def test_whole_potential_does_not_depend_on_the_number_of_ranks(comm) -> None:
     found = []
-    for comm in (MPI.COMM_WORLD, MPI.COMM_SELF):
-        _, f = whole(comm)
+    for group in (comm, MPI.COMM_SELF):
+        _, f = whole(group)
         x, d = displaced(f.unknowns, 0.5), directions(f.unknowns)["all"]
         energy, g = f.value(x)
         product = f.times(x, d)

@@ -8,9 +8,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-from mpi4py import MPI
-
 import crms_fenicsx
 
 ROOT = Path(__file__).parents[1]
@@ -51,10 +48,6 @@ assert gmsh is None or not gmsh.isInitialized()
 loaded = [name for name in {optional!r} if name in sys.modules]
 print(",".join(loaded))
 """
-
-pytestmark = pytest.mark.skipif(
-    MPI.COMM_WORLD.size > 1, reason="a rank cannot start another MPI program"
-)
 
 
 def in_a_process(code: str, home: Path) -> str:

@@ -11,6 +11,7 @@ from crms_fenicsx.errors import InputError
 from crms_fenicsx.output import History
 from crms_fenicsx.output.history import Value
 
+pytestmark = pytest.mark.usefixtures("comm")
 COMM = MPI.COMM_WORLD
 
 

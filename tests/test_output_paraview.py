@@ -13,6 +13,7 @@ from vtu_file import read_vtu
 from crms_fenicsx.errors import InputError
 from crms_fenicsx.output import Line, Series, Surface, shared_file
 
+pytestmark = pytest.mark.usefixtures("comm")
 COMM = MPI.COMM_WORLD
 
 

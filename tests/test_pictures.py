@@ -574,7 +574,6 @@ def test_drawing_works_without_pyplot_and_its_global_state(
     assert matplotlib.rcParams.copy() == before
 
 
-@pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts a process, which MPI dislikes")
 def test_importing_loads_no_optional_package() -> None:
     code = (
         "import sys, crms_fenicsx.output, crms_fenicsx.progress; "

@@ -10,6 +10,7 @@ from mpi4py import MPI
 from crms_fenicsx.errors import InputError
 from crms_fenicsx.progress import progress
 
+pytestmark = pytest.mark.usefixtures("comm")
 COMM = MPI.COMM_WORLD
 
 

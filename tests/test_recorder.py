@@ -22,6 +22,7 @@ from crms_fenicsx.minimizer import Minimizer, Outcome
 from crms_fenicsx.output import History, Line, scene_pictures
 from crms_fenicsx.shape import current_surface
 
+pytestmark = pytest.mark.usefixtures("comm")
 COMM = MPI.COMM_WORLD
 
 

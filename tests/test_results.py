@@ -22,6 +22,7 @@ from crms_fenicsx.shape import best_fan, current_surface
 
 Array = npt.NDArray[np.float64]
 
+pytestmark = pytest.mark.usefixtures("comm")
 COMM = MPI.COMM_WORLD
 FABRIC = OrthotropicMembrane(
     E1=1394.0, E2=140.0, G12=12.0, nu21=0.065, thickness=1.0, warp=(1, 0.3, 0), prestress=(2, 1)

@@ -13,8 +13,6 @@ from crms_fenicsx.cables.grip import begin
 from crms_fenicsx.cables.slip import MaterialCurve, material_curve, node_slips
 from crms_fenicsx.cables.strip import StripShape
 
-pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.rank > 0, reason="no communication in it")
-
 
 def some_curve(points, part=None, elastic=None, moving=None):
     points = np.array(points, dtype=float)

@@ -38,14 +38,14 @@ ACROSS = [(0.0, 47.0), (100.0, 52.0)]
 
 
 @pytest.fixture(scope="module")
-def square() -> meshes.MembraneMesh:
-    return meshes.rectangle(MPI.COMM_WORLD, 100.0, 100.0, 25.0, structured=True)
+def square(comm: MPI.Intracomm) -> meshes.MembraneMesh:
+    return meshes.rectangle(comm, 100.0, 100.0, 25.0, structured=True)
 
 
 @pytest.fixture(scope="module")
-def free_mesh() -> meshes.MembraneMesh:
+def free_mesh(comm: MPI.Intracomm) -> meshes.MembraneMesh:
     """The square without mesh lines that run through."""
-    return meshes.rectangle(MPI.COMM_WORLD, 100.0, 100.0, 20.0)
+    return meshes.rectangle(comm, 100.0, 100.0, 20.0)
 
 
 def clamped(mesh: meshes.MembraneMesh, **settings: Any) -> Scene:
@@ -441,7 +441,7 @@ def test_a_floor_under_a_cable(free_mesh: meshes.MembraneMesh) -> None:
     assert lowest == pytest.approx(-4.0, abs=1e-9)
 
 
-def test_two_materials_equal_their_own_strips() -> None:
+def test_two_materials_equal_their_own_strips(comm) -> None:
     """Two strips in series: the same force in both, so strains as the moduli say."""
     mesh = meshes.rectangle(MPI.COMM_SELF, 4.0, 1.0, 0.5, structured=True).mesh
     x, cells = mesh.geometry.x, geometry_dofmap(mesh)
@@ -453,7 +453,7 @@ def test_two_materials_equal_their_own_strips() -> None:
         "corner": np.flatnonzero((x[:, 0] == 0.0) & (x[:, 1] == 0.0)),
     }
     both = meshes.from_arrays(
-        MPI.COMM_WORLD, x, cells, parts={"left": left, "right": right}, point_groups=ends
+        comm, x, cells, parts={"left": left, "right": right}, point_groups=ends
     )
     soft = IsotropicMembrane(E=100.0, nu=0.0, thickness=0.1)
     stiff = OrthotropicMembrane(E1=400.0, E2=100.0, G12=50.0, nu21=0.0, thickness=0.1)

@@ -411,8 +411,7 @@ def test_strip_gives_the_same_path_as_the_whole_mesh():
 
 
 @pytest.mark.parametrize("space", [False, True])
-def test_strip_of_a_mesh_divided_among_ranks(space):
-    comm = MPI.COMM_WORLD
+def test_strip_of_a_mesh_divided_among_ranks(comm, space):
     points, cells = cap(1.2)
     ids = np.arange(len(points))
     route = np.array([[-20.0, 1.0, 3.0], [1.0, -0.3, 10.0], [8.0, 4.0, 4.5]])

@@ -325,8 +325,10 @@ class CapstanTension:
             values = self.links.values[start : start + n * n]
             values[:] = 0.0
             start += n * n
-            if stiffness[span] == 0.0 or self._lengths[k] == 0.0:
+            # An anchor on the held place next to it, up to rounding: there is no direction.
+            if stiffness[span] == 0.0 or self._lengths[k] <= -c.smoothing[k]:
                 continue
+            share = sums[span] / self._lengths[k]  # of a span of several segments
             column, (a, b) = np.zeros((n, 3)), c.segments[k].tolist()
             way = X[b] + x[b] - X[a] - x[a]
             column[1] = way / max(float(np.linalg.norm(way)), abs(float(c.smoothing[k])))
@@ -337,7 +339,6 @@ class CapstanTension:
                     edge = self._gradients[c.pointers[row] : c.pointers[row + 1]]
                     column[at : at + len(edge)] = sign * stretch[span] * slope[row] * edge
                     at += len(edge)
-            share = sums[span] / self._lengths[k]  # of a span of several segments
             dyad = np.einsum("ai,bj->abij", column, column).reshape(n * n, 3, 3)
             values[:] = stiffness[span] * share * dyad
         self.links.add(A, self.unknowns)

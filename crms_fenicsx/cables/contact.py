@@ -21,6 +21,7 @@ import numpy.typing as npt
 from crms_fenicsx.cables.cable import COINCIDENT, CableNode, Crossing, LaidCable
 from crms_fenicsx.cables.path import CellPoint
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.triangles import cross
 
 Array = npt.NDArray[np.float64]
 Edge = tuple[int, int]
@@ -148,10 +149,10 @@ def _nearest(a: Array, b: Array, c: Array, d: Array, normal: Array) -> tuple[flo
     """Where the lines ab and cd cross, seen along the normal: their parameters."""
     u, v = (x - (x @ normal) * normal for x in (b - a, d - c))
     w = (c - a) - ((c - a) @ normal) * normal
-    cross = float(np.cross(u, v) @ normal)
-    if abs(cross) <= 1e-12 * float(np.linalg.norm(u) * np.linalg.norm(v)):
+    area = float(cross(u, v) @ normal)
+    if abs(area) <= 1e-12 * float(np.linalg.norm(u) * np.linalg.norm(v)):
         return 0.5, 0.5  # the span runs along the edge
-    return float(np.cross(w, v) @ normal) / cross, float(np.cross(w, u) @ normal) / cross
+    return float(cross(w, v) @ normal) / area, float(cross(w, u) @ normal) / area
 
 
 def spans(cable: LaidCable) -> Iterator[tuple[int, int]]:

@@ -22,6 +22,7 @@ import numpy.typing as npt
 from crms_fenicsx.cables.cable import LaidCable
 from crms_fenicsx.cables.contact import size_at
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.triangles import cross
 
 Array = npt.NDArray[np.float64]
 
@@ -168,11 +169,11 @@ def directions(
     along = along / size if size > 0.0 else before
     up: Array = outside - (outside @ along) * along
     if node.slides:
-        square = np.asarray(np.cross(edge_direction(cable, k, shape), along), dtype=float)
+        square = cross(edge_direction(cable, k, shape), along)
         if np.linalg.norm(square) > ACROSS:
             up = square if square @ outside > 0 else -square
     up = np.asarray(up / np.linalg.norm(up), dtype=float)
-    return up, np.asarray(np.cross(up, along), dtype=float)
+    return up, cross(up, along)
 
 
 def edge_direction(cable: LaidCable, k: int, shape: StripShape) -> Array:

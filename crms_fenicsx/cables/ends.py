@@ -19,6 +19,7 @@ from crms_fenicsx.cables.contact import size_at
 from crms_fenicsx.cables.intrinsic import Edge, edge_of
 from crms_fenicsx.cables.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.triangles import cross
 from crms_fenicsx.compat import geometry_dofmap
 from crms_fenicsx.errors import PathError
 
@@ -66,7 +67,7 @@ def _moved_aside(cable: LaidCable, k: int, shape: StripShape) -> bool:
     point = cable.nodes[beside].point or cable.nodes[1].point
     assert point is not None
     along = cable.positions[beside] - cable.ends_before[k]
-    aside = np.cross(along, shape.normal(point.support))
+    aside = cross(along, shape.normal(point.support))
     length = float(np.linalg.norm(aside))
     moved = float((cable.positions[k] - cable.ends_before[k]) @ aside)
     return abs(moved) > ASIDE * size_at(shape, point.support) * length

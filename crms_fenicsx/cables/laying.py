@@ -95,7 +95,7 @@ def lay(
 def _route(path: Sequence[Sequence[float]] | Array) -> Array:
     try:
         route = np.array(path, dtype=float)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise PathError(f"path: {path!r} is no list of points ({error}).") from None
     if route.ndim != 2 or route.shape[0] < 2 or route.shape[1] not in (2, 3):
         raise PathError(

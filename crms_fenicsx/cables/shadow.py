@@ -16,6 +16,7 @@ from crms_fenicsx.cables.cable import CableNode, LaidCable
 from crms_fenicsx.cables.intrinsic import Edge, MissingStars, edge_of
 from crms_fenicsx.cables.path import CellPoint, EdgePoint, SurfacePoint
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.triangles import cross
 
 Array = npt.NDArray[np.float64]
 
@@ -29,7 +30,7 @@ class _Plane:
     def __init__(self, shape: StripShape, start: Array, end: Array, normal: Array) -> None:
         self.shape, self.start = shape, start
         self.along = end - start
-        across = np.cross(normal, self.along)
+        across = cross(normal, self.along)
         self.across = across / max(float(np.linalg.norm(across)), 1e-300)
 
     def side(self, vertex: int) -> float:

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from crms_fenicsx.cables.cable import LaidCable
 from crms_fenicsx.cables.contact_force import runs
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.triangles import cross
 
 Array = npt.NDArray[np.float64]
 Support = tuple[int, ...]
@@ -193,7 +194,7 @@ def node_slips(cable: LaidCable, curve: MaterialCurve, shape: StripShape) -> Nod
     # Elsewhere the cable has touched down in this step, and does not know of any slip yet.
     known = (at >= first - size) & (at <= last + size)
     at, parts = at[known], parts[known]
-    left = np.cross(normals[known], curve.tangents(at, parts, size[known]))
+    left = cross(normals[known], curve.tangents(at, parts, size[known]))
     left /= np.linalg.norm(left, axis=1)[:, None]
     slope, offset, moving = np.zeros((3, len(nodes)))
     slope[known] = np.sum(sides[known] * left, axis=1)

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.cables.trace import near_section
+from crms_fenicsx.cables.triangles import cross
 from crms_fenicsx.compat import geometry_dofmap
 
 if TYPE_CHECKING:
@@ -168,13 +169,13 @@ class StripShape:
     def normals(self) -> Array:
         """Current normals of the cells, twice as long as their areas, (n, 3)."""
         x = self.current[np.searchsorted(self.strip.vertices, self.strip.cells)]
-        return np.asarray(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), dtype=float)
+        return cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
 
     @cached_property
     def stress_free_normals(self) -> Array:
         """Stress-free normals of the cells, twice as long as their areas, (n, 3)."""
         x = self.stress_free[np.searchsorted(self.strip.vertices, self.strip.cells)]
-        return np.asarray(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), dtype=float)
+        return cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
 
     def stress_free_size(self, support: tuple[int, ...]) -> float:
         """Size of the stress-free cells around a vertex or an edge (length)."""

@@ -8,10 +8,12 @@ from collections.abc import Sequence
 from crms_fenicsx.errors import InputError, MeshError
 
 _MOST_CELLS = 2e7
+_RANGE = 1e-100, 1e100
+"""Lengths whose squares, and the squares of these, are numbers as well."""
 
 
 def check_positive(what: str, **numbers: float) -> None:
-    """Refuse numbers that are not positive and finite, by their names.
+    """Refuse lengths that are not positive and finite, or beyond all measure, by their names.
 
     Raises
     ------
@@ -20,8 +22,8 @@ def check_positive(what: str, **numbers: float) -> None:
     """
     for name, value in numbers.items():
         try:
-            good = math.isfinite(value) and value > 0
-        except TypeError:
+            good = _RANGE[0] < value < _RANGE[1]
+        except (TypeError, ValueError):
             good = False
         if not good:
             raise InputError(f"{what} has {name} = {value!r}: give a positive, finite number")
@@ -71,7 +73,7 @@ def check_point(what: str, point: Sequence[float]) -> tuple[float, float]:
     try:
         x, y = (float(value) for value in point)
         good = math.isfinite(x) and math.isfinite(y)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         good = False
     if not good:
         raise InputError(f"{what} is {point!r}: give two finite coordinates (x, y)")

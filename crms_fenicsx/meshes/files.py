@@ -12,6 +12,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from crms_fenicsx import checks
 from crms_fenicsx.errors import MeshError
 from crms_fenicsx.meshes.gmsh_model import own_model, read_model
 from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, distributed
@@ -96,7 +97,7 @@ def from_file(
     """
 
     def build() -> SurfaceArrays:
-        file = Path(path)
+        file = checks.file("from_file: path", path)
         if not file.is_file():
             raise MeshError(f"there is no mesh file '{file}' (in {Path.cwd()}): check the path")
         if file.suffix.lower() in _GMSH_SUFFIXES:

@@ -174,7 +174,7 @@ def _pieces_inside_out(
 def _three_numbers(values: Sequence[float], what: str) -> NDArray[np.float64]:
     try:
         vector = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         vector = np.empty(0)
     if vector.shape != (3,) or not np.isfinite(vector).all():
         raise MeshError(f"{what} is {values!r}: give three finite numbers (x, y, z)")

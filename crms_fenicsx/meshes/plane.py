@@ -205,6 +205,8 @@ def polygon(
 
     def build() -> SurfaceArrays:
         outline = simple_outline(corners)
+        if not isinstance(names, Sequence | None):
+            raise InputError(f"the names of the polygon's sides are {names!r}: give a list")
         sides = [f"side {k}" for k in range(1, len(outline) + 1)] if names is None else list(names)
         if len(sides) != len(outline):
             raise InputError(

@@ -40,7 +40,7 @@ class Refinement:
     def __post_init__(self) -> None:
         try:
             line = np.asarray(self.line, dtype=np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             line = np.empty(0)
         if line.ndim != 2 or line.shape[0] < 1 or line.shape[1] not in (2, 3):
             raise InputError(
@@ -64,10 +64,14 @@ class TargetSize:
     Raises
     ------
     InputError
-        If a refinement asks for more than the general size.
+        If they are none, or one asks for more than the general size.
     """
 
     def __init__(self, general: float, refinements: Sequence[Refinement]) -> None:
+        if not isinstance(refinements, Sequence) or not all(
+            isinstance(refinement, Refinement) for refinement in refinements
+        ):
+            raise InputError(f"the refinements are {refinements!r}: give a list of Refinement")
         for refinement in refinements:
             if refinement.size > general:
                 raise InputError(

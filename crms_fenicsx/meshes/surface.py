@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -110,7 +110,7 @@ def _places(points: NDArray[np.float64], vertices: NDArray[np.int64]) -> str:
 def _coordinates(given: ArrayLike) -> NDArray[np.float64]:
     try:
         points = np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise MeshError(f"the points are no array of numbers ({error})") from error
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise MeshError(f"the points have shape {points.shape}: give (n, 3) or (n, 2) coordinates")
@@ -210,11 +210,17 @@ def _check_name(name: str, kind: str) -> None:
         raise MeshError(f"the {kind} {name!r} has no name: give a non-empty string")
 
 
+def _members(groups: Mapping[str, ArrayLike], kind: str) -> Iterable[tuple[str, ArrayLike]]:
+    if not isinstance(groups, Mapping):
+        raise MeshError(f"the {kind}s are {groups!r}: give a mapping of names to members")
+    return groups.items()
+
+
 def _edge_groups(
     groups: Mapping[str, ArrayLike], points: NDArray[np.float64], table: EdgeTable
 ) -> dict[str, NDArray[np.int64]]:
     checked = {BOUNDARY: edge_keys(table.boundary())}
-    for name, given in groups.items():
+    for name, given in _members(groups, "edge group"):
         _check_name(name, "edge group")
         pairs = _integers(given, f"the edges of group '{name}'")
         if pairs.size == 0:
@@ -245,7 +251,7 @@ def _index_groups(
     groups: Mapping[str, ArrayLike], kind: str, items: str, count: int
 ) -> dict[str, NDArray[np.int64]]:
     checked = {}
-    for name, given in groups.items():
+    for name, given in _members(groups, kind):
         _check_name(name, kind)
         indices = _integers(given, f"the {items} of {kind} '{name}'")
         if indices.size == 0:

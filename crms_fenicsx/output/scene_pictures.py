@@ -128,7 +128,7 @@ def draw_scene(
     PictureWarning
         The mesh has more than `MOST_CELLS` cells; nothing is drawn.
     """
-    if colour is not None and colour not in COLOURS:
+    if colour is not None and colour not in list(COLOURS):
         raise InputError(
             f"draw: colour = {colour!r} is not known; use one of {list(COLOURS)} or None."
         )
@@ -151,6 +151,7 @@ def draw_scene(
         options.setdefault("line_label", _labelled("tension", force))
     if any(cable.lifted.any() for cable in scene.cables):
         options.setdefault("loose", "lifted")
+    lines = cable_lines(scene)
     cells = scene.V.dofmap.list[: scene.mesh.mesh.topology.index_map(2).size_local]
     lines = cable_lines(scene)
     parts = scene.comm.gather((surface, values, cells if ghost else cells[:0]))

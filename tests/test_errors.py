@@ -1,0 +1,150 @@
+"""An error on one rank ends all ranks: of the input, of a user's function, of the package itself.
+
+What ends the program is tried in programs of its own.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, checks, errors, meshes
+
+ROOT = Path(__file__).parents[1]
+MPIRUN = ("mpirun", "-n", "3")
+SCENE = """
+from mpi4py import MPI
+from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, errors, meshes
+from crms_fenicsx.potential import Potential
+
+errors.PATIENCE = 0.5
+comm = MPI.COMM_WORLD
+mesh = meshes.rectangle(comm, 100.0, 100.0, 25.0, structured=True)
+scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
+scene.fix("boundary")
+solver = Solver(scene)
+solver.advance(pressure=0.001)
+whole = Potential.evaluate
+
+def evaluate(self):
+    if scene.pressure > 0.005 and comm.rank == comm.size - 1:
+        {failure}
+    return whole(self)
+
+Potential.evaluate = evaluate
+"""
+
+
+def run(script: str, *launcher: str) -> subprocess.CompletedProcess[str]:
+    """Run a program, on several ranks after the words that start them."""
+    return subprocess.run(
+        [*launcher, sys.executable, "-c", script],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+def test_a_bug_on_one_rank_ends_all() -> None:
+    """In the middle of a solve, called by PETSc, while the others are in a reduction."""
+    script = SCENE.format(failure="raise ZeroDivisionError('a bug')")
+    done = run(script + "solver.advance(pressure=0.01)", *MPIRUN)
+    assert done.returncode != 0
+    assert done.stderr.splitlines().count("ZeroDivisionError: a bug") == 1
+    assert "Solver.advance: this was raised on rank 2 of 3" in done.stderr
+
+
+def test_an_error_in_a_callback_of_petsc_keeps_its_kind() -> None:
+    """And the solver goes on afterwards from the last good state."""
+    script = (
+        SCENE.format(failure="raise KeyboardInterrupt")
+        + """
+try:
+    solver.advance(pressure=0.01)
+except KeyboardInterrupt:
+    Potential.evaluate = whole
+assert scene.pressure == 0.001
+solver.advance(pressure=0.01)
+assert len(solver.steps) == 2
+"""
+    )
+    done = run(script)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_random_bad_input() -> None:
+    """See `bad_calls.py` and the program, which makes as many calls as one wants."""
+    done = subprocess.run(
+        [*MPIRUN, sys.executable, ROOT / "benchmarks" / "bad_input.py", "200"],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.stdout == "200 bad calls on 3 ranks, 0 of them ended badly\n", done.stderr
+    assert done.returncode == 0
+
+
+@pytest.fixture
+def scene(comm) -> Scene:
+    mesh = meshes.rectangle(comm, 100.0, 100.0, 25.0, structured=True)
+    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
+    scene.fix("boundary")
+    return scene
+
+
+def test_arguments_that_differ_between_ranks(scene: Scene) -> None:
+    """Each rank is told both values, and nothing has happened."""
+    comm, solver = scene.comm, Solver(scene)
+    last = comm.size - 1
+    if last == 0:
+        pytest.skip("needs two ranks")
+    own = float(comm.rank == last)
+    path = np.array([(0.0, 47.0), (100.0, 52.0 + 1e-13 * own)])
+    calls = {
+        "advance: pressure = 0.0 on rank 0, but 1.0": lambda: solver.advance(pressure=own),
+        "advance: steps": lambda: solver.advance(pressure=0.01, steps=1 + int(own)),
+        "floor: z": lambda: scene.floor(-1.0 - own),
+        "fix: where": lambda: scene.fix("left" if own else "right"),
+        "lay_cable: path": lambda: scene.lay_cable(Cable(EA=1.0), path),
+        "lay_cable: cable": lambda: scene.lay_cable(Cable(EA=1.0 + own), path[:, :1] * [1.0, 0.5]),
+        "Solver: rtol": lambda: Solver(scene, rtol=1e-9 * (1 + own)),
+        "draw: view = nothing": lambda: solver.draw("a.png", **({"view": (0, 90)} if own else {})),
+    }
+    for words, call in calls.items():
+        with pytest.raises(InputError) as caught:
+            call()
+        assert words in str(caught.value) and f"on rank {last}" in str(caught.value)
+        assert len(set(comm.allgather(str(caught.value)))) == 1
+    assert scene.floor_level is None and not scene.cables and not solver.steps
+
+
+def test_values_without_their_addresses(comm) -> None:
+    """Functions and other objects of one kind count as the same, wherever a process has them."""
+    objects = [object() for _ in range(comm.rank + 1)]
+    checks.same(comm, "call", function=lambda x: x, thing=objects[-1], number=np.float64(0.1))
+    checks.same(comm, "call", array=np.linspace(0, 1, 2000), nan=float("nan"))
+
+
+def test_a_rank_that_is_late_with_its_error(scene: Scene, monkeypatch) -> None:
+    """Ranks wait for each other: the same error does not come at the same time everywhere."""
+    monkeypatch.setattr(errors, "PATIENCE", 20.0)
+
+    def marker(x: np.ndarray) -> np.ndarray:
+        raise ValueError("of the user's own")
+
+    if scene.comm.rank == 0:
+        time.sleep(0.2)
+    with pytest.raises(ValueError, match="of the user's own"):
+        scene.fix(marker)
+    with pytest.raises(InputError):  # no message is left over
+        scene.fix("rim")
