@@ -423,6 +423,7 @@ class Solver:
                 began, spent, halvings = time.perf_counter(), None, 0
         return self.steps[-1]
 
+    @collective
     def save(self, folder: str | FilePath) -> None:
         """Save the state of the scene and of this solver, to go on from. Collective.
 
@@ -454,6 +455,7 @@ class Solver:
         history = self.system.step_history if stepwise else None
         save(folder, scene, Run(self.steps, list(self.history), history, tried))
 
+    @collective
     def load(self, folder: str | FilePath) -> None:
         """Go on from a state that `save` has saved, on any number of processes. Collective.
 

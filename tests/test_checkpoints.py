@@ -23,6 +23,8 @@ from crms_fenicsx import (
 from crms_fenicsx.checkpoint.folder import complete, replaced_folder
 from crms_fenicsx.output import History
 
+pytestmark = pytest.mark.usefixtures("comm")
+
 COMM = MPI.COMM_WORLD
 FABRIC = OrthotropicMembrane(E1=300.0, E2=200.0, G12=40.0, nu21=0.2, thickness=0.08, warp=(1, 0, 0))
 

@@ -17,6 +17,8 @@ from crms_fenicsx import (
 )
 from crms_fenicsx.errors import MeshError
 
+pytestmark = pytest.mark.usefixtures("comm")
+
 SIDE, CELLS = 100.0, 7
 CROSSING = (40.0, 33.0)
 FABRIC = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)

@@ -234,7 +234,7 @@ def _too_large(scene: Scene, happens: str) -> bool:
             f"{happens}: the mesh has {cells} cells, more than the {MOST_CELLS} that one process "
             'draws; look at the ParaView files of Solver(scene, results="folder").',
             PictureWarning,
-            stacklevel=4,
+            stacklevel=5,
         )
     return cells > MOST_CELLS
 
