@@ -51,7 +51,14 @@ for angle in np.radians([45.0, -45.0]):
     for offset in SPACING * (np.arange(CABLES) - (CABLES - 1) / 2):
         scene.lay_cable(Cable(EA=600e3), path=great_circle(angle, offset))
 
-LOOK = {"colour": "stress", "unit": "m", "force": "kN", "view": (-110.0, 28.0), "width": 8.0}
+LOOK = {
+    "dpi": 110,
+    "colour": "stress",
+    "unit": "m",
+    "force": "kN",
+    "view": (-110.0, 28.0),
+    "width": 7.5,
+}
 tensions = {}
 for name, pressure in (("calm", CALM), ("storm", STORM)):
     solver.advance(pressure=pressure)
