@@ -151,11 +151,9 @@ def draw_scene(
         options.setdefault("line_label", _labelled("tension", force))
     if any(cable.lifted.any() for cable in scene.cables):
         options.setdefault("loose", "lifted")
-    lines = cable_lines(scene)
     cells = scene.V.dofmap.list[: scene.mesh.mesh.topology.index_map(2).size_local]
     lines = cable_lines(scene)
     parts = scene.comm.gather((surface, values, cells if ghost else cells[:0]))
-    lines = cable_lines(scene)
     with raised_together(scene.comm):
         if parts is not None:
             ends = np.cumsum([len(part.points) for part, _, _ in parts])
