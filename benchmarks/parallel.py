@@ -99,18 +99,6 @@ def roof(unknowns: float, cables: int):
     from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 
     radius, height, spacing = 100.0, 28.0, 8.5
-    sphere = (radius**2 + height**2) / (2 * height)
-
-    def great_circle(angle, offset):
-        along = np.array([np.cos(angle), np.sin(angle)])
-        across = np.array([-along[1], along[0]])
-        half = np.sqrt(radius**2 - offset**2)
-        ends = [offset * across + side * half * along for side in (-1, 1)]
-        start, end = (np.append(point, sphere - height) / sphere for point in ends)
-        turn = np.arccos(start @ end)
-        s = np.linspace(0.0, turn, 33)[:, None]
-        return sphere * (np.sin(turn - s) * start + np.sin(s) * end)[:, :2] / np.sin(turn)
-
     area = np.pi * (radius**2 + height**2)
     size = float(np.sqrt(2 / np.sqrt(3) * area * 3 / unknowns))
     mesh = meshes.spherical_cap(MPI.COMM_WORLD, radius=radius, height=height, size=size)
@@ -118,7 +106,8 @@ def roof(unknowns: float, cables: int):
     scene.fix("boundary")
     for angle in np.radians([45.0, -45.0]):
         for offset in spacing * (np.arange(cables) - (cables - 1) / 2):
-            scene.lay_cable(Cable(EA=600e3), path=great_circle(angle, offset))
+            path = meshes.great_circle(radius, height, angle, offset)
+            scene.lay_cable(Cable(EA=600e3), path=path)
     return scene, Solver(scene)
 
 

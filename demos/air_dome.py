@@ -23,22 +23,8 @@ from crms_fenicsx.output import join_pictures
 
 RESULTS = "results/air_dome"
 RADIUS, HEIGHT = 100.0, 28.0
-SPHERE = (RADIUS**2 + HEIGHT**2) / (2 * HEIGHT)
 SPACING, CABLES = 8.5, 14
 CALM, STORM = 0.3, 0.5  # kPa
-
-
-def great_circle(angle, offset):
-    """Points in plan of the shortest way over the dome between two points of its rim."""
-    along = np.array([np.cos(angle), np.sin(angle)])
-    across = np.array([-along[1], along[0]])
-    half = np.sqrt(RADIUS**2 - offset**2)
-    ends = [offset * across + side * half * along for side in (-1, 1)]
-    start, end = (np.append(point, SPHERE - HEIGHT) / SPHERE for point in ends)
-    turn = np.arccos(start @ end)
-    s = np.linspace(0.0, turn, 33)[:, None]
-    return SPHERE * (np.sin(turn - s) * start + np.sin(s) * end)[:, :2] / np.sin(turn)
-
 
 unknowns = float(sys.argv[1]) if len(sys.argv) > 1 else 1e4
 area = np.pi * (RADIUS**2 + HEIGHT**2)
@@ -49,7 +35,7 @@ scene.fix("boundary")
 solver = Solver(scene, results=RESULTS)
 for angle in np.radians([45.0, -45.0]):
     for offset in SPACING * (np.arange(CABLES) - (CABLES - 1) / 2):
-        scene.lay_cable(Cable(EA=600e3), path=great_circle(angle, offset))
+        scene.lay_cable(Cable(EA=600e3), path=meshes.great_circle(RADIUS, HEIGHT, angle, offset))
 
 LOOK = {
     "dpi": 110,

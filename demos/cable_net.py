@@ -23,7 +23,6 @@ from crms_fenicsx.output import Line, join_pictures
 
 RESULTS = "results/cable_net"
 RADIUS, HEIGHT = 20.0, 10.0
-SPHERE = (RADIUS**2 + HEIGHT**2) / (2 * HEIGHT)
 PRESSURE, GUST = 0.4, 0.75  # kPa, of the air inside and of the wind (35 m/s)
 COEFFICIENTS = {-RADIUS: 0.8, 0.0: -1.0, RADIUS: -0.3}  # of the wind's pressure, over x (ours)
 LOOK = {
@@ -37,18 +36,6 @@ LOOK = {
     "width": 7.5,
     "dpi": 110,
 }
-
-
-def great_circle(angle, offset):
-    """Points in plan of the shortest way over the dome between two points of its rim."""
-    along = np.array([np.cos(angle), np.sin(angle)])
-    across = np.array([-along[1], along[0]])
-    half = np.sqrt(RADIUS**2 - offset**2)
-    ends = [offset * across + side * half * along for side in (-1, 1)]
-    start, end = (np.append(point, SPHERE - HEIGHT) / SPHERE for point in ends)
-    turn = np.arccos(start @ end)
-    s = np.linspace(0.0, turn, 33)[:, None]
-    return SPHERE * (np.sin(turn - s) * start + np.sin(s) * end)[:, :2] / np.sin(turn)
 
 
 def wind(points, normals):
@@ -82,7 +69,7 @@ scene.fix("boundary")
 solver = Solver(scene, results=RESULTS)
 for angle in np.radians([30.0, -30.0]):
     for offset in 4.5 * np.arange(-3, 4):
-        scene.lay_cable(Cable(EA=30e3), path=great_circle(angle, offset))
+        scene.lay_cable(Cable(EA=30e3), path=meshes.great_circle(RADIUS, HEIGHT, angle, offset))
 
 solver.advance(pressure=PRESSURE, steps=2)
 solver.draw(f"{RESULTS}/calm.png", title="Inflated: 0.4 kPa", **LOOK)

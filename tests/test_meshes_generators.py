@@ -210,6 +210,20 @@ def test_target_size_against_a_plain_loop():
     assert spot(np.array([0.3, 0.4, 9.0])) == pytest.approx(0.6)
 
 
+def test_great_circle_is_the_shortest_way_over_the_cap() -> None:
+    """It runs from rim to rim on the sphere, in a plane through the sphere's centre."""
+    radius, height, angle, offset = 20.0, 10.0, 0.4, 7.0
+    sphere = (radius**2 + height**2) / (2 * height)
+    plan = meshes.great_circle(radius, height, angle, offset)
+    np.testing.assert_allclose(np.linalg.norm(plan[[0, -1]], axis=1), radius)
+    np.testing.assert_allclose(plan[[0, -1]] @ [-np.sin(angle), np.cos(angle)], offset)
+    assert (plan[-1] - plan[0]) @ [np.cos(angle), np.sin(angle)] > radius
+    up = np.sqrt(sphere**2 - np.sum(plan**2, axis=1))
+    way = np.column_stack([plan, up])
+    assert up[16] > up[0] and np.linalg.svd(way)[1][2] < 1e-12 * sphere
+    assert np.ptp(np.linalg.norm(np.diff(way, axis=0), axis=1)) < 1e-12 * sphere
+
+
 @pytest.mark.parametrize("shape", ["rectangle", "ellipse", "polygon", "spherical_cap", "air_hall"])
 def test_refinement_refines_near_its_line_only(comm, shape):
     line = [(0.0, 0.0), (0.6, 0.8)]
@@ -267,6 +281,9 @@ def test_refinement_refines_near_its_line_only(comm, shape):
         (lambda c: meshes.circle(c, -1.0, 0.1), "radius = -1.0"),
         (lambda c: meshes.circle(c, 1.0, 0.1, center=(np.nan, 0.0)), "centre is"),
         (lambda c: meshes.spherical_cap(c, 1.0, 0.0, 0.1), "height = 0.0"),
+        (lambda c: meshes.great_circle(1.0, 1.0, 0.0, 0.0), "height = 1.0: give less than 1"),
+        (lambda c: meshes.great_circle(1.0, 0.5, 0.0, -2.0), "offset = 2.0: give less than 1"),
+        (lambda c: meshes.great_circle(1.0, 0.5, np.nan, 0.0), "angle = nan"),
         (lambda c: meshes.air_hall(c, 1.0, 1.0, None, 0.1), "height = None"),  # type: ignore[arg-type]
         (lambda c: meshes.air_hall(c, 4.0, 1.0, 1.0, 2.0), "smallest extent 1"),
         (lambda c: meshes.polygon(c, [(0, 0), (1, 0)], 0.1), "three or more points"),

@@ -1,6 +1,6 @@
 """Meshes of membranes: generators, files, and arrays, all checked, oriented and distributed."""
 
-from crms_fenicsx.meshes.domes import air_hall, spherical_cap
+from crms_fenicsx.meshes.domes import air_hall, great_circle, spherical_cap
 from crms_fenicsx.meshes.files import from_file, from_gmsh
 from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, from_arrays
 from crms_fenicsx.meshes.orientation import AwayFrom
@@ -17,6 +17,7 @@ __all__ = [
     "from_arrays",
     "from_file",
     "from_gmsh",
+    "great_circle",
     "polygon",
     "rectangle",
     "spherical_cap",
