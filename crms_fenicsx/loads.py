@@ -8,8 +8,8 @@ import ufl
 from dolfinx import fem, la
 from dolfinx.mesh import Mesh
 
-from crms_fenicsx.compat import geometry_dofmap
 from crms_fenicsx.membrane import Kinematics, one_point, tangent_basis
+from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.unknowns import Unknowns
 
 Array = npt.NDArray[np.float64]
@@ -33,7 +33,7 @@ def open_edges(mesh: Mesh, pressed: npt.NDArray[np.bool_]) -> npt.NDArray[np.int
     -------
     Local numbers of the edges, owned ones and ghosts, sorted.
     """
-    ids = mesh.geometry.input_global_indices[geometry_dofmap(mesh)]
+    ids = cell_vertex_ids(mesh)
     start, end = np.roll(ids, -1, axis=1), np.roll(ids, -2, axis=1)  # side k lies opposite to k
     sense = np.where(start < end, 1.0, -1.0)[pressed]
     total = la.vector(mesh.topology.index_map(1), dtype=np.float64)

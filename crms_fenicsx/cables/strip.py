@@ -17,6 +17,7 @@ import numpy.typing as npt
 from crms_fenicsx.cables.trace import near_section
 from crms_fenicsx.cables.triangles import cross
 from crms_fenicsx.compat import geometry_dofmap
+from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
 
 if TYPE_CHECKING:
     from crms_fenicsx.scene import Scene
@@ -248,9 +249,7 @@ def own_surface(scene: Scene) -> tuple[Array, Integers]:
 def _own_cells(scene: Scene) -> Integers:
     """Vertex ids of this rank's cells, (n, 3)."""
     mesh = scene.mesh.mesh
-    owned = mesh.topology.index_map(2).size_local
-    ids = np.asarray(mesh.geometry.input_global_indices, dtype=np.int64)
-    return ids[geometry_dofmap(mesh)[:owned]]
+    return cell_vertex_ids(mesh)[: mesh.topology.index_map(2).size_local]
 
 
 def _gathered(scene: Scene, ids: Integers, chosen: npt.NDArray[np.int64]) -> Strip:

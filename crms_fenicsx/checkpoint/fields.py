@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.compat import geometry_dofmap
 from crms_fenicsx.errors import InputError, raised_together
 from crms_fenicsx.meshes.edge_table import edge_keys
-from crms_fenicsx.meshes.membrane_mesh import vertex_nodes
+from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids, vertex_ids
 from crms_fenicsx.output.npy import read_rows, write_rows
 from crms_fenicsx.output.shared_file import first_row
 from crms_fenicsx.scene import Scene
@@ -127,14 +126,12 @@ def read_fields(folder: Path, scene: Scene, edges: int, dead_load: bool) -> Fiel
 
 def _vertex_ids(scene: Scene) -> Integers:
     """Ids of the vertices, numbers in the mesh as it was given, by degree of freedom."""
-    mesh = scene.mesh.mesh
     ids = np.zeros(len(scene.held), dtype=np.int64)
-    ids[scene.V.dofmap.list] = mesh.geometry.input_global_indices[geometry_dofmap(mesh)]
+    ids[scene.V.dofmap.list] = cell_vertex_ids(scene.mesh.mesh)
     return ids
 
 
 def _edge_vertices(scene: Scene) -> Integers:
     """Ids of the ends of this rank's edges, (m, 2)."""
     mesh = scene.mesh.mesh
-    ids = np.asarray(mesh.geometry.input_global_indices, dtype=np.int64)[vertex_nodes(mesh)]
-    return ids[mesh.topology.connectivity(1, 0).array.reshape(-1, 2)]
+    return vertex_ids(mesh)[mesh.topology.connectivity(1, 0).array.reshape(-1, 2)]

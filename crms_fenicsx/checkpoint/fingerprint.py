@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.compat import geometry_dofmap
 from crms_fenicsx.errors import InputError
 from crms_fenicsx.materials import Membrane
+from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.scene import Scene
 
 FACTOR = np.uint64(0x9E3779B97F4A7C15)
@@ -26,8 +26,7 @@ def fingerprint(scene: Scene) -> dict[str, Any]:
         By name, in the order in which differences are worth telling; made of numbers and texts.
     """
     mesh = scene.mesh.mesh
-    ids = np.asarray(mesh.geometry.input_global_indices, dtype=np.int64)
-    cells = ids[geometry_dofmap(mesh)[: mesh.topology.index_map(2).size_local]]
+    cells = cell_vertex_ids(mesh)[: mesh.topology.index_map(2).size_local]
     tags = np.zeros((len(cells), 1), dtype=np.int64)
     if scene.cell_tags is not None:
         tags[:, 0] = scene.cell_tags.values[: len(cells)]

@@ -151,7 +151,7 @@ def distributed(
     topology.create_entities(1)
     for a, b in ((1, 2), (2, 1), (0, 2)):
         topology.create_connectivity(a, b)
-    vertices = mesh.geometry.input_global_indices[vertex_nodes(mesh)]
+    vertices = vertex_ids(mesh)
     pairs = vertices[topology.connectivity(1, 0).array.reshape(-1, 2)]
     return MembraneMesh(
         mesh,
@@ -168,6 +168,16 @@ def vertex_nodes(mesh: dolfinx.mesh.Mesh) -> NDArray[np.int32]:
     nodes = np.empty(vertex_map.size_local + vertex_map.num_ghosts, dtype=np.int32)
     nodes[mesh.topology.connectivity(2, 0).array] = geometry_dofmap(mesh).ravel()
     return nodes
+
+
+def vertex_ids(mesh: dolfinx.mesh.Mesh) -> NDArray[np.int64]:
+    """Return the number of each local vertex in the mesh as it was given, shape (n,)."""
+    return np.asarray(mesh.geometry.input_global_indices[vertex_nodes(mesh)], dtype=np.int64)
+
+
+def cell_vertex_ids(mesh: dolfinx.mesh.Mesh) -> NDArray[np.int64]:
+    """Return the `vertex_ids` of each local cell's corners, shape (m, 3)."""
+    return np.asarray(mesh.geometry.input_global_indices[geometry_dofmap(mesh)], dtype=np.int64)
 
 
 def _local_groups(
