@@ -18,7 +18,7 @@ from crms_fenicsx.checkpoint.folder import complete, replaced_folder
 from crms_fenicsx.checkpoint.plain import Plain, integers
 from crms_fenicsx.checkpoint.run import Run, plain_run, run_of
 from crms_fenicsx.errors import InputError, raised_together
-from crms_fenicsx.output.files import explained
+from crms_fenicsx.output.files import explained, readable
 from crms_fenicsx.output.npy import read_rows, write_rows
 from crms_fenicsx.scene import Scene
 
@@ -183,20 +183,13 @@ def _strip(scene: Scene, rest: _Rest) -> Strip | None:
 def _cell_ids(scene: Scene) -> tuple[npt.NDArray[np.int64], int]:
     """Ids of this rank's cells, numbers in the mesh as it was given, and how many there are."""
     topology = scene.mesh.mesh.topology
-    return np.asarray(topology.original_cell_index, dtype=np.int64), topology.index_map(
-        2
-    ).size_global
+    ids = np.asarray(topology.original_cell_index, dtype=np.int64)
+    return ids, topology.index_map(2).size_global
 
 
 def _read(file: Path) -> Plain:
-    try:
-        text = file.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(
-            f"{file} cannot be read ({error.strerror or error}); give the folder of a checkpoint"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{file} is damaged ({error}); take another checkpoint") from error
+    with readable(file, "give the folder of a checkpoint"):
+        text = file.read_bytes()
     with _told(file):
         data: Plain = json.loads(text)
         if data["format"] != FORMAT:

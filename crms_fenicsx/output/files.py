@@ -37,6 +37,28 @@ def explained(path: Path) -> Iterator[None]:
 
 
 @contextmanager
+def readable(what: object, remedy: str) -> Iterator[None]:
+    """Say of what the system refuses to read in the block what it is.
+
+    Parameters
+    ----------
+    what
+        Path or name of it.
+    remedy
+        What the user can do.
+
+    Raises
+    ------
+    InputError
+        Instead of an `OSError`.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{what} cannot be read ({error.strerror or error}); {remedy}") from error
+
+
+@contextmanager
 def replaced(path: Path) -> Iterator[Path]:
     """Write a file beside `path` in the block; it takes the place of `path` when it is complete.
 

@@ -13,7 +13,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from crms_fenicsx.errors import InputError, raised_together
-from crms_fenicsx.output.files import make_writable, replaced
+from crms_fenicsx.output.files import make_writable, readable, replaced
 
 Value = int | float | str
 
@@ -149,14 +149,11 @@ class History:
         InputError
             When the file is missing, empty or has a row of another length.
         """
-        try:
-            with open(path, newline="", encoding="utf-8") as file:
-                cells = list(csv.reader(file))
-        except OSError as error:
-            raise InputError(
-                f"the history {path} cannot be read ({error.strerror or error}); give the CSV "
-                "file that a run has written"
-            ) from error
+        with (
+            readable(f"the history {path}", "give the CSV file that a run has written"),
+            open(path, newline="", encoding="utf-8") as file,
+        ):
+            cells = list(csv.reader(file))
         if not cells:
             raise InputError(f"the history {path} is empty; a run writes at least its header")
         columns, *rows = cells

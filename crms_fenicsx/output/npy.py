@@ -16,6 +16,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from crms_fenicsx.errors import InputError, raised_together
+from crms_fenicsx.output.files import readable
 from crms_fenicsx.output.shared_file import write_together
 
 Integers = npt.NDArray[np.int64]
@@ -116,19 +117,15 @@ def read_rows(
 
 def _checked(path: Path, dtype: np.dtype[Any], shape: tuple[int, ...]) -> int:
     """Where the numbers begin in a file that has the type and shape wanted (bytes)."""
-    try:
-        with open(path, "rb") as file:
+    with readable(path, "give a checkpoint that is complete"), open(path, "rb") as file:
+        try:
             version = np.lib.format.read_magic(file)
             if version != (1, 0):
                 raise ValueError(f"it is of version {version}")
             has_shape, by_columns, has_type = np.lib.format.read_array_header_1_0(file)
-            start, size = file.tell(), os.fstat(file.fileno()).st_size
-    except OSError as error:
-        raise InputError(
-            f"{path} cannot be read ({error.strerror or error}); give a checkpoint that is complete"
-        ) from error
-    except ValueError as error:
-        raise InputError(f"{path} is damaged ({error}); take another checkpoint") from error
+        except ValueError as error:
+            raise InputError(f"{path} is damaged ({error}); take another checkpoint") from error
+        start, size = file.tell(), os.fstat(file.fileno()).st_size
     if (has_shape, by_columns, has_type) != (shape, False, dtype):
         raise InputError(
             f"{path} holds numbers of type {has_type} and shape {has_shape} instead of {dtype} and "
