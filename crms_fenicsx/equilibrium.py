@@ -198,7 +198,7 @@ class EquilibriumSearch:
         paths, best = self.paths, self._try(h0_prestress)
         assert paths is not None
         total, flips = best.outcome, best.flips
-        self.groups: list[list[tuple[int, int]]] = []
+        groups: list[list[tuple[int, int]]] = []  # vertices to pass at once
         laid_again: set[int] = set()
         tries = 0
         while best.outcome.converged:
@@ -209,7 +209,7 @@ class EquilibriumSearch:
                 if caught:
                     laid_again |= caught
                     paths.lay_again(caught)
-                elif not self._pass_vertices():
+                elif not self._pass_vertices(groups):
                     flips = self._give_way(None)
                     if not flips and not self._relax_held():
                         break
@@ -224,9 +224,9 @@ class EquilibriumSearch:
             total = total + new.outcome
             if new.outcome.converged and new.energy < best.energy:
                 best, flips = new, new.flips
-                self.groups.clear()
+                groups.clear()
                 continue
-            if self.groups:  # a half of what was tried together is tried next
+            if groups:  # a half of what was tried together is tried next
                 paths.refused = refused
             best.state.restore(self.scene)
             # Half of the flips; one alone cannot be halved.
@@ -234,7 +234,7 @@ class EquilibriumSearch:
             if not flips:
                 paths.withheld |= tried
                 self.system.rebuild()
-                total = total + self._settle((0.0,), self._stop)
+                total = total + self._settle((0.0,), lambda: True)
                 best = replace(best, outcome=total)
         if total.converged and total.residual > total.tolerance:
             total = total + self._settle((0.0,))
@@ -248,30 +248,30 @@ class EquilibriumSearch:
             return replace(total, converged=False, reason=reason)
         return total
 
-    @staticmethod
-    def _stop() -> bool:
-        """Near the equilibrium is near enough."""
-        return True
-
-    def _pass_vertices(self) -> bool:
+    def _pass_vertices(self, groups: list[list[tuple[int, int]]]) -> bool:
         """Lead cables around the other side of vertices; say whether there was one to try.
 
         All cables that pass near one at once, and if that is rejected each half of them, and so on.
+
+        Parameters
+        ----------
+        groups
+            What to try next, (cable, vertex); the halves of what is tried now are added.
         """
         from crms_fenicsx.cables.network import BLOCKED
 
         paths = self.paths
         assert paths is not None
         while True:
-            if not self.groups:
+            if not groups:
                 group = paths.near_vertices(NEAR if self.polish else BLOCKED)
                 if not group:
                     return False
-                self.groups.append(group)
-            led = paths.pass_vertices(self.groups.pop())
+                groups.append(group)
+            led = paths.pass_vertices(groups.pop())
             if len(led) > 1:
                 half = len(led) // 2
-                self.groups += [led[half:], led[:half]]
+                groups += [led[half:], led[:half]]
             if led:
                 return True
 

@@ -272,10 +272,10 @@ class Retracer:
         led = []
         for c, vertex in group:
             cable = self.scene.cables[c]
-            way = self._pass_vertex(cable, vertex)
-            if way:
+            has_way = self._pass_vertex(cable, vertex)
+            if has_way:
                 led.append((c, vertex))
-            if not way or len(group) == 1:
+            if not has_way or len(group) == 1:
                 self._passed.setdefault(cable.name, set()).add(vertex)
         return led
 
