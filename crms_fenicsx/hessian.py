@@ -89,11 +89,12 @@ class InitialHessian:
             self.pc.setFactorSolverType("cholmod" if unknowns.comm.size == 1 else "mumps")
         else:
             self.pc.setType(PETSc.PC.Type.GAMG)
+        self.pc.setFromOptions()
+        if self.pc.getType() == PETSc.PC.Type.GAMG:
             options = PETSc.Options(prefix)
             for name, value in MULTIGRID.items():
                 if not options.hasName(name):
                     options[name] = value
-        self.pc.setFromOptions()
         self._exact = self.pc.getType() in (PETSc.PC.Type.CHOLESKY, PETSc.PC.Type.LU)
         if self._exact and self.pc.getFactorSolverType() == "mumps":
             # Its estimate is too small for some distributions of a mesh, and it fails then. What
