@@ -7,6 +7,7 @@ layout.
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
@@ -41,22 +42,21 @@ class BlockPattern:
         self._unknowns = unknowns
         self._places, self._sources, self._weights = unknowns.spread(self.rows, self.cols)
         rows, cols = unknowns.matrix_numbers[self._places].astype(np.int64)
-        keys = rows * unknowns.n_local + cols
-        self._order = np.argsort(keys, kind="stable")
-        unique, self._starts = np.unique(keys[self._order], return_index=True)
+        unique, block = np.unique(rows * unknowns.n_local + cols, return_inverse=True)
         rows, cols = np.divmod(unique, unknowns.n_local)
         rows, first, counts = np.unique(rows, return_index=True, return_counts=True)
         components = np.arange(3)
         # A row of m blocks becomes three rows of 3 m numbers, handed over one after the other.
         self._rows = (3 * rows[:, None] + components).ravel().astype(PETSc.IntType)
         self._pointers = np.append(0, np.cumsum(np.repeat(3 * counts, 3))).astype(PETSc.IntType)
-        m, first = (np.repeat(values, counts)[:, None, None] for values in (counts, first))
-        place = np.arange(len(unique))[:, None, None] - first
+        m, first = np.repeat(counts, counts), np.repeat(first, counts)
+        starts = 9 * first + 3 * (np.arange(len(unique)) - first)
         i, j = components[:, None], components
-        self._handed = (9 * first + 3 * m * i + 3 * place + j).ravel()
+        handed = starts[:, None, None] + 3 * m[:, None, None] * i + j
         self._cols = np.empty(9 * len(unique), dtype=PETSc.IntType)
-        self._cols[self._handed] = np.tile(3 * cols[:, None, None] + j, (1, 3, 1)).ravel()
+        self._cols[handed] = 3 * cols[:, None, None] + j
         self._row_values = np.zeros(9 * len(unique))
+        self._starts, self._strides = starts[block], 3 * m[block]
 
     def add(self, A: PETSc.Mat, unknowns: Unknowns) -> None:
         """Add what `values` holds.
@@ -66,19 +66,32 @@ class BlockPattern:
         """
         if self._unknowns is not unknowns:
             self._arrange(unknowns)
-        values: Array = self.values
-        if unknowns.n_riders:
-            values = self._weights[:, None, None] * values[self._sources]
-        if unknowns.n_rails:
-            rows, cols = self._places
-            values = unknowns.project_blocks(rows, cols, values)
-        if len(values) == 0:
+        if len(self._places[0]) == 0:
             return
-        sums = np.add.reduceat(values.reshape(-1, 9)[self._order], self._starts, axis=0)
-        self._row_values[self._handed] = sums.ravel()
+        values, sources, weights = self.values, self._sources, self._weights
+        if unknowns.n_rails:
+            values = unknowns.project_blocks(
+                *self._places, weights[:, None, None] * values[sources]
+            )
+            sources, weights = np.arange(len(values), dtype=np.int32), np.ones(len(values))
+        _sum_blocks(values, sources, weights, self._starts, self._strides, self._row_values)
         A.setValuesLocalIJV(
             self._pointers, self._cols, self._row_values, PETSc.InsertMode.ADD, self._rows
         )
+
+
+@numba.njit(cache=True)
+def _sum_blocks(values, sources, weights, starts, strides, out):  # type: ignore[no-untyped-def]
+    """Add up blocks (n, 3, 3) times their weights in rows of numbers.
+
+    Block ``sources[k]`` goes to ``starts[k]``, its three rows ``strides[k]`` apart.
+    """
+    out[:] = 0.0
+    for k in range(len(sources)):
+        v, w, start = values[sources[k]], weights[k], starts[k]
+        for i in range(3):
+            for j in range(3):
+                out[start + i * strides[k] + j] += w * v[i, j]
 
 
 class SegmentPattern(BlockPattern):
