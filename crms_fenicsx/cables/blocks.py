@@ -68,11 +68,12 @@ class BlockPattern:
             self._arrange(unknowns)
         if len(self._places[0]) == 0:
             return
-        values, sources, weights = self.values, self._sources, self._weights
+        values: Array = self.values
+        sources, weights = self._sources, self._weights
         if unknowns.n_rails:
-            values = unknowns.project_blocks(
-                *self._places, weights[:, None, None] * values[sources]
-            )
+            rows, cols = self._places
+            values = weights[:, None, None] * values[sources]
+            values = unknowns.project_blocks(rows, cols, values)
             sources, weights = np.arange(len(values), dtype=np.int32), np.ones(len(values))
         _sum_blocks(values, sources, weights, self._starts, self._strides, self._row_values)
         A.setValuesLocalIJV(
