@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from petsc4py import PETSc
 
 from crms_fenicsx.compat import geometry_dofmap
 from crms_fenicsx.errors import InputError, raised_together
+from crms_fenicsx.integral import Integral
 from crms_fenicsx.materials import (
     LINEAR,
     ORTHOTROPIC_TENSION_FIELD,
@@ -183,12 +185,8 @@ class MembraneEnergy:
             warp = None if material.warp is None else warp_field(mesh, material, own)
             self.warps[tag] = warp
         self.tension_field = self._tension_field(cells)
-        self.terms: dict[int, tuple[LawTerms, Kinematics]] = {}
+        self.terms: dict[int, tuple[LawTerms, Kinematics, ufl.Measure]] = {}
         measure = one_point(mesh, subdomain_data=cell_tags)
-        v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
-        energy: Any = 0
-        gradient: Any = 0
-        stiffness: Any = 0
         for tag, material in materials.items():
             kinematics = Kinematics(u, tangent_basis(mesh, self.warps[tag]))
             parameters = fem.Constant(mesh, material.parameters)
@@ -197,25 +195,40 @@ class MembraneEnergy:
                 law = self.tension_field.terms(parameters)
             else:
                 law = law_terms(material.law, kinematics.strain(), parameters)
-            self.terms[tag] = (law, kinematics)
-            dx = measure if cell_tags is None else measure(tag)
+            self.terms[tag] = (law, kinematics, measure if cell_tags is None else measure(tag))
+        self.stiffness_form = fem.form(self._stiffness(ufl.TestFunction(V), ufl.TrialFunction(V)))
+        self._cell_values: dict[int, fem.Expression] = {}
+
+    @cached_property
+    def _integral(self) -> Integral:
+        """Energy and forces; compiled when first needed, when a law of its own is complete."""
+        return Integral(self.u.function_space, self._variation)
+
+    def _variation(self, v: Any, q: Any) -> Any:
+        """The form of energy and gradient, as `Integral` wants it."""
+        variation: Any = 0
+        for law, kinematics, dx in self.terms.values():
+            work = ufl.inner(law.stress, kinematics.strain_variation(v))
+            variation += self.plain * (law.energy * q + work) * dx
+        return variation
+
+    def _stiffness(self, v: Any, du: Any) -> Any:
+        """The form of the stiffness, positive semidefinite."""
+        stiffness: Any = 0
+        for tag, (law, kinematics, dx) in self.terms.items():
+            linear = self.materials[tag].law == LINEAR
             a, b = kinematics.strain_variation(v), kinematics.strain_variation(du)
-            energy += self.plain * law.energy * dx
-            gradient += self.plain * ufl.inner(law.stress, a) * dx
-            S = tensile_part(law.stress) if material.law == LINEAR else law.stress
+            S = tensile_part(law.stress) if linear else law.stress
             S = S + self.h0_prestress * ufl.Identity(2)
             dv = [ufl.dot(ufl.grad(v), e) for e in kinematics.basis]
             ddu = [ufl.dot(ufl.grad(du), e) for e in kinematics.basis]
             geometric = sum(S[i, j] * ufl.dot(dv[i], ddu[j]) for i in (0, 1) for j in (0, 1))
             material_part = law.tangent(a, b)
-            if material.law != LINEAR:
-                material_part += self.tangent_floor[material.law] * law.taut_tangent(a, b)
+            if not linear:
+                floor = self.tangent_floor[self.materials[tag].law]
+                material_part += floor * law.taut_tangent(a, b)
             stiffness += self.plain * (material_part + geometric) * dx
-        self._energy = fem.form(energy)
-        self._gradient = fem.form(gradient)
-        self.stiffness_form = fem.form(stiffness)
-        self._work = np.zeros_like(u.x.array)
-        self._cell_values: dict[int, fem.Expression] = {}
+        return stiffness
 
     def _tension_field(self, cells: npt.NDArray[np.int32]) -> TensionField | None:
         """The law of the wrinkling orthotropic cells among the owned ones, None without any."""
@@ -237,10 +250,10 @@ class MembraneEnergy:
         self.unknowns = unknowns
 
     def sums(self, x: Array, out: Array) -> None:
-        """This rank's part of the energy."""
+        """This rank's part of the energy; keeps the nodal forces for the gradient."""
         if self.tension_field is not None:
             self.tension_field.update()
-        out[0] = fem.assemble_scalar(self._energy)
+        out[0] = self._integral.assemble()
 
     def energy(self, sums: Array) -> float:
         """Strain energy (force x length)."""
@@ -250,9 +263,7 @@ class MembraneEnergy:
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Add the nodal forces of this rank's cells."""
-        self._work[:] = 0.0
-        fem.assemble_vector(self._work, self._gradient)
-        self.unknowns.add_to_vertices(self._work.reshape(-1, 3), g)
+        self.unknowns.add_to_vertices(self._integral.gradient, g)
 
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add the positive semidefinite stiffness of this rank's cells."""
@@ -272,7 +283,7 @@ class MembraneEnergy:
         results = np.zeros((len(cells), 7))
         if self.tension_field is not None:
             self.tension_field.update()
-        for tag, (law, kinematics) in self.terms.items():
+        for tag, (law, kinematics, _) in self.terms.items():
             if tag not in self._cell_values:
                 E, S = kinematics.strain(), law.stress
                 values = [E[0, 0], E[1, 1], 2 * E[0, 1], S[0, 0], S[1, 1], S[0, 1], law.state]

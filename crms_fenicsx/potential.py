@@ -26,7 +26,8 @@ class Term(Protocol):
 
     The evaluation has two halves around the one reduction over the ranks: every term first writes
     this rank's share of its scalar sums (energies, volumes, cable lengths), then computes energy
-    and gradient from the global sums. Terms may also have
+    and gradient from the global sums. What both halves need is computed in `sums`, and kept.
+    Terms may also have
 
     ``add_stiffness(x, sums, A)``
         Add a positive semidefinite stiffness, blocks of three by local numbers, to the matrix.
