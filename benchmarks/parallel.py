@@ -61,6 +61,7 @@ def watched() -> Clock:
         dead_load,
         equilibrium,
         hessian,
+        integral,
         loads,
         membrane,
         minimizer,
@@ -78,6 +79,7 @@ def watched() -> Clock:
         for term in terms:
             for method in ("sums", "add_gradient"):
                 clock.watch(term, method, f"{part}, energy and forces")
+    clock.watch(integral.OnePass, "assemble", "membrane, energy and forces")
     clock.watch(potential.Potential, "sum_up", "sum over the ranks")
     clock.watch(unknowns.Unknowns, "update_ghosts", "ghosts")
     clock.watch(unknowns.Unknowns, "add_ghosts", "ghosts")

@@ -1,7 +1,8 @@
-"""An integral over the cells and its gradient, assembled in one pass over the mesh.
+"""Integrals over the cells and their gradients, assembled in one pass over the mesh.
 
-Both need the same geometry and strain of a cell, and DOLFINx's way to a cell and back costs as much
-as either. So there is one form for both, whose test function has four components instead of three:
+Value and gradient, and the integrals of several terms, need the same geometry and displacement of a
+cell, and DOLFINx's way to a cell and back costs as much as any of them. So there is one form for
+all, whose test function has four components for each integral:
 
     (v, q)  ->  gradient along v  +  integral of density * q.
 
@@ -10,7 +11,7 @@ As the shape functions sum to one everywhere, the vertices' entries of q sum to 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ Array = npt.NDArray[np.float64]
 
 
 class Integral:
-    """A functional of the vertex displacements with its gradient.
+    """A functional of the vertex displacements with its gradient, as `OnePass` assembles it.
 
     Parameters
     ----------
@@ -30,26 +31,74 @@ class Integral:
         Vertex displacements: continuous piecewise linear vectors (3).
     form
         UFL form, linear in what it is called with: a test displacement v (3,), which stands with
-        the gradient, and a test scalar q, which stands with the density.
+        the gradient, and a test scalar q, which stands with the density. One of them may have a
+        factor that the other has not.
+    prepare
+        Called before each pass: brings functions in the form up to date.
 
     Attributes
     ----------
+    value
+        This rank's part of the integral in the last pass.
     gradient : (n, 3) array
-        Nodal forces of this rank's cells at the last `assemble`, in DOLFINx's order.
+        The gradient's part from this rank's cells in the last pass, in DOLFINx's order.
     """
 
-    def __init__(self, V: fem.FunctionSpace, form: Callable[[Any, Any], Any]) -> None:
-        space = fem.functionspace(V.mesh, ("Lagrange", 1, (4,)))
-        # Rows are read as V's: DOLFINx numbers vertices alike whatever they carry.
-        assert np.array_equal(space.dofmap.list, V.dofmap.list)
-        test = ufl.TestFunction(space)
-        self._form = fem.form(form(ufl.as_vector([test[0], test[1], test[2]]), test[3]))
-        dofs = V.dofmap.index_map
-        self._entries = np.zeros((dofs.size_local + dofs.num_ghosts, 4))
-        self.gradient: Array = self._entries[:, :3]
+    def __init__(
+        self,
+        V: fem.FunctionSpace,
+        form: Callable[[Any, Any], Any],
+        prepare: Callable[[], None] | None = None,
+    ) -> None:
+        self.V, self.form, self.prepare = V, form, prepare
+        self.value = 0.0
+        self.gradient: Array = np.zeros((0, 3))
+        self.passes: dict[tuple[Integral, ...], OnePass] = {}
+        """Passes that begin with this integral, by all that they assemble."""
 
-    def assemble(self) -> float:
-        """This rank's part of the integral, at the current values of the form's functions."""
+
+class OnePass:
+    """Assembles integrals together; compiles their form when it does so first.
+
+    Parameters
+    ----------
+    integrals
+        At least one, all of the same displacements.
+    """
+
+    def __init__(self, integrals: Sequence[Integral]) -> None:
+        self.integrals = integrals
+        self._form: fem.Form | None = None
+        self._entries: Array = np.zeros((0, 0))
+
+    @classmethod
+    def of(cls, integrals: Sequence[Integral]) -> OnePass:
+        """The pass over these integrals, always the same one: it is compiled once."""
+        return integrals[0].passes.setdefault(tuple(integrals), cls(integrals))
+
+    def assemble(self) -> None:
+        """Give all integrals their value and gradient at the current state of their functions."""
+        for integral in self.integrals:
+            if integral.prepare is not None:
+                integral.prepare()
+        if self._form is None:
+            self._form = self._compile()
         self._entries[:] = 0.0
         fem.assemble_vector(self._entries.reshape(-1), self._form)
-        return float(self._entries[:, 3].sum())
+        for k, integral in enumerate(self.integrals):
+            integral.gradient = self._entries[:, 4 * k : 4 * k + 3]
+            integral.value = float(self._entries[:, 4 * k + 3].sum())
+
+    def _compile(self) -> fem.Form:
+        V, size = self.integrals[0].V, 4 * len(self.integrals)
+        space = fem.functionspace(V.mesh, ("Lagrange", 1, (size,)))
+        # Rows are read as V's: DOLFINx numbers vertices alike whatever they carry.
+        assert np.array_equal(space.dofmap.list, V.dofmap.list)
+        dofs = space.dofmap.index_map
+        self._entries = np.zeros((dofs.size_local + dofs.num_ghosts, size))
+        test = ufl.TestFunction(space)
+        form: Any = 0
+        for k, integral in enumerate(self.integrals):
+            v = ufl.as_vector([test[4 * k + i] for i in range(3)])
+            form += integral.form(v, test[4 * k + 3])
+        return fem.form(form)

@@ -63,6 +63,11 @@ class FollowerPressure:
         Pressure (force per area) along the surface's normals.
     origin
         Point (3,) from which volumes are counted (length).
+
+    Attributes
+    ----------
+    integral : Integral
+        The volume gained, and the gradient of the potential.
     """
 
     name = "pressure"
@@ -88,18 +93,17 @@ class FollowerPressure:
         density = cells * change / 3
 
         def variation(v: Any, q: Any) -> Any:
-            return density * q * dx + ufl.derivative(density * dx, u, v)
+            return density * q * dx - pressure * ufl.derivative(density * dx, u, v)
 
-        self._volume = Integral(u.function_space, variation)
-        self._forces = np.zeros_like(self._volume.gradient)
+        self.integral = Integral(u.function_space, variation)
 
     def attach(self, unknowns: Unknowns) -> None:
         """Use this layout."""
         self.unknowns = unknowns
 
     def sums(self, x: Array, out: Array) -> None:
-        """This rank's part of the volume gained, V - V0 (length cubed); keeps its gradient."""
-        out[0] = self._volume.assemble()
+        """This rank's part of the volume gained, V - V0 (length cubed)."""
+        out[0] = self.integral.value
 
     def energy(self, sums: Array) -> float:
         """Minus the work of the pressure since the stress-free shape (force x length)."""
@@ -107,8 +111,7 @@ class FollowerPressure:
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Add the pressure's nodal forces, with the sign of a gradient."""
-        np.multiply(self._volume.gradient, -float(self.pressure.value), out=self._forces)
-        self.unknowns.add_to_vertices(self._forces, g)
+        self.unknowns.add_to_vertices(self.integral.gradient, g)
 
 
 class StepPressure:

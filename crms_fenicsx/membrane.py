@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -158,6 +157,8 @@ class MembraneEnergy:
     ----------
     plain : Function
         1 in plain cells, 0 in folded cells, which leave this term without a new form.
+    integral : Integral
+        Energy and nodal forces.
     h0_prestress : Constant
         Extra isotropic section force in the stiffness only (force per length).
     """
@@ -197,12 +198,9 @@ class MembraneEnergy:
                 law = law_terms(material.law, kinematics.strain(), parameters)
             self.terms[tag] = (law, kinematics, measure if cell_tags is None else measure(tag))
         self.stiffness_form = fem.form(self._stiffness(ufl.TestFunction(V), ufl.TrialFunction(V)))
+        prepare = None if self.tension_field is None else self.tension_field.update
+        self.integral = Integral(V, self._variation, prepare)
         self._cell_values: dict[int, fem.Expression] = {}
-
-    @cached_property
-    def _integral(self) -> Integral:
-        """Energy and forces; compiled when first needed, when a law of its own is complete."""
-        return Integral(self.u.function_space, self._variation)
 
     def _variation(self, v: Any, q: Any) -> Any:
         """The form of energy and gradient, as `Integral` wants it."""
@@ -250,10 +248,8 @@ class MembraneEnergy:
         self.unknowns = unknowns
 
     def sums(self, x: Array, out: Array) -> None:
-        """This rank's part of the energy; keeps the nodal forces for the gradient."""
-        if self.tension_field is not None:
-            self.tension_field.update()
-        out[0] = self._integral.assemble()
+        """This rank's part of the energy."""
+        out[0] = self.integral.value
 
     def energy(self, sums: Array) -> float:
         """Strain energy (force x length)."""
@@ -263,7 +259,7 @@ class MembraneEnergy:
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Add the nodal forces of this rank's cells."""
-        self.unknowns.add_to_vertices(self._integral.gradient, g)
+        self.unknowns.add_to_vertices(self.integral.gradient, g)
 
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add the positive semidefinite stiffness of this rank's cells."""
