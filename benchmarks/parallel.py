@@ -89,6 +89,10 @@ def watched() -> Clock:
     clock.watch(hessian.InitialHessian, "solve", "H0: solves")
     clock.watch(minimizer.Minimizer, "solve", "rest of the minimiser")
     clock.watch(system.System, "rebuild", "tables of the cables")
+    clock.watch(system.System, "push", "state of the scene")
+    clock.watch(system.System, "pull", "state of the scene")
+    clock.watch(equilibrium.EquilibriumSearch, "_changes", "contacts")
+    clock.watch(equilibrium.EquilibriumSearch, "_change_paths", "paths")
     clock.watch(equilibrium.EquilibriumSearch, "find", "paths and contacts")
     return clock
 
