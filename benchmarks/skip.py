@@ -16,6 +16,9 @@ start
     working directory, what is compiled again; memory.
 
     ./run python benchmarks/skip.py [evaluation] [features] [start] [--quick]
+
+Times are the processor's, so that other work on the machine hardly counts; those of `start`, which
+load files, are a clock's.
 """
 
 from __future__ import annotations
@@ -136,14 +139,14 @@ def evaluation_of(solver: Any) -> Callable[[], float]:
 
 
 def in_turns(functions: Iterable[Callable[[], object]], rounds: int) -> list[float]:
-    """Median seconds of each function, called in turns."""
+    """Median seconds of the processor that each function takes, called in turns."""
     functions = list(functions)
     spent: list[list[float]] = [[] for _ in functions]
     for _ in range(rounds):
         for function, own in zip(functions, spent, strict=True):
-            began = time.perf_counter()
+            began = time.process_time()
             function()
-            own.append(time.perf_counter() - began)
+            own.append(time.process_time() - began)
     return [statistics.median(own[rounds // 10 :]) for own in spent]
 
 
@@ -195,12 +198,12 @@ def again(solver: Any, feature: dict[str, Any], rounds: int) -> tuple[float, Any
     """Median seconds of load steps after the first, back and forth, and what one took."""
     spent, work = [], None
     for k in range(max(rounds, 3)):
-        began = time.perf_counter()
+        began = time.process_time()
         if feature.get("pressure", PRESSURE):
             work = solver.advance(pressure=PRESSURE * (1.0 if k % 2 == 0 else 0.8)).outcome
         else:
             work = solver.advance(move={"boundary": (0.0, 0.0, 0.0)}).outcome
-        spent.append(time.perf_counter() - began)
+        spent.append(time.process_time() - began)
     return statistics.median(spent), work
 
 

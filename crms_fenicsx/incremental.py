@@ -24,7 +24,7 @@ from dolfinx import fem
 from crms_fenicsx.compat import geometry_dofmap, interpolation_points
 from crms_fenicsx.errors import InputError
 from crms_fenicsx.materials import LINEAR, Membrane
-from crms_fenicsx.membrane import MembraneEnergy, one_point
+from crms_fenicsx.membrane import MembraneEnergy
 
 Array = npt.NDArray[np.float64]
 
@@ -154,9 +154,9 @@ class StepMembraneEnergy(MembraneEnergy):
         self._stress_free = self.history.x.array.reshape(-1, 6)[:, 3:].copy()
         self.energy_n = 0.0
 
-    def _variation(self, v: Any, q: Any) -> Any:
+    def _variation(self, v: Any, q: Any, dx: ufl.Measure) -> Any:
         """The form of energy and gradient, as `Integral` wants it."""
-        density, dx = self.plain * self._density, one_point(self.u.function_space.mesh)
+        density = self.plain * self._density
         return density * q * dx + ufl.derivative(density * dx, self.u, v)
 
     def _start(self) -> None:

@@ -22,6 +22,11 @@ from dolfinx import fem
 Array = npt.NDArray[np.float64]
 
 
+def one_point(mesh: Any, **options: Any) -> ufl.Measure:
+    """Integration over the stress-free surface; exact, as strains are constant in a cell."""
+    return ufl.Measure("dx", domain=mesh, metadata={"quadrature_degree": 0}, **options)
+
+
 class Integral:
     """A functional of the vertex displacements with its gradient, as `OnePass` assembles it.
 
@@ -30,11 +35,13 @@ class Integral:
     V
         Vertex displacements: continuous piecewise linear vectors (3).
     form
-        UFL form, linear in what it is called with: a test displacement v (3,), which stands with
+        UFL form of v, q and dx, linear in v and q: a test displacement v (3,), which stands with
         the gradient, and a test scalar q, which stands with the density. One of them may have a
         factor that the other has not.
     prepare
         Called before each pass: brings functions in the form up to date.
+    cell_tags
+        Tags of parts, if the form has integrals over some of them.
 
     Attributes
     ----------
@@ -47,10 +54,11 @@ class Integral:
     def __init__(
         self,
         V: fem.FunctionSpace,
-        form: Callable[[Any, Any], Any],
+        form: Callable[[Any, Any, ufl.Measure], Any],
         prepare: Callable[[], None] | None = None,
+        cell_tags: Any = None,
     ) -> None:
-        self.V, self.form, self.prepare = V, form, prepare
+        self.V, self.form, self.prepare, self.cell_tags = V, form, prepare, cell_tags
         self.value = 0.0
         self.gradient: Array = np.zeros((0, 3))
         self.passes: dict[tuple[Integral, ...], OnePass] = {}
@@ -63,7 +71,7 @@ class OnePass:
     Parameters
     ----------
     integrals
-        At least one, all of the same displacements.
+        At least one, all of the same displacements; those with tags have the same.
     """
 
     def __init__(self, integrals: Sequence[Integral]) -> None:
@@ -97,8 +105,10 @@ class OnePass:
         dofs = space.dofmap.index_map
         self._entries = np.zeros((dofs.size_local + dofs.num_ghosts, size))
         test = ufl.TestFunction(space)
+        tags = next((i.cell_tags for i in self.integrals if i.cell_tags is not None), None)
+        dx = one_point(V.mesh, subdomain_data=tags)  # a form has one measure, tags or none
         form: Any = 0
         for k, integral in enumerate(self.integrals):
             v = ufl.as_vector([test[4 * k + i] for i in range(3)])
-            form += integral.form(v, test[4 * k + 3])
+            form += integral.form(v, test[4 * k + 3], dx)
         return fem.form(form)

@@ -10,8 +10,8 @@ import ufl
 from dolfinx import fem, la
 from dolfinx.mesh import Mesh
 
-from crms_fenicsx.integral import Integral
-from crms_fenicsx.membrane import Kinematics, one_point, tangent_basis
+from crms_fenicsx.integral import Integral, one_point
+from crms_fenicsx.membrane import Kinematics, tangent_basis
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.unknowns import Unknowns
 
@@ -82,7 +82,6 @@ class FollowerPressure:
     ) -> None:
         mesh = u.function_space.mesh
         self.pressure = pressure
-        dx = one_point(mesh)
         e1, e2 = tangent_basis(mesh, None)
         F = Kinematics(u, (e1, e2)).F
         self.origin = fem.Constant(mesh, origin)
@@ -92,7 +91,7 @@ class FollowerPressure:
         change = ufl.dot(u, n) + ufl.dot(X, n - n0)
         density = cells * change / 3
 
-        def variation(v: Any, q: Any) -> Any:
+        def variation(v: Any, q: Any, dx: ufl.Measure) -> Any:
             return density * q * dx - pressure * ufl.derivative(density * dx, u, v)
 
         self.integral = Integral(u.function_space, variation)

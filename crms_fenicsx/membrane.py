@@ -14,7 +14,7 @@ from petsc4py import PETSc
 
 from crms_fenicsx.compat import geometry_dofmap
 from crms_fenicsx.errors import InputError, raised_together
-from crms_fenicsx.integral import Integral
+from crms_fenicsx.integral import Integral, one_point
 from crms_fenicsx.materials import (
     LINEAR,
     ORTHOTROPIC_TENSION_FIELD,
@@ -33,11 +33,6 @@ TANGENT_FLOORS = (0.0, 1e-2, 1e-3)
 """Part of the taut stiffness that is added to the tangent in H0, so that wrinkled and slack cells
 keep H0 definite, by the code of the law. A part of the stiff direction's modulus is much for the
 soft one: fabrics that are mostly wrinkled take .7 times the factorisations with 1e-3."""
-
-
-def one_point(mesh: Any, **options: Any) -> ufl.Measure:
-    """Integration over the stress-free surface; exact, as strains are constant in a cell."""
-    return ufl.Measure("dx", domain=mesh, metadata={"quadrature_degree": 0}, **options)
 
 
 def warp_field(mesh: Any, material: Membrane, cells: npt.NDArray[np.int32]) -> fem.Function:
@@ -186,8 +181,7 @@ class MembraneEnergy:
             warp = None if material.warp is None else warp_field(mesh, material, own)
             self.warps[tag] = warp
         self.tension_field = self._tension_field(cells)
-        self.terms: dict[int, tuple[LawTerms, Kinematics, ufl.Measure]] = {}
-        measure = one_point(mesh, subdomain_data=cell_tags)
+        self.terms: dict[int, tuple[LawTerms, Kinematics]] = {}
         for tag, material in materials.items():
             kinematics = Kinematics(u, tangent_basis(mesh, self.warps[tag]))
             parameters = fem.Constant(mesh, material.parameters)
@@ -196,24 +190,30 @@ class MembraneEnergy:
                 law = self.tension_field.terms(parameters)
             else:
                 law = law_terms(material.law, kinematics.strain(), parameters)
-            self.terms[tag] = (law, kinematics, measure if cell_tags is None else measure(tag))
-        self.stiffness_form = fem.form(self._stiffness(ufl.TestFunction(V), ufl.TrialFunction(V)))
+            self.terms[tag] = (law, kinematics)
+        v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
+        dx = one_point(mesh, subdomain_data=cell_tags)
+        self.stiffness_form = fem.form(self._stiffness(v, du, dx))
         prepare = None if self.tension_field is None else self.tension_field.update
-        self.integral = Integral(V, self._variation, prepare)
+        self.integral = Integral(V, self._variation, prepare, cell_tags)
         self._cell_values: dict[int, fem.Expression] = {}
 
-    def _variation(self, v: Any, q: Any) -> Any:
+    def _on(self, tag: int, dx: ufl.Measure) -> ufl.Measure:
+        """The measure on one part."""
+        return dx if self.cell_tags is None else dx(tag)
+
+    def _variation(self, v: Any, q: Any, dx: ufl.Measure) -> Any:
         """The form of energy and gradient, as `Integral` wants it."""
         variation: Any = 0
-        for law, kinematics, dx in self.terms.values():
+        for tag, (law, kinematics) in self.terms.items():
             work = ufl.inner(law.stress, kinematics.strain_variation(v))
-            variation += self.plain * (law.energy * q + work) * dx
+            variation += self.plain * (law.energy * q + work) * self._on(tag, dx)
         return variation
 
-    def _stiffness(self, v: Any, du: Any) -> Any:
+    def _stiffness(self, v: Any, du: Any, dx: ufl.Measure) -> Any:
         """The form of the stiffness, positive semidefinite."""
         stiffness: Any = 0
-        for tag, (law, kinematics, dx) in self.terms.items():
+        for tag, (law, kinematics) in self.terms.items():
             linear = self.materials[tag].law == LINEAR
             a, b = kinematics.strain_variation(v), kinematics.strain_variation(du)
             S = tensile_part(law.stress) if linear else law.stress
@@ -225,7 +225,7 @@ class MembraneEnergy:
             if not linear:
                 floor = self.tangent_floor[self.materials[tag].law]
                 material_part += floor * law.taut_tangent(a, b)
-            stiffness += self.plain * (material_part + geometric) * dx
+            stiffness += self.plain * (material_part + geometric) * self._on(tag, dx)
         return stiffness
 
     def _tension_field(self, cells: npt.NDArray[np.int32]) -> TensionField | None:
@@ -279,7 +279,7 @@ class MembraneEnergy:
         results = np.zeros((len(cells), 7))
         if self.tension_field is not None:
             self.tension_field.update()
-        for tag, (law, kinematics, _) in self.terms.items():
+        for tag, (law, kinematics) in self.terms.items():
             if tag not in self._cell_values:
                 E, S = kinematics.strain(), law.stress
                 values = [E[0, 0], E[1, 1], 2 * E[0, 1], S[0, 0], S[1, 1], S[0, 1], law.state]
