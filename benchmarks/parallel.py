@@ -21,6 +21,7 @@ import sys
 import tempfile
 import time
 from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
 
 STAGES = ("an evaluation", "a solve with H0")
@@ -31,7 +32,8 @@ ROUNDS = 20
 class Clock:
     """Time spent in functions, without that in other watched functions that they call."""
 
-    def __init__(self) -> None:
+    def __init__(self, now: Callable[[], float]) -> None:
+        self.now = now
         self.seconds: dict[str, float] = defaultdict(float)
         self.calls: dict[str, int] = defaultdict(int)
         self._inner = [0.0]
@@ -43,11 +45,11 @@ class Clock:
         @functools.wraps(function)
         def timed(*args, **kwargs):
             self._inner.append(0.0)
-            begin = time.perf_counter()
+            begin = self.now()
             try:
                 return function(*args, **kwargs)
             finally:
-                spent = time.perf_counter() - begin
+                spent = self.now() - begin
                 self.seconds[part] += spent - self._inner.pop()
                 self.calls[part] += 1
                 self._inner[-1] += spent
@@ -55,12 +57,13 @@ class Clock:
         setattr(owner, method, timed)
 
 
-def watched() -> Clock:
-    """A clock on the parts of a load step."""
+def watched(now: Callable[[], float] = time.perf_counter) -> Clock:
+    """A clock on the parts of a load step, which reads the time from `now`."""
     from crms_fenicsx import (
         dead_load,
         equilibrium,
         hessian,
+        integral,
         loads,
         membrane,
         minimizer,
@@ -70,7 +73,7 @@ def watched() -> Clock:
     )
     from crms_fenicsx.cables import fold, penalty, tension, volume
 
-    clock = Clock()
+    clock = Clock(now)
     plain = [membrane.MembraneEnergy, loads.FollowerPressure, dead_load.DeadLoad]
     cables = [fold.FoldEnergy, penalty.KinkPenalty, tension.CableTension]
     cables += [volume.FoldedFollowerPressure]
@@ -78,6 +81,7 @@ def watched() -> Clock:
         for term in terms:
             for method in ("sums", "add_gradient"):
                 clock.watch(term, method, f"{part}, energy and forces")
+    clock.watch(integral.OnePass, "assemble", "membrane, energy and forces")
     clock.watch(potential.Potential, "sum_up", "sum over the ranks")
     clock.watch(unknowns.Unknowns, "update_ghosts", "ghosts")
     clock.watch(unknowns.Unknowns, "add_ghosts", "ghosts")
@@ -87,6 +91,10 @@ def watched() -> Clock:
     clock.watch(hessian.InitialHessian, "solve", "H0: solves")
     clock.watch(minimizer.Minimizer, "solve", "rest of the minimiser")
     clock.watch(system.System, "rebuild", "tables of the cables")
+    clock.watch(system.System, "push", "state of the scene")
+    clock.watch(system.System, "pull", "state of the scene")
+    clock.watch(equilibrium.EquilibriumSearch, "_changes", "contacts")
+    clock.watch(equilibrium.EquilibriumSearch, "_change_paths", "paths")
     clock.watch(equilibrium.EquilibriumSearch, "find", "paths and contacts")
     return clock
 

@@ -24,7 +24,7 @@ from dolfinx import fem
 from crms_fenicsx.compat import geometry_dofmap, interpolation_points
 from crms_fenicsx.errors import InputError
 from crms_fenicsx.materials import LINEAR, Membrane
-from crms_fenicsx.membrane import MembraneEnergy, one_point
+from crms_fenicsx.membrane import MembraneEnergy
 
 Array = npt.NDArray[np.float64]
 
@@ -146,16 +146,18 @@ class StepMembraneEnergy(MembraneEnergy):
         increment = strain_increment(old, new)
         normal = ufl.cross(J[:, 0], J[:, 1])
         area = old[0] * old[2] / ufl.sqrt(ufl.dot(normal, normal))
-        density = ufl.dot(stress + ufl.dot(D, increment) / 2, increment) * area
-        energy = self.plain * density * one_point(mesh)
-        self._energy = fem.form(energy)
-        self._gradient = fem.form(ufl.derivative(energy, u))
+        self._density = ufl.dot(stress + ufl.dot(D, increment) / 2, increment) * area
         after = stress + ufl.dot(D, increment)
         points = interpolation_points(self.history.function_space.element)
         self._after = fem.Expression(ufl.as_vector([*(after[i] for i in range(3)), *new]), points)
         self._next = fem.Function(self.history.function_space)
         self._stress_free = self.history.x.array.reshape(-1, 6)[:, 3:].copy()
         self.energy_n = 0.0
+
+    def _variation(self, v: Any, q: Any, dx: ufl.Measure) -> Any:
+        """The form of energy and gradient, as `Integral` wants it."""
+        density = self.plain * self._density
+        return density * q * dx + ufl.derivative(density * dx, self.u, v)
 
     def _start(self) -> None:
         """The stress-free (or prestressed) state in the cells' frames."""

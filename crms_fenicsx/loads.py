@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 from dolfinx.mesh import Mesh
 
-from crms_fenicsx.membrane import Kinematics, one_point, tangent_basis
+from crms_fenicsx.integral import Integral, one_point
+from crms_fenicsx.membrane import Kinematics, tangent_basis
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.unknowns import Unknowns
 
@@ -60,6 +63,11 @@ class FollowerPressure:
         Pressure (force per area) along the surface's normals.
     origin
         Point (3,) from which volumes are counted (length).
+
+    Attributes
+    ----------
+    integral : Integral
+        The volume gained, and the gradient of the potential.
     """
 
     name = "pressure"
@@ -74,7 +82,6 @@ class FollowerPressure:
     ) -> None:
         mesh = u.function_space.mesh
         self.pressure = pressure
-        dx = one_point(mesh)
         e1, e2 = tangent_basis(mesh, None)
         F = Kinematics(u, (e1, e2)).F
         self.origin = fem.Constant(mesh, origin)
@@ -82,10 +89,12 @@ class FollowerPressure:
         # V - V0 per area, term by term, so that a small change is not lost in a large volume.
         n0, n = ufl.cross(e1, e2), ufl.cross(F[0], F[1])
         change = ufl.dot(u, n) + ufl.dot(X, n - n0)
-        self._volume = fem.form(cells * change / 3 * dx)
-        gradient = ufl.derivative(-pressure * cells * change / 3 * dx, u)
-        self._gradient = fem.form(gradient)
-        self._work = np.zeros_like(u.x.array)
+        density = cells * change / 3
+
+        def variation(v: Any, q: Any, dx: ufl.Measure) -> Any:
+            return density * q * dx - pressure * ufl.derivative(density * dx, u, v)
+
+        self.integral = Integral(u.function_space, variation)
 
     def attach(self, unknowns: Unknowns) -> None:
         """Use this layout."""
@@ -93,7 +102,7 @@ class FollowerPressure:
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the volume gained, V - V0 (length cubed)."""
-        out[0] = fem.assemble_scalar(self._volume)
+        out[0] = self.integral.value
 
     def energy(self, sums: Array) -> float:
         """Minus the work of the pressure since the stress-free shape (force x length)."""
@@ -101,11 +110,7 @@ class FollowerPressure:
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Add the pressure's nodal forces, with the sign of a gradient."""
-        if float(self.pressure.value) == 0.0:
-            return
-        self._work[:] = 0.0
-        fem.assemble_vector(self._work, self._gradient)
-        self.unknowns.add_to_vertices(self._work.reshape(-1, 3), g)
+        self.unknowns.add_to_vertices(self.integral.gradient, g)
 
 
 class StepPressure:

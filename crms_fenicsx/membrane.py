@@ -14,6 +14,7 @@ from petsc4py import PETSc
 
 from crms_fenicsx.compat import geometry_dofmap
 from crms_fenicsx.errors import InputError, raised_together
+from crms_fenicsx.integral import Integral, one_point
 from crms_fenicsx.materials import (
     LINEAR,
     ORTHOTROPIC_TENSION_FIELD,
@@ -32,11 +33,6 @@ TANGENT_FLOORS = (0.0, 1e-2, 1e-3)
 """Part of the taut stiffness that is added to the tangent in H0, so that wrinkled and slack cells
 keep H0 definite, by the code of the law. A part of the stiff direction's modulus is much for the
 soft one: fabrics that are mostly wrinkled take .7 times the factorisations with 1e-3."""
-
-
-def one_point(mesh: Any, **options: Any) -> ufl.Measure:
-    """Integration over the stress-free surface; exact, as strains are constant in a cell."""
-    return ufl.Measure("dx", domain=mesh, metadata={"quadrature_degree": 0}, **options)
 
 
 def warp_field(mesh: Any, material: Membrane, cells: npt.NDArray[np.int32]) -> fem.Function:
@@ -156,6 +152,8 @@ class MembraneEnergy:
     ----------
     plain : Function
         1 in plain cells, 0 in folded cells, which leave this term without a new form.
+    integral : Integral
+        Energy and nodal forces.
     h0_prestress : Constant
         Extra isotropic section force in the stiffness only (force per length).
     """
@@ -184,11 +182,6 @@ class MembraneEnergy:
             self.warps[tag] = warp
         self.tension_field = self._tension_field(cells)
         self.terms: dict[int, tuple[LawTerms, Kinematics]] = {}
-        measure = one_point(mesh, subdomain_data=cell_tags)
-        v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
-        energy: Any = 0
-        gradient: Any = 0
-        stiffness: Any = 0
         for tag, material in materials.items():
             kinematics = Kinematics(u, tangent_basis(mesh, self.warps[tag]))
             parameters = fem.Constant(mesh, material.parameters)
@@ -198,24 +191,42 @@ class MembraneEnergy:
             else:
                 law = law_terms(material.law, kinematics.strain(), parameters)
             self.terms[tag] = (law, kinematics)
-            dx = measure if cell_tags is None else measure(tag)
+        v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
+        dx = one_point(mesh, subdomain_data=cell_tags)
+        self.stiffness_form = fem.form(self._stiffness(v, du, dx))
+        prepare = None if self.tension_field is None else self.tension_field.update
+        self.integral = Integral(V, self._variation, prepare, cell_tags)
+        self._cell_values: dict[int, fem.Expression] = {}
+
+    def _on(self, tag: int, dx: ufl.Measure) -> ufl.Measure:
+        """The measure on one part."""
+        return dx if self.cell_tags is None else dx(tag)
+
+    def _variation(self, v: Any, q: Any, dx: ufl.Measure) -> Any:
+        """The form of energy and gradient, as `Integral` wants it."""
+        variation: Any = 0
+        for tag, (law, kinematics) in self.terms.items():
+            work = ufl.inner(law.stress, kinematics.strain_variation(v))
+            variation += self.plain * (law.energy * q + work) * self._on(tag, dx)
+        return variation
+
+    def _stiffness(self, v: Any, du: Any, dx: ufl.Measure) -> Any:
+        """The form of the stiffness, positive semidefinite."""
+        stiffness: Any = 0
+        for tag, (law, kinematics) in self.terms.items():
+            linear = self.materials[tag].law == LINEAR
             a, b = kinematics.strain_variation(v), kinematics.strain_variation(du)
-            energy += self.plain * law.energy * dx
-            gradient += self.plain * ufl.inner(law.stress, a) * dx
-            S = tensile_part(law.stress) if material.law == LINEAR else law.stress
+            S = tensile_part(law.stress) if linear else law.stress
             S = S + self.h0_prestress * ufl.Identity(2)
             dv = [ufl.dot(ufl.grad(v), e) for e in kinematics.basis]
             ddu = [ufl.dot(ufl.grad(du), e) for e in kinematics.basis]
             geometric = sum(S[i, j] * ufl.dot(dv[i], ddu[j]) for i in (0, 1) for j in (0, 1))
             material_part = law.tangent(a, b)
-            if material.law != LINEAR:
-                material_part += self.tangent_floor[material.law] * law.taut_tangent(a, b)
-            stiffness += self.plain * (material_part + geometric) * dx
-        self._energy = fem.form(energy)
-        self._gradient = fem.form(gradient)
-        self.stiffness_form = fem.form(stiffness)
-        self._work = np.zeros_like(u.x.array)
-        self._cell_values: dict[int, fem.Expression] = {}
+            if not linear:
+                floor = self.tangent_floor[self.materials[tag].law]
+                material_part += floor * law.taut_tangent(a, b)
+            stiffness += self.plain * (material_part + geometric) * self._on(tag, dx)
+        return stiffness
 
     def _tension_field(self, cells: npt.NDArray[np.int32]) -> TensionField | None:
         """The law of the wrinkling orthotropic cells among the owned ones, None without any."""
@@ -238,9 +249,7 @@ class MembraneEnergy:
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the energy."""
-        if self.tension_field is not None:
-            self.tension_field.update()
-        out[0] = fem.assemble_scalar(self._energy)
+        out[0] = self.integral.value
 
     def energy(self, sums: Array) -> float:
         """Strain energy (force x length)."""
@@ -250,9 +259,7 @@ class MembraneEnergy:
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Add the nodal forces of this rank's cells."""
-        self._work[:] = 0.0
-        fem.assemble_vector(self._work, self._gradient)
-        self.unknowns.add_to_vertices(self._work.reshape(-1, 3), g)
+        self.unknowns.add_to_vertices(self.integral.gradient, g)
 
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add the positive semidefinite stiffness of this rank's cells."""

@@ -16,6 +16,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from crms_fenicsx.integral import OnePass
 from crms_fenicsx.unknowns import Unknowns
 
 Array = npt.NDArray[np.float64]
@@ -26,8 +27,11 @@ class Term(Protocol):
 
     The evaluation has two halves around the one reduction over the ranks: every term first writes
     this rank's share of its scalar sums (energies, volumes, cable lengths), then computes energy
-    and gradient from the global sums. Terms may also have
+    and gradient from the global sums. What both halves need is computed in `sums`, and kept.
+    Terms may also have
 
+    ``integral``
+        An `Integral`: its value and gradient are up to date before `sums`.
     ``add_stiffness(x, sums, A)``
         Add a positive semidefinite stiffness, blocks of three by local numbers, to the matrix.
     ``dyads(sums)`` and ``add_dyad_column(k, x, g)``
@@ -84,6 +88,8 @@ class Potential:
         self._u = u.x.array.reshape(-1, 3)
         for term in self.terms:
             term.attach(unknowns)
+        integrals = [term.integral for term in self.terms if hasattr(term, "integral")]
+        self._pass = OnePass.of(integrals) if integrals else None
         ends = np.cumsum([0] + [term.n_sums for term in self.terms])
         self._local_sums = np.zeros(int(ends[-1]))
         self._sums = np.zeros(int(ends[-1]))
@@ -107,6 +113,8 @@ class Potential:
 
     def sum_up(self) -> None:
         """Global sums of all terms at the current state: the one reduction of an evaluation."""
+        if self._pass is not None:
+            self._pass.assemble()
         for term, part in zip(self.terms, self._slices, strict=True):
             term.sums(self.x, self._local_sums[part])
         self.comm.Allreduce(self._local_sums, self._sums, op=MPI.SUM)

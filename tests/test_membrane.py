@@ -91,7 +91,7 @@ def test_energy_is_that_of_each_cells_deformation_gradient(comm, material, stret
 
 def states_of(scene, term):
     """State of each cell of the only material, on all ranks."""
-    (law, _), = term.terms.values()  # fmt: skip
+    (law, *_), = term.terms.values()  # fmt: skip
     V = fem.functionspace(scene.mesh.mesh, ("DG", 0))
     state = fem.Function(V)
     state.interpolate(fem.Expression(law.state, interpolation_points(V.element)))
@@ -244,7 +244,7 @@ def test_patch_of_orthotropic_membrane_with_folded_cells(comm, angle):
     assert comm.allreduce(len(folded)) > 20
     np.testing.assert_allclose(folded[:, :3], np.tile(e, (len(folded), 1)), atol=1e-13)
     np.testing.assert_allclose(folded[:, 3:6], np.tile(stress, (len(folded), 1)), rtol=1e-10)
-    (law, _), = system.membrane.terms.values()  # fmt: skip
+    (law, *_), = system.membrane.terms.values()  # fmt: skip
     V = fem.functionspace(system.scene.mesh.mesh, ("DG", 0, (3,)))
     S = fem.Function(V)
     vector = ufl.as_vector([law.stress[0, 0], law.stress[1, 1], law.stress[0, 1]])

@@ -1,0 +1,114 @@
+"""Integrals over the cells and their gradients, assembled in one pass over the mesh.
+
+Value and gradient, and the integrals of several terms, need the same geometry and displacement of a
+cell, and DOLFINx's way to a cell and back costs as much as any of them. So there is one form for
+all, whose test function has four components for each integral:
+
+    (v, q)  ->  gradient along v  +  integral of density * q.
+
+As the shape functions sum to one everywhere, the vertices' entries of q sum to the integral.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+
+Array = npt.NDArray[np.float64]
+
+
+def one_point(mesh: Any, **options: Any) -> ufl.Measure:
+    """Integration over the stress-free surface; exact, as strains are constant in a cell."""
+    return ufl.Measure("dx", domain=mesh, metadata={"quadrature_degree": 0}, **options)
+
+
+class Integral:
+    """A functional of the vertex displacements with its gradient, as `OnePass` assembles it.
+
+    Parameters
+    ----------
+    V
+        Vertex displacements: continuous piecewise linear vectors (3).
+    form
+        UFL form of v, q and dx, linear in v and q: a test displacement v (3,), which stands with
+        the gradient, and a test scalar q, which stands with the density. One of them may have a
+        factor that the other has not.
+    prepare
+        Called before each pass: brings functions in the form up to date.
+    cell_tags
+        Tags of parts, if the form has integrals over some of them.
+
+    Attributes
+    ----------
+    value
+        This rank's part of the integral in the last pass.
+    gradient : (n, 3) array
+        The gradient's part from this rank's cells in the last pass, in DOLFINx's order.
+    """
+
+    def __init__(
+        self,
+        V: fem.FunctionSpace,
+        form: Callable[[Any, Any, ufl.Measure], Any],
+        prepare: Callable[[], None] | None = None,
+        cell_tags: Any = None,
+    ) -> None:
+        self.V, self.form, self.prepare, self.cell_tags = V, form, prepare, cell_tags
+        self.value = 0.0
+        self.gradient: Array = np.zeros((0, 3))
+        self.passes: dict[tuple[Integral, ...], OnePass] = {}
+        """Passes that begin with this integral, by all that they assemble."""
+
+
+class OnePass:
+    """Assembles integrals together; compiles their form when it does so first.
+
+    Parameters
+    ----------
+    integrals
+        At least one, all of the same displacements; those with tags have the same.
+    """
+
+    def __init__(self, integrals: Sequence[Integral]) -> None:
+        self.integrals = integrals
+        self._form: fem.Form | None = None
+        self._entries: Array = np.zeros((0, 0))
+
+    @classmethod
+    def of(cls, integrals: Sequence[Integral]) -> OnePass:
+        """The pass over these integrals, always the same one: it is compiled once."""
+        return integrals[0].passes.setdefault(tuple(integrals), cls(integrals))
+
+    def assemble(self) -> None:
+        """Give all integrals their value and gradient at the current state of their functions."""
+        for integral in self.integrals:
+            if integral.prepare is not None:
+                integral.prepare()
+        if self._form is None:
+            self._form = self._compile()
+        self._entries[:] = 0.0
+        fem.assemble_vector(self._entries.reshape(-1), self._form)
+        for k, integral in enumerate(self.integrals):
+            integral.gradient = self._entries[:, 4 * k : 4 * k + 3]
+            integral.value = float(self._entries[:, 4 * k + 3].sum())
+
+    def _compile(self) -> fem.Form:
+        V, size = self.integrals[0].V, 4 * len(self.integrals)
+        space = fem.functionspace(V.mesh, ("Lagrange", 1, (size,)))
+        # Rows are read as V's: DOLFINx numbers vertices alike whatever they carry.
+        assert np.array_equal(space.dofmap.list, V.dofmap.list)
+        dofs = space.dofmap.index_map
+        self._entries = np.zeros((dofs.size_local + dofs.num_ghosts, size))
+        test = ufl.TestFunction(space)
+        tags = next((i.cell_tags for i in self.integrals if i.cell_tags is not None), None)
+        dx = one_point(V.mesh, subdomain_data=tags)  # a form has one measure, tags or none
+        form: Any = 0
+        for k, integral in enumerate(self.integrals):
+            v = ufl.as_vector([test[4 * k + i] for i in range(3)])
+            form += integral.form(v, test[4 * k + 3], dx)
+        return fem.form(form)
