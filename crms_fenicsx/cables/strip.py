@@ -6,7 +6,9 @@ those are gathered. It grows as cables slide.
 
 from __future__ import annotations
 
+import itertools
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -15,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.cables.trace import near_section
-from crms_fenicsx.cables.triangles import cross
+from crms_fenicsx.cables.triangles import cross, norm
 from crms_fenicsx.compat import geometry_dofmap
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
 
@@ -187,10 +189,31 @@ class StripShape:
         """Stress-free position of a vertex, by id, (3,)."""
         return self.stress_free[self.strip.row_of[vertex]]
 
+    def normals_and_sizes(self, supports: Sequence[tuple[int, ...]]) -> tuple[Array, Array]:
+        """Normals and sizes of the membrane at vertices, edges or cells: of the cells around.
+
+        Parameters
+        ----------
+        supports
+            Ids of their vertices, (m,).
+
+        Returns
+        -------
+        normals : (m, 3)
+            Current unit normals.
+        sizes : (m,)
+            Square roots of twice the cells' mean areas (length).
+        """
+        around = [self.strip.outer_around[tuple(sorted(support))] for support in supports]
+        counts = np.array([len(rows) for rows in around], dtype=np.int64)
+        normals = self.normals[np.fromiter(itertools.chain.from_iterable(around), np.int64)]
+        first = np.cumsum(counts) - counts
+        totals, areas = (np.add.reduceat(values, first) for values in (normals, norm(normals)))
+        return totals / norm(totals)[:, None], np.sqrt(areas / counts)
+
     def normal(self, support: tuple[int, ...]) -> Array:
         """Current unit normal at a vertex, an edge or a cell: that of the cells around, (3,)."""
-        total = self.normals[self.strip.outer_rows(support)].sum(axis=0)
-        return np.asarray(total / np.linalg.norm(total))
+        return self.normals_and_sizes([support])[0][0]
 
 
 def cells_at(scene: Scene, vertices: npt.ArrayLike) -> Strip:
