@@ -112,12 +112,14 @@ class System:
         if scene.cables:
             from crms_fenicsx.cables.crossings import arrange
             from crms_fenicsx.cables.network import Network
+            from crms_fenicsx.cables.whereabouts import Whereabouts
 
             assert scene.strip is not None
             scene.crossings = arrange(scene.cables, scene.strip, scene.crossings)
             self.network = Network(scene.cables, scene.strip, scene.u)
             self.unknowns = self.network.unknowns()
             self.network.hold(self.unknowns)
+            self.whereabouts = Whereabouts(self.network, self.unknowns)
         else:
             self.unknowns = Unknowns(scene.V)
         blocks = self.unknowns.vertex_blocks()
@@ -351,7 +353,7 @@ class System:
         self.objective = scene.energy
         if network is None:
             return
-        network.update_cables(self.unknowns, self.potential.x)
+        self.whereabouts.tell(self.potential.x)
         for cable in scene.cables:
             cable.length = polyline_length(cable.positions[cable.contacts()])
             cable.tension = 0.0
@@ -394,7 +396,7 @@ class System:
     def locate_cables(self) -> None:
         """Tell all ranks where the cables' points are."""
         if self.network is not None:
-            self.network.update_cables(self.unknowns, self.potential.x)
+            self.whereabouts.tell(self.potential.x)
 
     def minimize(
         self, h0_prestress: tuple[float, ...], interrupt: Callable[[], bool] | None = None

@@ -344,7 +344,7 @@ class LaidCable:
 
     def contacts(self) -> list[int]:
         """Nodes that the cable touches, its ends included, in order."""
-        return [k for k, lifted in enumerate(self.lifted.tolist()) if not lifted]
+        return [k for k, lifted in enumerate(self.lifted) if not lifted]
 
     def node_of(self, which: Literal["start", "end"]) -> int:
         """Index of an end among the nodes."""

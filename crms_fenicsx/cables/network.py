@@ -124,6 +124,13 @@ class Network:
             dtype=np.int64,
         )
 
+    def is_mine(self, c: int, k: int) -> bool:
+        """Whether this rank owns a cable's node; whoever owns a vertex has the nodes on it."""
+        node = self.cables[c].nodes[k]
+        if node.kind == "vertex":
+            return self.strip.owner_of(node.masters()[0]) == self.rank
+        return bool(self.owners[self.numbers[c, k]] == self.rank)
+
     def link_owner(self, link: Link) -> int:
         """The rank that computes a link of a cable."""
         on = link.vertices or self.place_of(link.cable, link.first).support
@@ -288,60 +295,13 @@ class Network:
         x[blocks] = 0.0
         unknowns.set_rails(blocks, sides / np.linalg.norm(sides, axis=1)[:, None])
 
-    def _rail_fractions(self, unknowns: Unknowns, x: Array) -> Array:
+    def rail_fractions(self, unknowns: Unknowns, x: Array) -> Array:
         """Current places of the rails on their edges, (n,)."""
         blocks, ends, _ = self.rail_table()
         start, end = (unknowns.X[own] + x[own] for own in ends.T)
         side, way = end - start, unknowns.X[blocks] + x[blocks] - start
         fractions: Array = np.sum(way * side, axis=1) / np.sum(side**2, axis=1)
         return fractions
-
-    def update_cables(self, unknowns: Unknowns, x: Array) -> None:
-        """Tell all ranks where the cables' points are: in space, on edges, on the membrane."""
-        taut = {c for c, cable in enumerate(self.cables) if cable.taut}
-        sizes = np.cumsum([0] + [len(cable.nodes) for cable in self.cables])
-        local = np.zeros((int(sizes[-1]), 7))  # position, fraction, place when stress-free
-        own: list[Member] = []
-        for c, cable in enumerate(self.cables):
-            for k, node in enumerate(cable.nodes):
-                if cable.taut and cable.lifted[k]:
-                    continue
-                if node.kind == "vertex":
-                    mine = self.strip.owner_of(node.masters()[0]) == self.rank
-                else:
-                    mine = self.owners[self.numbers[c, k]] == self.rank
-                if mine:
-                    own.append((c, k))
-                    block = self.block(c, k)
-                    local[sizes[c] + k, :3] = unknowns.X[block] + x[block]
-        for edge, points in self.points_by_edge(taut).items():
-            if self.strip.owner_of(edge) == self.rank:
-                places = (unknowns.X + x)[self.line(edge, points)]
-                steps = np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))
-                for (_, c, k), run in zip(points, steps[:-1], strict=True):
-                    local[sizes[c] + k, 3] = run / steps[-1]
-        for (c, k), fraction in zip(self.rails, self._rail_fractions(unknowns, x), strict=True):
-            if self.owners[self.numbers[c, k]] == self.rank:
-                local[sizes[c] + k, 3] = fraction
-        for c, k in own:  # whoever owns a sliding point has found its place on its edge, too
-            node = self.cables[c].nodes[k]
-            if node.point is not None:
-                fraction = local[sizes[c] + k, 3] if c in taut else self.cables[c].fractions[k]
-                ids, weights = node.masters(float(fraction) if node.slides else None)
-                local[sizes[c] + k, 4:] = np.dot(weights, unknowns.X[[self.vertex(i) for i in ids]])
-        total = np.zeros_like(local)
-        unknowns.comm.Allreduce(local, total)
-        for c, cable in enumerate(self.cables):
-            part = total[sizes[c] : sizes[c + 1]]
-            known = ~cable.lifted if cable.taut else slice(None)
-            cable.positions[known] = part[known, :3]
-            slides = np.array([node.slides for node in cable.nodes]) & ~cable.lifted
-            if cable.taut:
-                cable.fractions[slides] = part[slides, 3]
-            close = (cable.fractions < BLOCKED) | (cable.fractions > 1 - BLOCKED)
-            cable.blocked = tuple(int(k) for k in np.flatnonzero(slides & close) if cable.taut)
-            _set_material(cable, part[:, 4:])
-        _share_material(self.cables)
 
     def points_by_edge(self, cables: set[int]) -> dict[Edge, list[tuple[float, int, int]]]:
         """Points (fraction, cable, node) on each edge, sorted from its first vertex to its last."""
@@ -424,38 +384,6 @@ class Network:
             around += (line if forward else line[::-1])[:-1]
         lines = [[number(self._corner(*member)) for member in chord] for chord in chords]
         return split_polygon([number(corner) for corner in around], lines)
-
-
-def _set_material(cable: LaidCable, places: Array) -> None:
-    """Take the nodes' places on the stress-free membrane, (n, 3); none where the cable is off it.
-
-    A crossing slides in its cell while its cell point stays: between two contacts it goes onto
-    the line from one to the other, where the cable has bent it to. Beside a lifted node the cable
-    does not say where it is.
-    """
-    on = np.array([node.point is not None for node in cable.nodes]) & ~cable.lifted
-    rim = [k for k, node in enumerate(cable.nodes) if node.kind != "crossing"]
-    told = on & np.isin(np.arange(len(on)), rim)
-    cable.material = np.where(told[:, None], places, np.nan)
-    for a, b in itertools.pairwise(rim):
-        if b - a > 1 and on[a] and on[b]:
-            arc = np.linalg.norm(np.diff(cable.positions[a : b + 1], axis=0), axis=1).cumsum()
-            share = (arc[:-1] / arc[-1])[:, None]
-            start, end = cable.material[[a, b]]
-            cable.material[a + 1 : b] = start + share * (end - start)
-
-
-def _share_material(cables: Sequence[LaidCable]) -> None:
-    """Let crossings where one cable does not say where they are, be where the other has them."""
-    places: dict[int, Array] = {}
-    for cable in cables:
-        for k, node in enumerate(cable.nodes):
-            if node.crossing is not None and np.isfinite(cable.material[k, 0]):
-                places.setdefault(id(node.crossing), cable.material[k])
-    for cable in cables:
-        for k, node in enumerate(cable.nodes):
-            if node.crossing is not None and np.isnan(cable.material[k, 0]):
-                cable.material[k] = places.get(id(node.crossing), np.nan)
 
 
 def side_of(cell: npt.NDArray[np.int64], k: int) -> tuple[Edge, bool]:
