@@ -400,6 +400,10 @@ def test_what_is_around_a_leg_gives_the_same_way_as_all_of_the_section(monkeypat
         near += rng.normal(size=near.shape) * 0.05 * (near - near.mean(axis=0))
         route = near if case % 4 in (1, 2) else near[:, :2]
         cases.append((ids, points, cells, route[np.argsort(route[:, 1])]))
+    points, cells = hall(2.9)  # all of its section is around a leg past its opening
+    ends = [10.0 * np.array([0.6, np.sin(angle), np.cos(angle)]) for angle in (-2.5, 2.5)]
+    route = [points[np.argmin(np.linalg.norm(points - end, axis=1))] for end in ends]
+    cases.append((np.arange(len(points)), points, cells, np.array(route)))
 
     def outcome(case):
         try:
