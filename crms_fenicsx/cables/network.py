@@ -18,7 +18,7 @@ from dolfinx import fem
 
 from crms_fenicsx.cables.cable import CableNode, LaidCable
 from crms_fenicsx.cables.length import SMOOTHING
-from crms_fenicsx.cables.path import SurfacePoint
+from crms_fenicsx.cables.path import EdgePoint, SurfacePoint
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.cables.volume import split_polygon
 from crms_fenicsx.unknowns import Unknowns
@@ -167,9 +167,9 @@ class Network:
 
     def _near(self, c: int, k: int) -> bool:
         """Whether a node lies on a cell of this rank."""
-        point = self.cables[c].nodes[k].point
-        return point is not None and bool(
-            np.any(self.strip.owner[self.strip.rows(point.support)] == self.rank)
+        point, strip = self.cables[c].nodes[k].point, self.strip
+        return point is not None and any(
+            strip.owners[row] == self.rank for row in strip.rows(point.support)
         )
 
     def _find_far_vertices(self, far: Sequence[tuple[int, int]]) -> None:
@@ -308,13 +308,12 @@ class Network:
         table: dict[Edge, list[tuple[float, int, int]]] = defaultdict(list)
         for c in cables:
             cable = self.cables[c]
-            for k, node in enumerate(cable.nodes):
-                if cable.lifted[k] or not (node.slides or node.kind == "rider"):
-                    continue
-                if len(node.masters()[0]) == 2:
-                    edge = node.masters()[0]
-                    fraction = cable.fractions[k] if node.slides else node.masters()[1][1]
-                    table[edge[0], edge[1]].append((float(fraction), c, k))
+            places = zip(cable.nodes, cable.fractions, cable.lifted, strict=True)
+            for k, (node, fraction, lifted) in enumerate(places):
+                point = node.point
+                if isinstance(point, EdgePoint) and node.kind != "crossing" and not lifted:
+                    place = fraction if node.slides else point.fraction
+                    table[point.edge].append((float(place), c, k))
         return {edge: sorted(points) for edge, points in table.items()}
 
     def line(self, edge: Edge, points: Sequence[tuple[float, int, int]]) -> list[int]:
@@ -353,7 +352,7 @@ class Network:
         for c, k, m, on in self.links:
             if c in taut and on is not None and len(on) == 3:
                 row = self.strip.rows(on)[0]
-                if self.strip.owner[row] == self.rank:
+                if self.strip.owners[row] == self.rank:
                     if chords[row] and chords[row][-1][-1] == (c, k):
                         chords[row][-1].append((c, m))
                     else:
@@ -362,12 +361,9 @@ class Network:
 
     def folded_rows(self, on_edge: dict[Edge, list[tuple[float, int, int]]]) -> list[int]:
         """Rows of this rank's cells with points on a side."""
-        cells = self.strip.cells
-        return [
-            int(row)
-            for row in self.own_rows
-            if any(side_of(cells[row], k)[0] in on_edge for k in range(3))
-        ]
+        strip = self.strip
+        rows = {row for edge in on_edge for row in strip.rows(edge)}
+        return sorted(row for row in rows if strip.owners[row] == self.rank)
 
     def cut(
         self,
@@ -378,15 +374,8 @@ class Network:
     ) -> list[list[int]]:
         """Polygons of one cell."""
         around: list[Corner] = []
-        for k in range(3):
-            edge, forward = side_of(self.strip.cells[row], k)
+        for edge, forward in self.strip.sides[row]:
             line: list[Corner] = [edge[0], *((c, i) for _, c, i in on_edge.get(edge, [])), edge[1]]
             around += (line if forward else line[::-1])[:-1]
         lines = [[number(self._corner(*member)) for member in chord] for chord in chords]
         return split_polygon([number(corner) for corner in around], lines)
-
-
-def side_of(cell: npt.NDArray[np.int64], k: int) -> tuple[Edge, bool]:
-    """Side k of a cell with its ids ascending, and whether that is the cell's own direction."""
-    a, b = int(cell[k]), int(cell[(k + 1) % 3])
-    return ((a, b), True) if a < b else ((b, a), False)

@@ -6,11 +6,11 @@ those are gathered. It grows as cables slide.
 
 from __future__ import annotations
 
-import itertools
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain, pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
+Edge = tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,19 @@ class Strip:
         return [[int(vertex) for vertex in cell] for cell in self.cells]
 
     @cached_property
+    def owners(self) -> list[int]:
+        """`owner` as a list of numbers."""
+        return [int(rank) for rank in self.owner]
+
+    @cached_property
+    def sides(self) -> list[list[tuple[Edge, bool]]]:
+        """Sides of each cell: the ids ascending, and whether that is the cell's own direction."""
+        return [
+            [((a, b), True) if a < b else ((b, a), False) for a, b in pairwise((*cell, cell[0]))]
+            for cell in self.corners
+        ]
+
+    @cached_property
     def vertices(self) -> Integers:
         """Ids of all vertices, ascending, (k,)."""
         return np.unique(self.cells)
@@ -96,7 +110,7 @@ class Strip:
 
     def owner_of(self, vertices: tuple[int, ...]) -> int:
         """The rank that owns what lies on these vertices: the lowest one with a cell there."""
-        return int(min(self.owner[row] for row in self.rows(vertices)))
+        return min(self.owners[row] for row in self.rows(vertices))
 
     def merged(self, other: Strip) -> Strip:
         """Cells of both."""
@@ -206,7 +220,7 @@ class StripShape:
         """
         around = [self.strip.outer_around[tuple(sorted(support))] for support in supports]
         counts = np.array([len(rows) for rows in around], dtype=np.int64)
-        normals = self.normals[np.fromiter(itertools.chain.from_iterable(around), np.int64)]
+        normals = self.normals[np.fromiter(chain.from_iterable(around), np.int64)]
         first = np.cumsum(counts) - counts
         totals, areas = (np.add.reduceat(values, first) for values in (normals, norm(normals)))
         return totals / norm(totals)[:, None], np.sqrt(areas / counts)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from crms_fenicsx.cables.fold import FoldedCells
 from crms_fenicsx.cables.length import COINCIDENT, SMOOTHING
-from crms_fenicsx.cables.network import Edge, Link, Member, Network, side_of
+from crms_fenicsx.cables.network import Edge, Link, Member, Network
 from crms_fenicsx.cables.penalty import Kinks
 from crms_fenicsx.cables.volume import Facets, fan_facets
 from crms_fenicsx.compat import geometry_dofmap
@@ -101,7 +101,7 @@ def _smoothing(network: Network, link: Link, sizes: Array) -> float:
     if link.vertices is not None:
         slides = not {first.kind, second.kind} <= {"rider"}
     strip = network.strip
-    rows = [row for row in strip.rows(around) if strip.owner[row] == network.rank]
+    rows = [row for row in strip.rows(around) if strip.owners[row] == network.rank]
     size = float(min(sizes[row] for row in rows))
     # An anchor may lie on the held place next to it: no direction, and none is needed.
     if not slides:
@@ -125,7 +125,7 @@ class _FoldedCellsOf:
 
     def sides(self, row: int) -> list[Edge]:
         """The three sides of a cell."""
-        return [side_of(self.network.strip.cells[row], k)[0] for k in range(3)]
+        return [edge for edge, _ in self.network.strip.sides[row]]
 
     def folded(self, membrane: MembraneEnergy) -> FoldedCells:
         """Sides in segments, and the cells' material."""
@@ -149,7 +149,8 @@ class _FoldedCellsOf:
                     smoothing = SMOOTHING * float(lengths[n, k]) if len(parts) > 1 else 0.0
                     eps += [smoothing] * len(parts)
                 sides[n, k] = numbers[edge]
-        materials = [membrane.materials[int(tag)] for tag in membrane.material_tags(cells)]
+        tags, material = np.unique(membrane.material_tags(cells), return_inverse=True)
+        materials = [membrane.materials[int(tag)] for tag in tags]
         return FoldedCells(
             cells=cells,
             segments=np.array(segments, dtype=np.int32).reshape(-1, 2),
@@ -158,8 +159,10 @@ class _FoldedCellsOf:
             side_segments=np.arange(len(segments), dtype=np.int32),
             sides=sides,
             side_vectors=np.einsum("nki,nai->nka", vectors, membrane.material_axes(cells)),
-            laws=np.array([m.law for m in materials], dtype=np.int32),
-            parameters=np.array([m.parameters for m in materials]).reshape(-1, N_PARAMETERS),
+            laws=np.array([m.law for m in materials], dtype=np.int32)[material],
+            parameters=np.array([m.parameters for m in materials]).reshape(-1, N_PARAMETERS)[
+                material
+            ],
         )
 
     def kinks(self) -> list[tuple[tuple[int, int, int, int], int, Member]]:
@@ -193,7 +196,7 @@ class _FoldedCellsOf:
             chords = self.chords.get(row, [])
             for polygon in network.cut(row, self.on_edge, chords, network.corner_block):
                 facets += fan_facets(polygon)
-        plain = [[network.vertex(int(v)) for v in network.strip.cells[row]] for row in rows]
+        plain = [[network.vertex(v) for v in network.strip.corners[row]] for row in rows]
         return Facets(
             np.array([corners for corners, _ in facets], dtype=np.int32).reshape(-1, 3),
             np.array([weight for _, weight in facets]),
