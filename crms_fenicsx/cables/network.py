@@ -337,10 +337,15 @@ class Network:
         """
         taut = {c for c, cable in enumerate(self.cables) if cable.taut}
         on_edge, chords = self.points_by_edge(taut), self.chords_by_row(taut)
+
+        def line(edge: Edge) -> list[int]:
+            inner = (number((c, k)) for _, c, k in on_edge.get(edge, []))
+            return [number(edge[0]), *inner, number(edge[1])]
+
         return [
             (int(self.strip.local[row]), polygon)
             for row in self.folded_rows(on_edge)
-            for polygon in self.cut(row, on_edge, chords.get(row, []), number)
+            for polygon in self.cut(row, line, chords.get(row, []), number)
         ]
 
     def chords_by_row(self, taut: set[int]) -> dict[int, list[list[Member]]]:
@@ -368,14 +373,13 @@ class Network:
     def cut(
         self,
         row: int,
-        on_edge: dict[Edge, list[tuple[float, int, int]]],
+        line: Callable[[Edge], list[int]],
         chords: Sequence[Sequence[Member]],
         number: Callable[[Corner], int],
     ) -> list[list[int]]:
-        """Polygons of one cell."""
-        around: list[Corner] = []
-        for edge, forward in self.strip.sides[row]:
-            line: list[Corner] = [edge[0], *((c, i) for _, c, i in on_edge.get(edge, [])), edge[1]]
-            around += (line if forward else line[::-1])[:-1]
+        """Polygons of one cell; `line` gives the numbers of the corners along an edge."""
         lines = [[number(self._corner(*member)) for member in chord] for chord in chords]
-        return split_polygon([number(corner) for corner in around], lines)
+        around: list[int] = []
+        for edge, forward in self.strip.sides[row]:
+            around += line(edge)[:-1] if forward else line(edge)[:0:-1]
+        return split_polygon(around, lines)

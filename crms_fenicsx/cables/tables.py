@@ -118,10 +118,13 @@ class _FoldedCellsOf:
         self.on_edge = network.points_by_edge(taut)
         self.chords = network.chords_by_row(taut)
         self.rows = network.folded_rows(self.on_edge)
+        self._lines: dict[Edge, list[int]] = {}
 
     def line(self, edge: Edge) -> list[int]:
         """Blocks along an edge: its first vertex, the points on it, its last vertex."""
-        return self.network.line(edge, self.on_edge.get(edge, []))
+        if edge not in self._lines:
+            self._lines[edge] = self.network.line(edge, self.on_edge.get(edge, []))
+        return self._lines[edge]
 
     def sides(self, row: int) -> list[Edge]:
         """The three sides of a cell."""
@@ -172,7 +175,8 @@ class _FoldedCellsOf:
             beside: dict[int, tuple[int, int]] = {}
             for edge in self.sides(row):
                 line = self.line(edge)
-                beside |= {line[i]: (line[i - 1], line[i + 1]) for i in range(1, len(line) - 1)}
+                if len(line) > 2:
+                    beside |= dict(zip(line[1:-1], zip(line, line[2:], strict=False), strict=False))
             for chord in self.chords.get(row, []):
                 # From rim to rim: a crossing may come as near to the rim as it likes.
                 for member, other in ((chord[0], chord[-1]), (chord[-1], chord[0])):
@@ -194,7 +198,7 @@ class _FoldedCellsOf:
         facets: list[tuple[tuple[int, int, int], float]] = []
         for row in rows:
             chords = self.chords.get(row, [])
-            for polygon in network.cut(row, self.on_edge, chords, network.corner_block):
+            for polygon in network.cut(row, self.line, chords, network.corner_block):
                 facets += fan_facets(polygon)
         plain = [[network.vertex(v) for v in network.strip.corners[row]] for row in rows]
         return Facets(
