@@ -32,16 +32,16 @@ def bends(cables: Sequence[LaidCable], but: LaidCable | None = None) -> dict[Edg
     but
         A cable to leave out.
     """
-    found: dict[Edge, list[tuple[float, int, Array]]] = defaultdict(list)
+    found: dict[Edge, list[tuple[float, int, int]]] = defaultdict(list)
     for c, cable in enumerate(cables):
         if not cable.taut or cable is but:
             continue
-        for k in cable.contacts():
-            point = cable.nodes[k].point
-            if isinstance(point, EdgePoint) and cable.nodes[k].kind != "crossing":
-                found[point.edge].append((float(cable.fractions[k]), c, cable.positions[k]))
+        nodes = zip(cable.nodes, cable.fractions, cable.lifted, strict=True)
+        for k, (node, fraction, lifted) in enumerate(nodes):
+            if isinstance(node.point, EdgePoint) and node.kind != "crossing" and not lifted:
+                found[node.point.edge].append((float(fraction), c, k))
     return {
-        edge: [place for *_, place in sorted(points, key=lambda point: point[:2])]
+        edge: [cables[c].positions[k] for _, c, k in sorted(points)]
         for edge, points in found.items()
     }
 
@@ -74,10 +74,7 @@ class FoldedSurface:
         self.shape, self.strip, self.bends = shape, shape.strip, bends
         self.anchors = {k: (float(x[0]), float(x[1]), float(x[2])) for k, x in anchors.items()}
         self.ends = ends
-        self._at: dict[int, tuple[float, float, float]] = {}
-        for vertex, row in shape.strip.row_of.items():
-            x, y, z = shape.current[row]
-            self._at[vertex] = (float(x), float(y), float(z))
+        self._at = shape.places
 
     def line(self, edge: Edge) -> Array:
         """Positions along an edge: its vertices and the fold points between, (n, 3)."""

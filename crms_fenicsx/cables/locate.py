@@ -77,6 +77,11 @@ class Surface:
         return cls(ids, x, rows, float(longest_sides(x[rows]).max()))
 
     @cached_property
+    def row_of(self) -> dict[int, int]:
+        """Place of each vertex in `ids`."""
+        return {int(vertex): row for row, vertex in enumerate(self.ids)}
+
+    @cached_property
     def boxes(self) -> tuple[Floats, Floats]:
         """Least and greatest coordinates of the cells in plan, (m, 2) each."""
         corners = self.points[self.cells][:, :, :2]

@@ -102,11 +102,11 @@ class Strip:
 
     def rows(self, vertices: tuple[int, ...]) -> list[int]:
         """Rows of the cells that hold all these vertices."""
-        return self.around.get(tuple(sorted(set(vertices))), [])
+        return _rows(self.around, vertices)
 
     def outer_rows(self, vertices: tuple[int, ...]) -> list[int]:
         """Rows of the cells that hold all these vertices and that cables can lie on."""
-        return self.outer_around.get(tuple(sorted(set(vertices))), [])
+        return _rows(self.outer_around, vertices)
 
     def owner_of(self, vertices: tuple[int, ...]) -> int:
         """The rank that owns what lies on these vertices: the lowest one with a cell there."""
@@ -139,6 +139,12 @@ def _around(
             for key in ((a,), (b,), (c,), (a, b), (a, c), (b, c), (a, b, c)):
                 table[key].append(row)
     return dict(table)
+
+
+def _rows(around: dict[tuple[int, ...], list[int]], vertices: tuple[int, ...]) -> list[int]:
+    """What is at vertices in any order, also repeated; most often they are in order."""
+    found = around.get(vertices)
+    return around.get(tuple(sorted(set(vertices))), []) if found is None else found
 
 
 EMPTY = Strip(np.zeros((0, 3), dtype=np.int64), *(np.zeros(0, dtype=np.int64),) * 2)
@@ -177,6 +183,12 @@ class StripShape:
         found = np.zeros_like(given)
         scene.comm.Allreduce(given, found)
         return cls(strip, found[0], found[1])
+
+    @cached_property
+    def places(self) -> dict[int, tuple[float, float, float]]:
+        """Current positions of all vertices, by id, which loops read faster."""
+        rows = zip(self.strip.vertices, *self.current.T, strict=True)
+        return {int(vertex): (float(x), float(y), float(z)) for vertex, x, y, z in rows}
 
     def at(self, vertex: int) -> Array:
         """Current position of a vertex, by id, (3,)."""

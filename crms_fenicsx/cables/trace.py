@@ -295,7 +295,8 @@ def _direct_way(
 
 def _in_one_cell(surface: Surface, points: list[SurfacePoint]) -> bool:
     """Say whether a cell holds all the points."""
-    held = np.isin(surface.ids, [vertex for point in points for vertex in point.support])
+    held = np.zeros(len(surface.ids), dtype=np.bool_)
+    held[[surface.row_of[vertex] for point in points for vertex in point.support]] = True
     return bool((held[surface.cells].sum(axis=1) == held.sum()).any())
 
 
