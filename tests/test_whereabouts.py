@@ -25,9 +25,12 @@ def vertices(scene: Scene) -> dict[int, np.ndarray]:
 
 def test_places_in_space_on_edges_and_on_the_membrane(comm: MPI.Intracomm) -> None:
     system = cable_square(comm)
-    scene, network, potential = system.scene, system.network, system.potential
+    scene = system.scene
+    scene.cables[0].lifted[3] = True
+    system.rebuild()
+    system.pull()
+    network, potential = system.network, system.potential
     assert network is not None
-    scene.cables[0].lifted[3] = True  # the next cable has points on its edges
     potential.x[: system.unknowns.n_owned] = displaced(system.unknowns, 2.0)
     potential.place()
     before = scene.cables[0].positions[3].copy()

@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 from collections import defaultdict
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -76,6 +77,7 @@ class Network:
         self._number_points()
         self._find_owners()
         self._number_vertices()
+        self._lines: dict[Edge, list[int]] = {}
 
     def _number_points(self) -> None:
         """Numbers of the points that are no vertices, and the links between nodes."""
@@ -105,7 +107,7 @@ class Network:
         """The cell or edge that two nodes of a cable lie on."""
         if a.point is None or b.point is None:
             return None
-        both = tuple({*a.point.support, *b.point.support})
+        both = tuple(sorted({*a.point.support, *b.point.support}))
         return both if self.strip.rows(both) else None
 
     def place_of(self, c: int, k: int) -> SurfacePoint:
@@ -316,6 +318,17 @@ class Network:
                     table[point.edge].append((float(place), c, k))
         return {edge: sorted(points) for edge, points in table.items()}
 
+    @cached_property
+    def on_edge(self) -> dict[Edge, list[tuple[float, int, int]]]:
+        """Points of the cables in tension on each edge, in the order that they keep."""
+        return self.points_by_edge({c for c, cable in enumerate(self.cables) if cable.taut})
+
+    def blocks_along(self, edge: Edge) -> list[int]:
+        """Local blocks along an edge with the points of all cables in tension; see `line`."""
+        if edge not in self._lines:
+            self._lines[edge] = self.line(edge, self.on_edge.get(edge, []))
+        return self._lines[edge]
+
     def line(self, edge: Edge, points: Sequence[tuple[float, int, int]]) -> list[int]:
         """Local blocks along an edge: its first vertex, its points in order, its last vertex."""
         inner = (self.block(c, k) for _, c, k in points)
@@ -336,15 +349,15 @@ class Network:
             sides that no chord leaves are corners too.
         """
         taut = {c for c, cable in enumerate(self.cables) if cable.taut}
-        on_edge, chords = self.points_by_edge(taut), self.chords_by_row(taut)
+        chords = self.chords_by_row(taut)
 
         def line(edge: Edge) -> list[int]:
-            inner = (number((c, k)) for _, c, k in on_edge.get(edge, []))
+            inner = (number((c, k)) for _, c, k in self.on_edge.get(edge, []))
             return [number(edge[0]), *inner, number(edge[1])]
 
         return [
             (int(self.strip.local[row]), polygon)
-            for row in self.folded_rows(on_edge)
+            for row in self.folded_rows()
             for polygon in self.cut(row, line, chords.get(row, []), number)
         ]
 
@@ -364,10 +377,10 @@ class Network:
                         chords[row].append([(c, k), (c, m)])
         return chords
 
-    def folded_rows(self, on_edge: dict[Edge, list[tuple[float, int, int]]]) -> list[int]:
+    def folded_rows(self) -> list[int]:
         """Rows of this rank's cells with points on a side."""
         strip = self.strip
-        rows = {row for edge in on_edge for row in strip.rows(edge)}
+        rows = {row for edge in self.on_edge for row in strip.rows(edge)}
         return sorted(row for row in rows if strip.owners[row] == self.rank)
 
     def cut(

@@ -115,16 +115,8 @@ class _FoldedCellsOf:
 
     def __init__(self, network: Network, taut: set[int]) -> None:
         self.network = network
-        self.on_edge = network.points_by_edge(taut)
         self.chords = network.chords_by_row(taut)
-        self.rows = network.folded_rows(self.on_edge)
-        self._lines: dict[Edge, list[int]] = {}
-
-    def line(self, edge: Edge) -> list[int]:
-        """Blocks along an edge: its first vertex, the points on it, its last vertex."""
-        if edge not in self._lines:
-            self._lines[edge] = self.network.line(edge, self.on_edge.get(edge, []))
-        return self._lines[edge]
+        self.rows = network.folded_rows()
 
     def sides(self, row: int) -> list[Edge]:
         """The three sides of a cell."""
@@ -146,7 +138,7 @@ class _FoldedCellsOf:
             for k, edge in enumerate(self.sides(row)):
                 if edge not in numbers:
                     numbers[edge] = len(numbers)
-                    parts = list(itertools.pairwise(self.line(edge)))
+                    parts = list(itertools.pairwise(self.network.blocks_along(edge)))
                     segments += parts
                     pointers.append(len(segments))
                     smoothing = SMOOTHING * float(lengths[n, k]) if len(parts) > 1 else 0.0
@@ -174,7 +166,7 @@ class _FoldedCellsOf:
         for n, row in enumerate(self.rows):
             beside: dict[int, tuple[int, int]] = {}
             for edge in self.sides(row):
-                line = self.line(edge)
+                line = network.blocks_along(edge)
                 if len(line) > 2:
                     beside |= dict(zip(line[1:-1], zip(line, line[2:], strict=False), strict=False))
             for chord in self.chords.get(row, []):
@@ -198,7 +190,7 @@ class _FoldedCellsOf:
         facets: list[tuple[tuple[int, int, int], float]] = []
         for row in rows:
             chords = self.chords.get(row, [])
-            for polygon in network.cut(row, self.line, chords, network.corner_block):
+            for polygon in network.cut(row, network.blocks_along, chords, network.corner_block):
                 facets += fan_facets(polygon)
         plain = [[network.vertex(v) for v in network.strip.corners[row]] for row in rows]
         return Facets(

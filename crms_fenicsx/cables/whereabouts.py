@@ -57,11 +57,10 @@ class Whereabouts:
     def _list_lines(self) -> None:
         """This rank's edges with the points on them, and its rails."""
         network = self.network
-        taut = {c for c, cable in enumerate(network.cables) if cable.taut}
         lines, on_lines = [], []
-        for edge, points in network.points_by_edge(taut).items():
+        for edge, points in network.on_edge.items():
             if network.strip.owner_of(edge) == network.rank:
-                lines.append(network.line(edge, points))
+                lines.append(network.blocks_along(edge))
                 on_lines.append([self._starts[c] + k for _, c, k in points])
         self._lines = _Lines(lines)
         self._on_lines = np.array([m for line in on_lines for m in line], dtype=np.int64)
