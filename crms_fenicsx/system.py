@@ -470,17 +470,20 @@ class System:
         self.potential.commit()
         for cable in self.scene.cables:
             cable.ends_before = cable.positions[[0, -1]].copy()
-        if any(cable.grip is not None for cable in self.scene.cables):
+        gripped = [cable for cable in self.scene.cables if cable.grip is not None]
+        held_along = [cable for cable in self.scene.cables if cable.axial is not None]
+        if not gripped and not held_along:
+            return
+        from crms_fenicsx.cables.strip import StripShape
+
+        shape = StripShape.of(self.scene)
+        if gripped:
             from crms_fenicsx.cables.grip import commit
-            from crms_fenicsx.cables.strip import StripShape
 
-            shape = StripShape.of(self.scene)
-            for cable in self.scene.cables:
+            for cable in gripped:
                 commit(cable, shape)
-        if any(cable.axial is not None for cable in self.scene.cables):
+        if held_along:
             from crms_fenicsx.cables.axial import commit_axial
-            from crms_fenicsx.cables.strip import StripShape
 
-            shape = StripShape.of(self.scene)
-            for cable in self.scene.cables:
+            for cable in held_along:
                 commit_axial(cable, shape)

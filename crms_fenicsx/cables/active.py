@@ -10,7 +10,7 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from crms_fenicsx.cables import contact
-from crms_fenicsx.cables.cable import NEARLY_TAUT, LaidCable, polyline_length
+from crms_fenicsx.cables.cable import LaidCable
 from crms_fenicsx.cables.folded_surface import bends
 from crms_fenicsx.cables.path import VertexPoint
 from crms_fenicsx.cables.strip import StripShape
@@ -39,11 +39,7 @@ class ActiveSet:
         self._settled: set[object] = set()
 
     def tighten(self) -> list[str]:
-        """Switch cables between slack and taut for their current lengths; say which. Collective.
-
-        A new cable that is nearly taut counts as taut. A membrane that is inflated without its
-        cables goes far beyond the equilibrium with them, and then it is a long way back.
-        """
+        """Switch cables between slack and taut for their current lengths; say which. Collective."""
         shape = StripShape.of(self.scene)
         return [text for cable in self.scene.cables for text in self._switch(cable, shape)]
 
@@ -71,9 +67,7 @@ class ActiveSet:
             return []
         if not cable.taut and not cable.sleeve:
             contact.drape(cable, shape)
-        length = polyline_length(cable.positions[cable.contacts()])
-        new = cable.ends_before is None and not self._switches[cable.name]
-        taut = bool(length > cable.L0 * (1 - NEARLY_TAUT if new else 1 + 1e-12))
+        taut = cable.is_tight(cable.ends_before is None and not self._switches[cable.name])
         if taut == cable.taut:
             return []
         cable.taut = taut
