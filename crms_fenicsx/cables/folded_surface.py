@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
@@ -18,6 +19,7 @@ from crms_fenicsx.cables.cable import LaidCable
 from crms_fenicsx.cables.intrinsic import Edge, MissingStars, Ring, ring_of
 from crms_fenicsx.cables.path import EdgePoint
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.triangles import norm
 
 Array = npt.NDArray[np.float64]
 
@@ -86,7 +88,18 @@ class FoldedSurface:
             return math.dist(self._at[edge[0]], self.anchors[edge[1]])
         if edge not in self.bends:
             return math.dist(self._at[edge[0]], self._at[edge[1]])
-        return float(np.linalg.norm(np.diff(self.line(edge), axis=0), axis=1).sum())
+        return self._bent_lengths[edge]
+
+    @cached_property
+    def _bent_lengths(self) -> dict[Edge, float]:
+        """Lengths of the edges with fold points on them."""
+        most = max(map(len, self.bends.values()), default=0)
+        lines = [
+            [self._at[a], *points, *[self._at[b]] * (1 + most - len(points))]
+            for (a, b), points in self.bends.items()
+        ]
+        parts = norm(np.diff(np.array(lines).reshape(-1, most + 2, 3), axis=1))
+        return dict(zip(self.bends, map(float, parts.sum(axis=1)), strict=True))
 
     def thirds(self, edge: Edge) -> tuple[int, ...]:
         """Vertices opposite to an edge."""

@@ -240,9 +240,6 @@ class Network:
         node = self.cables[c].nodes[k]
         return node.masters()[0][0] if node.kind == "vertex" else self._first[self.numbers[c, k]]
 
-    def corner_block(self, corner: Corner) -> int:
-        return self.vertex(corner) if isinstance(corner, int) else self.block(*corner)
-
     def hold(self, unknowns: Unknowns) -> None:
         """Hold the anchors; let tied points and the sliding points of slack cables ride.
 
@@ -355,11 +352,12 @@ class Network:
             inner = (number((c, k)) for _, c, k in self.on_edge.get(edge, []))
             return [number(edge[0]), *inner, number(edge[1])]
 
-        return [
-            (int(self.strip.local[row]), polygon)
-            for row in self.folded_rows()
-            for polygon in self.cut(row, line, chords.get(row, []), number)
-        ]
+        pieces = []
+        for row in self.folded_rows():
+            own = [[number(self._corner(*k)) for k in chord] for chord in chords.get(row, [])]
+            cell = int(self.strip.local[row])
+            pieces += [(cell, polygon) for polygon in self.cut(row, line, own)]
+        return pieces
 
     def chords_by_row(self, taut: set[int]) -> dict[int, list[list[Member]]]:
         """Chords through the inside of this rank's cells, by row: nodes from rim to rim.
@@ -384,15 +382,10 @@ class Network:
         return sorted(row for row in rows if strip.owners[row] == self.rank)
 
     def cut(
-        self,
-        row: int,
-        line: Callable[[Edge], list[int]],
-        chords: Sequence[Sequence[Member]],
-        number: Callable[[Corner], int],
+        self, row: int, line: Callable[[Edge], list[int]], chords: Sequence[Sequence[int]]
     ) -> list[list[int]]:
-        """Polygons of one cell; `line` gives the numbers of the corners along an edge."""
-        lines = [[number(self._corner(*member)) for member in chord] for chord in chords]
+        """Polygons of one cell; `line` gives the corners along an edge."""
         around: list[int] = []
         for edge, forward in self.strip.sides[row]:
             around += line(edge)[:-1] if forward else line(edge)[:0:-1]
-        return split_polygon(around, lines)
+        return split_polygon(around, chords)

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from crms_fenicsx.cables.fold import FoldedCells
 from crms_fenicsx.cables.length import COINCIDENT, SMOOTHING
 from crms_fenicsx.cables.network import Edge, Link, Member, Network
+from crms_fenicsx.cables.path import EdgePoint
 from crms_fenicsx.cables.penalty import Kinks
 from crms_fenicsx.cables.volume import Facets, fan_facets
 from crms_fenicsx.compat import geometry_dofmap
@@ -164,37 +165,25 @@ class _FoldedCellsOf:
         """Where chords meet sides at free fold points: corner blocks, the cell's place, point."""
         network, kinks = self.network, []
         for n, row in enumerate(self.rows):
-            beside: dict[int, tuple[int, int]] = {}
-            for edge in self.sides(row):
-                line = network.blocks_along(edge)
-                if len(line) > 2:
-                    beside |= dict(zip(line[1:-1], zip(line, line[2:], strict=False), strict=False))
             for chord in self.chords.get(row, []):
                 # From rim to rim: a crossing may come as near to the rim as it likes.
                 for member, other in ((chord[0], chord[-1]), (chord[-1], chord[0])):
-                    block = network.block(*member)
-                    if self._slides(member) and block in beside:
-                        before, after = beside[block]
-                        corners = (before, block, after, network.block(*other))
+                    node = network.cables[member[0]].nodes[member[1]]
+                    if node.kind == "fold" and isinstance(node.point, EdgePoint):
+                        block, line = network.block(*member), network.blocks_along(node.point.edge)
+                        k = line.index(block)
+                        corners = (line[k - 1], block, line[k + 1], network.block(*other))
                         kinks.append((corners, n, member))
         return kinks
-
-    def _slides(self, member: Member) -> bool:
-        cable, node = member
-        return self.network.cables[cable].nodes[node].kind == "fold"
 
     def facets(self, pressed: npt.NDArray[np.bool_]) -> Facets:
         """Facets of the polygons into which chords cut the cells under pressure."""
         network = self.network
         rows = [row for row in self.rows if pressed[network.strip.local[row]]]
-        facets: list[tuple[tuple[int, int, int], float]] = []
+        polygons: list[list[int]] = []
         for row in rows:
-            chords = self.chords.get(row, [])
-            for polygon in network.cut(row, network.blocks_along, chords, network.corner_block):
-                facets += fan_facets(polygon)
+            chords = [[network.block(*k) for k in chord] for chord in self.chords.get(row, [])]
+            polygons += network.cut(row, network.blocks_along, chords)
+        corners, weights = fan_facets(polygons)
         plain = [[network.vertex(v) for v in network.strip.corners[row]] for row in rows]
-        return Facets(
-            np.array([corners for corners, _ in facets], dtype=np.int32).reshape(-1, 3),
-            np.array([weight for _, weight in facets]),
-            np.array(plain, dtype=np.int32).reshape(-1, 3),
-        )
+        return Facets(corners, weights, np.array(plain, dtype=np.int32).reshape(-1, 3))
