@@ -277,15 +277,13 @@ def gained_volume(scene: Scene) -> float:
     if pieces:
         from crms_fenicsx.cables.volume import fan_facets
 
-        facets = [facet for corners in pieces for facet in fan_facets(corners)]
-        corners = np.array([facet for facet, _ in facets])
-        weights = np.array([weight for _, weight in facets])
+        corners, weights = fan_facets(pieces)
         # Pieces of a folded cell together are, stress-free, the cell: their changes add up.
-        local += weights @ _volume_change(X, u, corners)
+        local += np.sum(weights * _volume_change(X, u, corners))
     return float(scene.comm.allreduce(float(local)))
 
 
-def _volume_change(X: Array, u: Array, triangles: Integers) -> Array:
+def _volume_change(X: Array, u: Array, triangles: npt.NDArray[np.integer]) -> Array:
     """Volume between each triangle and the origin, current less stress-free, (n,).
 
     Term by term, so that a small change is not lost in a large volume.

@@ -112,12 +112,14 @@ class System:
         if scene.cables:
             from crms_fenicsx.cables.crossings import arrange
             from crms_fenicsx.cables.network import Network
+            from crms_fenicsx.cables.whereabouts import Whereabouts
 
             assert scene.strip is not None
             scene.crossings = arrange(scene.cables, scene.strip, scene.crossings)
             self.network = Network(scene.cables, scene.strip, scene.u)
             self.unknowns = self.network.unknowns()
             self.network.hold(self.unknowns)
+            self.whereabouts = Whereabouts(self.network, self.unknowns)
         else:
             self.unknowns = Unknowns(scene.V)
         blocks = self.unknowns.vertex_blocks()
@@ -351,7 +353,7 @@ class System:
         self.objective = scene.energy
         if network is None:
             return
-        network.update_cables(self.unknowns, self.potential.x)
+        self.whereabouts.tell(self.potential.x)
         for cable in scene.cables:
             cable.length = polyline_length(cable.positions[cable.contacts()])
             cable.tension = 0.0
@@ -394,7 +396,7 @@ class System:
     def locate_cables(self) -> None:
         """Tell all ranks where the cables' points are."""
         if self.network is not None:
-            self.network.update_cables(self.unknowns, self.potential.x)
+            self.whereabouts.tell(self.potential.x)
 
     def minimize(
         self, h0_prestress: tuple[float, ...], interrupt: Callable[[], bool] | None = None
@@ -468,17 +470,20 @@ class System:
         self.potential.commit()
         for cable in self.scene.cables:
             cable.ends_before = cable.positions[[0, -1]].copy()
-        if any(cable.grip is not None for cable in self.scene.cables):
+        gripped = [cable for cable in self.scene.cables if cable.grip is not None]
+        held_along = [cable for cable in self.scene.cables if cable.axial is not None]
+        if not gripped and not held_along:
+            return
+        from crms_fenicsx.cables.strip import StripShape
+
+        shape = StripShape.of(self.scene)
+        if gripped:
             from crms_fenicsx.cables.grip import commit
-            from crms_fenicsx.cables.strip import StripShape
 
-            shape = StripShape.of(self.scene)
-            for cable in self.scene.cables:
+            for cable in gripped:
                 commit(cable, shape)
-        if any(cable.axial is not None for cable in self.scene.cables):
+        if held_along:
             from crms_fenicsx.cables.axial import commit_axial
-            from crms_fenicsx.cables.strip import StripShape
 
-            shape = StripShape.of(self.scene)
-            for cable in self.scene.cables:
+            for cable in held_along:
                 commit_axial(cable, shape)

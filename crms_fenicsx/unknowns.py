@@ -27,6 +27,11 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 
 
+def vertex_starts(V: fem.FunctionSpace) -> npt.NDArray[np.int64]:
+    """Global numbers of the ranks' first vertices, (ranks,). Collective."""
+    return np.array(V.mesh.comm.allgather(V.dofmap.index_map.local_range[0]))
+
+
 class Unknowns:
     """Numbering, ghosted vectors and held components of the unknowns.
 
@@ -74,12 +79,12 @@ class Unknowns:
         )
 
         # The combined global numbering: rank by rank, vertices first.
-        vertex_starts = np.array(self.comm.allgather(vertices.local_range[0]))
+        first_vertices = vertex_starts(V)
         sizes = np.array(self.comm.allgather((self.n_vertices, self.n_points)))
         starts = np.concatenate([[0], np.cumsum(sizes.sum(axis=1))])
         owners = vertices.owners
         ghosts = np.empty(self.n_local - self.n_owned, dtype=PETSc.IntType)
-        ghosts[: self.n_ghost_vertices] = vertices.ghosts - vertex_starts[owners] + starts[owners]
+        ghosts[: self.n_ghost_vertices] = vertices.ghosts - first_vertices[owners] + starts[owners]
         for k, (owner, index) in enumerate(ghost_points):
             ghosts[self.n_ghost_vertices + k] = starts[owner] + sizes[owner, 0] + index
         for k, (owner, dof) in enumerate(far_vertices, start=len(ghosts) - len(far_vertices)):

@@ -13,7 +13,13 @@ import numpy.typing as npt
 import pytest
 
 from crms_fenicsx import Cable
-from crms_fenicsx.cables.cable import CableNode, Crossing, LaidCable, polyline_length
+from crms_fenicsx.cables.cable import (
+    COINCIDENT,
+    CableNode,
+    Crossing,
+    LaidCable,
+    polyline_length,
+)
 from crms_fenicsx.cables.contact import (
     DEPTH,
     INSIDE,
@@ -23,8 +29,8 @@ from crms_fenicsx.cables.contact import (
     joins,
     link_at,
     may_lift,
-    outward_pull,
-    parts,
+    outward_pulls,
+    parting,
     released,
     size_at,
     spans,
@@ -90,14 +96,60 @@ def set_lifted(cable: LaidCable, nodes: Sequence[int]) -> None:
 # ---- the pull on the membrane ------------------------------------------------------------------
 
 
+def pull_at(cable: LaidCable, k: int, normal: Array, reach: float) -> float:
+    return float(outward_pulls(cable, [k], normal[None], np.array([reach]))[0])
+
+
+def slow_pull(cable: LaidCable, k: int, normal: Array, reach: float) -> float:
+    """The same, walking along the polyline from one node."""
+    total = np.zeros(3)
+    for step in (-1, 1):
+        here, way, m = cable.positions[k], 0.0, k
+        while way < reach and 0 <= m + step < len(cable.nodes):
+            m += step
+            if cable.lifted[m]:
+                continue
+            part = float(np.linalg.norm(cable.positions[m] - here))
+            share = min(1.0, (reach - way) / part)
+            here, way = here + share * (cable.positions[m] - here), way + share * part
+            if cable.nodes[m].kind == "crossing":
+                break
+        offset = here - cable.positions[k]
+        if way <= COINCIDENT * polyline_length(cable.positions[cable.contacts()]):
+            return -1.0
+        total += offset / np.linalg.norm(offset)
+    return float(total @ normal)
+
+
+def test_pulls_are_those_of_a_walk_from_each_node() -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        n = int(rng.integers(3, 15))
+        cable, _ = along(roof([0.0] * n))
+        m = len(cable.nodes)
+        cable.positions = rng.random((m, 3))
+        cable.positions[1] = cable.positions[0] + 1e-12  # on its anchor
+        cable.lifted[2:-1] = rng.random(m - 3) < 0.3
+        nodes = list(cable.nodes)
+        for k in 2 + np.flatnonzero(rng.random(m - 3) < 0.3):
+            nodes[k] = CableNode("crossing", CellPoint((0, 1, n), (0.2, 0.3, 0.5)))
+        cable.nodes = tuple(nodes)
+        inner = cable.contacts()[1:-1]
+        normals, reaches = rng.standard_normal((len(inner), 3)), 2 * rng.random(len(inner))
+        expected = [slow_pull(cable, *entry) for entry in zip(inner, normals, reaches, strict=True)]
+        found = outward_pulls(cable, inner, normals, reaches)
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+        assert found[0] == -1.0
+
+
 @pytest.mark.parametrize("h", [0.3, -0.3, 0.0])
 def test_pull_at_a_fold(h: float) -> None:
     """Two unit forces towards both sides, which go down (or up) as the roof does."""
     shape = roof([0.0, h, 0.0])
     cable, at = along(shape)
-    pull = outward_pull(cable, at[1.0], shape.normal((1, 4)), 0.4)
+    pull = pull_at(cable, at[1.0], shape.normal((1, 4)), 0.4)
     assert pull == pytest.approx(-2 * h / np.hypot(1.0, h), abs=1e-15)
-    assert outward_pull(cable, at[0.5], shape.normal((1, 3)), 0.4) == pytest.approx(0.0, abs=1e-15)
+    assert pull_at(cable, at[0.5], shape.normal((1, 3)), 0.4) == pytest.approx(0.0, abs=1e-15)
 
 
 def test_points_close_together_share_a_contact() -> None:
@@ -105,31 +157,29 @@ def test_points_close_together_share_a_contact() -> None:
     cable, _ = along(roof([0.0, 0.0, 0.0]))
     cable.positions = np.array([(-2, 0, 0), (-0.1, 0, 0), (0, 0, -0.02), (0.1, 0, 0), (2, 0, 0)])
     near = 2 * 0.02 / np.hypot(0.1, 0.02)
-    assert outward_pull(cable, 2, UP, 0.05) == pytest.approx(near)
+    assert pull_at(cable, 2, UP, 0.05) == pytest.approx(near)
     # a distance of 1 along the cable ends this far along the x axis
     x = 0.1 + 1.0 - np.hypot(0.1, 0.02)
-    assert outward_pull(cable, 2, UP, 1.0) == pytest.approx(2 * 0.02 / np.hypot(x, 0.02))
+    assert pull_at(cable, 2, UP, 1.0) == pytest.approx(2 * 0.02 / np.hypot(x, 0.02))
     cable.lifted[[1, 3]] = True  # it passes them straight
-    assert outward_pull(cable, 2, UP, 1.0) == pytest.approx(
-        2 * 0.02 / np.hypot(2.0, 0.02), rel=1e-3
-    )
+    assert pull_at(cable, 2, UP, 1.0) == pytest.approx(2 * 0.02 / np.hypot(2.0, 0.02), rel=1e-3)
 
 
 def test_pull_is_not_looked_for_beyond_a_crossing() -> None:
     cable, _ = along(roof([0.0, 0.0, 0.0]))
     cable.positions = np.array([(-2, 0, -3), (-0.5, 0, 0), (0, 0, 0), (0.5, 0, 0), (2, 0, -3)])
-    assert outward_pull(cable, 2, UP, 1.0) < -0.1
+    assert pull_at(cable, 2, UP, 1.0) < -0.1
     nodes = list(cable.nodes)
     nodes[1] = nodes[3] = CableNode("crossing", CellPoint((0, 1, 3), (0.2, 0.3, 0.5)))
     cable.nodes = tuple(nodes)
-    assert outward_pull(cable, 2, UP, 1.0) == pytest.approx(0.0, abs=1e-15)
+    assert pull_at(cable, 2, UP, 1.0) == pytest.approx(0.0, abs=1e-15)
 
 
 def test_a_cable_on_its_anchor_does_not_pull() -> None:
     shape = roof([0.0, 0.5, 0.0])
     cable, _ = along(shape, (0.0, 0.5, 0.0), (4.0, 0.5, 3.0))
-    assert outward_pull(cable, 1, UP, 0.5) == -1.0
-    assert outward_pull(cable, len(cable.nodes) - 2, UP, 0.5) > 0.1
+    assert pull_at(cable, 1, UP, 0.5) == -1.0
+    assert pull_at(cable, len(cable.nodes) - 2, UP, 0.5) > 0.1
 
 
 def test_size_of_the_cells_around() -> None:
@@ -409,10 +459,10 @@ def test_the_upper_cable_leaves_the_lower_one_that_it_would_pull_up(
     z: float, expected: bool
 ) -> None:
     crossing, cables, shape = crossed(z)
-    assert parts(crossing, cables, shape) is expected
+    assert (parting([crossing], cables, shape) == [crossing]) is expected
     assert not joins(crossing, cables, shape)
     crossing.apart = True
-    assert not parts(crossing, cables, shape)
+    assert parting([crossing], cables, shape) == []
 
 
 @pytest.mark.parametrize(("z", "expected"), [(0.5, False), (-0.5, True), (0.0, False)])

@@ -20,6 +20,7 @@ from crms_fenicsx.cables.path import CellPoint, EdgePoint, SurfacePoint, VertexP
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.cables.trace import trace
 from crms_fenicsx.cables.volume import FoldedFollowerPressure, split_polygon
+from crms_fenicsx.cables.whereabouts import Whereabouts
 from crms_fenicsx.system import System
 
 Array = npt.NDArray[np.float64]
@@ -496,14 +497,14 @@ def test_beside_a_lifted_point_a_crossing_is_where_the_other_cable_has_it(comm) 
         places.append((cable, k))
     (upper, k), (lower, m) = places
     upper.lifted[k + 1] = True
-    system.network.update_cables(system.unknowns, system.potential.x)
+    Whereabouts(system.network, system.unknowns).tell(system.potential.x)
     known = lower.material[m].copy()
     assert np.isfinite(known).all()
     np.testing.assert_array_equal(upper.material[k], known)
     between = (lower.material[m - 1] + lower.material[m + 1]) / 2
     assert np.linalg.norm(known - between) < 20.0, "in its cell"
     lower.lifted[m - 1] = True
-    system.network.update_cables(system.unknowns, system.potential.x)
+    Whereabouts(system.network, system.unknowns).tell(system.potential.x)
     assert np.isnan(upper.material[k]).all() and np.isnan(lower.material[m]).all()
 
 

@@ -12,6 +12,7 @@ from test_held_edges import OBLIQUE, ridged
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.cables.cable import polyline_length
+from crms_fenicsx.cables.whereabouts import Whereabouts
 from crms_fenicsx.hessian import SHIFT, WORKSPACE, InitialHessian
 
 
@@ -64,7 +65,7 @@ def test_dyad_columns_are_gradients_of_the_lengths(comm) -> None:
     for sign in (1, -1):
         potential.x[:n] = x + sign * step * d
         potential.place()
-        system.network.update_cables(system.unknowns, potential.x)
+        Whereabouts(system.network, system.unknowns).tell(potential.x)
         cables = system.scene.cables
         lengths.append([polyline_length(cable.positions[cable.contacts()]) for cable in cables])
     potential.x[:n] = x

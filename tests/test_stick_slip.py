@@ -13,6 +13,7 @@ from crms_fenicsx.cables.friction_element import FrictionElementEnergy, Friction
 from crms_fenicsx.cables.slip import node_slips
 from crms_fenicsx.cables.stick_slip import Slips, StickSlip, edge_fractions, friction_energy
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.whereabouts import Whereabouts
 
 
 def potential(s, F, eps):
@@ -252,7 +253,7 @@ def test_term_of_a_scene(comm):
     energy, _g = f.value(x)
     y = np.abs(term.slips) / term.table.eps
     assert comm.allreduce(int(np.sum(y > 1))) > 3 < comm.allreduce(int(np.sum(y < 0.9)))
-    system.network.update_cables(system.unknowns, f.potential.x)
+    Whereabouts(system.network, system.unknowns).tell(f.potential.x)
     assert energy == pytest.approx(energy_by_hand(system.scene, frozen), rel=1e-10)
     d = noise(system.unknowns.X[: system.unknowns.n_owned], 99)
     steps = 0.002 * 0.25 ** np.arange(6)

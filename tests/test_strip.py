@@ -170,6 +170,13 @@ def test_its_normals_are_those_of_the_cells(comm: MPI.Intracomm) -> None:
         total += normal
     np.testing.assert_allclose(shape.normal((inside,)), total / np.linalg.norm(total), atol=1e-14)
     assert shape.normal((inside,))[2] > 0.5
+    supports = sorted(strip.outer_around)
+    normals, sizes = shape.normals_and_sizes(supports)
+    for support, unit, size in zip(supports, normals, sizes, strict=True):
+        own = shape.normals[strip.rows(support)]
+        total = own.sum(axis=0)
+        np.testing.assert_allclose(unit, total / np.linalg.norm(total), atol=1e-14)
+        assert size == pytest.approx(np.linalg.norm(own, axis=1).mean() ** 0.5)
 
 
 def test_laying_a_cable_gathers_the_cells_around_its_points(comm: MPI.Intracomm) -> None:

@@ -12,6 +12,7 @@ from trace_surfaces import (
     assert_part_is_enough,
     cap,
     grid,
+    hall,
     length_of,
     numbered,
     on_sphere,
@@ -22,7 +23,7 @@ from trace_surfaces import (
 )
 
 from crms_fenicsx.cables.path import CellPoint, EdgePoint, VertexPoint
-from crms_fenicsx.cables.trace import near_section, trace
+from crms_fenicsx.cables.trace import _direct_way, near_section, trace
 from crms_fenicsx.errors import PathError
 
 
@@ -386,6 +387,42 @@ def test_overlapping_sheets_use_the_upper_one():
     for x in (points, points[::-1].copy()):
         path = trace(np.arange(len(x)), x, both, [(0.2, 0.3), (3.1, 2.5)])
         assert np.allclose(path.positions(np.arange(len(x)), x)[:, 2], 5)
+
+
+def test_what_is_around_a_leg_gives_the_same_way_as_all_of_the_section(monkeypatch):
+    """Also through places where the section goes on far beyond the leg, or is interrupted."""
+    rng = np.random.default_rng(12)
+    cases = []
+    for case in range(40):
+        points, cells = (scattered(rng, 150), cap(1.9), hall(1.8), notched())[case % 4]
+        ids = numbered(rng, points)
+        near = points[rng.permutation(len(points))[: 2 + case % 3]]
+        near += rng.normal(size=near.shape) * 0.05 * (near - near.mean(axis=0))
+        route = near if case % 4 in (1, 2) else near[:, :2]
+        cases.append((ids, points, cells, route[np.argsort(route[:, 1])]))
+    points, cells = hall(2.9)  # all of its section is around a leg past its opening
+    ends = [10.0 * np.array([0.6, np.sin(angle), np.cos(angle)]) for angle in (-2.5, 2.5)]
+    route = [points[np.argmin(np.linalg.norm(points - end, axis=1))] for end in ends]
+    cases.append((np.arange(len(points)), points, cells, np.array(route)))
+
+    def outcome(case):
+        try:
+            return trace(*case)
+        except PathError as error:
+            return str(error)
+
+    taken = []
+
+    def direct(*arguments):
+        taken.append(_direct_way(*arguments))
+        return taken[-1]
+
+    monkeypatch.setattr("crms_fenicsx.cables.trace._direct_way", direct)
+    found = [outcome(case) for case in cases]
+    assert sum(way is not None for way in taken) > 20 < len(found)
+    monkeypatch.setattr("crms_fenicsx.cables.trace._direct_way", lambda *_: None)
+    assert found == [outcome(case) for case in cases]
+    assert len({type(one) for one in found}) == 2
 
 
 def test_strip_gives_the_same_path_as_the_whole_mesh():

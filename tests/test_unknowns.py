@@ -15,6 +15,7 @@ from term_scene import (
 )
 
 from crms_fenicsx.cables.cable import Cable, polyline_length
+from crms_fenicsx.cables.whereabouts import Whereabouts
 from crms_fenicsx.meshes import from_arrays
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.system import System
@@ -244,7 +245,7 @@ def fingerprint(comm, choice, size):
     energy, g = f.value(x)
     terms = system.potential.terms
     single = [OnMesh(f.unknowns, system.scene.u, [term]).value(x)[1] for term in terms]
-    system.network.update_cables(f.unknowns, f.potential.x)
+    Whereabouts(system.network, f.unknowns).tell(f.potential.x)
     cables = system.scene.cables
     lengths = [polyline_length(cable.positions[cable.contacts()]) for cable in cables]
     return np.array(

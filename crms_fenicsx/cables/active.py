@@ -10,7 +10,7 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from crms_fenicsx.cables import contact
-from crms_fenicsx.cables.cable import NEARLY_TAUT, LaidCable, polyline_length
+from crms_fenicsx.cables.cable import LaidCable
 from crms_fenicsx.cables.folded_surface import bends
 from crms_fenicsx.cables.path import VertexPoint
 from crms_fenicsx.cables.strip import StripShape
@@ -39,11 +39,7 @@ class ActiveSet:
         self._settled: set[object] = set()
 
     def tighten(self) -> list[str]:
-        """Switch cables between slack and taut for their current lengths; say which. Collective.
-
-        A new cable that is nearly taut counts as taut. A membrane that is inflated without its
-        cables goes far beyond the equilibrium with them, and then it is a long way back.
-        """
+        """Switch cables between slack and taut for their current lengths; say which. Collective."""
         shape = StripShape.of(self.scene)
         return [text for cable in self.scene.cables for text in self._switch(cable, shape)]
 
@@ -52,9 +48,11 @@ class ActiveSet:
         scene, shape = self.scene, StripShape.of(self.scene)
         changes = [text for cable in scene.cables for text in self._switch(cable, shape)]
         if not changes:
-            for cable in scene.cables:
+            tops = self._tops()
+            for c, cable in enumerate(scene.cables):
                 if cable.taut and not cable.sleeve:
-                    changes += self._contacts(cable, shape)
+                    covered = {v for v, top in tops.items() if top > (cable.level, c)}
+                    changes += self._contacts(cable, shape, covered)
         if not changes and scene.crossings:
             changes = self._crossings(shape)
         return changes
@@ -69,9 +67,7 @@ class ActiveSet:
             return []
         if not cable.taut and not cable.sleeve:
             contact.drape(cable, shape)
-        length = polyline_length(cable.positions[cable.contacts()])
-        new = cable.ends_before is None and not self._switches[cable.name]
-        taut = bool(length > cable.L0 * (1 - NEARLY_TAUT if new else 1 + 1e-12))
+        taut = cable.is_tight(cable.ends_before is None and not self._switches[cable.name])
         if taut == cable.taut:
             return []
         cable.taut = taut
@@ -79,15 +75,17 @@ class ActiveSet:
         self._switches[cable.name] += 1
         return [f"{cable.name} {'tightens' if taut else 'slackens'}"]
 
-    def _contacts(self, cable: LaidCable, shape: StripShape) -> list[str]:
+    def _contacts(self, cable: LaidCable, shape: StripShape, covered: set[int]) -> list[str]:
         def key(k: int) -> object:
             point = cable.nodes[k].point
             assert point is not None
             return cable.name, point.support
 
-        released = contact.released(cable, shape, self._covered(cable))
+        released = contact.released(cable, shape, covered)
         free = [k for k in released if key(k) not in self._settled]
-        places = contact.captured(cable, shape, bends(self.scene.cables, cable))
+        places = {}
+        if cable.lifted.any():
+            places = contact.captured(cable, shape, bends(self.scene.cables, cable))
         cable.lifted[free] = True
         contact.touch(cable, places)
         self._settled |= {key(k) for k in places} & self._released
@@ -95,24 +93,25 @@ class ActiveSet:
         texts = [f"{cable.name} lifts off at {cable.nodes[k].point}" for k in free]
         return texts + [f"{cable.name} touches down at {cable.nodes[k].point}" for k in places]
 
-    def _covered(self, cable: LaidCable) -> set[int]:
-        """Vertices at which a cable in tension lies on top of this one."""
-        order = {id(other): (other.level, c) for c, other in enumerate(self.scene.cables)}
-        return {
-            node.point.vertex
-            for other in self.scene.cables
-            if other.taut and order[id(other)] > order[id(cable)]
-            for node in (other.nodes[k] for k in other.contacts())
-            if isinstance(node.point, VertexPoint)
-        }
+    def _tops(self) -> dict[int, tuple[int, int]]:
+        """The uppermost cable in tension on each vertex that one touches: its level and number."""
+        tops: dict[int, tuple[int, int]] = {}
+        for c, cable in enumerate(self.scene.cables):
+            for k in cable.contacts() if cable.taut else []:
+                point = cable.nodes[k].point
+                if isinstance(point, VertexPoint):
+                    order = (cable.level, c)
+                    tops[point.vertex] = max(order, tops.get(point.vertex, order))
+        return tops
 
     def _crossings(self, shape: StripShape) -> list[str]:
         changes = []
         scene = self.scene
+        parting = {id(k) for k in contact.parting(scene.crossings, scene.cables, shape)}
         for crossing in scene.crossings:
             names = tuple(scene.cables[c].name for c in (crossing.upper, crossing.lower))
             # Not by place: a crossing may come back in another cell than that where it was left.
-            if contact.parts(crossing, scene.cables, shape) and names not in self._settled:
+            if id(crossing) in parting and names not in self._settled:
                 crossing.apart = True
                 self._released.add(names)
                 changes.append("{} lifts off {}".format(*names))

@@ -344,7 +344,17 @@ class LaidCable:
 
     def contacts(self) -> list[int]:
         """Nodes that the cable touches, its ends included, in order."""
-        return [int(k) for k in np.flatnonzero(~self.lifted)]
+        return [k for k, lifted in enumerate(self.lifted) if not lifted]
+
+    def is_tight(self, new: bool) -> bool:
+        """Whether it is short enough for the way on which it lies to be in tension.
+
+        A new cable is where it is nearly so: a membrane that is inflated without its cables goes
+        far beyond the equilibrium with them, and then it is a long way back.
+        """
+        length = polyline_length(self.positions[self.contacts()])
+        too_long = NEARLY_TAUT if new else -1e-12
+        return self.cable.law == "step" or length > self.L0 * (1 - too_long)
 
     def node_of(self, which: Literal["start", "end"]) -> int:
         """Index of an end among the nodes."""

@@ -11,6 +11,7 @@ contacts cannot flicker.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence, Set
 from itertools import pairwise
 from typing import NamedTuple
@@ -21,7 +22,7 @@ import numpy.typing as npt
 from crms_fenicsx.cables.cable import COINCIDENT, CableNode, Crossing, LaidCable
 from crms_fenicsx.cables.path import CellPoint
 from crms_fenicsx.cables.strip import StripShape
-from crms_fenicsx.cables.triangles import cross
+from crms_fenicsx.cables.triangles import cross, dot, norm
 
 Array = npt.NDArray[np.float64]
 Edge = tuple[int, int]
@@ -72,31 +73,49 @@ def is_foot(cable: LaidCable, k: int) -> bool:
     return isinstance(node.point, CellPoint) and beside
 
 
-def outward_pull(cable: LaidCable, k: int, normal: Array, reach: float) -> float:
-    """Force of the cable around its node k along the normal, relative to the tension.
+def outward_pulls(cable: LaidCable, nodes: Sequence[int], normals: Array, reaches: Array) -> Array:
+    """Forces of the cable around some of its nodes along the normals, relative to the tension.
 
     Points close together, as those around a vertex, share one contact: what counts is the turn of
     the cable between a distance `reach` before and after the node, but not that at a crossing,
     where another cable presses.
+
+    Parameters
+    ----------
+    cable
+        A cable.
+    nodes
+        Nodes that it touches, none of them an end, (n,).
+    normals : (n, 3)
+        Unit normals of the membrane.
+    reaches : (n,)
+        Lengths.
+
+    Returns
+    -------
+    (n,) forces, positive outward; -1 where the cable lies on its anchor, or on another cable.
     """
     contacts = cable.contacts()
-    x, i = cable.positions[contacts], contacts.index(k)
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1))])
-    stops = [m for m, node in enumerate(contacts) if cable.nodes[node].kind == "crossing"]
-    first = max([0, *(m for m in stops if m < i)])
-    last = min([len(arc) - 1, *(m for m in stops if m > i)])
-    near = [max(arc[i] - reach, arc[first]), min(arc[i] + reach, arc[last])]
-    if min(arc[i] - near[0], near[1] - arc[i]) <= COINCIDENT * arc[-1]:
-        return -1.0  # it lies on its anchor, or on another cable
-    ends = np.stack([np.interp(near, arc, x[:, m]) for m in range(3)], axis=1) - x[i]
-    sizes = np.linalg.norm(ends, axis=1)
-    return float(np.sum(ends / sizes[:, None], axis=0) @ normal)
+    x, i = cable.positions[contacts], np.searchsorted(contacts, nodes)
+    arc = np.concatenate([[0.0], np.cumsum(norm(np.diff(x, axis=0)))])
+    crossings = [m for m, k in enumerate(contacts) if cable.nodes[k].kind == "crossing"]
+    stops = np.array([0, *crossings, len(contacts) - 1])
+    before = stops[np.searchsorted(stops, i) - 1]
+    after = stops[np.searchsorted(stops, i, side="right")]
+    near = np.stack(
+        [np.maximum(arc[i] - reaches, arc[before]), np.minimum(arc[i] + reaches, arc[after])]
+    )
+    pulls = np.full(len(i), -1.0)
+    free = np.abs(near - arc[i]).min(axis=0) > COINCIDENT * arc[-1]
+    i, near = i[free], near[:, free]
+    ways = np.stack([np.interp(near, arc, x[:, m]) for m in range(3)], axis=2) - x[i]
+    pulls[free] = dot((ways / norm(ways)[..., None]).sum(axis=0), normals[free])
+    return pulls
 
 
 def size_at(shape: StripShape, support: tuple[int, ...]) -> float:
     """Size of the cells around a vertex or an edge (length)."""
-    areas = np.linalg.norm(shape.normals[shape.strip.outer_rows(support)], axis=1)
-    return float(np.sqrt(areas.mean()))
+    return float(shape.normals_and_sizes([support])[1][0])
 
 
 def under(
@@ -176,16 +195,15 @@ def released(cable: LaidCable, shape: StripShape, covered: Set[int] = frozenset(
     """
     if cable.sleeve:
         return []
-    found = []
+    on, supports = [], []
     for k in may_lift(cable):
         point = cable.nodes[k].point
         assert point is not None
-        if cable.lifted[k] or (len(point.support) == 1 and point.support[0] in covered):
-            continue
-        normal, reach = shape.normal(point.support), size_at(shape, point.support)
-        if is_foot(cable, k) or outward_pull(cable, k, normal, reach) > PULL:
-            found.append(k)
-    return found
+        if not cable.lifted[k] and not (len(point.support) == 1 and point.support[0] in covered):
+            on.append(k)
+            supports.append(point.support)
+    pulls = outward_pulls(cable, on, *shape.normals_and_sizes(supports))
+    return [k for k, pull in zip(on, pulls, strict=True) if pull > PULL or is_foot(cable, k)]
 
 
 def captured(
@@ -224,14 +242,25 @@ def touch(cable: LaidCable, places: Mapping[int, Under]) -> None:
             cable.fractions[k] = min(max(place.fraction, INSIDE), 1 - INSIDE)
 
 
-def parts(crossing: Crossing, cables: Sequence[LaidCable], shape: StripShape) -> bool:
-    """Whether at a crossing the upper cable pulls the lower one up."""
-    if crossing.apart:
-        return False
-    upper = cables[crossing.upper]
-    k = next(k for k, node in enumerate(upper.nodes) if node.crossing is crossing)
-    normal, reach = shape.normal(crossing.support), size_at(shape, crossing.support)
-    return not upper.lifted[k] and outward_pull(upper, k, normal, reach) > PULL
+def parting(
+    crossings: Sequence[Crossing], cables: Sequence[LaidCable], shape: StripShape
+) -> list[Crossing]:
+    """The crossings at which the upper cable pulls the lower one up."""
+    by_upper: dict[int, list[Crossing]] = defaultdict(list)
+    for crossing in crossings:
+        if not crossing.apart:
+            by_upper[crossing.upper].append(crossing)
+    found = []
+    for c, own in by_upper.items():
+        upper = cables[c]
+        number = {id(node.crossing): k for k, node in enumerate(upper.nodes) if node.crossing}
+        nodes = [number[id(crossing)] for crossing in own]
+        on = [n for n, k in enumerate(nodes) if not upper.lifted[k]]
+        pulls = outward_pulls(
+            upper, [nodes[n] for n in on], *shape.normals_and_sizes([own[n].support for n in on])
+        )
+        found += [own[n] for n, pull in zip(on, pulls, strict=True) if pull > PULL]
+    return found
 
 
 def joins(crossing: Crossing, cables: Sequence[LaidCable], shape: StripShape) -> bool:

@@ -87,16 +87,15 @@ class FoldedCells:
     @property
     def element_blocks(self) -> tuple[Indices, Indices]:
         """Distinct blocks of each cell in CSR form: pointers, blocks."""
-        pointers, blocks = [0], [np.zeros(0, dtype=np.int32)]
-        for sides in self.sides:
-            own = np.concatenate([self._segments_of(side).ravel() for side in sides])
-            blocks.append(np.unique(own))
-            pointers.append(pointers[-1] + len(blocks[-1]))
-        return np.array(pointers, dtype=np.int32), np.concatenate(blocks).astype(np.int32)
-
-    def _segments_of(self, side: int) -> Indices:
-        start, end = self.side_pointers[side : side + 2]
-        return self.segments[self.side_segments[start:end]]
+        first, counts = self.side_pointers[:-1][self.sides], np.diff(self.side_pointers)[self.sides]
+        cells = np.repeat(np.arange(len(self.sides)), counts.sum(axis=1))
+        skipped = first.ravel() - (np.cumsum(counts) - counts.ravel())
+        rows = np.arange(len(cells)) + np.repeat(skipped, counts.ravel())
+        ends = self.segments[self.side_segments[rows]].astype(np.int64)
+        stride = int(ends.max(initial=0)) + 1
+        cells, blocks = np.divmod(np.unique(cells[:, None] * stride + ends), stride)
+        pointers = np.searchsorted(cells, np.arange(len(self.sides) + 1))
+        return pointers.astype(np.int32), blocks.astype(np.int32)
 
 
 @numba.njit(cache=True)

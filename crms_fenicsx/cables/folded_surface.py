@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
@@ -18,6 +19,7 @@ from crms_fenicsx.cables.cable import LaidCable
 from crms_fenicsx.cables.intrinsic import Edge, MissingStars, Ring, ring_of
 from crms_fenicsx.cables.path import EdgePoint
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.triangles import norm
 
 Array = npt.NDArray[np.float64]
 
@@ -32,16 +34,16 @@ def bends(cables: Sequence[LaidCable], but: LaidCable | None = None) -> dict[Edg
     but
         A cable to leave out.
     """
-    found: dict[Edge, list[tuple[float, int, Array]]] = defaultdict(list)
+    found: dict[Edge, list[tuple[float, int, int]]] = defaultdict(list)
     for c, cable in enumerate(cables):
         if not cable.taut or cable is but:
             continue
-        for k in cable.contacts():
-            point = cable.nodes[k].point
-            if isinstance(point, EdgePoint) and cable.nodes[k].kind != "crossing":
-                found[point.edge].append((float(cable.fractions[k]), c, cable.positions[k]))
+        nodes = zip(cable.nodes, cable.fractions, cable.lifted, strict=True)
+        for k, (node, fraction, lifted) in enumerate(nodes):
+            if isinstance(node.point, EdgePoint) and node.kind != "crossing" and not lifted:
+                found[node.point.edge].append((float(fraction), c, k))
     return {
-        edge: [place for *_, place in sorted(points, key=lambda point: point[:2])]
+        edge: [cables[c].positions[k] for _, c, k in sorted(points)]
         for edge, points in found.items()
     }
 
@@ -74,10 +76,7 @@ class FoldedSurface:
         self.shape, self.strip, self.bends = shape, shape.strip, bends
         self.anchors = {k: (float(x[0]), float(x[1]), float(x[2])) for k, x in anchors.items()}
         self.ends = ends
-        self._at: dict[int, tuple[float, float, float]] = {}
-        for vertex, row in shape.strip.row_of.items():
-            x, y, z = shape.current[row]
-            self._at[vertex] = (float(x), float(y), float(z))
+        self._at = shape.places
 
     def line(self, edge: Edge) -> Array:
         """Positions along an edge: its vertices and the fold points between, (n, 3)."""
@@ -89,7 +88,18 @@ class FoldedSurface:
             return math.dist(self._at[edge[0]], self.anchors[edge[1]])
         if edge not in self.bends:
             return math.dist(self._at[edge[0]], self._at[edge[1]])
-        return float(np.linalg.norm(np.diff(self.line(edge), axis=0), axis=1).sum())
+        return self._bent_lengths[edge]
+
+    @cached_property
+    def _bent_lengths(self) -> dict[Edge, float]:
+        """Lengths of the edges with fold points on them."""
+        most = max(map(len, self.bends.values()), default=0)
+        lines = [
+            [self._at[a], *points, *[self._at[b]] * (1 + most - len(points))]
+            for (a, b), points in self.bends.items()
+        ]
+        parts = norm(np.diff(np.array(lines).reshape(-1, most + 2, 3), axis=1))
+        return dict(zip(self.bends, map(float, parts.sum(axis=1)), strict=True))
 
     def thirds(self, edge: Edge) -> tuple[int, ...]:
         """Vertices opposite to an edge."""

@@ -13,7 +13,7 @@ from crms_fenicsx.cables.behind import refuse_forks, refuse_places_behind
 from crms_fenicsx.cables.cable import Cable, CableNode, End, LaidCable, StepStart, polyline_length
 from crms_fenicsx.cables.contact import drape
 from crms_fenicsx.cables.path import CellPoint, EdgePoint, Path, SurfacePoint, VertexPoint
-from crms_fenicsx.cables.strip import Strip, StripShape, cells_near, grow
+from crms_fenicsx.cables.strip import Strip, StripShape, cells_at, cells_near
 from crms_fenicsx.cables.trace import trace
 from crms_fenicsx.errors import InputError, PathError
 
@@ -59,9 +59,8 @@ def lay(
     shape = StripShape.of(scene, near)
     rows = np.searchsorted(near.vertices, near.cells)
     traced = trace(near.vertices, shape.current, rows, route)
-    grow(scene, [v for point in traced.points for v in point.support])
-    shape = StripShape.of(scene)
-    strip = shape.strip
+    strip = cells_at(scene, [v for point in traced.points for v in point.support])
+    shape = StripShape.of(scene, strip)
     refuse_forks(traced, shape, name)
     nodes = nodes_of(traced.points, strip, _ends(scene, strip, traced))
     laid = LaidCable(
@@ -88,6 +87,7 @@ def lay(
         from crms_fenicsx.cables.axial import laid_grip
 
         laid.axial = laid_grip(laid, shape)
+    scene.strip = strip if scene.strip is None else scene.strip.merged(strip)
     scene.cables.append(laid)
     return laid
 

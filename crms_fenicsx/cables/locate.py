@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from mpi4py import MPI
@@ -75,6 +76,17 @@ class Surface:
             raise PathError(f"vertex {ids[i]} is at {as_text(x[i])}; positions must be finite")
         return cls(ids, x, rows, float(longest_sides(x[rows]).max()))
 
+    @cached_property
+    def row_of(self) -> dict[int, int]:
+        """Place of each vertex in `ids`."""
+        return {int(vertex): row for row, vertex in enumerate(self.ids)}
+
+    @cached_property
+    def boxes(self) -> tuple[Floats, Floats]:
+        """Least and greatest coordinates of the cells in plan, (m, 2) each."""
+        corners = self.points[self.cells][:, :, :2]
+        return corners.min(axis=1), corners.max(axis=1)
+
 
 def as_text(position: Floats) -> str:
     """Return a position as messages show it."""
@@ -122,11 +134,9 @@ def place_in_plan(surface: Surface, xy: Floats, index: int, snap: float) -> Plac
 
     A point outside by less than `RIM` of the cell there is meant to lie on the rim.
     """
-    corners = surface.points[surface.cells][:, :, :2]
+    least, most = surface.boxes
     reach = snap * surface.size
-    near = np.flatnonzero(
-        ((corners.min(axis=1) <= xy + reach) & (corners.max(axis=1) >= xy - reach)).all(axis=1)
-    )
+    near = np.flatnonzero(((least <= xy + reach) & (most >= xy - reach)).all(axis=1))
     triangles = surface.points[surface.cells[near]]
     flat, target = flattened(triangles), np.array([xy[0], xy[1], 0.0])
     weights, _, gap = closest(flat, target)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 from collections import defaultdict
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from dolfinx import fem
 
 from crms_fenicsx.cables.cable import CableNode, LaidCable
 from crms_fenicsx.cables.length import SMOOTHING
-from crms_fenicsx.cables.path import SurfacePoint
+from crms_fenicsx.cables.path import EdgePoint, SurfacePoint
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.cables.volume import split_polygon
 from crms_fenicsx.unknowns import Unknowns
@@ -76,6 +77,7 @@ class Network:
         self._number_points()
         self._find_owners()
         self._number_vertices()
+        self._lines: dict[Edge, list[int]] = {}
 
     def _number_points(self) -> None:
         """Numbers of the points that are no vertices, and the links between nodes."""
@@ -105,7 +107,7 @@ class Network:
         """The cell or edge that two nodes of a cable lie on."""
         if a.point is None or b.point is None:
             return None
-        both = tuple({*a.point.support, *b.point.support})
+        both = tuple(sorted({*a.point.support, *b.point.support}))
         return both if self.strip.rows(both) else None
 
     def place_of(self, c: int, k: int) -> SurfacePoint:
@@ -123,6 +125,13 @@ class Network:
             [self.strip.owner_of(self.place_of(c, k).support) for c, k in self._first],
             dtype=np.int64,
         )
+
+    def is_mine(self, c: int, k: int) -> bool:
+        """Whether this rank owns a cable's node; whoever owns a vertex has the nodes on it."""
+        node = self.cables[c].nodes[k]
+        if node.kind == "vertex":
+            return self.strip.owner_of(node.masters()[0]) == self.rank
+        return bool(self.owners[self.numbers[c, k]] == self.rank)
 
     def link_owner(self, link: Link) -> int:
         """The rank that computes a link of a cable."""
@@ -160,9 +169,9 @@ class Network:
 
     def _near(self, c: int, k: int) -> bool:
         """Whether a node lies on a cell of this rank."""
-        point = self.cables[c].nodes[k].point
-        return point is not None and bool(
-            np.any(self.strip.owner[self.strip.rows(point.support)] == self.rank)
+        point, strip = self.cables[c].nodes[k].point, self.strip
+        return point is not None and any(
+            strip.owners[row] == self.rank for row in strip.rows(point.support)
         )
 
     def _find_far_vertices(self, far: Sequence[tuple[int, int]]) -> None:
@@ -231,9 +240,6 @@ class Network:
         node = self.cables[c].nodes[k]
         return node.masters()[0][0] if node.kind == "vertex" else self._first[self.numbers[c, k]]
 
-    def corner_block(self, corner: Corner) -> int:
-        return self.vertex(corner) if isinstance(corner, int) else self.block(*corner)
-
     def hold(self, unknowns: Unknowns) -> None:
         """Hold the anchors; let tied points and the sliding points of slack cables ride.
 
@@ -288,7 +294,7 @@ class Network:
         x[blocks] = 0.0
         unknowns.set_rails(blocks, sides / np.linalg.norm(sides, axis=1)[:, None])
 
-    def _rail_fractions(self, unknowns: Unknowns, x: Array) -> Array:
+    def rail_fractions(self, unknowns: Unknowns, x: Array) -> Array:
         """Current places of the rails on their edges, (n,)."""
         blocks, ends, _ = self.rail_table()
         start, end = (unknowns.X[own] + x[own] for own in ends.T)
@@ -296,66 +302,29 @@ class Network:
         fractions: Array = np.sum(way * side, axis=1) / np.sum(side**2, axis=1)
         return fractions
 
-    def update_cables(self, unknowns: Unknowns, x: Array) -> None:
-        """Tell all ranks where the cables' points are: in space, on edges, on the membrane."""
-        taut = {c for c, cable in enumerate(self.cables) if cable.taut}
-        sizes = np.cumsum([0] + [len(cable.nodes) for cable in self.cables])
-        local = np.zeros((int(sizes[-1]), 7))  # position, fraction, place when stress-free
-        own: list[Member] = []
-        for c, cable in enumerate(self.cables):
-            for k, node in enumerate(cable.nodes):
-                if cable.taut and cable.lifted[k]:
-                    continue
-                if node.kind == "vertex":
-                    mine = self.strip.owner_of(node.masters()[0]) == self.rank
-                else:
-                    mine = self.owners[self.numbers[c, k]] == self.rank
-                if mine:
-                    own.append((c, k))
-                    block = self.block(c, k)
-                    local[sizes[c] + k, :3] = unknowns.X[block] + x[block]
-        for edge, points in self.points_by_edge(taut).items():
-            if self.strip.owner_of(edge) == self.rank:
-                places = (unknowns.X + x)[self.line(edge, points)]
-                steps = np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))
-                for (_, c, k), run in zip(points, steps[:-1], strict=True):
-                    local[sizes[c] + k, 3] = run / steps[-1]
-        for (c, k), fraction in zip(self.rails, self._rail_fractions(unknowns, x), strict=True):
-            if self.owners[self.numbers[c, k]] == self.rank:
-                local[sizes[c] + k, 3] = fraction
-        for c, k in own:  # whoever owns a sliding point has found its place on its edge, too
-            node = self.cables[c].nodes[k]
-            if node.point is not None:
-                fraction = local[sizes[c] + k, 3] if c in taut else self.cables[c].fractions[k]
-                ids, weights = node.masters(float(fraction) if node.slides else None)
-                local[sizes[c] + k, 4:] = np.dot(weights, unknowns.X[[self.vertex(i) for i in ids]])
-        total = np.zeros_like(local)
-        unknowns.comm.Allreduce(local, total)
-        for c, cable in enumerate(self.cables):
-            part = total[sizes[c] : sizes[c + 1]]
-            known = ~cable.lifted if cable.taut else slice(None)
-            cable.positions[known] = part[known, :3]
-            slides = np.array([node.slides for node in cable.nodes]) & ~cable.lifted
-            if cable.taut:
-                cable.fractions[slides] = part[slides, 3]
-            close = (cable.fractions < BLOCKED) | (cable.fractions > 1 - BLOCKED)
-            cable.blocked = tuple(int(k) for k in np.flatnonzero(slides & close) if cable.taut)
-            _set_material(cable, part[:, 4:])
-        _share_material(self.cables)
-
     def points_by_edge(self, cables: set[int]) -> dict[Edge, list[tuple[float, int, int]]]:
         """Points (fraction, cable, node) on each edge, sorted from its first vertex to its last."""
         table: dict[Edge, list[tuple[float, int, int]]] = defaultdict(list)
         for c in cables:
             cable = self.cables[c]
-            for k, node in enumerate(cable.nodes):
-                if cable.lifted[k] or not (node.slides or node.kind == "rider"):
-                    continue
-                if len(node.masters()[0]) == 2:
-                    edge = node.masters()[0]
-                    fraction = cable.fractions[k] if node.slides else node.masters()[1][1]
-                    table[edge[0], edge[1]].append((float(fraction), c, k))
+            places = zip(cable.nodes, cable.fractions, cable.lifted, strict=True)
+            for k, (node, fraction, lifted) in enumerate(places):
+                point = node.point
+                if isinstance(point, EdgePoint) and node.kind != "crossing" and not lifted:
+                    place = fraction if node.slides else point.fraction
+                    table[point.edge].append((float(place), c, k))
         return {edge: sorted(points) for edge, points in table.items()}
+
+    @cached_property
+    def on_edge(self) -> dict[Edge, list[tuple[float, int, int]]]:
+        """Points of the cables in tension on each edge, in the order that they keep."""
+        return self.points_by_edge({c for c, cable in enumerate(self.cables) if cable.taut})
+
+    def blocks_along(self, edge: Edge) -> list[int]:
+        """Local blocks along an edge with the points of all cables in tension; see `line`."""
+        if edge not in self._lines:
+            self._lines[edge] = self.line(edge, self.on_edge.get(edge, []))
+        return self._lines[edge]
 
     def line(self, edge: Edge, points: Sequence[tuple[float, int, int]]) -> list[int]:
         """Local blocks along an edge: its first vertex, its points in order, its last vertex."""
@@ -377,12 +346,18 @@ class Network:
             sides that no chord leaves are corners too.
         """
         taut = {c for c, cable in enumerate(self.cables) if cable.taut}
-        on_edge, chords = self.points_by_edge(taut), self.chords_by_row(taut)
-        return [
-            (int(self.strip.local[row]), polygon)
-            for row in self.folded_rows(on_edge)
-            for polygon in self.cut(row, on_edge, chords.get(row, []), number)
-        ]
+        chords = self.chords_by_row(taut)
+
+        def line(edge: Edge) -> list[int]:
+            inner = (number((c, k)) for _, c, k in self.on_edge.get(edge, []))
+            return [number(edge[0]), *inner, number(edge[1])]
+
+        pieces = []
+        for row in self.folded_rows():
+            own = [[number(self._corner(*k)) for k in chord] for chord in chords.get(row, [])]
+            cell = int(self.strip.local[row])
+            pieces += [(cell, polygon) for polygon in self.cut(row, line, own)]
+        return pieces
 
     def chords_by_row(self, taut: set[int]) -> dict[int, list[list[Member]]]:
         """Chords through the inside of this rank's cells, by row: nodes from rim to rim.
@@ -393,72 +368,24 @@ class Network:
         for c, k, m, on in self.links:
             if c in taut and on is not None and len(on) == 3:
                 row = self.strip.rows(on)[0]
-                if self.strip.owner[row] == self.rank:
+                if self.strip.owners[row] == self.rank:
                     if chords[row] and chords[row][-1][-1] == (c, k):
                         chords[row][-1].append((c, m))
                     else:
                         chords[row].append([(c, k), (c, m)])
         return chords
 
-    def folded_rows(self, on_edge: dict[Edge, list[tuple[float, int, int]]]) -> list[int]:
+    def folded_rows(self) -> list[int]:
         """Rows of this rank's cells with points on a side."""
-        cells = self.strip.cells
-        return [
-            int(row)
-            for row in self.own_rows
-            if any(side_of(cells[row], k)[0] in on_edge for k in range(3))
-        ]
+        strip = self.strip
+        rows = {row for edge in self.on_edge for row in strip.rows(edge)}
+        return sorted(row for row in rows if strip.owners[row] == self.rank)
 
     def cut(
-        self,
-        row: int,
-        on_edge: dict[Edge, list[tuple[float, int, int]]],
-        chords: Sequence[Sequence[Member]],
-        number: Callable[[Corner], int],
+        self, row: int, line: Callable[[Edge], list[int]], chords: Sequence[Sequence[int]]
     ) -> list[list[int]]:
-        """Polygons of one cell."""
-        around: list[Corner] = []
-        for k in range(3):
-            edge, forward = side_of(self.strip.cells[row], k)
-            line: list[Corner] = [edge[0], *((c, i) for _, c, i in on_edge.get(edge, [])), edge[1]]
-            around += (line if forward else line[::-1])[:-1]
-        lines = [[number(self._corner(*member)) for member in chord] for chord in chords]
-        return split_polygon([number(corner) for corner in around], lines)
-
-
-def _set_material(cable: LaidCable, places: Array) -> None:
-    """Take the nodes' places on the stress-free membrane, (n, 3); none where the cable is off it.
-
-    A crossing slides in its cell while its cell point stays: between two contacts it goes onto
-    the line from one to the other, where the cable has bent it to. Beside a lifted node the cable
-    does not say where it is.
-    """
-    on = np.array([node.point is not None for node in cable.nodes]) & ~cable.lifted
-    rim = [k for k, node in enumerate(cable.nodes) if node.kind != "crossing"]
-    told = on & np.isin(np.arange(len(on)), rim)
-    cable.material = np.where(told[:, None], places, np.nan)
-    for a, b in itertools.pairwise(rim):
-        if b - a > 1 and on[a] and on[b]:
-            arc = np.linalg.norm(np.diff(cable.positions[a : b + 1], axis=0), axis=1).cumsum()
-            share = (arc[:-1] / arc[-1])[:, None]
-            start, end = cable.material[[a, b]]
-            cable.material[a + 1 : b] = start + share * (end - start)
-
-
-def _share_material(cables: Sequence[LaidCable]) -> None:
-    """Let crossings where one cable does not say where they are, be where the other has them."""
-    places: dict[int, Array] = {}
-    for cable in cables:
-        for k, node in enumerate(cable.nodes):
-            if node.crossing is not None and np.isfinite(cable.material[k, 0]):
-                places.setdefault(id(node.crossing), cable.material[k])
-    for cable in cables:
-        for k, node in enumerate(cable.nodes):
-            if node.crossing is not None and np.isnan(cable.material[k, 0]):
-                cable.material[k] = places.get(id(node.crossing), np.nan)
-
-
-def side_of(cell: npt.NDArray[np.int64], k: int) -> tuple[Edge, bool]:
-    """Side k of a cell with its ids ascending, and whether that is the cell's own direction."""
-    a, b = int(cell[k]), int(cell[(k + 1) % 3])
-    return ((a, b), True) if a < b else ((b, a), False)
+        """Polygons of one cell; `line` gives the corners along an edge."""
+        around: list[int] = []
+        for edge, forward in self.strip.sides[row]:
+            around += line(edge)[:-1] if forward else line(edge)[:0:-1]
+        return split_polygon(around, chords)

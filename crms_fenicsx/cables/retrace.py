@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.cable import NEARLY_TAUT, CableNode, End, LaidCable, polyline_length
+from crms_fenicsx.cables.cable import CableNode, End, LaidCable
 from crms_fenicsx.cables.contact import INSIDE, drape
 from crms_fenicsx.cables.corridor import flaw
 from crms_fenicsx.cables.crossings import note_places
@@ -153,9 +153,7 @@ class Retracer:
             if not cable.sleeve:
                 drape(cable, shape)
             # Pulled straight it may turn out to be too long for its path: slack after all.
-            length = polyline_length(cable.positions[cable.contacts()])
-            enough = cable.L0 * (1 - NEARLY_TAUT if cable.ends_before is None else 1)
-            cable.taut = cable.cable.law == "step" or length > enough
+            cable.taut = cable.is_tight(cable.ends_before is None)
             cable.traced = cable.taut
         return True
 

@@ -177,8 +177,7 @@ class Section:
         places = start + t[:, None] * side
         i = int(np.argmin(norm(places - target)))
         a, b, corners = chords[i]
-        row = {int(v): k for k, v in enumerate(surface.ids)}
-        reach = snap * float(altitudes(surface.points[[[row[v] for v in corners]]])[0])
+        reach = snap * float(altitudes(surface.points[[[surface.row_of[v] for v in corners]]])[0])
         closer = min((a, b), key=lambda node: float(norm(self.positions[node] - places[i])))
         if norm(self.positions[closer] - places[i]) <= reach:
             return self.points[closer], self.positions[closer]

@@ -7,15 +7,17 @@ those are gathered. It grows as cables slide.
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain, pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.cables.trace import near_section
-from crms_fenicsx.cables.triangles import cross
+from crms_fenicsx.cables.triangles import cross, norm
 from crms_fenicsx.compat import geometry_dofmap
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
 
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
+Edge = tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,19 @@ class Strip:
         return [[int(vertex) for vertex in cell] for cell in self.cells]
 
     @cached_property
+    def owners(self) -> list[int]:
+        """`owner` as a list of numbers."""
+        return [int(rank) for rank in self.owner]
+
+    @cached_property
+    def sides(self) -> list[list[tuple[Edge, bool]]]:
+        """Sides of each cell: the ids ascending, and whether that is the cell's own direction."""
+        return [
+            [((a, b), True) if a < b else ((b, a), False) for a, b in pairwise((*cell, cell[0]))]
+            for cell in self.corners
+        ]
+
+    @cached_property
     def vertices(self) -> Integers:
         """Ids of all vertices, ascending, (k,)."""
         return np.unique(self.cells)
@@ -86,15 +102,15 @@ class Strip:
 
     def rows(self, vertices: tuple[int, ...]) -> list[int]:
         """Rows of the cells that hold all these vertices."""
-        return self.around.get(tuple(sorted(set(vertices))), [])
+        return _rows(self.around, vertices)
 
     def outer_rows(self, vertices: tuple[int, ...]) -> list[int]:
         """Rows of the cells that hold all these vertices and that cables can lie on."""
-        return self.outer_around.get(tuple(sorted(set(vertices))), [])
+        return _rows(self.outer_around, vertices)
 
     def owner_of(self, vertices: tuple[int, ...]) -> int:
         """The rank that owns what lies on these vertices: the lowest one with a cell there."""
-        return int(min(self.owner[row] for row in self.rows(vertices)))
+        return min(self.owners[row] for row in self.rows(vertices))
 
     def merged(self, other: Strip) -> Strip:
         """Cells of both."""
@@ -123,6 +139,12 @@ def _around(
             for key in ((a,), (b,), (c,), (a, b), (a, c), (b, c), (a, b, c)):
                 table[key].append(row)
     return dict(table)
+
+
+def _rows(around: dict[tuple[int, ...], list[int]], vertices: tuple[int, ...]) -> list[int]:
+    """What is at vertices in any order, also repeated; most often they are in order."""
+    found = around.get(vertices)
+    return around.get(tuple(sorted(set(vertices))), []) if found is None else found
 
 
 EMPTY = Strip(np.zeros((0, 3), dtype=np.int64), *(np.zeros(0, dtype=np.int64),) * 2)
@@ -162,6 +184,12 @@ class StripShape:
         scene.comm.Allreduce(given, found)
         return cls(strip, found[0], found[1])
 
+    @cached_property
+    def places(self) -> dict[int, tuple[float, float, float]]:
+        """Current positions of all vertices, by id, which loops read faster."""
+        rows = zip(self.strip.vertices, *self.current.T, strict=True)
+        return {int(vertex): (float(x), float(y), float(z)) for vertex, x, y, z in rows}
+
     def at(self, vertex: int) -> Array:
         """Current position of a vertex, by id, (3,)."""
         return self.current[self.strip.row_of[vertex]]
@@ -187,10 +215,31 @@ class StripShape:
         """Stress-free position of a vertex, by id, (3,)."""
         return self.stress_free[self.strip.row_of[vertex]]
 
+    def normals_and_sizes(self, supports: Sequence[tuple[int, ...]]) -> tuple[Array, Array]:
+        """Normals and sizes of the membrane at vertices, edges or cells: of the cells around.
+
+        Parameters
+        ----------
+        supports
+            Ids of their vertices, (m,).
+
+        Returns
+        -------
+        normals : (m, 3)
+            Current unit normals.
+        sizes : (m,)
+            Square roots of twice the cells' mean areas (length).
+        """
+        around = [self.strip.outer_around[tuple(sorted(support))] for support in supports]
+        counts = np.array([len(rows) for rows in around], dtype=np.int64)
+        normals = self.normals[np.fromiter(chain.from_iterable(around), np.int64)]
+        first = np.cumsum(counts) - counts
+        totals, areas = (np.add.reduceat(values, first) for values in (normals, norm(normals)))
+        return totals / norm(totals)[:, None], np.sqrt(areas / counts)
+
     def normal(self, support: tuple[int, ...]) -> Array:
         """Current unit normal at a vertex, an edge or a cell: that of the cells around, (3,)."""
-        total = self.normals[self.strip.outer_rows(support)].sum(axis=0)
-        return np.asarray(total / np.linalg.norm(total))
+        return self.normals_and_sizes([support])[0][0]
 
 
 def cells_at(scene: Scene, vertices: npt.ArrayLike) -> Strip:

@@ -14,7 +14,8 @@ import numpy.typing as npt
 
 from crms_fenicsx.cables.fold import FoldedCells
 from crms_fenicsx.cables.length import COINCIDENT, SMOOTHING
-from crms_fenicsx.cables.network import Edge, Link, Member, Network, side_of
+from crms_fenicsx.cables.network import Edge, Link, Member, Network
+from crms_fenicsx.cables.path import EdgePoint
 from crms_fenicsx.cables.penalty import Kinks
 from crms_fenicsx.cables.volume import Facets, fan_facets
 from crms_fenicsx.compat import geometry_dofmap
@@ -101,7 +102,7 @@ def _smoothing(network: Network, link: Link, sizes: Array) -> float:
     if link.vertices is not None:
         slides = not {first.kind, second.kind} <= {"rider"}
     strip = network.strip
-    rows = [row for row in strip.rows(around) if strip.owner[row] == network.rank]
+    rows = [row for row in strip.rows(around) if strip.owners[row] == network.rank]
     size = float(min(sizes[row] for row in rows))
     # An anchor may lie on the held place next to it: no direction, and none is needed.
     if not slides:
@@ -115,17 +116,12 @@ class _FoldedCellsOf:
 
     def __init__(self, network: Network, taut: set[int]) -> None:
         self.network = network
-        self.on_edge = network.points_by_edge(taut)
         self.chords = network.chords_by_row(taut)
-        self.rows = network.folded_rows(self.on_edge)
-
-    def line(self, edge: Edge) -> list[int]:
-        """Blocks along an edge: its first vertex, the points on it, its last vertex."""
-        return self.network.line(edge, self.on_edge.get(edge, []))
+        self.rows = network.folded_rows()
 
     def sides(self, row: int) -> list[Edge]:
         """The three sides of a cell."""
-        return [side_of(self.network.strip.cells[row], k)[0] for k in range(3)]
+        return [edge for edge, _ in self.network.strip.sides[row]]
 
     def folded(self, membrane: MembraneEnergy) -> FoldedCells:
         """Sides in segments, and the cells' material."""
@@ -143,13 +139,14 @@ class _FoldedCellsOf:
             for k, edge in enumerate(self.sides(row)):
                 if edge not in numbers:
                     numbers[edge] = len(numbers)
-                    parts = list(itertools.pairwise(self.line(edge)))
+                    parts = list(itertools.pairwise(self.network.blocks_along(edge)))
                     segments += parts
                     pointers.append(len(segments))
                     smoothing = SMOOTHING * float(lengths[n, k]) if len(parts) > 1 else 0.0
                     eps += [smoothing] * len(parts)
                 sides[n, k] = numbers[edge]
-        materials = [membrane.materials[int(tag)] for tag in membrane.material_tags(cells)]
+        tags, material = np.unique(membrane.material_tags(cells), return_inverse=True)
+        materials = [membrane.materials[int(tag)] for tag in tags]
         return FoldedCells(
             cells=cells,
             segments=np.array(segments, dtype=np.int32).reshape(-1, 2),
@@ -158,44 +155,35 @@ class _FoldedCellsOf:
             side_segments=np.arange(len(segments), dtype=np.int32),
             sides=sides,
             side_vectors=np.einsum("nki,nai->nka", vectors, membrane.material_axes(cells)),
-            laws=np.array([m.law for m in materials], dtype=np.int32),
-            parameters=np.array([m.parameters for m in materials]).reshape(-1, N_PARAMETERS),
+            laws=np.array([m.law for m in materials], dtype=np.int32)[material],
+            parameters=np.array([m.parameters for m in materials]).reshape(-1, N_PARAMETERS)[
+                material
+            ],
         )
 
     def kinks(self) -> list[tuple[tuple[int, int, int, int], int, Member]]:
         """Where chords meet sides at free fold points: corner blocks, the cell's place, point."""
         network, kinks = self.network, []
         for n, row in enumerate(self.rows):
-            beside: dict[int, tuple[int, int]] = {}
-            for edge in self.sides(row):
-                line = self.line(edge)
-                beside |= {line[i]: (line[i - 1], line[i + 1]) for i in range(1, len(line) - 1)}
             for chord in self.chords.get(row, []):
                 # From rim to rim: a crossing may come as near to the rim as it likes.
                 for member, other in ((chord[0], chord[-1]), (chord[-1], chord[0])):
-                    block = network.block(*member)
-                    if self._slides(member) and block in beside:
-                        before, after = beside[block]
-                        corners = (before, block, after, network.block(*other))
+                    node = network.cables[member[0]].nodes[member[1]]
+                    if node.kind == "fold" and isinstance(node.point, EdgePoint):
+                        block, line = network.block(*member), network.blocks_along(node.point.edge)
+                        k = line.index(block)
+                        corners = (line[k - 1], block, line[k + 1], network.block(*other))
                         kinks.append((corners, n, member))
         return kinks
-
-    def _slides(self, member: Member) -> bool:
-        cable, node = member
-        return self.network.cables[cable].nodes[node].kind == "fold"
 
     def facets(self, pressed: npt.NDArray[np.bool_]) -> Facets:
         """Facets of the polygons into which chords cut the cells under pressure."""
         network = self.network
         rows = [row for row in self.rows if pressed[network.strip.local[row]]]
-        facets: list[tuple[tuple[int, int, int], float]] = []
+        polygons: list[list[int]] = []
         for row in rows:
-            chords = self.chords.get(row, [])
-            for polygon in network.cut(row, self.on_edge, chords, network.corner_block):
-                facets += fan_facets(polygon)
-        plain = [[network.vertex(int(v)) for v in network.strip.cells[row]] for row in rows]
-        return Facets(
-            np.array([corners for corners, _ in facets], dtype=np.int32).reshape(-1, 3),
-            np.array([weight for _, weight in facets]),
-            np.array(plain, dtype=np.int32).reshape(-1, 3),
-        )
+            chords = [[network.block(*k) for k in chord] for chord in self.chords.get(row, [])]
+            polygons += network.cut(row, network.blocks_along, chords)
+        corners, weights = fan_facets(polygons)
+        plain = [[network.vertex(v) for v in network.strip.corners[row]] for row in rows]
+        return Facets(corners, weights, np.array(plain, dtype=np.int32).reshape(-1, 3))

@@ -7,6 +7,7 @@ with one plane.
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import replace
 from itertools import pairwise
 from typing import NoReturn
 
@@ -228,6 +229,9 @@ def _leg_points(
         if other.point is not None and anchor.is_straight_over(other.position, snap):
             return [other.point]
     plane = Plane.of(first.position, last.position, first.normal, last.normal)
+    direct = _direct_way(surface, plane, first, last, name, snap)
+    if direct is not None:
+        return direct
     section = section_with(surface, plane, (first, last), name, snap)
     gaps = section.gaps()
     start = _end_node(section, first, START, surface, snap)
@@ -259,9 +263,40 @@ def _leg_points(
     return [section.points[node] for node in way_back(before, end)]
 
 
+def _direct_way(
+    surface: Surface, plane: Plane, first: Place, last: Place, name: str, snap: float
+) -> list[SurfacePoint] | None:
+    """Return the points of a leg that goes straight on, found in the cells around it alone.
+
+    None unless it is the shortest way on the whole surface: one that leaves these cells is longer
+    than the leg by twice a cell's size, and one over an opening is no shorter than straight on.
+    """
+    if first.point is None or last.point is None:
+        return None
+    advance, margin = plane.advances(surface.points), 2.0 * surface.size
+    near = (-margin < advance) & (advance < plane.length + margin)
+    around = replace(surface, cells=surface.cells[near[surface.cells].any(axis=1)])
+    try:
+        section = section_with(around, plane, (first, last), name, snap)
+    except PathError:  # perhaps of cells at the end of what is seen here
+        return None
+    start = section.put(first.point, first.position, START)
+    end = section.put(last.point, last.position, END)
+    reached, before = shortest(section.arcs, start)
+    straight = float(norm(last.position - first.position))
+    longest = min(straight / DETOUR, plane.length + 2.0 * surface.size)
+    if reached.get(end, np.inf) > longest:
+        return None
+    points = [section.points[node] for node in dict.fromkeys((start, end))]
+    if _in_one_cell(surface, points):
+        return points
+    return [section.points[node] for node in way_back(before, end)]
+
+
 def _in_one_cell(surface: Surface, points: list[SurfacePoint]) -> bool:
     """Say whether a cell holds all the points."""
-    held = np.isin(surface.ids, [vertex for point in points for vertex in point.support])
+    held = np.zeros(len(surface.ids), dtype=np.bool_)
+    held[[surface.row_of[vertex] for point in points for vertex in point.support]] = True
     return bool((held[surface.cells].sum(axis=1) == held.sum()).any())
 
 

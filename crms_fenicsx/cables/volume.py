@@ -8,8 +8,10 @@ its nodes is lost; this is our reading: each facet gives a third of its area to 
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numba
 import numpy as np
@@ -41,20 +43,32 @@ class Facets:
     plain_corners: Indices
 
 
-def fan_facets(polygon: list[int]) -> list[tuple[tuple[int, int, int], float]]:
-    """Facets of the mean over the fans from every corner of a polygon, with weights."""
-    n = len(polygon)
-    if n == 3:
-        return [((polygon[0], polygon[1], polygon[2]), 1.0)]
-    facets: dict[tuple[int, int, int], float] = {}
-    for k in range(n):
-        fan = polygon[k:] + polygon[:k]
+def fan_facets(polygons: Sequence[Sequence[int]]) -> tuple[Indices, Array]:
+    """Facets (n, 3) of the mean over the fans from every corner of polygons, with weights (n,)."""
+    sizes = np.array([len(polygon) for polygon in polygons], dtype=np.int64)
+    numbers: list[npt.NDArray[np.int64]] = []
+    corners: list[Indices] = [np.zeros((0, 3), dtype=np.int32)]
+    weights: list[Array] = [np.zeros(0)]
+    for n in np.unique(sizes):
+        own = np.flatnonzero(sizes == n)
+        fans = _fans(int(n))
+        table = np.array([polygons[number] for number in own], dtype=np.int32)
+        numbers.append(np.repeat(own, len(fans)))
+        corners.append(table[:, np.array(list(fans))].reshape(-1, 3))
+        weights.append(np.tile(list(fans.values()), len(own)))
+    order = np.argsort(np.concatenate(numbers), kind="stable") if numbers else slice(0)
+    return np.concatenate(corners)[order], np.concatenate(weights)[order]
+
+
+@cache
+def _fans(n: int) -> dict[tuple[int, int, int], float]:
+    """Facets and weights of a polygon whose corners are 0 ... n - 1."""
+    facets: dict[tuple[int, int, int], float] = defaultdict(float)
+    for first in range(n):
         for i in range(1, n - 1):
-            corners = (fan[0], fan[i], fan[i + 1])
-            first = corners.index(min(corners))
-            corners = corners[first:] + corners[:first]  # type: ignore[assignment]
-            facets[corners] = facets.get(corners, 0.0) + 1.0 / n
-    return list(facets.items())
+            a, b, c = sorted((first, (first + i) % n, (first + i + 1) % n))
+            facets[a, b, c] += 1.0 / n
+    return facets
 
 
 def split_polygon(polygon: list[int], chords: Sequence[Sequence[int]]) -> list[list[int]]:

@@ -14,6 +14,7 @@ from crms_fenicsx.output.history import History, Value
 from crms_fenicsx.output.shapes import Line, Surface
 from crms_fenicsx.results import gained_volume, membrane_results
 from crms_fenicsx.shape import current_surface
+from crms_fenicsx.unknowns import vertex_starts
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.cable import LaidCable
@@ -169,7 +170,7 @@ def _homes(scene: Scene, points: int) -> npt.NDArray[np.int64]:
     """
     vertices = scene.V.dofmap.index_map
     own, known = vertices.size_local, vertices.size_local + vertices.num_ghosts
-    starts = np.array(scene.comm.allgather(vertices.local_range[0]))
+    starts = vertex_starts(scene.V)
     homes = np.full((points, 2), scene.comm.rank, dtype=np.int64)
     homes[:own, 1] = np.arange(own)
     homes[own:known, 0] = vertices.owners

@@ -1,0 +1,79 @@
+"""Where the cables' points are, against point by point and edge by edge, on any number of ranks."""
+
+from __future__ import annotations
+
+import numpy as np
+from mpi4py import MPI
+from term_scene import cable_square, displaced
+
+from crms_fenicsx.cables.path import EdgePoint
+from crms_fenicsx.cables.whereabouts import Whereabouts
+from crms_fenicsx.compat import geometry_dofmap
+from crms_fenicsx.scene import Scene
+
+
+def vertices(scene: Scene) -> dict[int, np.ndarray]:
+    """Stress-free and current positions (2, 3) of all vertices, by id."""
+    own: dict[int, np.ndarray] = {}
+    places = np.stack([scene.V.tabulate_dof_coordinates(), scene.positions()], axis=1)
+    mesh = scene.mesh.mesh
+    for cell in range(mesh.topology.index_map(2).size_local):
+        for node, dof in zip(geometry_dofmap(mesh)[cell], scene.V.dofmap.list[cell], strict=True):
+            own[int(mesh.geometry.input_global_indices[node])] = places[dof]
+    return {i: x for part in scene.comm.allgather(own) for i, x in part.items()}
+
+
+def test_places_in_space_on_edges_and_on_the_membrane(comm: MPI.Intracomm) -> None:
+    system = cable_square(comm)
+    scene = system.scene
+    scene.cables[0].lifted[3] = True
+    system.rebuild()
+    system.pull()
+    network, potential = system.network, system.potential
+    assert network is not None
+    potential.x[: system.unknowns.n_owned] = displaced(system.unknowns, 2.0)
+    potential.place()
+    before = scene.cables[0].positions[3].copy()
+    Whereabouts(network, system.unknowns).tell(potential.x)
+    known = vertices(scene)
+    taut = set(range(len(scene.cables)))
+    for (c, k), number in network.numbers.items():
+        block, node = network.blocks[number], scene.cables[c].nodes[k]
+        if block >= 0 and node.kind != "rider" and not scene.cables[c].lifted[k]:
+            place = system.unknowns.X[block] + potential.x[block]
+            np.testing.assert_allclose(scene.cables[c].positions[k], place)
+    np.testing.assert_array_equal(scene.cables[0].positions[3], before)
+    points = network.points_by_edge(taut)
+    assert max(len(line) for line in points.values()) == 2
+    for edge, members in points.items():
+        places = [scene.cables[c].positions[k] for _, c, k in members]
+        line = np.array([known[edge[0]][1], *places, known[edge[1]][1]])
+        run = np.linalg.norm(np.diff(line, axis=0), axis=1).cumsum()
+        for (_, c, k), share in zip(members, run[:-1] / run[-1], strict=True):
+            if scene.cables[c].nodes[k].slides:
+                assert abs(scene.cables[c].fractions[k] - share) < 1e-13
+    for cable in scene.cables:
+        for k, node in enumerate(cable.nodes):
+            if node.point is None or cable.lifted[k]:
+                assert np.isnan(cable.material[k]).all()
+            else:
+                ids, weights = cable.masters(k)
+                place = np.dot(weights, [known[i][0] for i in ids])
+                np.testing.assert_allclose(cable.material[k], place, atol=1e-12)
+        far = [abs(f - 0.5) < 0.5 - 1e-9 for f in cable.fractions[np.isfinite(cable.fractions)]]
+        assert all(far) and not cable.blocked
+
+
+def test_a_point_at_a_vertex_is_blocked(comm: MPI.Intracomm) -> None:
+    system = cable_square(comm)
+    scene, network = system.scene, system.network
+    assert network is not None
+    cable = scene.cables[0]
+    k = next(k for k, node in enumerate(cable.nodes) if node.kind == "fold")
+    point = cable.nodes[k].point
+    assert isinstance(point, EdgePoint)
+    place = vertices(scene)[point.edge[0]][1]
+    cable.positions[k] = place + 1e-9 * (cable.positions[k] - place)
+    system.pull()
+    system.locate_cables()
+    assert cable.blocked == (k,) and cable.fractions[k] < 1e-6
