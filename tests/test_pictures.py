@@ -142,9 +142,12 @@ def test_the_same_picture_in_any_unit(tmp_path: Path) -> None:
             [Line(scale * np.array([[0, 50, 0], [50, 50, 5.0], [100, 50, 0]]))], dpi=40, box=False,
         )  # fmt: skip
         images.append(pixels(tmp_path / f"{number}.png"))
+    rows, columns = np.min([image.shape[:2] for image in images], axis=0)
     for image in images[1:]:
-        assert image.shape == images[0].shape
-        assert np.abs(image - images[0]).mean() < 2e-3
+        # Where a margin ends on a pixel's edge, rounding decides whether that pixel is in.
+        assert np.abs(np.subtract(image.shape, images[0].shape)).max() <= 1
+        common = image[:rows, :columns] - images[0][:rows, :columns]
+        assert np.abs(common).mean() < 2e-3
 
 
 def test_a_colour_bar_where_values_differ_and_words_where_they_do_not(tmp_path: Path) -> None:
