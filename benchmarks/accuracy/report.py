@@ -13,7 +13,7 @@ from accuracy.cases import CASES, Case, Laws
 from accuracy.methods import METHODS
 from accuracy.references import Reference, reference
 
-LEVELS = (0.01, 0.003)
+LEVELS = (0.01, 0.001)
 """Errors to which the summary says the time."""
 
 
@@ -106,6 +106,18 @@ def write_csv(path: Path, rows: Sequence[Row]) -> None:
         writer.writerows([getattr(r, name) for name in names] for r in rows)
 
 
+def read_csv(path: Path) -> list[Row]:
+    """The rows of a table; none where there is none."""
+    if not path.exists():
+        return []
+    read = {"str": str, "int": int, "float": float, "bool": "True".__eq__}
+    with path.open(newline="") as file:
+        return [
+            Row(**{field.name: read[str(field.type)](line[field.name]) for field in fields(Row)})
+            for line in csv.DictReader(file)
+        ]
+
+
 def seconds_to(rows: Iterable[Row], level: float) -> float:
     """Time to an error of the first quantity, on the straight lines between log-log points.
 
@@ -124,7 +136,7 @@ def seconds_to(rows: Iterable[Row], level: float) -> float:
 
 
 def summary(rows: Sequence[Row]) -> str:
-    """Markdown: times to errors, then work on the finest mesh that most have in common."""
+    """Markdown: times to errors, then work on the default's second finest mesh."""
     methods = list(dict.fromkeys(r.method for r in rows if not METHODS[r.method].stepwise))
     titles = " | ".join(METHODS[m].title for m in methods)
     lines = [f"| seconds to an error | of | {titles} |", "|---" * (2 + len(methods)) + "|"]
