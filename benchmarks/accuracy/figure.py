@@ -77,6 +77,8 @@ def _curve(axis: Any, method: str, runs: Sequence[tuple[Row, float]], known: Ref
         inside = np.isfinite(error)
         place = (r.seconds, error if inside else 0.97)
         where = axis.transData if inside else axis.get_xaxis_transform()
-        axis.plot(*place, "x", color=colour, markersize=9, markeredgewidth=2, transform=where)
+        number = list(LOOKS).index(method)  # those at one place shall all be seen
+        axis.plot(*place, "x", color=colour, markersize=14 - 2 * number, markeredgewidth=2,
+                  transform=where)  # fmt: skip
         axis.annotate(f"{r.steps or r.n}: not converged", place, xycoords=where, ha="right",
-                      xytext=(-7, -2), color=colour, **NOTE)  # fmt: skip
+                      xytext=(-9, 12 - 7 * number), color=colour, **NOTE)  # fmt: skip

@@ -59,7 +59,7 @@ class Row:
     def line(self) -> str:
         """For the terminal."""
         where = f"n = {self.n}" + (f", {self.steps} steps" if self.steps else "")
-        head = f"{METHODS[self.method].title:>30} {where:>17}"
+        head = f"{METHODS[self.method].title:>30.30} {where:>17}"
         if not self.converged:
             return f"{head}  {self.reason}"
         return (
