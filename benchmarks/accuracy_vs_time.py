@@ -12,7 +12,7 @@ Kratos is one of the methods once `benchmarks/kratos/install` has been run.
 
 FOLDER (results/accuracy by default) then holds runs.csv, a figure CASE.png for each case and
 summary.md; what it has of cases that are not asked for stays. `--quick`, on coarse meshes, takes
-about a minute, all of it up to 25.
+about two minutes, all of it up to 25.
 """
 
 from __future__ import annotations
