@@ -1,0 +1,168 @@
+"""Rows of the benchmark: errors, the table as CSV, and the summary in Markdown."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from accuracy.cases import CASES, Case, Laws
+from accuracy.methods import METHODS
+from accuracy.references import Reference, reference
+
+LEVELS = (0.01, 0.001)
+"""Errors to which the summary says the time."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A run.
+
+    Attributes
+    ----------
+    n, steps
+        Mesh, and load steps of the step-wise laws (else 0).
+    seconds, wall
+        Medians over `runs` runs of processor and wall time.
+    memory, base
+        Peak memory of the process, and what it has before the first run (MiB).
+    first, second
+        Values of the case's two quantities; NaN if unknown.
+    first_error, second_error
+        Their errors relative to the references; of a run that did not converge, of the last
+        energy that it has come to.
+    """
+
+    case: str
+    method: str
+    n: int
+    steps: int
+    unknowns: int
+    converged: bool
+    reason: str
+    seconds: float
+    wall: float
+    runs: int
+    iterations: int
+    evaluations: int
+    factorizations: int
+    memory: float
+    base: float
+    first: float
+    second: float
+    first_error: float
+    second_error: float
+
+    def line(self) -> str:
+        """For the terminal."""
+        where = f"n = {self.n}" + (f", {self.steps} steps" if self.steps else "")
+        head = f"{METHODS[self.method].title:>30.30} {where:>17}"
+        if not self.converged:
+            return f"{head}  {self.reason}"
+        return (
+            f"{head} {self.seconds:9.3f} s  errors {self.first_error:9.2e} {self.second_error:9.2e}"
+            f" {self.iterations:7} iterations {self.evaluations:7} evaluations "
+            f"{self.factorizations:5} factorisations {self.memory:6.0f} MiB"
+        )
+
+
+def compressible(method: str) -> bool:
+    """Whether a method's membrane resists compression."""
+    return METHODS[method].stepwise or METHODS[method].kind == "other program"
+
+
+def references(case: Case, method: str) -> list[Reference]:
+    """References of a case's two quantities."""
+    return [reference(case.reference, q, compressible(method)) for q in case.quantities]
+
+
+def row(name: str, method: str, n: int, laws: Laws, figures: dict) -> Row:
+    """The row of a run."""
+
+    def number(key: str) -> float:
+        return float(figures.get(key, np.nan))
+
+    case = CASES[name]
+    values = [float(figures["found"].get(q, np.nan)) for q in case.quantities]
+    pairs = zip(values, references(case, method), strict=True)
+    errors = [abs(value / known.value - 1) for value, known in pairs]
+    counts = [int(figures.get(k, 0)) for k in ("iterations", "evaluations", "factorizations")]
+    return Row(
+        name, method, n, laws.steps or 0, int(figures.get("unknowns", 0)), figures["converged"],
+        figures["reason"], number("seconds"), number("wall"), int(figures.get("runs", 0)),
+        *counts, number("memory"), number("base"), *values, *errors,
+    )  # fmt: skip
+
+
+def write_csv(path: Path, rows: Sequence[Row]) -> None:
+    """Write all rows."""
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        names = [field.name for field in fields(Row)]
+        writer.writerow(names)
+        writer.writerows([getattr(r, name) for name in names] for r in rows)
+
+
+def read_csv(path: Path) -> list[Row]:
+    """The rows of a table; none where there is none."""
+    if not path.exists():
+        return []
+    read = {"str": str, "int": int, "float": float, "bool": "True".__eq__}
+    with path.open(newline="") as file:
+        return [
+            Row(**{field.name: read[str(field.type)](line[field.name]) for field in fields(Row)})
+            for line in csv.DictReader(file)
+        ]
+
+
+def seconds_to(rows: Iterable[Row], level: float) -> float:
+    """Time to an error of the first quantity, on the straight lines between log-log points.
+
+    Returns
+    -------
+    NaN if no run is as accurate; the coarsest run's time where that is accurate enough already.
+    """
+    points = [(r.first_error, r.seconds) for r in rows if r.converged]
+    for k, (error, seconds) in enumerate(points):
+        if error <= level:
+            if k == 0:
+                return seconds
+            x, y = np.log(np.array([points[k - 1], (error, seconds)])).T
+            return float(np.exp(np.interp(np.log(level), x[::-1], y[::-1])))
+    return float("nan")
+
+
+def summary(rows: Sequence[Row]) -> str:
+    """Markdown: times to errors, then work on the default's second finest mesh."""
+    methods = list(dict.fromkeys(r.method for r in rows if not METHODS[r.method].stepwise))
+    titles = " | ".join(METHODS[m].title for m in methods)
+    lines = [f"| seconds to an error | of | {titles} |", "|---" * (2 + len(methods)) + "|"]
+    for name in dict.fromkeys(r.case for r in rows):
+        case = CASES[name]
+        for level in LEVELS:
+            cells = []
+            for method in methods:
+                own = [r for r in rows if (r.case, r.method) == (name, method)]
+                t = seconds_to(own, level)
+                cells.append(f"{t:.2g}" if np.isfinite(t) else ("no" if own else ""))
+            if any(cell not in ("", "no") for cell in cells):
+                what = f"{case.title}, {case.quantities[0]}"
+                lines.append(f"| {what} | {level:.1%} | " + " | ".join(cells) + " |")
+    lines += ["", f"| work: iterations, evaluations, factorisations | n | {titles} |"]
+    lines.append("|---" * (2 + len(methods)) + "|")
+    for name in dict.fromkeys(r.case for r in rows):
+        found = {(r.method, r.n): r for r in rows if r.case == name and r.converged}
+        sizes = [n for m, n in found if m == "default"]
+        if not sizes:
+            continue
+        n = sorted(sizes)[-2 if len(sizes) > 2 else -1]
+        cells = []
+        for method in methods:
+            own = found.get((method, n))
+            work = (own.iterations, own.evaluations, own.factorizations) if own else ()
+            cells.append(", ".join(map(str, work)))
+        lines.append(f"| {CASES[name].title} | {n} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"

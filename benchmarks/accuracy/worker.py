@@ -1,0 +1,128 @@
+"""One run of the benchmark, in a process of its own: its results, times, counts and memory."""
+
+from __future__ import annotations
+
+import resource
+import signal
+import statistics
+import time
+import warnings
+from typing import Any
+
+import numpy as np
+
+from accuracy.cases import CASES, Laws
+from accuracy.methods import METHODS
+from crms_fenicsx import ConvergenceError, FrictionWarning, system
+from crms_fenicsx.potential import Potential
+
+RUNS, ENOUGH = 5, 0.1
+"""Repetitions, and part of the time limit after which there are no more."""
+
+FIRST_LIMIT = 120.0
+"""Seconds for a warm-up, which may have to compile."""
+
+
+class OutOfTimeError(Exception):
+    """The time limit is over."""
+
+
+class Watch:
+    """What can be told of a run that did not end: its evaluations and its last energy."""
+
+    def __init__(self) -> None:
+        self.evaluations, self.energy = 0, float("nan")
+        evaluate = Potential.evaluate
+
+        def watched(potential: Potential) -> float:
+            self.evaluations += 1
+            self.energy = evaluate(potential)
+            return self.energy
+
+        Potential.evaluate = watched  # type: ignore[method-assign]
+
+
+def work(case_name: str, method_name: str, n: int, steps: int | None, limit: float) -> dict:
+    """Run a case by a method on a mesh of n cells, some times; the figures.
+
+    Parameters
+    ----------
+    case_name, method_name
+        Keys of `CASES` and `METHODS`.
+    n
+        The mesh.
+    steps
+        Load steps, for the step-wise laws.
+    limit
+        Seconds of processor time that a run may take.
+
+    Returns
+    -------
+    What `report.row` reads: among others the medians ``seconds`` of processor time and ``wall``.
+    """
+    case, method = CASES[case_name], METHODS[method_name]
+    if method.kind == "other program":
+        from accuracy.kratos import solve_with_kratos
+
+        return solve_with_kratos(case, n, limit, RUNS, ENOUGH * limit)
+    laws = Laws(method.stepwise, steps, method.rtol)
+    if method.minimizer is not None:
+        from accuracy import minimizers
+
+        system.Minimizer = getattr(minimizers, method.minimizer)  # type: ignore[misc]
+    warnings.simplefilter("ignore", FrictionWarning)
+    signal.signal(signal.SIGPROF, _out_of_time)
+    base = _peak()
+    figures: dict[str, Any] = {"converged": False, "reason": "", "memory": 0.0}
+    watch = Watch()
+    spent: list[tuple[float, float]] = []
+    began = time.process_time()
+    try:
+        _timed(case_name, min(n, case.sizes[0]), laws, max(limit, FIRST_LIMIT))
+        while not spent or (len(spent) < RUNS and sum(t for t, _ in spent) < ENOUGH * limit):
+            watch.evaluations, began = 0, time.process_time()
+            times, solver, found = _timed(case_name, n, laws, limit)
+            spent.append(times)
+        outcomes = [step.outcome for step in solver.steps]
+        figures |= {
+            "converged": True,
+            "found": found,
+            "iterations": sum(o.iterations for o in outcomes),
+            "evaluations": sum(o.evaluations for o in outcomes),
+            "factorizations": sum(o.factorizations for o in outcomes),
+            "unknowns": 3 * solver.system.unknowns.n_global,
+        }
+    except (OutOfTimeError, ConvergenceError) as error:
+        late = isinstance(error, OutOfTimeError)
+        figures |= {
+            "reason": f"no convergence in {limit:g} s" if late else str(error).split(";")[0],
+            "found": {"W": watch.energy},
+            "evaluations": watch.evaluations,
+        }
+        spent = spent or [(time.process_time() - began, float("nan"))]
+    seconds, wall = (statistics.median(times) for times in zip(*spent, strict=True))
+    return figures | {"seconds": seconds, "wall": wall, "runs": len(spent),
+                      "memory": _peak(), "base": base}  # fmt: skip
+
+
+def _timed(case_name: str, n: int, laws: Laws, limit: float) -> tuple[Any, Any, dict]:
+    """Processor and wall time, solver and results of a run; the mesh is made before."""
+    case = CASES[case_name]
+    mesh = case.mesh(n)
+    signal.setitimer(signal.ITIMER_PROF, limit)
+    began = np.array([time.process_time(), time.perf_counter()])
+    try:
+        solver, found = case.run(mesh, laws)
+        times = np.array([time.process_time(), time.perf_counter()]) - began
+        return tuple(times.tolist()), solver, found
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+
+
+def _out_of_time(*_: object) -> None:
+    raise OutOfTimeError
+
+
+def _peak() -> float:
+    """Peak memory of this process so far (MiB)."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
