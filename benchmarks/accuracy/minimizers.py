@@ -15,8 +15,9 @@ from dolfinx.fem import petsc as fem_petsc
 from petsc4py import PETSc
 
 from crms_fenicsx.hessian import InitialHessian
+from crms_fenicsx.integral import one_point
 from crms_fenicsx.loads import FollowerPressure
-from crms_fenicsx.membrane import Kinematics, MembraneEnergy, one_point, tangent_basis
+from crms_fenicsx.membrane import Kinematics, MembraneEnergy, tangent_basis
 from crms_fenicsx.minimizer import COARSE, Minimizer, Outcome
 from crms_fenicsx.potential import Potential
 
@@ -101,7 +102,6 @@ class ExactHessian(InitialHessian):
     def factorize(self) -> None:
         """Factorise, and solve for the cables' dyads."""
         self.count += 1
-        self._drop_columns()
         self.pc.setUp()
         self._add_dyads(self._held)
 
