@@ -2,11 +2,13 @@
 
 The paper minimises each step's potential by a quasi-Newton method (section 2.7). On its own BLMVM
 needs hundreds of iterations on a membrane and stalls with a cable. Here its initial Hessian H0 is
-a stiffness that is positive definite by construction, factorised once and rebuilt when that pays:
-the solve runs in *stages* of a few iterations, with a new H0 at the start of each.
+a stiffness that is positive definite by construction, factorised and rebuilt when that pays: the
+solve runs in *stages*, with a new H0 at the start of each. A stage ends after a few iterations
+unless they converge fast, or when its line searches have cost as much as a new H0 would.
 
 Near the minimum the energy's differences drown in rounding, long before the forces balance to the
-tolerance. There a stage measures energy from its start x0 by the trapezoidal rule,
+tolerance. There a stage, which keeps the H0 of the one before, measures energy from its start x0 by
+the trapezoidal rule,
 
     W(x) - W(x0) = (g(x) + g(x0)) . (x - x0) / 2 + O(|x - x0|^3),
 
@@ -30,7 +32,14 @@ from crms_fenicsx.potential import Potential
 Array = npt.NDArray[np.float64]
 
 STAGE_LENGTHS = (4, 6, 10, 20)
-"""Iterations between rebuilds of H0; the last value repeats."""
+"""Iterations after which H0 is rebuilt; the last value repeats."""
+
+FAST = 0.2
+"""Reduction of the residual by each iteration of a stage with which it goes on all the same."""
+
+WASTED = 8
+"""Evaluations beyond one for each iteration of a stage, after which H0 is rebuilt: steps that need
+line searches say that H0 has aged. A rebuild costs as much as 10 to 20 evaluations."""
 
 CLOSE = 1e-5
 """Residual, relative to the force scale, from which on energy counts from the stage's start."""
@@ -128,7 +137,7 @@ class Minimizer:
         prefix: str = "crms_",
         rtol: float = 1e-9,
         atol: float = 0.0,
-        max_stages: int = 40,
+        max_stages: int = 100,
     ) -> None:
         self.potential = potential
         self.rtol, self.atol, self.max_stages = rtol, atol, max_stages
@@ -137,18 +146,19 @@ class Minimizer:
         self._x, self._g, self._x0, self._g0, self._step = (
             potential.x_vector.duplicate() for _ in range(5)
         )
-        self._close = self._at_start = False
-        self._energy0 = 0.0
+        self._close = self._at_start = self._aged = False
+        self._energy0 = self._residual0 = self._scale = 0.0
+        self._evaluations0 = self._length = 0
         self._interrupt: Callable[[], bool] | None = None
         self._interrupted = False
         self._error: Exception | None = None
-        self._look_at = 0.0
         self.tao = PETSc.TAO().create(comm)
         self.tao.setOptionsPrefix(prefix)
         self.tao.setType(PETSc.TAO.Type.BLMVM)
         self.tao.setObjectiveGradient(self._objective_gradient, self._g)
         self.tao.setSolution(self._x)
         self.tao.setMonitor(self._monitor)
+        self.tao.setMaximumIterations(100_000)
         self._bounds: tuple[PETSc.Vec, PETSc.Vec] | None = None
         if potential.unknowns.bounds is not None:
             self._bounds = (self._x.duplicate(), self._x.duplicate())
@@ -189,16 +199,26 @@ class Minimizer:
 
     def _monitor(self, tao: PETSc.TAO) -> None:
         """Called by TAO after each iteration: near the minimum, ask once whether to go on."""
-        if self._interrupt is None or tao.getSolutionStatus()[2] > self._look_at:
-            return
-        self.potential.place(self._x)
-        try:
-            self._interrupted = self._interrupt()
-        except Exception as error:  # PETSc would hide it behind an error of its own
-            self._error, self._interrupted = error, True
-        self._interrupt = None
-        if self._interrupted:
+        residual = tao.getSolutionStatus()[2]
+        if self._interrupt is not None and residual <= COARSE * self._scale:
+            self.potential.place(self._x)
+            try:
+                self._interrupted = self._interrupt()
+            except Exception as error:  # PETSc would hide it behind an error of its own
+                self._error, self._interrupted = error, True
+            self._interrupt = None
+        if self._interrupted or self._stage_is_over(tao.getIterationNumber(), residual):
             tao.setConvergedReason(PETSc.TAO.ConvergedReason.CONVERGED_USER)
+
+    def _stage_is_over(self, iterations: int, residual: float) -> bool:
+        """Whether energy is to be measured in another way, or H0 to be rebuilt."""
+        if iterations == 0:
+            return False
+        self._aged = self._uses_h0 and (
+            self.potential.evaluations - self._evaluations0 >= iterations + WASTED
+            or (iterations >= self._length and residual > self._residual0 * FAST**iterations)
+        )
+        return self._aged or (not self._close and residual <= CLOSE * self._scale)
 
     def _set_h0(self) -> None:
         """Rebuild H0 at the current state, and hand it to TAO the first time."""
@@ -244,16 +264,17 @@ class Minimizer:
         """
         potential = self.potential
         self._interrupt, self._interrupted, self._error = interrupt, False, None
-        membrane = [term for term in potential.terms if hasattr(term, "h0_prestress")]
+        stiffened = [term for term in potential.terms if hasattr(term, "stiffening")]
         self._place_bounds()
         potential.place()
         iterations = factorizations = 0
         start = potential.evaluations
         reason, failures, best = "too many stages", 0, np.inf
-        for stage in range(self.max_stages):
-            self._energy0, scale = potential.evaluate_terms()
+        self._aged = True
+        for _ in range(self.max_stages):
+            self._energy0, self._scale = potential.evaluate_terms()
             potential.free_gradient(self._g0)
-            tolerance = max(self.rtol * scale, self.atol)
+            tolerance = max(self.rtol * self._scale, self.atol)
             residual = self.residual()
             if not np.isfinite(residual):
                 reason = "energy or gradient not finite"
@@ -267,19 +288,18 @@ class Minimizer:
             if failures >= 3 and residual > 0.5 * best:
                 break
             best = min(best, residual)
-            if self._uses_h0:
-                for term in membrane:
-                    term.h0_prestress.value = h0_prestress[min(stage, len(h0_prestress) - 1)]
+            if self._uses_h0 and self._aged:
+                for term in stiffened:
+                    term.stiffening.set(h0_prestress[min(factorizations, len(h0_prestress) - 1)])
+                self._length = STAGE_LENGTHS[min(factorizations, len(STAGE_LENGTHS) - 1)]
                 self._set_h0()
                 factorizations += 1
             potential.x_vector.copy(self._x)
             potential.x_vector.copy(self._x0)
-            self._close = residual <= CLOSE * scale
+            self._close = residual <= CLOSE * self._scale
             self._at_start = self._bounds is None
-            self._look_at = COARSE * scale
+            self._residual0, self._evaluations0 = residual, potential.evaluations
             self.tao.setTolerances(gatol=tolerance, grtol=0.0, gttol=0.0)
-            length = STAGE_LENGTHS[min(stage, len(STAGE_LENGTHS) - 1)]
-            self.tao.setMaximumIterations(length if self._uses_h0 else 100000)
             self.tao.solve()
             if self._error is not None:
                 raise self._error
@@ -287,10 +307,10 @@ class Minimizer:
             potential.place(self._x)
             ended = int(self.tao.getConvergedReason())
             if ended < 0:
-                reason = REASONS.get(ended, f"TAO reason {ended}")
+                reason, self._aged = REASONS.get(ended, f"TAO reason {ended}"), True
             failures = failures + 1 if ended == -6 else 0
-        for term in membrane:
-            term.h0_prestress.value = 0.0
+        for term in stiffened:
+            term.stiffening.set(0.0)
         return Outcome(
             reason in ("converged", "interrupted"),
             reason,

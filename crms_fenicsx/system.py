@@ -290,15 +290,13 @@ class System:
 
         membrane = self.membrane
         if self.scene.strain_law == "total":
-            self.folds = FoldEnergy(folded, membrane.h0_prestress)
+            self.folds = FoldEnergy(folded, membrane.stiffening)
         else:
             from crms_fenicsx.cables.step_fold import StepFoldEnergy
             from crms_fenicsx.incremental import StepMembraneEnergy
 
             assert isinstance(membrane, StepMembraneEnergy)
-            self.folds = StepFoldEnergy(
-                folded, membrane.h0_prestress, membrane, self._folded_energy
-            )
+            self.folds = StepFoldEnergy(folded, membrane, self._folded_energy)
         return self.folds
 
     def _penalty_term(self, tables: CableTables) -> KinkPenalty:

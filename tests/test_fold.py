@@ -1,6 +1,7 @@
 """Folded cells: against plain cells and explicit unfolding, Taylor, stiffness, rigid motion."""
 
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -31,7 +32,7 @@ from term_twins import area, axes_of, density, strain, unfolded
 from crms_fenicsx.cables.fold import FoldedCells, FoldEnergy
 from crms_fenicsx.compat import geometry_dofmap
 from crms_fenicsx.materials import LINEAR, IsotropicMembrane, OrthotropicMembrane
-from crms_fenicsx.membrane import MembraneEnergy
+from crms_fenicsx.membrane import FLOOR, MembraneEnergy
 from crms_fenicsx.meshes import from_arrays
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.unknowns import Unknowns
@@ -61,11 +62,9 @@ FOLDS = {
 every_fold = pytest.mark.parametrize("folds", FOLDS.values(), ids=FOLDS.keys())
 
 
-class Constant:
-    """As much of a DOLFINx constant as terms read."""
-
-    def __init__(self, value=0.0):
-        self.value = value
+def no_stiffening():
+    """As much of a `Stiffening` as terms read, without a mesh."""
+    return SimpleNamespace(prestress=SimpleNamespace(value=0.0), floor=SimpleNamespace(value=FLOOR))
 
 
 def folded_triangle(material, folds, corners=TRIANGLE, eps=0.0):
@@ -91,7 +90,7 @@ def folded_triangle(material, folds, corners=TRIANGLE, eps=0.0):
         laws=np.array([material.law], dtype=np.int32),
         parameters=material.parameters[None],
     )
-    return TermOnPoints(FoldEnergy(table, Constant()), np.array(X)), lines
+    return TermOnPoints(FoldEnergy(table, no_stiffening()), np.array(X)), lines
 
 
 def plain_triangle(material, shift):
@@ -216,7 +215,7 @@ def evenly_tensed(material, X, tension):
 @every_fold
 def test_stiffness_is_exact_where_all_sides_pull(material, folds):
     f, _ = folded_triangle(material, folds)
-    f.term.tangent_floor[:] = 0.0
+    f.term.stiffening.floor.value = 0.0
     rng = np.random.default_rng(9)
     tension = 0.2 * material.stiffness[1, 1]
     x = evenly_tensed(material, f.X, tension) + 0.01 * rng.normal(size=f.X.shape)
@@ -230,7 +229,7 @@ def test_stiffness_is_exact_where_all_sides_pull(material, folds):
 def test_stiffness_within_the_smoothed_length():
     """A fold point nearer to a vertex than eps."""
     f, _ = folded_triangle(ISOTROPIC, ((0.01,), (0.6,), ()), eps=0.5)
-    f.term.tangent_floor[:] = 0.0
+    f.term.stiffening.floor.value = 0.0
     rng = np.random.default_rng(9)
     x, d = 0.25 * f.X, 0.1 * rng.normal(size=f.X.shape)
     f.value(x)
@@ -259,7 +258,7 @@ def test_prestress_for_the_stiffness_alone():
     f, _ = folded_triangle(ISOTROPIC, FOLDS["one on two sides"])
     x = 0.25 * f.X
     energy, without = f.value(x)[0], f.matrix(x)
-    f.term.h0_prestress.value = 0.3
+    f.term.stiffening.prestress.value = 0.3
     assert f.value(x)[0] == energy
     added = f.matrix(x) - without
     twin = np.zeros_like(added)
@@ -282,7 +281,7 @@ def test_cells_share_what_is_on_their_common_side():
         laws=np.tile(t.laws, 2),
         parameters=np.tile(t.parameters, (2, 1)),
     )  # fmt: skip
-    both = TermOnPoints(FoldEnergy(double, Constant()), one.X)
+    both = TermOnPoints(FoldEnergy(double, no_stiffening()), one.X)
     x = 0.2 * one.X + 0.1 * np.random.default_rng(1).normal(size=one.X.shape)
     energy, g = one.value(x)
     assert both.value(x)[0] == pytest.approx(2 * energy, rel=1e-14)
@@ -315,7 +314,7 @@ def test_tables_of_the_scene(comm):
     np.testing.assert_array_equal(np.sort(folded.cells), left)
     corners = mesh.geometry.x[geometry_dofmap(mesh)[folded.cells]]
     np.testing.assert_allclose(folded.areas, [area(c) for c in corners], rtol=1e-13)
-    term = FoldEnergy(folded, Constant())
+    term = FoldEnergy(folded, no_stiffening())
     term.attach(system.unknowns)
     term.sums(np.zeros_like(system.unknowns.X), np.zeros(1))
     for c, sides in enumerate(folded.sides):

@@ -125,7 +125,7 @@ def test_a_wrong_gradient_has_order_one(comm):
 @every_material
 def test_stiffness_is_exact_where_all_is_taut(comm, material):
     _, term, f, X = membrane_on(comm, material)
-    term.tangent_floor.value = 0.0
+    term.stiffening.floor.value = 0.0
     x, d = 0.4 * X + 0.2 * noise(X, 1), noise(X, 2)
     assert stiffness_error(f, x, d) < 1e-8
     assert stiffness_order(f, x, d) == pytest.approx(3, abs=0.1)
@@ -134,7 +134,7 @@ def test_stiffness_is_exact_where_all_is_taut(comm, material):
 @pytest.mark.parametrize("material", [ISOTROPIC, FABRIC, TURNING])
 def test_stiffness_is_exact_where_wrinkled(comm, material):
     scene, term, f, X = membrane_on(comm, material, lift=0.0)
-    term.tangent_floor.value = 0.0
+    term.stiffening.floor.value = 0.0
     x = X * (0.2, -0.35, 0.0) + 0.05 * noise(X, 1)
     f.value(x)
     assert states_of(scene, term) == {1.0}
@@ -156,7 +156,7 @@ def test_tangent_floor_keeps_slack_cells_stiff(comm, material):
     d = f.times(slack, noise(X, 2))
     assert f.dot(d, d) > 0
     taut = f.value(0.2 * X)[0]
-    term.tangent_floor.value = 0.0
+    term.stiffening.floor.value = 0.0
     d = f.times(slack, noise(X, 2))
     assert f.dot(d, d) == 0.0
     assert f.value(0.2 * X)[0] == taut, "the floor is no part of the energy"
@@ -168,7 +168,7 @@ def test_prestress_for_the_stiffness_alone(comm):
     x, d = 0.1 * X, noise(X, 2)
     energy, g = f.value(x)
     without = f.dot(d, f.times(x, d))
-    term.h0_prestress.value = 0.3
+    term.stiffening.prestress.value = 0.3
     added = f.dot(d, f.times(x, d)) - without
     assert f.value(x)[0] == energy
     assert np.array_equal(f.value(x)[1], g)

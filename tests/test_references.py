@@ -44,11 +44,15 @@ def order(sizes: list[float], errors: list[float]) -> float:
 def test_inflated_square(comm, n: int, wrinkling: bool, w: float, W: float) -> None:
     """Full pressure on a flat, stress-free sheet in one step."""
     scene = sheet(square(comm, n), wrinkling)
-    step = Solver(scene).advance(pressure=PRESSURE)
+    solver = Solver(scene)
+    step = solver.advance(pressure=PRESSURE)
     assert height(scene) == pytest.approx(w, rel=1e-7)
     assert scene.energy == pytest.approx(W, rel=1e-9)
     assert step.outcome.factorizations <= 3
     assert step.outcome.evaluations <= 30
+    later = solver.advance(pressure=1.1 * PRESSURE).outcome
+    assert later.factorizations <= (1 if wrinkling else 2)
+    assert later.evaluations <= 12
 
 
 def test_inflated_square_converges_to_the_continuum(comm) -> None:

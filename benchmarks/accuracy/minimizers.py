@@ -46,7 +46,7 @@ class Newton(Minimizer):
         self._uses_h0 = False
         self.h0.destroy()
         self.h0 = self.hessian = ExactHessian(self.potential, "crms_h0_")
-        self._membrane = [term for term in self.potential.terms if hasattr(term, "tangent_floor")]
+        self._membrane = [term for term in self.potential.terms if hasattr(term, "stiffening")]
         self.tao.setType(PETSc.TAO.Type.NLS)
         self.tao.setHessian(self._place_hessian, self.h0.matrix)
         ksp = self.tao.getKSP()
@@ -71,11 +71,10 @@ class Newton(Minimizer):
             self.potential.place(X)
             self.potential.evaluate()
         for term in self._membrane:
-            floor = term.tangent_floor  # type: ignore[attr-defined]
-            getattr(floor, "value", floor)[:] = 0.0
             last = len(self._prestress) - 1
-            prestress = self._prestress[min(self.hessian.count, last)]
-            term.h0_prestress.value = prestress  # type: ignore[attr-defined]
+            stiffening = term.stiffening  # type: ignore[attr-defined]
+            stiffening.set(self._prestress[min(self.hessian.count, last)])
+            stiffening.floor.value = 0.0
         self.hessian.assemble()
 
 

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem
 from petsc4py import PETSc
 
 from crms_fenicsx.cables import law as laws
@@ -26,7 +25,7 @@ from crms_fenicsx.cables.length import (
     segment_stiffness,
     slope_over_distance,
 )
-from crms_fenicsx.membrane import TANGENT_FLOORS
+from crms_fenicsx.membrane import Stiffening
 from crms_fenicsx.unknowns import Unknowns
 
 Array = npt.NDArray[np.float64]
@@ -130,7 +129,7 @@ def cell_forces(lengths, pointers, side_segments, sides, maps, squares, areas, l
 @numba.njit(cache=True)
 def cell_stiffness(  # type: ignore[no-untyped-def]
     X, x, segments, eps, lengths, pointers, side_segments, sides, maps, areas, law, p, out, floor,
-    h0_prestress, element_pointers, element_blocks, offsets, values, tension,
+    prestress, element_pointers, element_blocks, offsets, values, tension,
 ):  # fmt: skip
     """Stiffness ``sum K_kl grad(r_k) grad(r_l)^T`` per cell, r its sides.
 
@@ -144,7 +143,7 @@ def cell_stiffness(  # type: ignore[no-untyped-def]
         start = element_pointers[c]
         size = element_pointers[c + 1] - start
         own = element_blocks[start : start + size]
-        laws.tangent(law[c], p[c], out[c, :3], floor[law[c]], C)
+        laws.tangent(law[c], p[c], out[c, :3], floor, C)
         B, r = np.zeros((3, size, 3)), np.zeros(3)
         for k in range(3):
             for q in range(pointers[sides[c, k]], pointers[sides[c, k] + 1]):
@@ -171,7 +170,7 @@ def cell_stiffness(  # type: ignore[no-untyped-def]
             K[k, k] += pull
             for q in range(pointers[sides[c, k]], pointers[sides[c, k] + 1]):
                 segment = side_segments[q]
-                tension[segment] += pull * r[k] + 0.5 * h0_prestress * lengths[segment]
+                tension[segment] += pull * r[k] + 0.5 * prestress * lengths[segment]
         for i in range(size):
             for j in range(size):
                 block = values[offsets[c] + i * size + j]
@@ -190,22 +189,21 @@ class FoldEnergy:
     ----------
     table
         This rank's folded cells.
-    h0_prestress
-        Extra section force in the stiffness only (force per length), shared with the plain cells;
-        each cell gives half of it times the length to its sides' segments.
+    stiffening
+        What is in the stiffness only, shared with the plain cells; each cell gives half of its
+        prestress times the length to its sides' segments.
     """
 
     name = "membrane"
     n_sums = 1
 
-    def __init__(self, table: FoldedCells, h0_prestress: fem.Constant) -> None:
-        self.table, self.h0_prestress = table, h0_prestress
+    def __init__(self, table: FoldedCells, stiffening: Stiffening) -> None:
+        self.table, self.stiffening = table, stiffening
         self.areas, self.maps = table.areas, table.strain_maps
         self.squares = table.squared_sides
         self.lengths = np.zeros(len(table.segments))
         self.forces = np.zeros(len(table.segments))
         self._tension = np.zeros(len(table.segments))
-        self.tangent_floor = np.array(TANGENT_FLOORS)
         self.results = np.zeros((len(table.cells), 7))
         """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state of each cell."""
         self._element_pointers, self._element_blocks = table.element_blocks
@@ -246,9 +244,10 @@ class FoldEnergy:
         t, X = self.table, self.unknowns.X
         cell_stiffness(
             X, x, t.segments, t.eps, self.lengths, t.side_pointers, t.side_segments, t.sides,
-            self.maps, self.areas, t.laws, t.parameters, self.results, self.tangent_floor,
-            float(self.h0_prestress.value), self._element_pointers, self._element_blocks,
-            self.elements.offsets, self.elements.values, self._tension,
+            self.maps, self.areas, t.laws, t.parameters, self.results,
+            float(self.stiffening.floor.value), float(self.stiffening.prestress.value),
+            self._element_pointers, self._element_blocks, self.elements.offsets,
+            self.elements.values, self._tension,
         )  # fmt: skip
         self.elements.add(A, self.unknowns)
         segment_stiffness(X, x, t.segments, t.eps, self._tension, self.edges.own_values)

@@ -7,7 +7,6 @@ import math
 import numba
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem
 from petsc4py import PETSc
 
 from crms_fenicsx.cables.fold import FoldedCells, FoldEnergy
@@ -101,11 +100,10 @@ class StepFoldEnergy(FoldEnergy):
     def __init__(
         self,
         table: FoldedCells,
-        h0_prestress: fem.Constant,
         membrane: StepMembraneEnergy,
         energy: Array,
     ) -> None:
-        super().__init__(table, h0_prestress)
+        super().__init__(table, membrane.stiffening)
         self._history = membrane.history.x.array.reshape(-1, 6)
         self._energy_n = energy
         counts = np.diff(table.side_pointers)[table.sides]
