@@ -115,9 +115,29 @@ def test_workspace_of_mumps_is_ample_unless_an_option_says_otherwise(own: int | 
             database.delValue(name)
 
 
+@pytest.fixture
+def multigrid():
+    """Multigrid by an option."""
+    database = PETSc.Options("crms_h0_")
+    database["pc_type"] = "gamg"
+    yield
+    database.delValue("pc_type")
+
+
+def test_multigrid_is_for_many_unknowns_without_cables(comm, monkeypatch) -> None:
+    monkeypatch.setattr("crms_fenicsx.hessian.DIRECT", 0)
+    scene = ridged(comm)
+    solver = Solver(scene)
+    solver.advance(pressure=0.01)
+    assert solver.system.minimizer.h0.pc.getType() == "gamg"
+    scene.lay_cable(Cable(EA=3200.0), path=OBLIQUE)
+    solver.advance(pressure=0.01)
+    assert solver.system.minimizer.h0.pc.getType() == "cholesky"
+
+
+@pytest.mark.usefixtures("multigrid")
 def test_multigrid_solves_too_and_leaves_alone_what_is_held(comm, monkeypatch) -> None:
     """Held components and those across rails are no business of its coarse levels."""
-    monkeypatch.setattr("crms_fenicsx.hessian.DIRECT", 0)
     monkeypatch.setattr("crms_fenicsx.hessian.ACCURACY", 1e-10)
     solver, _ = cabled(comm)
     solver.advance(pressure=0.01)
@@ -140,11 +160,11 @@ def test_multigrid_solves_too_and_leaves_alone_what_is_held(comm, monkeypatch) -
     assert back.norm() < 1e-9 * b.norm()
 
 
-def test_multigrid_leads_to_the_same_equilibrium(comm, monkeypatch) -> None:
+def test_multigrid_leads_to_the_same_equilibrium(comm, request) -> None:
     solver, cables = cabled(comm)
     direct = solver.advance(pressure=0.01)
     tensions = [cable.tension for cable in cables]
-    monkeypatch.setattr("crms_fenicsx.hessian.DIRECT", 0)
+    request.getfixturevalue("multigrid")
     solver, cables = cabled(comm)
     step = solver.advance(pressure=0.01)
     assert step.energy == pytest.approx(direct.energy, rel=1e-9)
