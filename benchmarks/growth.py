@@ -13,7 +13,7 @@ cables
 
     ./run python benchmarks/growth.py [square] [cap] [cables] [--most 1e5] [--cables 16] [--quick]
 
-Up to 60 000 unknowns H0 is factorised, beyond that algebraic multigrid takes over.
+H0 is factorised up to a million unknowns, and under cables always.
 Times are the processor's.
 """
 

@@ -34,7 +34,7 @@ Array = npt.NDArray[np.float64]
 STAGE_LENGTHS = (4, 6, 10, 20)
 """Iterations after which H0 is rebuilt; the last value repeats."""
 
-FAST = 0.2
+FAST = 0.3
 """Reduction of the residual by each iteration of a stage with which it goes on all the same."""
 
 WASTED = 8
