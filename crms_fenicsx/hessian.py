@@ -31,8 +31,9 @@ SHIFT = 1e-9
 WORKSPACE = 100
 """How much more memory MUMPS takes than it estimates, in per cent."""
 DIRECT = 1_000_000
-"""Unknowns up to which K is factorised without cables. Next to multigrid a load step then takes 0.6
-to 0.7 times as long on one process; on two 0.9 times with 1e5 unknowns and 1.2 with 1e6."""
+"""Unknowns up to which K is factorised without cables. Next to multigrid a load step then takes 0.4
+to 0.7 times as long on one process; on two 0.9 times with 1e5 unknowns, 0.8 with 3e5, 1.2 with 1e6.
+"""
 ACCURACY = 1e-2
 """Relative residual of H0's solves by conjugate gradients; with less, BLMVM takes more steps."""
 

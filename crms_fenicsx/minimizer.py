@@ -198,7 +198,10 @@ class Minimizer:
         return 0.5 * (self._step.dot(G) + self._step.dot(self._g0))
 
     def _monitor(self, tao: PETSc.TAO) -> None:
-        """Called by TAO after each iteration: near the minimum, ask once whether to go on."""
+        """Called by TAO after each iteration: ends the stage if that pays.
+
+        Near the minimum it asks once whether to go on at all.
+        """
         residual = tao.getSolutionStatus()[2]
         if self._interrupt is not None and residual <= COARSE * self._scale:
             self.potential.place(self._x)
