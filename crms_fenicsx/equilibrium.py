@@ -41,9 +41,6 @@ of sound states are below 0.01 on meshes of 9 cells a side.
 TENSE = 0.01
 """Kinks (rad) from which on the fold points of a cable with friction are put back in place."""
 
-NEAR = 0.1
-"""Part of an edge: so near to a vertex a polish tries its other side."""
-
 MAX_PASSES = 30
 """How often friction forces are taken from the state that they have led to."""
 
@@ -194,14 +191,16 @@ class EquilibriumSearch:
         last digits come at the end.
         """
         from crms_fenicsx.cables.crossings import tangled
+        from crms_fenicsx.cables.other_sides import OtherSides
 
         paths, best = self.paths, self._try(h0_prestress)
         assert paths is not None
         total, flips = best.outcome, best.flips
-        groups: list[list[tuple[int, int]]] = []  # vertices to pass at once
+        sides = OtherSides(paths, self.polish)
         laid_again: set[int] = set()
         tries = 0
         while best.outcome.converged:
+            passed: list[tuple[int, int]] = []
             if not flips:
                 caught = self.system.caught_cables(CAUGHT) | tangled(self.scene.crossings)
                 caught = {c for c in caught - laid_again if self.scene.cables[c].slides_freely}
@@ -209,10 +208,14 @@ class EquilibriumSearch:
                 if caught:
                     laid_again |= caught
                     paths.lay_again(caught)
-                elif not self._pass_vertices(groups):
-                    flips = self._give_way(None)
-                    if not flips and not self._relax_held():
-                        break
+                else:
+                    scale = sum(map(abs, self.scene.energies.values()))
+                    if tries < MAX_PATHS:
+                        passed = sides.next(best.energy, scale)
+                    if not passed:
+                        flips = self._give_way(None)
+                        if not flips and not self._relax_held():
+                            break
             if tries == MAX_PATHS:
                 reason = f"after {tries} changes the paths of the cables still want to change"
                 return replace(total, converged=False, reason=reason)
@@ -224,10 +227,13 @@ class EquilibriumSearch:
             total = total + new.outcome
             if new.outcome.converged and new.energy < best.energy:
                 best, flips = new, new.flips
-                groups.clear()
+                paths.note_passed(passed)
                 continue
-            if groups:  # a half of what was tried together is tried next
-                paths.refused = refused
+            if passed:
+                if sides.halve(passed):
+                    paths.refused = refused
+            else:
+                paths.give_up_strings()
             best.state.restore(self.scene)
             # Half of the flips; one alone cannot be halved.
             flips = self._change_paths(flips // 2)
@@ -247,33 +253,6 @@ class EquilibriumSearch:
             reason = f"{names}: caught between edges of the mesh, which is too coarse there"
             return replace(total, converged=False, reason=reason)
         return total
-
-    def _pass_vertices(self, groups: list[list[tuple[int, int]]]) -> bool:
-        """Lead cables around the other side of vertices; say whether there was one to try.
-
-        All cables that pass near one at once, and if that is rejected each half of them, and so on.
-
-        Parameters
-        ----------
-        groups
-            What to try next, (cable, vertex); the halves of what is tried now are added.
-        """
-        from crms_fenicsx.cables.network import BLOCKED
-
-        paths = self.paths
-        assert paths is not None
-        while True:
-            if not groups:
-                group = paths.near_vertices(NEAR if self.polish else BLOCKED)
-                if not group:
-                    return False
-                groups.append(group)
-            led = paths.pass_vertices(groups.pop())
-            if len(led) > 1:
-                half = len(led) // 2
-                groups += [led[half:], led[:half]]
-            if led:
-                return True
 
     def _try(self, h0_prestress: tuple[float, ...], rough: bool = False) -> _Try:
         """Equilibrium on the paths that there are; the scene then has those to try next.

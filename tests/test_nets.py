@@ -15,6 +15,8 @@ from mpi4py import MPI
 
 from crms_fenicsx import Scene, Solver
 from crms_fenicsx.cables.cable import LaidCable
+from crms_fenicsx.cables.other_sides import OtherSides
+from crms_fenicsx.cables.path import EdgePoint
 
 T_EXACT, Z_EXACT = (68.176, 33.193), 4.4317
 
@@ -151,3 +153,63 @@ def test_nets_do_not_depend_on_the_ranks(comm) -> None:
         Solver(scene).advance(pressure=PRESSURE)
         found.append([scene.energy, *(cable.tension for cable in scene.cables)])
     assert found[0] == pytest.approx(found[1], rel=1e-6, abs=1e-6)
+
+
+def test_crossed_cables_pass_only_vertices_that_hold_them(comm, monkeypatch) -> None:
+    """Strings do not know where crossings are pressed in, and say more: see `_is_crossed`."""
+    from crms_fenicsx.cables import retrace
+
+    passed: list[tuple[set[int], set[int]]] = []
+    pull = retrace.shorten
+
+    def recorded(points, surface, *, held_at=None, **options):
+        result = pull(points, surface, held_at=held_at, **options)
+        if held_at is not None:
+            near = {
+                p.edge[int(p.fraction > 0.5)]
+                for p in points
+                if isinstance(p, EdgePoint) and min(p.fraction, 1 - p.fraction) < retrace.PRESSED
+            }
+            free = pull(points, surface, **options).flips
+            passed.append((set(result.flips) - near, set(free) - near))
+        return result
+
+    monkeypatch.setattr(retrace, "shorten", recorded)
+    for seed in (1, 2):
+        scene = random_net(comm, seed)
+        Solver(scene).advance(pressure=2 * PRESSURE)
+    only_held, all_told = (set.union(*sets) for sets in zip(*passed, strict=True))
+    assert not only_held and all_told
+
+
+class Paths:
+    """Stands for a `Retracer`: cables 0 ... n - 1 near vertices 10 ... each."""
+
+    def __init__(self, n: int) -> None:
+        self.left = {(c, 10 + c) for c in range(n)}
+
+    def near_vertices(self, near: float) -> list[tuple[int, int]]:
+        return sorted(self.left)
+
+    def pass_vertices(self, group: list[tuple[int, int]]) -> list[tuple[int, int]]:
+        return group
+
+    def note_passed(self, group: list[tuple[int, int]]) -> None:
+        self.left -= set(group)
+
+
+def test_other_sides_are_tried_together_then_by_halves_of_halves() -> None:
+    paths = Paths(8)
+    sides, tried = OtherSides(paths, polish=False), []
+    while group := sides.next(energy=0.0, scale=1.0):
+        tried.append([c for c, _ in group])
+        sides.halve(group)
+    whole = [*range(8)]
+    assert tried == [whole, whole[:4], [0, 1], [2, 3], whole[4:], [4, 5], [6, 7]]
+    assert not paths.left
+
+
+def test_rounds_of_other_sides_end_when_they_gain_little() -> None:
+    sides = OtherSides(Paths(4), polish=False)
+    for energy, goes_on in ((0.0, True), (-1.0, True), (-1.5, True), (-1.5 - 1e-6, False)):
+        assert bool(sides.next(energy, scale=1.0)) == goes_on

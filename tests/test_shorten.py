@@ -673,18 +673,52 @@ def test_passing_a_vertex_and_sliding_back(name):
     mesh = structured(9) if name == "structured" else unstructured(9, np.random.default_rng(4))
     cells, points = mesh
     surface = ArraySurface(cells, points)
-    straight = shorten(bulge(mesh, 15), surface).points
+    taut = shorten(bulge(mesh, 15), surface)
+    straight, length = taut.points, taut.length
     passed = 0
     for vertex in sorted({v for point in straight[1:-1] for v in point.support}):
         other = pass_vertex(straight, surface, vertex)
         if other is None:
             continue
         passed += 1
-        assert other.flips == (vertex,) and corridor(other.points) != corridor(straight)
-        assert other.length > other.before * (1 - ROUNDING)
-        Path(other.points).links(cells)
-        back = shorten(other.points, surface)
-        assert back.length == pytest.approx(other.before, rel=ROUNDING)
-        refused = pass_vertex(straight, surface, vertex, refused={corridor(other.points)})
-        assert refused is None
+        assert corridor(other) != corridor(straight)
+        assert {point for point in other if point.support in corridor(straight)} <= {*straight}
+        Path(other).links(cells)
+        back = shorten(other, surface)
+        assert back.before > length * (1 - ROUNDING)
+        assert back.length == pytest.approx(length, rel=ROUNDING)
+        assert pass_vertex(straight, surface, vertex, refused={corridor(other)}) is None
     assert passed > 3
+
+
+def test_new_places_beside_a_vertex_are_on_a_string_between_those_that_stay():
+    """A straight path that passes close to a vertex stays close to it on its other side."""
+    mesh = structured(9)
+    cells, points = mesh
+    surface = ArraySurface(cells, points)
+    straight = shorten(bulge(mesh, 15), surface).points
+    for vertex in sorted({v for point in straight[1:-1] for v in point.support}):
+        other = pass_vertex(straight, surface, vertex)
+        if other is None:
+            continue
+        new = [i for i, point in enumerate(other) if point not in straight]
+        part = other[new[0] - 1 : new[-1] + 2]
+        string = shorten(part, surface, max_flips=0).points
+        for point, twin in zip(part[1:-1], string[1:-1], strict=True):
+            assert point.edge == twin.edge
+            assert point.fraction == pytest.approx(twin.fraction, abs=1e-12)
+
+
+def test_only_vertices_that_hold_a_path_are_slid_over():
+    mesh = unstructured(9, np.random.default_rng(4))
+    surface = ArraySurface(*mesh)
+    path = bulge(mesh, 15)
+    free = shorten(path, surface)
+    assert len(free.flips) > 3
+    assert shorten(path, surface, held_at=set()).flips == ()
+    for vertex in free.flips[:3]:
+        flips = shorten(path, surface, held_at={vertex}).flips
+        assert set(flips) <= {vertex}
+    some = set(free.flips[:2])
+    assert shorten(path, surface, held_at=some).flips[:1] == free.flips[:1]
+    assert shorten(path, surface, held_at=set(free.flips)).flips == free.flips

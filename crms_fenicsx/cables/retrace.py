@@ -44,6 +44,10 @@ NEAR = 0.1
 still stays where it is: others are those that are put back in place."""
 
 
+PRESSED = 0.01
+"""Part of an edge: a point nearer than this to a vertex is held by it."""
+
+
 STILL = 1e-4
 """Movement, relative to a cable's length, within which rejected paths stay rejected."""
 
@@ -81,6 +85,8 @@ class Retracer:
         self._passed: dict[str, set[int]] = {}
         self._tried_at: dict[str, Array] = {}
         self._first_look = True
+        self._strings = True
+        """Whether strings still tell where cables go that others cross."""
         self.offered: set[tuple[str, Corridor]] = set()
         self.withheld: set[tuple[str, Corridor]] = set()
         """Ways past a vertex, by cable, that cables with friction are led now, and that they have
@@ -100,7 +106,7 @@ class Retracer:
 
     def begin_step(self) -> None:
         """Prepare for a load step."""
-        self._first_look = True
+        self._first_look = self._strings = True
         self.offered, self.withheld = set(), set()
         self.led.clear()
 
@@ -220,12 +226,20 @@ class Retracer:
         How many vertices the cable that has passed most has; 0: no path has changed.
         """
         self._forget()
-        free = [cable for cable in self.scene.cables if cable.taut and cable.slides_freely]
+        free = [
+            cable
+            for cable in self.scene.cables
+            if cable.taut and cable.slides_freely and (self._strings or not _is_crossed(cable))
+        ]
         return self._retrace(free, max_flips) if free else 0
 
     def refused_now(self) -> dict[str, set[Corridor]]:
         """A copy of what has been tried."""
         return {name: set(ways) for name, ways in self.refused.items()}
+
+    def give_up_strings(self) -> None:
+        """Let strings no longer tell, in this load step, where cables go that others cross."""
+        self._strings = False
 
     def near_vertices(self, near: float) -> list[tuple[int, int]]:
         """Vertices near which cables pass, one for each cable: (cable, vertex), nearest first.
@@ -242,17 +256,14 @@ class Retracer:
         -------
         Those that have not been tried before.
         """
-        found: dict[int, tuple[float, int]] = {}
+        found: list[tuple[float, int, int]] = []
         for c, cable in enumerate(self.scene.cables):
-            for k in cable.contacts() if cable.taut and cable.slides_freely else []:
-                node = cable.nodes[k]
-                if node.slides and isinstance(node.point, EdgePoint):
-                    fraction = float(cable.fractions[k])
-                    vertex = node.point.edge[int(fraction > 0.5)]
-                    away = min(fraction, 1 - fraction)
-                    if away < near and vertex not in self._passed.get(cable.name, ()):
-                        found[c] = min((away, vertex), found.get(c, (1.0, vertex)))
-        return [(c, vertex) for c, (_, vertex) in sorted(found.items(), key=lambda item: item[1])]
+            if cable.taut and cable.slides_freely:
+                close = _near(cable, max(near, PRESSED) if _is_crossed(cable) else near)
+                for vertex in self._passed.get(cable.name, ()):
+                    close.pop(vertex, None)
+                found += sorted((away, c, vertex) for vertex, away in close.items())[:1]
+        return [(c, vertex) for _, c, vertex in sorted(found)]
 
     def pass_vertices(self, group: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
         """Lead cables around the other side of vertices. Collective.
@@ -264,18 +275,16 @@ class Retracer:
 
         Returns
         -------
-        Those of the group that have another side. The others, and a single one, will not be tried
-        again.
+        Those of the group that have another side. The others will not be tried again.
         """
-        led = []
-        for c, vertex in group:
-            cable = self.scene.cables[c]
-            has_way = self._pass_vertex(cable, vertex)
-            if has_way:
-                led.append((c, vertex))
-            if not has_way or len(group) == 1:
-                self._passed.setdefault(cable.name, set()).add(vertex)
+        led = [one for one in group if self._pass_vertex(self.scene.cables[one[0]], one[1])]
+        self.note_passed([one for one in group if one not in led])
         return led
+
+    def note_passed(self, group: Sequence[tuple[int, int]]) -> None:
+        """Do not try the other side of these vertices, (cable, vertex), again."""
+        for c, vertex in group:
+            self._passed.setdefault(self.scene.cables[c].name, set()).add(vertex)
 
     def _pass_vertex(self, cable: LaidCable, vertex: int) -> bool:
         if cable.lifted.any():
@@ -284,11 +293,11 @@ class Retracer:
         refused = self.refused.setdefault(cable.name, set())
         path = list(cable.path.points)
         refused.add(corridor(path))
-        found = pass_vertex(path, surface, vertex, refused=refused)
-        if found is None:
+        points = pass_vertex(path, surface, vertex, refused=refused)
+        if points is None:
             return False
-        grow(self.scene, [v for point in found.points for v in point.support])
-        self._adopt(cable, found.points, [False] * len(found.points), self.surface())
+        grow(self.scene, [v for point in points for v in point.support])
+        self._adopt(cable, points, [False] * len(points), self.surface())
         return True
 
     def _retrace(
@@ -335,6 +344,10 @@ class Retracer:
             if node.point is not None and node.kind != "crossing"
         ]
         refused = self.refused.setdefault(cable.name, set())
+        held_at = None
+        if _is_crossed(cable) and not fresh:
+            visited = {p.vertex for p in path if isinstance(p, VertexPoint)}
+            held_at = visited | set(_near(cable, PRESSED)) - self._passed.get(cable.name, set())
         points: list[SurfacePoint] = []
         lifted: list[bool] = []
         passed = 0
@@ -352,7 +365,7 @@ class Retracer:
                     refused.add(corridor(string))
                     result = shorten(
                         string, joined, refused=refused, max_flips=max_flips,
-                        grip=GRIP if fresh else 0.0,
+                        grip=GRIP if fresh else 0.0, held_at=held_at,
                     )  # fmt: skip
                     passed += len(result.flips)
                     new = list(result.points[len(before) : len(result.points) - len(after)])
@@ -462,6 +475,29 @@ class Retracer:
 def _key(node: CableNode) -> object:
     """What a node is known by while a path changes: its edge if it slides, else its place."""
     return None if node.point is None else node.point.support if node.slides else node.point
+
+
+def _is_crossed(cable: LaidCable) -> bool:
+    """Whether a cable is in contact with another one that crosses it.
+
+    The surface on which strings are pulled does not have the points inside cells where cables press
+    each other in. So it tells them where they bend to within the angles by which they do so there
+    only, and on fine meshes where they would not go.
+    """
+    return any(node.crossing is not None for node in cable.nodes)
+
+
+def _near(cable: LaidCable, near: float) -> dict[int, float]:
+    """Vertices near which a cable's points slide, and how near, as a part of the edge."""
+    found: dict[int, float] = {}
+    for k in cable.contacts():
+        point = cable.nodes[k].point
+        if cable.nodes[k].slides and isinstance(point, EdgePoint):
+            fraction = float(cable.fractions[k])
+            vertex, away = point.edge[int(fraction > 0.5)], min(fraction, 1 - fraction)
+            if away < near:
+                found[vertex] = min(away, found.get(vertex, 1.0))
+    return found
 
 
 def _stays(cable: LaidCable, old: int, node: CableNode) -> bool:

@@ -19,7 +19,7 @@ import math
 import sys
 from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import groupby, pairwise
 
 from crms_fenicsx import checks
 from crms_fenicsx.cables.corridor import (
@@ -92,6 +92,7 @@ def shorten(
     refused: Set[Corridor] = frozenset(),
     max_flips: int | None = None,
     grip: float = STRAIGHT,
+    held_at: Set[int] | None = None,
 ) -> Shortened:
     """Pull a path taut, and let it slide over vertices until it is a geodesic.
 
@@ -108,6 +109,8 @@ def shorten(
         How many vertices it may slide over; None: as many as it takes.
     grip
         Angle (rad) by which a path that visits a vertex must bend there to leave it.
+    held_at
+        The only vertices that it may slide over; None: all.
 
     Returns
     -------
@@ -139,7 +142,7 @@ def shorten(
     """
     limit = None if max_flips is None else checks.whole("shorten: max_flips", max_flips, 0)
     _check(points, surface)
-    state = _State(points, surface, refused, grip)
+    state = _State(points, surface, refused, grip, held_at)
     state.pull(corridor(points))
     before = state.length
     flips: list[int] = []
@@ -157,7 +160,7 @@ def pass_vertex(
     vertex: int,
     *,
     refused: Set[Corridor] = frozenset(),
-) -> Shortened | None:
+) -> tuple[SurfacePoint, ...] | None:
     """Lead a path around the other side of a vertex, whether that is shorter or not.
 
     Parameters
@@ -169,22 +172,37 @@ def pass_vertex(
 
     Returns
     -------
-    The path with the taut string's places; None if no cable could follow it, or it is refused.
+    The path, on new edges where a string between the points that it keeps would cross them; None if
+    no cable could follow it, or it is refused.
 
     Raises
     ------
     MissingStars
         The surface does not know all cells around the vertex.
     """
-    state = _State(points, surface, refused, STRAIGHT)
-    state.pull(corridor(points))
-    before = state.length
-    found = other_side(state.corridor, surface, vertex)
+    found = other_side(corridor(points), surface, vertex)
     if found is None or found.corridor in refused:
         return None
-    state.length = math.inf
-    state.pull(found.corridor)
-    return Shortened(state.points(), (vertex,), state.length, before)
+    kept = {point.support: point for point in points}
+    first, *_, last = tied(found.corridor, surface.thirds)
+    kept[points[0].support], kept[points[-1].support] = (
+        _in_cell(points[0], first), _in_cell(points[-1], last),
+    )  # fmt: skip
+    new: list[SurfacePoint] = []
+    lengths = _Lengths(surface)
+    for is_kept, group in groupby(found.corridor, key=kept.__contains__):
+        supports = list(group)
+        if is_kept:
+            new += [kept[support] for support in supports]
+            continue
+        edges = [(support[0], support[1]) for support in supports]
+        after = found.corridor[len(new) + len(edges)]
+        string = pull_taut(new[-1], edges, kept[after], lengths)
+        new += [
+            EdgePoint(edge, min(max(fraction, LEAST), MOST))
+            for edge, fraction in zip(edges, string.fractions, strict=True)
+        ]
+    return tuple(new)
 
 
 @dataclass(frozen=True)
@@ -389,7 +407,9 @@ class _State:
         surface: Surface,
         refused: Set[Corridor],
         grip: float,
+        held_at: Set[int] | None,
     ) -> None:
+        self.held_at = held_at
         self.start, self.end = points[0], points[-1]
         self.surface, self.refused = surface, refused
         self.grip = {False: STRAIGHT, True: max(grip, STRAIGHT)}  # of bends and of visits
@@ -484,6 +504,8 @@ class _State:
         flips: list[_Flip] = []
         missing: list[int] = []
         for hold in self._holds():
+            if self.held_at is not None and hold.vertex not in self.held_at:
+                continue
             try:
                 flips.extend(self._ways_around(hold))
             except MissingStars as stars:
