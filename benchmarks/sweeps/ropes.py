@@ -14,6 +14,17 @@ from crms_fenicsx import Cable, Solver
 from crms_fenicsx.cables.cable import LaidCable
 
 
+SIDES = 2e-3
+"""Change of energy and tension with the side on which a cable passes a vertex of a coarse mesh."""
+
+
+def inflated_square(n: int) -> float:
+    """Energy of the square without cables."""
+    solver = Solver(clamped(square(n)))
+    solver.advance(pressure=PRESSURE)
+    return solver.scene.energy
+
+
 def middle(cable: LaidCable) -> np.ndarray:
     """Where a cable passes x = 50."""
     x = cable.positions[cable.contacts()]
@@ -21,45 +32,50 @@ def middle(cable: LaidCable) -> np.ndarray:
 
 
 def stiffness() -> Iterator[Point]:
-    """EA/(E t h) from 1e-3 to 1e8: a cable that is as long as its chord.
+    """EA/(E t h) from 1e-5 to 1e8: a cable 0.5 % longer than its chord, and one as long.
 
-    Wrong is a tension that falls with EA; for soft cables one other than EA times the strain of
-    the free membrane, for stiff ones one other than of first order in 1/EA from its limit; and what
-    depends on the number of steps.
+    Wrong is a tension that falls with EA; for stiff cables one other than of first order in 1/EA
+    from its limit or, as long as the chord, than in proportion to the cubic root of EA, as that of
+    a shallow arch; and what depends on the number of steps. Soft cables must not change the
+    membrane; how long they are has the error of the mesh.
     """
     n = 12
     unit = MODULUS * SIDE / n
+    bare = cache(lambda: inflated_square(n))
 
     @cache
-    def run(ratio: float, steps: int = 1) -> tuple[Solver, LaidCable]:
-        return crossed(square(n), across(43.0), EA=ratio * unit, steps=steps)
+    def run(ratio: float, longer: float, steps: int = 1) -> tuple[Solver, LaidCable]:
+        L0 = (1 + longer) * SIDE
+        return crossed(square(n), across(43.0), L0=L0, EA=ratio * unit, steps=steps)
 
-    def point(judge: Judge, ratio: float) -> None:
-        solver, cable = run(ratio)
+    def point(judge: Judge, ratio: float, longer: float) -> None:
+        solver, cable = run(ratio, longer)
         judge.solved(solver)
         T, W = cable.tension, solver.scene.energy
-        other, again = run(ratio, 4)
+        other, again = run(ratio, longer, 4)
         judge.same("energy in 4 steps", W, other.scene.energy, 1e-8)
         judge.same("tension in 4 steps", T, again.tension, 1e-6)
-        if ratio > 1e-3:
-            judge.must("tension rises with EA", T >= run(ratio / 10)[1].tension * (1 - 1e-6))
-        if ratio < 1.0:  # the slope of the strain over EA is some 1 / EA of the membrane
-            strain = T / cable.cable.EA
-            limit = run(1e-3)[1].tension / run(1e-3)[1].cable.EA
-            judge.same("strain of the free membrane", strain, limit, 2 * ratio + 1e-6)
-        if ratio >= 1e4:
+        less = run(ratio / 10, longer)[1].tension
+        judge.must("tension rises with EA", T >= less * (1 - 1e-6))
+        if ratio <= 1e-2:
+            judge.same("energy without cable", W, bare(), 3e-3)
+        if ratio >= 1e4 and longer > 0.0:
             slopes = []
             for stiff in (ratio, ratio / 10):
-                (_, a), (_, b) = run(stiff), run(stiff / 10)
+                (_, a), (_, b) = run(stiff, longer), run(stiff / 10, longer)
                 slopes.append((1 / b.tension - 1 / a.tension) / (1 / b.cable.EA - 1 / a.cable.EA))
-            judge.same("slope of 1/T over 1/EA", slopes[0], slopes[1], 3e2 / ratio + 1e-2)
+            judge.same("slope of 1/T over 1/EA", slopes[0], slopes[1], 1e4 / ratio + 1e-3)
+        elif ratio >= 1e4:
+            # The next term of the expansion is smaller by the cubic root as well.
+            judge.same("T / EA^(1/3)", T, less * 10 ** (1 / 3), 2 * ratio ** (-1 / 3))
 
-    for ratio in 10.0 ** np.arange(-3, 9):
-        yield Point(
-            f"EA / E t h = {ratio:g}",
-            lambda judge, ratio=float(ratio): point(judge, ratio),
-            quick=ratio in (1e-3, 1e6),
-        )
+    for longer in (0.005, 0.0):
+        for ratio in 10.0 ** np.arange(-5, 9):
+            yield Point(
+                f"EA / E t h = {ratio:g}, L0 = {1 + longer:g} chord",
+                lambda judge, a=(float(ratio), longer): point(judge, *a),
+                quick=ratio in (1e-3, 1e6) and longer > 0.0,
+            )
 
 
 def places_on_mesh() -> Iterator[Point]:
@@ -89,14 +105,19 @@ def places_on_mesh() -> Iterator[Point]:
         first = (a[0] + off * da[0], a[1] + off * da[1])
         last = (b[0] + off * db[0], b[1] + off * db[1])
         solver, cable = run(first, last)
-        judge.solved(solver)
+        slack = "boundary" in name or "side" in name
+        judge.solved(solver, lying=not slack)
         limit, straight = run(a, b)
         W = limit.scene.energy
-        # A cable there and one off it by a row of cells differ by less than all of W.
-        judge.same("energy on it", solver.scene.energy, W, 10 * distance + 1e-6)
-        scale = max(straight.tension, 1.0)
-        change = abs(cable.tension - straight.tension) / scale
-        judge.drift("tension on it", change, 100 * distance + 1e-4)
+        # On mesh lines cells do not fold, off them they do: from the distance on at which places
+        # are told apart the two have another error of the mesh.
+        on_line, mesh = distance < 1e-7, 2e-4
+        allowed = 10 * distance + (1e-6 if on_line else mesh)
+        judge.same("energy on it", solver.scene.energy, W, allowed)
+        # Beside the boundary cells that fold bulge, and press on a cable that is hardly in tension.
+        scale = max(straight.tension, 10.0)
+        allowed = 100 * distance + (1e-4 if on_line else 0.5 if slack else 2e-3)
+        judge.drift("tension on it", (cable.tension - straight.tension) / scale, allowed)
 
     for name in cases:
         for distance in (0.0, 1e-16, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6, 1e-4, 1e-3):
@@ -202,7 +223,8 @@ def ends() -> Iterator[Point]:
     """The ends of a cable move along two sides and back.
 
     Wrong is another state on the way back, than that of a cable laid there, or than in the image of
-    the square turned by half.
+    the square turned by half; but for the side on which a vertex is passed where the cable is
+    pressed against it, which is told by trying and of which both may be in equilibrium.
     """
 
     @cache
@@ -231,15 +253,15 @@ def ends() -> Iterator[Point]:
         there, back = states[0] + states[1], [*states[2][::-1], states[1][-1]]
         for k, ((W, T), (W_back, T_back)) in enumerate(zip(there, back, strict=True)):
             y = first + way * k / moves
-            judge.same("energy on the way back", W, W_back, 1e-6)
-            judge.same("tension on the way back", T, T_back, 1e-4)
+            judge.same("energy on the way back", W, W_back, SIDES)
+            judge.same("tension on the way back", T, T_back, SIDES)
             W_laid, T_laid = laid(y, first if aslant else y, pressure)
-            judge.same("energy of one laid there", W, W_laid, 1e-6)
-            judge.same("tension of one laid there", T, T_laid, 1e-4)
+            judge.same("energy of one laid there", W, W_laid, SIDES)
+            judge.same("tension of one laid there", T, T_laid, SIDES)
             if not aslant:
                 W_image, T_image = there[moves - k]
-                judge.same("energy, turned by half", W, W_image, 1e-6)
-                judge.same("tension, turned by half", T, T_image, 1e-4)
+                judge.same("energy, turned by half", W, W_image, SIDES)
+                judge.same("tension, turned by half", T, T_image, SIDES)
 
     for moves in (1, 6, 23):
         for aslant in (False, True):
@@ -259,8 +281,9 @@ def friction_sideways() -> Iterator[Point]:
     """Coefficients from 1e-6 to 5: a cable that is dragged over the inflated square, and back.
 
     Wrong are heat below zero; work of the ends that is not in energy and heat, up to the error of
-    the trapezoidal rule; for small coefficients a state that differs from that without friction by
-    more than their share; and a cable that follows the further the rougher it is.
+    the trapezoidal rule, relative to the tension times the way; for small coefficients a state
+    that differs from that without friction by more than their share and the side on which a vertex
+    is passed; and a cable that follows further than a smooth one.
     """
 
     @cache
@@ -282,14 +305,14 @@ def friction_sideways() -> Iterator[Point]:
         solver, cable, work, taken = dragged(mu)
         judge.solved(solver, anew=mu == 0.0)
         judge.must("heat below zero", solver.scene.dissipated >= 0.0)
-        judge.drift("work and what took it", (work - taken) / abs(work), 0.02)
+        judge.drift("work and what took it", (work - taken) / (cable.tension * 24.0), 1e-3 + 3e-3 * mu)
         smooth = dragged(0.0)
         if mu <= 1e-2:
             W, free = solver.scene.energy, smooth[0].scene.energy
-            judge.same("energy without friction", W, free, mu + 1e-7)
+            judge.same("energy without friction", W, free, mu + 1e-4)
             shift = abs(middle(cable)[1] - middle(smooth[1])[1]) / (SIDE / 12)
-            judge.drift("place without friction", shift, 20 * mu + 1e-4)
-        judge.must("it follows less", middle(cable)[1] <= middle(smooth[1])[1] + 1e-3)
+            judge.drift("place without friction", shift, 20 * mu + 0.01)
+        judge.must("it follows less", middle(cable)[1] <= middle(smooth[1])[1] + 0.1)
 
     for mu in (0.0, 1e-6, 1e-4, 1e-2, 0.1, 0.3, 0.7, 1.0, 2.0, 5.0):
         yield Point(
@@ -316,7 +339,8 @@ def friction_along() -> Iterator[Point]:
         exact = exact_tensions(10.0, mu, pulls)
         found = np.interp(places(cable), np.linspace(0.0, np.pi, len(exact)), exact)
         error = np.abs(cable.tensions - found).max() / exact.max()
-        judge.drift("exact tensions", error, 0.02)
+        # Where the rope begins to slide is known to half a cell.
+        judge.drift("exact tensions", error, 0.005 + 0.12 * mu * np.pi / 20)
         judge.must("tension is negative", cable.tensions.min() >= 0.0)
         steepest = np.abs(np.diff(np.log(cable.tensions))).max() / (np.pi / 20)
         judge.must("steeper than exp(mu angle)", steepest <= mu * 1.02 + 1e-9)
