@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from functools import cache
 
 import numpy as np
+
+from crms_fenicsx import Cable, IsotropicMembrane, OrthotropicMembrane, Scene, Solver
 from sweeps.judge import Judge, Point
 from sweeps.scenes import (
     FOIL,
@@ -21,8 +23,6 @@ from sweeps.scenes import (
     square,
     top,
 )
-
-from crms_fenicsx import Cable, IsotropicMembrane, OrthotropicMembrane, Scene, Solver
 
 X, Y = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
 SMALL = 1e-3

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from sweeps.guard import Hang, bounded
-from sweeps.soundness import least_stiffness, tests
 
 from crms_fenicsx import ConvergenceError, InputError, Solver
+from sweeps.guard import Hang, bounded
+from sweeps.soundness import least_stiffness, tests
 
 Verdict = Literal["converged", "refused", "REFUSED", "WRONG", "HANG"]
 EVALUATIONS, SECONDS = 20_000, 60.0

@@ -8,11 +8,11 @@ from functools import cache
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import spsolve
-from sweeps.judge import Judge, Point
-from sweeps.scenes import COMM, FOIL, MODULUS, PRESSURE, SIDE, across, clamped, heights, square, top
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.membrane import area_vectors
+from sweeps.judge import Judge, Point
+from sweeps.scenes import COMM, FOIL, MODULUS, PRESSURE, SIDE, across, clamped, heights, square, top
 
 UNIT = MODULUS / SIDE
 """The pressure E t / L."""

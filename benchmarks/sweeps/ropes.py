@@ -7,12 +7,11 @@ from functools import cache
 
 import numpy as np
 from roped_drum import EA, exact_tensions, places, roped
-from sweeps.judge import Judge, Point
-from sweeps.scenes import COMM, MODULUS, PRESSURE, ROPE, SIDE, across, clamped, crossed, square
 
 from crms_fenicsx import Cable, Solver
 from crms_fenicsx.cables.cable import LaidCable
-
+from sweeps.judge import Judge, Point
+from sweeps.scenes import COMM, MODULUS, PRESSURE, ROPE, SIDE, across, clamped, crossed, square
 
 SIDES = 2e-3
 """Change of energy and tension with the side on which a cable passes a vertex of a coarse mesh."""
@@ -305,7 +304,9 @@ def friction_sideways() -> Iterator[Point]:
         solver, cable, work, taken = dragged(mu)
         judge.solved(solver, anew=mu == 0.0)
         judge.must("heat below zero", solver.scene.dissipated >= 0.0)
-        judge.drift("work and what took it", (work - taken) / (cable.tension * 24.0), 1e-3 + 3e-3 * mu)
+        judge.drift(
+            "work and what took it", (work - taken) / (cable.tension * 24.0), 1e-3 + 3e-3 * mu
+        )
         smooth = dragged(0.0)
         if mu <= 1e-2:
             W, free = solver.scene.energy, smooth[0].scene.energy
@@ -315,9 +316,7 @@ def friction_sideways() -> Iterator[Point]:
         judge.must("it follows less", middle(cable)[1] <= middle(smooth[1])[1] + 0.1)
 
     for mu in (0.0, 1e-6, 1e-4, 1e-2, 0.1, 0.3, 0.7, 1.0, 2.0, 5.0):
-        yield Point(
-            f"mu = {mu:g}", lambda judge, mu=mu: point(judge, mu), quick=mu in (1e-4, 0.3)
-        )
+        yield Point(f"mu = {mu:g}", lambda judge, mu=mu: point(judge, mu), quick=mu in (1e-4, 0.3))
 
 
 def friction_along() -> Iterator[Point]:
@@ -352,5 +351,3 @@ def friction_along() -> Iterator[Point]:
                 lambda judge, a=(mu, back): point(judge, *a),
                 quick=mu == 0.3 and back,
             )
-
-

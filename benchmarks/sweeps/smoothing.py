@@ -8,6 +8,11 @@ from functools import cache
 from unittest.mock import patch
 
 import numpy as np
+
+from crms_fenicsx import Cable, Friction, IsotropicMembrane, PenaltyWarning, Scene, Solver, meshes
+from crms_fenicsx.cables import length
+from crms_fenicsx.cables.cable import LaidCable
+from crms_fenicsx.scene import STABLE_PENALTY
 from sweeps.judge import Judge, Point
 from sweeps.scenes import (
     COMM,
@@ -20,11 +25,6 @@ from sweeps.scenes import (
     crossed,
     square,
 )
-
-from crms_fenicsx import Cable, Friction, IsotropicMembrane, PenaltyWarning, Scene, Solver, meshes
-from crms_fenicsx.cables import length
-from crms_fenicsx.cables.cable import LaidCable
-from crms_fenicsx.scene import STABLE_PENALTY
 
 FACTORS = 10.0 ** np.arange(-6, 7)
 LOCKED = 1e3
@@ -121,7 +121,9 @@ def smoothing() -> Iterator[Point]:
         solver, cable = dragged(tolerance)
         judge.solved(solver, anew=False)
         usual = dragged(3e-3)
-        judge.same("tension, usual tolerance", cable.tension, usual[1].tension, 0.5 * tolerance + 5e-3)
+        judge.same(
+            "tension, usual tolerance", cable.tension, usual[1].tension, 0.5 * tolerance + 5e-3
+        )
         heats = [s.scene.dissipated for s in (solver, usual[0])]
         judge.same("heat, usual tolerance", *heats, 3 * tolerance + 0.01)
 

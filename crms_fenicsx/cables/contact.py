@@ -33,6 +33,8 @@ DEPTH = 1e-6
 """Depth below the membrane, relative to the cells' size, from which on a cable touches down."""
 INSIDE = 0.02
 """Fractions nearer to an edge's end than this are no places to start from."""
+SUNK = 0.02
+"""Depth below the membrane, relative to the cells' size, that is no error of the mesh any more."""
 PAST = 0.25
 """Part of an edge up to which a span that passes beyond its end is judged by it; see `captured`."""
 
@@ -267,6 +269,28 @@ def _passed_by_all(cable: LaidCable, k: int, passed: Mapping[int, Under]) -> boo
     while around(last + 1):
         last += 1
     return all(n in passed and passed[n].past == vertex for n in range(first, last + 1))
+
+
+def sunk(cables: Sequence[LaidCable], shape: StripShape) -> set[int]:
+    """Numbers of cables with a span that runs deep below the membrane beside a vertex.
+
+    Beyond the ends of edges, so that no edge of its path can stop it.
+    """
+    found = set()
+    for c, cable in enumerate(cables):
+        if not cable.taut or cable.sleeve:
+            continue
+        for a, b in spans(cable):
+            span = (cable.positions[a], cable.positions[b])
+            for k in range(a + 1, b):
+                node = cable.nodes[k]
+                if node.kind == "crossing" or is_foot(cable, k):
+                    continue
+                assert node.point is not None
+                place, support = under(node, span, shape), node.point.support
+                if place.past >= 0 and place.gap < -SUNK * size_at(shape, support):
+                    found.add(c)
+    return found
 
 
 def touch(cable: LaidCable, places: Mapping[int, Under]) -> None:
