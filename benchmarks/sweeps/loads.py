@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from functools import cache
 
@@ -109,7 +110,7 @@ def prestress() -> Iterator[Point]:
             judge.same("as without", solver.scene.energy, none.energy, 30 * share + 1e-10)
 
     shares = (0.0, 1e-8, 1e-6, 1e-4, 1e-3, 1e-2, 0.1, 1.0)
-    for softer, share in zip(shares, shares[1:], strict=False):
+    for softer, share in itertools.pairwise(shares):
         yield Point(
             f"S / E t = {share:g}, small pressure",
             lambda judge, share=share: small(judge, share),

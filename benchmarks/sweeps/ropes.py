@@ -73,7 +73,7 @@ def stiffness() -> Iterator[Point]:
             yield Point(
                 f"EA / E t h = {ratio:g}, L0 = {1 + longer:g} chord",
                 lambda judge, a=(float(ratio), longer): point(judge, *a),
-                quick=ratio in (1e-3, 1e6) and longer > 0.0,
+                quick=ratio == 1e4 and longer > 0.0,
             )
 
 
@@ -206,7 +206,7 @@ def cycles() -> Iterator[Point]:
             judge.must("it has been slack each time", len(drifts[1]) == count + 1)
 
     for count, slack, ends, number in (
-        (100, 1.05, "length", 1), (100, 1.001, "length", 1), (30, 1.02, "length", 1),
+        (5, 1.02, "length", 1), (100, 1.05, "length", 1), (100, 1.001, "length", 1), (30, 1.02, "length", 1),
         (100, 1.05, "length", 2), (30, 1.01, "length", 2), (30, 1e-3, "pressure", 1),
         (30, 1e-6, "pressure", 1), (30, 1e-3, "pressure", 2),
     ):  # fmt: skip
@@ -214,7 +214,7 @@ def cycles() -> Iterator[Point]:
         yield Point(
             f"{count} times {what}, {number} cables",
             lambda judge, a=(count, slack, ends, number): point(judge, *a),
-            quick=count == 30 and slack == 1.02,
+            quick=count == 5,
         )
 
 
@@ -272,7 +272,7 @@ def ends() -> Iterator[Point]:
                         f"{moves} x {steps} steps, {'one end' if aslant else 'both'}, "
                         f"p = {pressure:g}",
                         lambda judge, a=(moves, aslant, pressure, steps): point(judge, *a),
-                        quick=moves == 6 and steps == 1 and pressure == PRESSURE and not aslant,
+                        quick=moves == 1 and steps == 1 and pressure == PRESSURE and not aslant,
                     )
 
 
@@ -316,7 +316,7 @@ def friction_sideways() -> Iterator[Point]:
         judge.must("it follows less", middle(cable)[1] <= middle(smooth[1])[1] + 0.1)
 
     for mu in (0.0, 1e-6, 1e-4, 1e-2, 0.1, 0.3, 0.7, 1.0, 2.0, 5.0):
-        yield Point(f"mu = {mu:g}", lambda judge, mu=mu: point(judge, mu), quick=mu in (1e-4, 0.3))
+        yield Point(f"mu = {mu:g}", lambda judge, mu=mu: point(judge, mu), quick=mu == 0.3)
 
 
 def friction_along() -> Iterator[Point]:

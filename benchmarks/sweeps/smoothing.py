@@ -138,7 +138,6 @@ def smoothing() -> Iterator[Point]:
         yield Point(
             f"friction by {tolerance:g} h",
             lambda judge, tolerance=tolerance: friction(judge, tolerance),
-            quick=tolerance == 1e-3,
         )
 
 
