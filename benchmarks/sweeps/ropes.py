@@ -206,7 +206,8 @@ def cycles() -> Iterator[Point]:
             judge.must("it has been slack each time", len(drifts[1]) == count + 1)
 
     for count, slack, ends, number in (
-        (5, 1.02, "length", 1), (100, 1.05, "length", 1), (100, 1.001, "length", 1), (30, 1.02, "length", 1),
+        (5, 1.02, "length", 1), (100, 1.05, "length", 1), (100, 1.001, "length", 1),
+        (30, 1.02, "length", 1),
         (100, 1.05, "length", 2), (30, 1.01, "length", 2), (30, 1e-3, "pressure", 1),
         (30, 1e-6, "pressure", 1), (30, 1e-3, "pressure", 2),
     ):  # fmt: skip
