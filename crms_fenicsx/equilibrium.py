@@ -245,7 +245,7 @@ class EquilibriumSearch:
         caught = self.system.caught_cables(STUCK) | self._sunk()
         if caught:
             names = ", ".join(self.scene.cables[c].name for c in sorted(caught))
-            reason = f"{names}: caught between edges of the mesh, which is too coarse there"
+            reason = f"{names}: caught between edges of the mesh; make it finer there"
             return replace(total, converged=False, reason=reason)
         return total
 
