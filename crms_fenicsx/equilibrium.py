@@ -203,6 +203,7 @@ class EquilibriumSearch:
             passed: list[tuple[int, int]] = []
             if not flips:
                 caught = self.system.caught_cables(CAUGHT) | tangled(self.scene.crossings)
+                caught |= self._sunk()
                 caught = {c for c in caught - laid_again if self.scene.cables[c].slides_freely}
                 best = replace(best, state=State.of(self.scene), energy=self.system.objective)
                 if caught:
@@ -247,12 +248,22 @@ class EquilibriumSearch:
         if not total.converged:
             return total
         paths.check_on_membrane()
-        caught = self.system.caught_cables(STUCK)
+        caught = self.system.caught_cables(STUCK) | self._sunk()
         if caught:
             names = ", ".join(self.scene.cables[c].name for c in sorted(caught))
-            reason = f"{names}: caught between edges of the mesh, which is too coarse there"
+            reason = f"{names}: caught between edges of the mesh; make it finer there"
             return replace(total, converged=False, reason=reason)
         return total
+
+    def _sunk(self) -> set[int]:
+        """Numbers of the cables that run through the membrane beside a vertex. Collective."""
+        cables = self.scene.cables
+        if not any(cable.lifted.any() for cable in cables):
+            return set()
+        from crms_fenicsx.cables.contact import sunk
+        from crms_fenicsx.cables.strip import StripShape
+
+        return sunk(cables, StripShape.of(self.scene))
 
     def _try(self, h0_prestress: tuple[float, ...], rough: bool = False) -> _Try:
         """Equilibrium on the paths that there are; the scene then has those to try next.

@@ -46,8 +46,8 @@ class Target:
 
     def apply(self, scene: Scene, first: State, share: float) -> None:
         """Set the loads at a share of the way from the state `first`."""
-        scene.pressure = self.pressure[0] + share * (self.pressure[1] - self.pressure[0])
-        scene.load = self.load[0] + share * (self.load[1] - self.load[0])
+        scene.pressure = _between(*self.pressure, share)
+        scene.load = _between(*self.load, share)
         u = scene.u.x.array.reshape(-1, 3)
         some = self.moved != 0.0
         u[some] = first.u.reshape(-1, 3)[some] + share * self.moved[some]
@@ -57,6 +57,16 @@ class Target:
             scene.cables[c].positions[k] += share * displacement
         for c, start, end in self.lengths:
             scene.cables[c].L0 = start + share * (end - start)
+
+
+def _between(first: float, last: float, share: float) -> float:
+    """A load at a share of the way; none where only rounding is left of it.
+
+    A scene without load is another one than one with the least: nothing may be in equilibrium.
+    """
+    value = first + share * (last - first)
+    rounding = 4 * float(np.finfo(float).eps) * max(abs(first), abs(last))
+    return 0.0 if abs(value) <= rounding else value
 
 
 def checked_target(

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
+EPSILON = float(np.finfo(float).eps)
+
 FLOOR, FLOOR_FROM_FLAT = 1e-5, 1e-2
 """Part of the taut stiffness that wrinkled and slack cells have in H0 on top of their tangent, so
 that it stays definite; and while a sheet gets its first stresses, when cells turn from taut to
@@ -203,6 +205,11 @@ class MembraneEnergy:
             warp = None if material.warp is None else warp_field(mesh, material, own)
             self.warps[tag] = warp
         self.tension_field = self._tension_field(cells)
+        areas = np.linalg.norm(area_vectors(mesh)[: len(cells)], axis=1)
+        self._area = float(areas.sum())
+        moduli = [material.reference_modulus for material in materials.values()]
+        prestress = [float(np.abs(m.prestress_vector).max()) for m in materials.values()]
+        self._modulus, self._prestress = max(moduli), max(prestress)
         self.terms: dict[int, tuple[LawTerms, Kinematics]] = {}
         for tag, material in materials.items():
             kinematics = Kinematics(u, tangent_basis(mesh, self.warps[tag]))
@@ -281,6 +288,19 @@ class MembraneEnergy:
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Add the nodal forces of this rank's cells."""
         self.unknowns.add_to_vertices(self.integral.gradient, g)
+
+    def rounding(self, x: Array, sums: Array) -> float:
+        """Squared norm of the forces that rounding leaves at this rank's vertices.
+
+        A cell's forces are its section force times its size, of which the squares sum up to the
+        area. The section force is that of the prestress and, from displacement gradients of the
+        size of the largest displacement over a quarter of the membrane, that of the strain.
+        """
+        if self._area == 0.0:
+            return 0.0
+        gradient = 4 * float(np.abs(self.u.x.array).max(initial=0.0)) / self._area**0.5
+        force = self._prestress + self._modulus * gradient
+        return self._area * (4 * EPSILON * force) ** 2
 
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add the positive semidefinite stiffness of this rank's cells."""

@@ -44,6 +44,9 @@ line searches say that H0 has aged. A rebuild costs as much as 10 to 20 evaluati
 CLOSE = 1e-5
 """Residual, relative to the force scale, from which on energy counts from the stage's start."""
 
+ROUNDED = 1e-6
+"""Residual, relative to the force scale, up to which one of nothing but rounding is accepted."""
+
 COARSE = 1e-5
 """Residual, relative to the force scale, at which `solve` asks whether to go on."""
 
@@ -124,7 +127,8 @@ class Minimizer:
     prefix
         Options prefix.
     rtol
-        Tolerance of the gradient's norm, relative to the largest norm of one term's forces.
+        Tolerance of the gradient's norm, relative to the largest norm of one term's forces. Where
+        rounding leaves more of forces that cancel, that is enough.
     atol
         Tolerance in absolute terms, for scenes without any force (force).
     max_stages
@@ -277,7 +281,9 @@ class Minimizer:
         for _ in range(self.max_stages):
             self._energy0, self._scale = potential.evaluate_terms()
             potential.free_gradient(self._g0)
-            tolerance = max(self.rtol * self._scale, self.atol)
+            rounding = potential.rounding()
+            tolerance = max(self.rtol * self._scale, self.atol, rounding)
+            tolerance = min(tolerance, max(ROUNDED, self.rtol) * self._scale + self.atol)
             residual = self.residual()
             if not np.isfinite(residual):
                 reason = "energy or gradient not finite"
@@ -314,6 +320,11 @@ class Minimizer:
             failures = failures + 1 if ended == -6 else 0
         for term in stiffened:
             term.stiffening.set(0.0)
+        if reason not in ("converged", "interrupted") and rounding > tolerance:
+            reason += (
+                f", where forces cancel to their rounding ({rounding:.2g}): a tension, a penalty or"
+                " a stiffness is too large for the loads"
+            )
         return Outcome(
             reason in ("converged", "interrupted"),
             reason,

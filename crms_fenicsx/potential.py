@@ -37,6 +37,8 @@ class Term(Protocol):
     ``dyads(sums)`` and ``add_dyad_column(k, x, g)``
         Stiffness of the form ``value * column column^T`` that couples many points: the values,
         and this rank's part of column k.
+    ``rounding(x, sums)``
+        Squared norm of what rounding leaves of forces that cancel each other at this rank's points.
     ``begin_step(x)`` and ``commit(x, sums)``
         Start and end of an accepted load step, for terms with history.
 
@@ -185,6 +187,19 @@ class Potential:
         term.add_dyad_column(k, self.x, self.g)  # type: ignore[attr-defined]
         self.unknowns.gather_forces(self.g_vector, self.g)
         self.unknowns.project(self.g)
+
+    def rounding(self) -> float:
+        """Norm of the forces that rounding leaves at the state last evaluated (force). Collective.
+
+        Where large forces cancel each other, a cable's before and behind a point or a tight
+        membrane's around it, what remains of them is not known better than this.
+        """
+        squares = 0.0
+        for term, part in zip(self.terms, self._slices, strict=True):
+            own = getattr(term, "rounding", None)
+            if own is not None:
+                squares += own(self.x, self._sums[part])
+        return float(self.comm.allreduce(squares, op=MPI.SUM) ** 0.5)
 
     def begin_step(self) -> None:
         """Tell the terms with history that a load step starts at the current state."""

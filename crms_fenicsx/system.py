@@ -143,7 +143,7 @@ class System:
             lower[self.unknowns.rails] = -np.inf
             self.unknowns.bounds = (lower, np.full_like(lower, np.inf))
         self.potential = Potential(self.unknowns, scene.u, terms, self._damping())
-        self.minimizer = Minimizer(self.potential, self.prefix, self.rtol, self._tiny_force())
+        self.minimizer = Minimizer(self.potential, self.prefix, self.rtol)
         self.built_for = scene.changes
 
     def _membrane_term(self) -> MembraneEnergy:
@@ -319,9 +319,13 @@ class System:
         return FoldedStepPressure(tables.facets, self.pressure_value, self._folded_volume)
 
     def _tiny_force(self) -> float:
-        """A force that is nothing for this membrane: tolerance of scenes without any load."""
-        modulus = max(m.reference_modulus for m in self.scene.materials.values())
-        return 1e-12 * modulus * self.scene.size
+        """A force that is nothing without any load; with one, forces are told from its own."""
+        scene = self.scene
+        dead = scene.dead_forces
+        if scene.pressure != 0.0 or (dead is not None and scene.load * dead.intensity != 0.0):
+            return 0.0
+        modulus = max(m.reference_modulus for m in scene.materials.values())
+        return 1e-12 * modulus * scene.size
 
     def pull(self) -> None:
         """Take state and loads from the scene."""
@@ -401,6 +405,7 @@ class System:
     ) -> Outcome:
         """Minimise the potential from the state pulled; see `Minimizer.solve`."""
         assert self.minimizer is not None
+        self.minimizer.atol = self._tiny_force()
         self.potential.begin_step()
         try:
             return self.minimizer.solve(h0_prestress, interrupt)

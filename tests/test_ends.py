@@ -42,6 +42,15 @@ def test_ends_dragged_along_the_boundary(comm, kind: str) -> None:
     assert (first.energy, cable.tension) == pytest.approx(before, rel=1e-4)
 
 
+def test_ends_moved_over_many_cells_at_once(comm) -> None:
+    """In one step they come to cells that no cable has been near before."""
+    scene, cable, solver = solved(comm, "structured", [(0, 20), (100, 20)], 100.0)
+    solver.advance(move={cable: (0, 60, 0)})
+    np.testing.assert_allclose(cable.positions[[0, -1]], [[0, 80, 0], [100, 80, 0]], atol=1e-9)
+    fresh = solved(comm, "structured", [(0, 80), (100, 80)], 100.0)
+    assert_same((scene, cable), fresh[:2], 1e-4)
+
+
 @pytest.mark.parametrize("kind", ["structured", "unstructured"])
 def test_ends_moved_off_and_through_the_air(comm, kind: str) -> None:
     scene, cable, solver = solved(comm, kind, [(0, 30), (100, 30)], 100.0)

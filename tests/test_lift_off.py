@@ -157,3 +157,24 @@ def test_a_cable_that_slides_off_the_edge_is_an_error(comm, kind: str) -> None:
             span = float(np.linalg.norm(cable.positions[-1] - cable.positions[0]))
             solver.advance(move={cable: (-2, -2, 0)}, L0={cable: 0.999 * span})
     assert len(solver.steps) > 3 and cable.tension > 100.0  # the last good state
+
+
+@pytest.mark.parametrize(
+    "first, way, pressure", [(20 + 6 * 60 / 23, 60 / 23, PRESSURE), (27.5, 2.5, PRESSURE / 100)]
+)
+def test_span_that_passes_a_vertex_on_the_other_side_than_its_path(
+    comm, first: float, way: float, pressure: float
+) -> None:
+    """Pulled deep into a coarse membrane, the cable ends up below it beside a vertex of its path,
+    beyond the ends of edges that the path crosses there; laid anew it finds its place."""
+    scene = sheet(comm, 12)
+    cable = scene.lay_cable(CABLE, [(0.0, first), (100.0, 20.0)], L0=100.0)
+    solver = Solver(scene)
+    solver.advance(pressure=pressure)
+    solver.advance(move={cable.start: (0.0, way, 0.0)})
+    assert deepest(scene, cable) < 1e-3
+    fresh = sheet(comm, 12)
+    other = fresh.lay_cable(CABLE, [(0.0, first + way), (100.0, 20.0)], L0=100.0)
+    Solver(fresh).advance(pressure=pressure)
+    assert scene.energy == pytest.approx(fresh.energy, rel=1e-6)
+    assert cable.tension == pytest.approx(other.tension, rel=1e-6)

@@ -638,3 +638,41 @@ def test_a_cable_that_slides_forgets_the_way_it_was_laid(
     assert slid[:2] == pytest.approx(straight[:2], rel=1e-8)
     assert slid[2] == ()
     assert blocked[2] and blocked[1] > slid[1] + 100.0 and blocked[0] > 1.2 * slid[0]
+
+
+@pytest.mark.parametrize("share", [1e-8, 1e-4])
+def test_small_loads_are_solved_as_exactly_as_large_ones(square, share: float) -> None:
+    """A prestressed sheet that hardly moves is a linear membrane: its energy goes with p^2 / S."""
+
+    def scaled(share: float) -> float:
+        stress, pressure = share * 24.0, 1e-2 * share**1.5 * 0.24
+        material = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, prestress=stress)
+        scene = Scene(square, material)
+        scene.fix("boundary")
+        Solver(scene).advance(pressure=pressure)
+        return scene.energy * stress / pressure**2
+
+    assert scaled(share) == pytest.approx(scaled(1.0), rel=1e-5)
+
+
+@pytest.mark.parametrize("EA, L0", [(1e7, 10.0), (1e7, 1.0), (32000.0, 0.01)])
+def test_cable_with_far_more_tension_than_load(square, EA: float, L0: float) -> None:
+    """What rounding leaves of its tension is more than the tolerance of the load's forces."""
+    scene = clamped(square)
+    cable = scene.lay_cable(Cable(EA), ACROSS, L0=L0)
+    step = Solver(scene).advance(pressure=0.01)
+    assert step.halvings == 0
+    length = float(np.linalg.norm(np.subtract(*ACROSS)))
+    assert cable.tension == pytest.approx(EA * (length / L0 - 1), rel=1e-5)
+
+
+def test_loads_that_cancel_on_their_way_are_none(square) -> None:
+    """0.01 - 2/3 0.015 is not zero in floating point, and would be a load for what is slack."""
+    scene = clamped(square)
+    scene.floor(0.0)
+    solver = Solver(scene)
+    solver.advance(pressure=0.01)
+    solver.advance(pressure=-0.005, steps=3)
+    pressures = [row["pressure"] for row in solver.history]
+    assert pressures[2] == 0.0
+    assert abs(scene.positions()[:, 2]).max(initial=0.0) < 1e-9

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.cables.cable import COINCIDENT, CableNode, Crossing, LaidCable
-from crms_fenicsx.cables.path import CellPoint
+from crms_fenicsx.cables.path import CellPoint, EdgePoint
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.cables.triangles import cross, dot, norm
 
@@ -33,6 +33,10 @@ DEPTH = 1e-6
 """Depth below the membrane, relative to the cells' size, from which on a cable touches down."""
 INSIDE = 0.02
 """Fractions nearer to an edge's end than this are no places to start from."""
+SUNK = 0.02
+"""Depth below the membrane, relative to the cells' size, that is no error of the mesh any more."""
+PAST = 0.25
+"""Part of an edge up to which a span that passes beyond its end is judged by it; see `captured`."""
 
 
 class Under(NamedTuple):
@@ -50,6 +54,9 @@ class Under(NamedTuple):
         Whether the place is on the edge and the point on the span, both within their ends. A span
         that passes a vertex on the other side, just beyond the edge's end, counts as well: paths
         keep that far off vertices, so that they need not tell the two sides.
+    past
+        The vertex at the edge's end beyond which the span passes, not far off it; -1 if it does
+        not.
     """
 
     gap: float
@@ -57,6 +64,7 @@ class Under(NamedTuple):
     place: Array
     above: Array
     inside: bool
+    past: int = -1
 
 
 def may_lift(cable: LaidCable) -> Iterator[int]:
@@ -152,13 +160,17 @@ def under(
         first, last = before == 0.0, before + size >= sum(sizes) * (1 - 1e-12)
         inside = (s > -INSIDE or not first) and (s < 1 + INSIDE or not last) and 0.0 < t < 1.0
         other = (s < 0.0 and not first) or (s > 1.0 and not last)  # it passes another part
+        past = -1
+        if 0.0 < t < 1.0 and not inside:
+            past = support[0] if first and -PAST < s < 0.0 else past
+            past = support[1] if last and 1.0 < s < 1 + PAST else past
         s, t = min(max(s, 0.0), 1.0), min(max(t, 0.0), 1.0)
         place, above = a + s * (b - a), start + t * (end - start)
         fraction = (before + s * size) / sum(sizes)
         gap = float((above - place) @ normal)
         if found is None or (other, gap) < best:
             best = other, gap
-            found = Under(gap, fraction, place, above, inside)
+            found = Under(gap, fraction, place, above, inside, past)
         before += size
     assert found is not None
     return found
@@ -211,11 +223,17 @@ def captured(
 ) -> dict[int, Under]:
     """Nodes at which a free span runs below the membrane, with the places where it touches.
 
+    Where the path leads around a vertex and the span passes it on the other side, beyond the ends
+    of all the edges that the path crosses there, no edge has the span above or below itself: then
+    it touches near the vertex. The path lies in one plane under the span, and each edge is looked
+    at along its own normal, so that this happens where the membrane is steep.
+
     Leaves the positions of lifted nodes on their span.
     """
     found = {}
     for a, b in spans(cable):
         span = (cable.positions[a], cable.positions[b])
+        passed: dict[int, Under] = {}
         for k in range(a + 1, b):
             node = cable.nodes[k]
             if node.kind == "crossing" or is_foot(cable, k):
@@ -228,8 +246,50 @@ def captured(
             cable.positions[k] = place.above
             if node.slides:  # so that the path stays below the span
                 cable.fractions[k] = min(max(place.fraction, INSIDE), 1 - INSIDE)
-            if place.inside and place.gap < -DEPTH * size_at(shape, support):
-                found[k] = place
+            if place.gap < -DEPTH * size_at(shape, support):
+                if place.inside:
+                    found[k] = place
+                elif place.past >= 0:
+                    passed[k] = place
+        found |= {k: place for k, place in passed.items() if _passed_by_all(cable, k, passed)}
+    return found
+
+
+def _passed_by_all(cable: LaidCable, k: int, passed: Mapping[int, Under]) -> bool:
+    """Whether a span passes a vertex beyond the ends of all the edges around it on the path."""
+    vertex = passed[k].past
+
+    def around(n: int) -> bool:
+        point = cable.nodes[n].point
+        return isinstance(point, EdgePoint) and vertex in point.edge
+
+    first = last = k
+    while around(first - 1):
+        first -= 1
+    while around(last + 1):
+        last += 1
+    return all(n in passed and passed[n].past == vertex for n in range(first, last + 1))
+
+
+def sunk(cables: Sequence[LaidCable], shape: StripShape) -> set[int]:
+    """Numbers of cables with a span that runs deep below the membrane beside a vertex.
+
+    Beyond the ends of edges, so that no edge of its path can stop it.
+    """
+    found = set()
+    for c, cable in enumerate(cables):
+        if not cable.taut or cable.sleeve:
+            continue
+        for a, b in spans(cable):
+            span = (cable.positions[a], cable.positions[b])
+            for k in range(a + 1, b):
+                node = cable.nodes[k]
+                if node.kind == "crossing" or is_foot(cable, k):
+                    continue
+                assert node.point is not None
+                place, support = under(node, span, shape), node.point.support
+                if place.past >= 0 and place.gap < -SUNK * size_at(shape, support):
+                    found.add(c)
     return found
 
 

@@ -48,8 +48,9 @@ def renew_ends(paths: Retracer) -> bool:
     changed = False
     shape = StripShape.of(paths.scene)
     for cable in paths.scene.cables:
-        for last in (False, True):
-            changed |= _renew(paths, cable, last)
+        led = [_renew(paths, cable, last) for last in (False, True)]
+        if any(led):  # it may lie over other cells now
+            changed, shape = True, StripShape.of(paths.scene)
         if cable.taut and any(_moved_aside(cable, k, shape) for k in (0, -1)):
             cable.traced = False
     return changed

@@ -26,6 +26,8 @@ from crms_fenicsx.unknowns import Unknowns
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 
+EPSILON = float(np.finfo(float).eps)
+
 
 @dataclass(frozen=True)
 class Kinks:
@@ -147,6 +149,11 @@ class KinkPenalty:
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Add the penalty's nodal forces."""
         _add_forces(self.table.points, self.table.coefficients, self.residuals, self._dr, g)
+
+    def rounding(self, x: Array, sums: Array) -> float:
+        """Squared norm of the forces that rounding leaves: angles sum up to pi, less pi."""
+        slopes = np.sum(self._dr**2, axis=(1, 2))
+        return float(np.sum((2 * self.table.coefficients * EPSILON * np.pi) ** 2 * slopes))
 
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add the Gauss-Newton stiffness ``2 mu grad(w r) grad(w r)^T``."""

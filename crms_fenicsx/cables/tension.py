@@ -15,6 +15,8 @@ from crms_fenicsx.unknowns import Unknowns
 
 Array = npt.NDArray[np.float64]
 
+EPSILON = float(np.finfo(float).eps)
+
 
 class CableTension:
     """``EA/(2 L0) (L - L0)^2`` where L > L0, L the length of a cable's whole polyline.
@@ -71,6 +73,21 @@ class CableTension:
         """Add the tensions' nodal forces."""
         np.take(self.tensions(sums), self.cable, out=self._forces)
         add_segment_forces(self.unknowns.X, x, self.segments, self.eps, self._forces, g)
+
+    def rounding(self, x: Array, sums: Array) -> float:
+        """Squared norm of the forces that rounding leaves at the ends of this rank's segments.
+
+        Of a segment's direction, from coordinates that are longer than itself, and of the cable's
+        tension, from its length. Ends that are given and coincide have none.
+        """
+        ends = self.unknowns.X[self.segments] + x[self.segments]
+        far = np.linalg.norm(ends, axis=2).max(axis=1)
+        lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        counts = lengths >= -self.eps
+        lengths = np.maximum(lengths, self.eps)[counts]
+        turned = np.abs(self.tensions(sums))[self.cable[counts]] / lengths
+        stretched = (self.EA / self.L0)[self.cable[counts]]
+        return float(np.sum((EPSILON * (turned + stretched) * far[counts]) ** 2))
 
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add the geometric stiffness."""

@@ -1,0 +1,1 @@
+"""Sweeps of `benchmarks/stability.py`: parameters taken to where numbers become difficult."""
