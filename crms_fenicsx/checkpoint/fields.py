@@ -61,14 +61,14 @@ def write_fields(folder: Path, scene: Scene) -> int:
     """
     fields, comm = Fields.of(scene), scene.comm
     vertices = scene.V.dofmap.index_map
-    own, total, ids = vertices.size_local, vertices.size_global, _vertex_ids(scene)
+    own, total, ids = vertices.size_local, vertices.size_global, dof_vertex_ids(scene)
     X = scene.V.tabulate_dof_coordinates()
     for name, values in (("positions", X), ("displacement", fields.u), ("held", fields.held)):
         write_rows(folder / f"{name}.npy", comm, ids[:own], values[:own], total)
     if fields.dead_forces is not None:  # ranks that share a vertex each give it a part
         write_rows(folder / "dead_forces.npy", comm, ids, fields.dead_forces, total)
     edges = scene.mesh.mesh.topology.index_map(1).size_local
-    pairs = _edge_vertices(scene)[:edges][fields.held_edges[:edges]]
+    pairs = edge_vertices(scene)[:edges][fields.held_edges[:edges]]
     first, count = first_row(len(pairs), comm)
     write_rows(folder / "held_edges.npy", comm, first + np.arange(len(pairs)), pairs, count)
     return count
@@ -93,7 +93,7 @@ def read_fields(folder: Path, scene: Scene, edges: int, dead_load: bool) -> Fiel
     InputError
         On all ranks: files that are damaged, or vertices that are elsewhere.
     """
-    comm, ids = scene.comm, _vertex_ids(scene)
+    comm, ids = scene.comm, dof_vertex_ids(scene)
     vertices = scene.V.dofmap.index_map
     own, shape = vertices.size_local, (vertices.size_global, 3)
     X = read_rows(folder / "positions.npy", comm, ids, np.float64, shape)
@@ -120,18 +120,18 @@ def read_fields(folder: Path, scene: Scene, edges: int, dead_load: bool) -> Fiel
         forces[own:] = 0.0  # the owner gives all of it
     # The held edges are lines on the membrane: few, compared to its vertices.
     pairs = read_rows(folder / "held_edges.npy", comm, None, np.int64, (edges, 2))
-    held_edges = np.isin(edge_keys(_edge_vertices(scene)), edge_keys(pairs))
+    held_edges = np.isin(edge_keys(edge_vertices(scene)), edge_keys(pairs))
     return Fields(u, held, held_edges, forces)
 
 
-def _vertex_ids(scene: Scene) -> Integers:
+def dof_vertex_ids(scene: Scene) -> Integers:
     """Ids of the vertices, numbers in the mesh as it was given, by degree of freedom."""
     ids = np.zeros(len(scene.held), dtype=np.int64)
     ids[scene.V.dofmap.list] = cell_vertex_ids(scene.mesh.mesh)
     return ids
 
 
-def _edge_vertices(scene: Scene) -> Integers:
+def edge_vertices(scene: Scene) -> Integers:
     """Ids of the ends of this rank's edges, (m, 2)."""
     mesh = scene.mesh.mesh
     return vertex_ids(mesh)[mesh.topology.connectivity(1, 0).array.reshape(-1, 2)]

@@ -33,9 +33,9 @@ def fingerprint(scene: Scene) -> dict[str, Any]:
     return {
         "number of vertices": mesh.topology.index_map(0).size_global,
         "number of cells": mesh.topology.index_map(2).size_global,
-        "cells (their vertices, mixed to one number)": _mixed(scene, cells),
+        "cells (their vertices, mixed to one number)": mixed(scene, cells),
         "materials": [_described(material) for material in scene.materials.values()],
-        "cells of the materials (mixed to one number)": _mixed(scene, np.hstack([cells, tags])),
+        "cells of the materials (mixed to one number)": mixed(scene, np.hstack([cells, tags])),
         "strain": scene.strain_law,
         "pressure": scene.pressure_law,
         "penalty": scene.penalty,
@@ -75,10 +75,15 @@ def _described(material: Membrane) -> list[Any]:
     return [type(material).__name__, [float(value) for value in material.parameters], direction]
 
 
-def _mixed(scene: Scene, rows: npt.NDArray[np.int64]) -> str:
-    """A number of all ranks' rows of integers, whatever their order."""
+def mixed(scene: Scene, rows: npt.NDArray[np.int64]) -> str:
+    """A number of all ranks' rows of integers, whatever their order. Collective."""
+    return f"{scene.comm.allreduce(int(number_of(rows).sum())) % 2**64:016x}"
+
+
+def number_of(rows: npt.NDArray[np.int64]) -> npt.NDArray[np.uint64]:
+    """A number for each row of integers that looks random, (n,)."""
     numbers = np.zeros(len(rows), dtype=np.uint64)
     for column in rows.T.astype(np.uint64):
         numbers = (numbers ^ column) * FACTOR
         numbers ^= numbers >> np.uint64(29)
-    return f"{scene.comm.allreduce(int(numbers.sum())) % 2**64:016x}"
+    return numbers

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+from mpi4py import MPI
 
 from crms_fenicsx.checkpoint.fields import Fields, read_fields, write_fields
 from crms_fenicsx.checkpoint.fingerprint import check_same, fingerprint
@@ -27,22 +28,67 @@ if TYPE_CHECKING:
     from crms_fenicsx.cables.strip import Strip
 
 STATE, CELLS = "state.json", "cells.npy"
-FORMAT = "crms_fenicsx checkpoint 1"
+FORMAT = "crms_fenicsx checkpoint 2"
 """What a checkpoint says it is; the number grows when its content changes."""
 
 
-def save(folder: str | Path, scene: Scene, run: Run) -> None:
-    """Write a checkpoint; see `Solver.save`. Collective."""
+def save(folder: str | Path, scene: Scene, run: Run, call: Plain | None = None) -> None:
+    """Write a checkpoint; see `Solver.save`. Collective.
+
+    Parameters
+    ----------
+    folder
+        Where to; it is replaced when the new one is complete.
+    scene, run
+        What is kept.
+    call
+        The call of `Solver.advance` that it belongs to, plain data; None if to none.
+    """
     with replaced_folder(Path(folder).resolve(), scene.comm, STATE) as partial:
         edges = write_fields(partial, scene)
         if run.step_history is not None and run.step_history.cells is not None:
             ids, total = _cell_ids(scene)
             write_rows(partial / CELLS, scene.comm, ids, run.step_history.cells, total)
         data = {"format": FORMAT, "scene": fingerprint(scene), "held edges": edges}
-        data |= _plain_rest(scene) | plain_run(run)
+        data |= _plain_rest(scene) | plain_run(run) | {"call": call}
         with raised_together(scene.comm), explained(partial / STATE):
             if scene.comm.rank == 0:
                 (partial / STATE).write_text(json.dumps(data, allow_nan=False), encoding="utf-8")
+
+
+@dataclass(frozen=True)
+class Saved:
+    """What a checkpoint's file of plain data holds, the same on all ranks.
+
+    Attributes
+    ----------
+    file
+        The file.
+    data
+        All of it.
+    call
+        The call of `Solver.advance` that the checkpoint belongs to, if to one.
+    """
+
+    file: Path
+    data: Plain
+    call: Plain | None
+
+
+def read(folder: Path, comm: MPI.Intracomm) -> Saved:
+    """Read the plain data of a checkpoint. Collective.
+
+    Raises
+    ------
+    InputError
+        On all ranks: there is none, or it is damaged.
+    """
+    data: Plain = {}
+    with raised_together(comm):
+        if comm.rank == 0:
+            data = _read(folder / STATE)
+    data = comm.bcast(data)
+    return Saved(folder / STATE, data, data["call"])
 
 
 def load(folder: str | Path, scene: Scene) -> Run:
@@ -53,23 +99,42 @@ def load(folder: str | Path, scene: Scene) -> Run:
     Run
         What its solver must know.
     """
-    comm = scene.comm
-    place = complete(Path(folder).resolve())
-    data: Plain = {}
-    with raised_together(comm):
-        if comm.rank == 0:
-            data = _read(place / STATE)
-    data = comm.bcast(data)
-    with _told(place / STATE):
-        saved, edges = dict(data["scene"]), int(data["held edges"])
+    return give(read(complete(Path(folder).resolve()), scene.comm), scene)
+
+
+def give(saved: Saved, scene: Scene) -> Run:
+    """Bring a scene to the state of a checkpoint. Collective.
+
+    Parameters
+    ----------
+    saved
+        What `read` has read.
+    scene
+        Has no cables yet, or those of the checkpoint, which stay the objects that they are.
+
+    Returns
+    -------
+    Run
+        What its solver must know.
+
+    Raises
+    ------
+    InputError
+        On all ranks: it is another scene's, or damaged. The scene is then as before.
+    """
+    comm, data, place = scene.comm, saved.data, saved.file.parent
+    with told(saved.file):
+        fingerprint_of, edges = dict(data["scene"]), int(data["held edges"])
         rest, run = _rest_of(data), run_of(data)
         _check_ids(rest, scene)
-    check_same(saved, scene)
+        if scene.cables and [c.name for c in scene.cables] != [c.name for c in rest.cables]:
+            raise ValueError(f"its cables are {rest.cables}, and the scene's {scene.cables}")
+    check_same(fingerprint_of, scene)
     fields = read_fields(place, scene, edges, rest.intensity is not None)
     if run.step_history is not None and scene.strain_law == "step":
         ids, total = _cell_ids(scene)
         run = run.with_cells(read_rows(place / CELLS, comm, ids, np.float64, (total, 6)))
-    _give(scene, fields, rest, place / STATE)
+    _give(scene, fields, rest, saved.file)
     return run
 
 
@@ -166,7 +231,9 @@ def _give(scene: Scene, fields: Fields, rest: _Rest, file: Path) -> None:
         from crms_fenicsx.dead_load import DeadForces
 
         scene.dead_forces = DeadForces(fields.dead_forces, rest.intensity)
-    scene.cables, scene.crossings = rest.cables, rest.crossings
+    for own, cable in zip(scene.cables, rest.cables, strict=False):
+        vars(own).update(vars(cable) | {"cable": own.cable})
+    scene.cables, scene.crossings = scene.cables or rest.cables, rest.crossings
     scene.changes += 1
 
 
@@ -190,15 +257,17 @@ def _cell_ids(scene: Scene) -> tuple[npt.NDArray[np.int64], int]:
 def _read(file: Path) -> Plain:
     with readable(file, "give the folder of a checkpoint"):
         text = file.read_bytes()
-    with _told(file):
+    with told(file):
         data: Plain = json.loads(text)
         if data["format"] != FORMAT:
             raise ValueError(f"it is a {data['format']!r} where a {FORMAT!r} is due")
+        if not isinstance(data["call"], dict | None):
+            raise ValueError(f"it belongs to the call {data['call']!r}")
     return data
 
 
 @contextmanager
-def _told(file: Path) -> Iterator[None]:
+def told(file: Path) -> Iterator[None]:
     """Say of data that are not what they should be which file they are from."""
     try:
         yield
