@@ -21,6 +21,7 @@ from crms_fenicsx import (
     meshes,
 )
 from crms_fenicsx.checkpoint.folder import complete, replaced_folder
+from crms_fenicsx.checkpoint.state import signed
 from crms_fenicsx.output import History
 
 pytestmark = pytest.mark.usefixtures("comm")
@@ -268,7 +269,7 @@ BROKEN = {
     "no JSON": ("state.json", lambda path: path.write_text('{"format": ')),
     "nested": ("state.json", lambda path: path.write_text("[" * 100000)),
     "no object": ("state.json", lambda path: path.write_text("[1, 2]")),
-    "other version": ("state.json", lambda path: change(path, "format", "9")),
+    "other version": ("state.json", lambda path: path.write_text('{"format": "9"}')),
     "no loads": ("state.json", lambda path: change(path, "pressure", None)),
     "no vertex": ("state.json", lambda path: change(path, "strip", [0, 99])),
     "no cells": ("state.json", lambda path: change(path, "strip", [0])),
@@ -284,14 +285,14 @@ def declare(path: Path, shape: tuple[int, ...]) -> None:
 
 
 def change(path: Path, name: str, value: object) -> None:
-    data = json.loads(path.read_text())
+    data = json.loads(path.read_text())["content"]
     if name == "cables" and value == "kind":
         data["cables"][0]["nodes"][1]["kind"] = "knot"
     elif name == "cables":
         data["cables"][0][value].pop()
     else:
         data[name] = value
-    path.write_text(json.dumps(data))
+    path.write_text(signed(data))
 
 
 def test_broken_files_are_named(folder: Path) -> None:

@@ -11,10 +11,8 @@ import numpy.typing as npt
 from crms_fenicsx.errors import InputError
 from crms_fenicsx.materials import Membrane
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
+from crms_fenicsx.output.npy import digest
 from crms_fenicsx.scene import Scene
-
-FACTOR = np.uint64(0x9E3779B97F4A7C15)
-"""An odd number whose multiples look random."""
 
 
 def fingerprint(scene: Scene) -> dict[str, Any]:
@@ -77,13 +75,4 @@ def _described(material: Membrane) -> list[Any]:
 
 def mixed(scene: Scene, rows: npt.NDArray[np.int64]) -> str:
     """A number of all ranks' rows of integers, whatever their order. Collective."""
-    return f"{scene.comm.allreduce(int(number_of(rows).sum())) % 2**64:016x}"
-
-
-def number_of(rows: npt.NDArray[np.int64]) -> npt.NDArray[np.uint64]:
-    """A number for each row of integers that looks random, (n,)."""
-    numbers = np.zeros(len(rows), dtype=np.uint64)
-    for column in rows.T.astype(np.uint64):
-        numbers = (numbers ^ column) * FACTOR
-        numbers ^= numbers >> np.uint64(29)
-    return numbers
+    return digest(scene.comm, np.zeros(len(rows), dtype=np.int64), rows)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,8 +20,9 @@ from crms_fenicsx.checkpoint.fingerprint import check_same, fingerprint
 from crms_fenicsx.checkpoint.folder import complete, replaced_folder
 from crms_fenicsx.checkpoint.plain import Plain, integers
 from crms_fenicsx.checkpoint.run import Run, plain_run, run_of
+from crms_fenicsx.checks import LONGEST
 from crms_fenicsx.errors import InputError, raised_together
-from crms_fenicsx.output.files import explained, readable
+from crms_fenicsx.output.files import explained, read_text, readable
 from crms_fenicsx.output.npy import read_rows, write_rows
 from crms_fenicsx.scene import Scene
 
@@ -45,15 +48,26 @@ def save(folder: str | Path, scene: Scene, run: Run, call: Plain | None = None) 
         The call of `Solver.advance` that it belongs to, plain data; None if to none.
     """
     with replaced_folder(Path(folder).resolve(), scene.comm, STATE) as partial:
-        edges = write_fields(partial, scene)
+        edges, digests = write_fields(partial, scene)
         if run.step_history is not None and run.step_history.cells is not None:
             ids, total = _cell_ids(scene)
-            write_rows(partial / CELLS, scene.comm, ids, run.step_history.cells, total)
-        data = {"format": FORMAT, "scene": fingerprint(scene), "held edges": edges}
+            cells = run.step_history.cells
+            digests["cells"] = write_rows(partial / CELLS, scene.comm, ids, cells, total)
+        data = {"scene": fingerprint(scene), "held edges": edges, "digests": digests}
         data |= _plain_rest(scene) | plain_run(run) | {"call": call}
         with raised_together(scene.comm), explained(partial / STATE):
             if scene.comm.rank == 0:
-                (partial / STATE).write_text(json.dumps(data, allow_nan=False), encoding="utf-8")
+                (partial / STATE).write_text(signed(data), encoding="utf-8")
+
+
+def signed(data: Plain) -> str:
+    """The text of a file of plain data, in which each accidental change can be told."""
+    content = json.dumps(data, allow_nan=False)
+    return f'{{"format": "{FORMAT}", "digest": "{_digest(content)}", "content": {content}}}'
+
+
+def _digest(content: str) -> str:
+    return hashlib.sha256(content.encode()).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -124,16 +138,18 @@ def give(saved: Saved, scene: Scene) -> Run:
     """
     comm, data, place = scene.comm, saved.data, saved.file.parent
     with told(saved.file):
-        fingerprint_of, edges = dict(data["scene"]), int(data["held edges"])
+        fingerprint_of, digests = dict(data["scene"]), dict(data["digests"])
+        (edges,) = integers([data["held edges"]])
         rest, run = _rest_of(data), run_of(data)
         _check_ids(rest, scene)
         if scene.cables and [c.name for c in scene.cables] != [c.name for c in rest.cables]:
             raise ValueError(f"its cables are {rest.cables}, and the scene's {scene.cables}")
     check_same(fingerprint_of, scene)
-    fields = read_fields(place, scene, edges, rest.intensity is not None)
+    fields = read_fields(place, scene, edges, digests, rest.intensity is not None)
     if run.step_history is not None and scene.strain_law == "step":
         ids, total = _cell_ids(scene)
-        run = run.with_cells(read_rows(place / CELLS, comm, ids, np.float64, (total, 6)))
+        due, shape = digests.get("cells", ""), (total, 6)
+        run = run.with_cells(read_rows(place / CELLS, comm, ids, np.float64, shape, due))
     _give(scene, fields, rest, saved.file)
     return run
 
@@ -256,14 +272,25 @@ def _cell_ids(scene: Scene) -> tuple[npt.NDArray[np.int64], int]:
 
 def _read(file: Path) -> Plain:
     with readable(file, "give the folder of a checkpoint"):
-        text = file.read_bytes()
+        text = read_text(file)
     with told(file):
-        data: Plain = json.loads(text)
-        if data["format"] != FORMAT:
-            raise ValueError(f"it is a {data['format']!r} where a {FORMAT!r} is due")
+        found = json.loads(text, parse_constant=_finite, parse_float=_finite)
+        if found["format"] != FORMAT:
+            raise ValueError(f"it is a {found['format']!r} where a {FORMAT!r} is due")
+        data: Plain = found["content"]
+        if _digest(json.dumps(data)) != found["digest"]:
+            raise ValueError("its content is not what was written")
         if not isinstance(data["call"], dict | None):
             raise ValueError(f"it belongs to the call {data['call']!r}")
     return data
+
+
+def _finite(text: str) -> float:
+    """A number of a JSON text, which may name some that JSON does not have."""
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"it has the number {text[:20]}")
+    return number
 
 
 @contextmanager
@@ -274,6 +301,8 @@ def told(file: Path) -> Iterator[None]:
     except (
         ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError,
     ) as error:  # fmt: skip
+        why = repr(error)  # of a text that cannot be decoded it has all of it
+        why = why if len(why) <= LONGEST else why[:LONGEST] + "..."
         raise InputError(
-            f"{file} is damaged or of another version ({error!r}); take another checkpoint"
+            f"{file} is damaged or of another version ({why}); take another checkpoint"
         ) from error
