@@ -117,6 +117,8 @@ class Journal:
             if saved.call is None:
                 raise ValueError("it is no checkpoint of a call")
             was, progress = dict(saved.call), _progress(saved.call["progress"], steps)
+            if progress.done > 0 and not saved.data["steps"]:
+                raise ValueError(f"{progress.done} steps are done, but it has none")
         for name, now in call.items():
             found = difference(was.get(name), now)
             if found is not None:

@@ -196,6 +196,8 @@ def _rest_of(data: Plain) -> _Rest:
         crossings = [crossing_of(one) for one in data["crossings"]]
         cables = [cable_of(one, crossings) for one in data["cables"]]
     floor, intensity = data["floor"], data["intensity"]
+    if intensity is not None and not intensity >= 0:
+        raise ValueError(f"a dead load of the intensity {intensity}")
     return _Rest(
         float(data["pressure"]),
         float(data["load"]),

@@ -51,13 +51,13 @@ def write_together(path: Path, comm: MPI.Intracomm, size: int, parts: Sequence[P
             if comm.rank == 0:
                 with open(partial, "wb") as new:
                     new.truncate(size)
-        with raised_together(comm), explained(path), _told_by_system():
+        with raised_together(comm), explained(path), _told_by_system(path):
             file = MPI.File.Open(comm, os.fspath(partial), MPI.MODE_WRONLY)
         try:
-            with raised_together(comm), explained(path), _told_by_system():
+            with raised_together(comm), explained(path), _told_by_system(path):
                 for offset, array in parts:
                     _write(file, offset, array)
-            with raised_together(comm), explained(path), _told_by_system():
+            with raised_together(comm), explained(path), _told_by_system(path):
                 file.Sync()
         finally:
             file.Close()
@@ -101,9 +101,11 @@ def _write(file: MPI.File, offset: int, array: NDArray[Any]) -> None:
 
 
 @contextmanager
-def _told_by_system() -> Iterator[None]:
-    """Let an error of MPI be one of the system, which MPI does not tell the reason of."""
+def _told_by_system(path: Path) -> Iterator[None]:
+    """Let an error of MPI be one of the system, of which MPI does not tell the reason."""
     try:
         yield
     except MPI.Exception as error:
-        raise OSError(str(error)) from error
+        disk = os.statvfs(path.parent)
+        free = disk.f_bavail * disk.f_frsize
+        raise OSError(f"{error}; the disk has {free} bytes left") from error
