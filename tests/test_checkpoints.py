@@ -274,6 +274,17 @@ BROKEN = {
     "no vertex": ("state.json", lambda path: change(path, "strip", [0, 99])),
     "no cells": ("state.json", lambda path: change(path, "strip", [0])),
     "no kind": ("state.json", lambda path: change(path, "cables", "kind")),
+    "a long text that is none": (
+        "state.json",
+        lambda path: path.write_bytes(b'"' + b"a" * 9999 + b"\xff"),
+    ),
+    "not finite state": ("state.json", lambda path: rewrite(path, '"load": 1.0', '"load": 1e999')),
+    "not a number": ("state.json", lambda path: rewrite(path, '"load": 1.0', '"load": NaN')),
+    "another digit": ("state.json", lambda path: rewrite(path, '"load": 1.0', '"load": 1.5')),
+    "flipped bit": ("displacement.npy", lambda path: flip(path)),
+    "pipe": ("state.json", lambda path: (path.unlink(), os.mkfifo(path))),
+    "device": ("held.npy", lambda path: (path.unlink(), path.symlink_to("/dev/zero"))),
+    "pulling load": ("state.json", lambda path: change(path, "intensity", -1.0)),
     "few points": ("state.json", lambda path: change(path, "cables", "positions")),
 }
 
@@ -282,6 +293,18 @@ def declare(path: Path, shape: tuple[int, ...]) -> None:
     with open(path, "wb") as file:
         header = {"descr": "<f8", "fortran_order": False, "shape": shape}
         np.lib.format.write_array_header_1_0(file, header)
+
+
+def rewrite(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+def flip(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[200] ^= 1
+    path.write_bytes(data)
 
 
 def change(path: Path, name: str, value: object) -> None:
