@@ -66,13 +66,13 @@ def script(
     """A user's script; what is given by name is other than in the script that was interrupted."""
     given: dict[str, Any] = {
         "pressure": 0.01, "steps": 2, "move": (0.0, 0.0, -2.0), "L0": 0.995, "EA": 9000.0,
-        "friction": 0.3, "along": 0.1, "path": [(0, 33), (100, 41)], "tension": 15.0,
-        "sleeve": False, "held": "xyz", "floor": -1.0, "snow": -1e-3, "rtol": 1e-10,
+        "friction": 0.0, "along": 0.0, "path": [(0, 33), (100, 41)], "tension": 15.0,
+        "sleeve": False, "held": "x", "floor": -1.0, "snow": -1e-3, "rtol": 1e-9,
         "name": "rough",
     } | changed  # fmt: skip
     scene = scene_of(comm, **({"strain": "step", "pressure": "step"} if laws == "step" else {}))
-    scene.fix("boundary", given["held"])
-    scene.fix("left")
+    scene.fix("boundary")
+    scene.fix(lambda x: np.hypot(x[0] - 50.0, x[1] - 50.0) < 1.0, given["held"])
     scene.floor(given["floor"])
     solver = Solver(scene, results=folder / "out", resume=resume, rtol=given["rtol"])
     solver.advance(pressure=given["pressure"], steps=given["steps"])
@@ -128,7 +128,7 @@ def test_interrupted_after_any_step(
 ) -> None:
     whole = script(folder / "whole", False, laws=laws)
     assert len(whole.steps) == STEPS
-    rtol = 1e-11 if COMM.size == 1 else 1e-6
+    rtol = 1e-10 if COMM.size == 1 else 1e-6
     for count in range(1, STEPS + 1) if laws == "total" else (3,):
         place = folder / str(count)
         killed(monkeypatch, count, lambda place=place: script(place, False, laws=laws))
@@ -165,12 +165,12 @@ def test_interrupted_twice_and_resumed_on_other_processes(
 CHANGES: dict[str, tuple[Any, str]] = {
     "pressure": (0.011, "call 1 .*advance, pressure = 0.01, and now 0.011"),
     "steps": (3, "call 1 .*advance, steps = 2, and now 3"),
-    "rtol": (1e-9, "call 1 .*solver, rtol = 1e-10, and now 1e-09"),
-    "held": ("xy", "call 1 .*scene, held vertices"),
+    "rtol": (1e-8, "call 1 .*solver, rtol = 1e-09, and now 1e-08"),
+    "held": ("y", "call 1 .*scene, held vertices"),
     "floor": (-2.0, "call 1 .*scene, floor = -1.0, and now -2.0"),
     "snow": (-2e-3, "call 2 .*scene, dead load"),
     "EA": (9001.0, "call 2 .*scene, cables: 'rough', EA = 9000.0, and now 9001.0"),
-    "friction": (0.31, "call 2 .*scene, cables: 'rough', friction, mu = 0.3, and now 0.31"),
+    "friction": (0.1, "call 2 .*scene, cables: 'rough', friction, mu = 0.0, and now 0.1"),
     "path": ([(0, 33), (100, 41.001)], "call 2 .*scene, cables: 'rough'"),
     "tension": (16.0, "call 2 .*scene, cables: 'rough', L0"),
     "sleeve": (True, "call 2 .*scene, cables: 'rough', sleeve = False, and now True"),
@@ -227,7 +227,7 @@ def test_killed_while_old_calls_are_removed(folder: Path, monkeypatch: pytest.Mo
     """Whatever is left is a run that can be resumed."""
     whole = numbers(script(folder / "good", False))
     removed = shutil.rmtree
-    for count in range(1, 5):
+    for count in range(1, CALLS + 1):
         place, left = folder / str(count), count
         COMM.barrier()
         if COMM.rank == 0:
@@ -243,10 +243,7 @@ def test_killed_while_old_calls_are_removed(folder: Path, monkeypatch: pytest.Mo
 
         with monkeypatch.context() as patch:
             patch.setattr(shutil, "rmtree", until_killed)
-            if left <= CALLS:
-                with pytest.raises(InputError, match="killed"):
-                    script(place, False)
-            else:
+            with pytest.raises(InputError, match="killed"):
                 script(place, False)
         COMM.barrier()
         np.testing.assert_allclose(numbers(script(place, True)), whole, rtol=1e-6)

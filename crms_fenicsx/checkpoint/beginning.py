@@ -108,8 +108,8 @@ def difference(was: object, now: object) -> str | None:
         for name in {**was, **now}:
             found = difference(was.get(name), now.get(name))
             if found is not None:
-                own = now.get("name")
-                return f"{f'{own!r}, ' if own and name != 'name' else ''}{name}{found}"
+                label = name if name == "name" or "name" not in now else f"{now['name']!r}, {name}"
+                return label + ("" if found.startswith((" =", ":")) else ", ") + found
         return None
     if _close(was, now):
         return None

@@ -106,6 +106,8 @@ def read_by_meshio(file: Path) -> Arrays:
             import meshio
 
             content = meshio.read(file)
+    except MemoryError:
+        raise
     except (Exception, SystemExit) as error:
         raise ValueError(said.getvalue().strip() or repr(error)) from error
     arrays: Arrays = {"points": np.asarray(content.points)}
