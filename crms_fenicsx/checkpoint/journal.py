@@ -113,14 +113,10 @@ class Journal:
         if saved is None:
             self._replaying, self._call, self._outdated = False, call, self._number
             return Progress(), None
-        with told(saved.file):
-            if saved.call is None:
-                raise ValueError("it is no checkpoint of a call")
-            was, progress = dict(saved.call), _progress(saved.call["progress"], steps)
-            if progress.done > 0 and not saved.data["steps"]:
-                raise ValueError(f"{progress.done} steps are done, but it has none")
+        if saved.call is None:
+            raise InputError(f"{saved.file} is no checkpoint of a call; take it away")
         for name, now in call.items():
-            found = difference(was.get(name), now)
+            found = difference(saved.call.get(name), now)
             if found is not None:
                 raise InputError(
                     f"resume: at call {self._number} of advance the script is not the one that "
@@ -128,6 +124,10 @@ class Journal:
                     f"resume=False, or delete {saved.file.parent} and those after it, to compute "
                     "from this call on anew."
                 )
+        with told(saved.file):
+            progress = _progress(saved.call["progress"], steps)
+            if progress.done > 0 and not saved.data["steps"]:
+                raise ValueError(f"{progress.done} steps are done, but it has none")
         run = give(saved, scene)
         self._call = call
         if progress.done < steps and progress.failure is None:
