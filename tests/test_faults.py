@@ -17,6 +17,7 @@ from test_errors import MPIRUN, run
 from vtu_file import read_vtu
 
 from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.checkpoint import folder as checkpoint_folder
 from crms_fenicsx.checkpoint.folder import complete
 from crms_fenicsx.output import History, files, shared_file
 
@@ -89,7 +90,7 @@ def test_a_disk_that_is_full_at_some_write(
         place = folder / f"{count}"
         with monkeypatch.context() as patch:
             if call == "flush":
-                for module in (files, shared_file):
+                for module in (files, checkpoint_folder):
                     patch.setattr(module, "flush", full_at(count, files.flush))
             elif call == "replace":
                 patch.setattr(os, "replace", full_at(count, os.replace))

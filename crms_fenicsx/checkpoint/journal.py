@@ -182,7 +182,9 @@ def _progress(data: Plain, steps: int) -> Progress:
     done, increment, failure = float(data["done"]), float(data["increment"]), data["failure"]
     if not (0 <= done <= steps and 0 < increment <= 1):
         raise ValueError(f"{done} of {steps} steps are done, the next one is {increment}")
-    return Progress(done, increment, None if failure is None else str(failure))
+    if not isinstance(failure, str | None):
+        raise ValueError(f"it has given up because of {failure!r}")
+    return Progress(done, increment, failure)
 
 
 def _remove(path: Path, folder: Path) -> None:

@@ -13,7 +13,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from crms_fenicsx.errors import raised_together
-from crms_fenicsx.output.files import explained, flush, forget, partial_of
+from crms_fenicsx.output.files import explained, forget, partial_of
 
 SLAB = 2**30
 """Most bytes that one call writes, as MPI counts them in 32 bits."""
@@ -58,12 +58,11 @@ def write_together(path: Path, comm: MPI.Intracomm, size: int, parts: Sequence[P
                 for offset, array in parts:
                     _write(file, offset, array)
             with raised_together(comm), explained(path), _told_by_system(path):
-                file.Sync()
+                file.Sync()  # now it is on the disk
         finally:
             file.Close()
         with raised_together(comm), explained(path):
             if comm.rank == 0:
-                flush(partial)
                 os.replace(partial, path)
     except BaseException:
         if comm.rank == 0:
