@@ -279,7 +279,7 @@ class Minimizer:
             potential.free_gradient(self._g0)
             tolerance = max(self.rtol * self._scale, self.atol)
             residual = self.residual()
-            if not np.isfinite(residual):
+            if not np.isfinite((self._energy0, residual)).all():
                 reason = "energy or gradient not finite"
                 break
             if self._interrupted:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from mpi4py import MPI
 
 from crms_fenicsx.cables.cable import CableEnd, LaidCable
 from crms_fenicsx.checkpoint.cables import plain_data
@@ -61,6 +62,7 @@ def beginning(scene: Scene) -> Plain:
     numbers = np.asarray(mesh.topology.original_cell_index[:cells], dtype=np.int64)[:, None]
     held = np.column_stack([ids[:own], scene.held[:own].astype(np.int64)])
     u = scene.u.x.array.reshape(-1, 3)
+    largest = scene.comm.allreduce(float(np.abs(u).max(initial=0.0)), op=MPI.MAX)
     return fingerprint(scene) | {
         "pressure_on (cells, mixed to one number)": mixed(scene, np.hstack([numbers, pressed])),
         "held vertices (mixed to one number)": mixed(scene, held),
@@ -68,18 +70,19 @@ def beginning(scene: Scene) -> Plain:
         "floor": None if scene.floor_level is None else float(scene.floor_level),
         "pressure before": float(scene.pressure),
         "load before": float(scene.load),
-        "displacements (sums with weights)": _sums(scene, ids[:own], u[:own]),
-        "dead load (sums with weights)": None if dead is None else _sums(scene, ids, dead.forces),
+        "displacements (sums with weights)": [*_sums(scene, ids[:own], u[:own]), largest],
+        "dead load (sums with weights)": None
+        if dead is None
+        else [*_sums(scene, ids, dead.forces), dead.intensity * scene.size**2],
         "cables": [_described(cable) for cable in scene.cables],
     }
 
 
 def _sums(scene: Scene, ids: npt.NDArray[np.int64], values: Array) -> list[float]:
-    """Sums of the components, weighted by the vertices' ids, and the root of that of squares."""
+    """Sums of the components over all ranks, weighted by the vertices' ids."""
     weights = 0.5 + (0.6180339887498949 * ids) % 1.0
-    local = np.append(weights @ values, np.sum(weights[:, None] * values**2))
-    total = scene.comm.allreduce(local)
-    return [*total[:3].tolist(), float(np.sqrt(total[3]))]
+    total: Array = scene.comm.allreduce(weights @ values)
+    return [float(x) for x in total]
 
 
 def _described(cable: LaidCable) -> Plain:
