@@ -90,6 +90,14 @@ def test_a_mesh_file_that_asks_for_all_memory(tmp_path: Path) -> None:
         broken_files.read_mesh(path)
 
 
+def test_a_mesh_file_that_claims_to_be_huge(tmp_path: Path) -> None:
+    path = tmp_path / "sparse.stl"
+    with open(path, "wb") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(MeshError, match=r"sparse.stl' has 1099511627776 bytes, more than"):
+        broken_files.read_mesh(path)
+
+
 def test_a_reader_that_crashes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     program = tmp_path / "crash.py"
     program.write_text("import os; os.abort()")

@@ -23,6 +23,9 @@ from crms_fenicsx.meshes import apart
 SECONDS, SPEED = 30, 1e6
 """Processor time that reading may take: seconds at least, and bytes of the file for each more."""
 
+LARGEST = 2**33
+"""Most bytes of a file: limits that grow with the size are none for one that only claims it."""
+
 SCRUBBED = ("OMPI_", "PMIX_", "PRTE_", "PMI_", "MPI_", "HYDRA_", "SLURM_")
 """Beginnings of the variables by which MPI's launcher tells a process that it is a rank."""
 
@@ -47,7 +50,12 @@ def read_apart(file: Path, reader: Literal["gmsh", "meshio"]) -> dict[str, Any]:
     MeshError
         The file cannot be read.
     """
-    seconds = SECONDS + int(file.stat().st_size / SPEED)
+    size = file.stat().st_size
+    if size > LARGEST:
+        raise MeshError(
+            f"'{file}' has {size} bytes, more than {LARGEST}: give a coarser mesh, and refine it"
+        )
+    seconds = SECONDS + int(size / SPEED)
     own = {name: text for name, text in os.environ.items() if not name.startswith(SCRUBBED)}
     one = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
     done = subprocess.run(
