@@ -86,7 +86,7 @@ def test_a_disk_that_is_full_at_some_write(
     """On rank 0, or of a file that all write together on the last one."""
     due = script(folder / "due", False).history["energy"]
     refusals = 0
-    for count in (1, 2, 4, 7, 12, 18, 30):
+    for count in (1, 2, 4, 7, 12, 18, 30) if COMM.size == 1 else (4, 12):
         place = folder / f"{count}"
         with monkeypatch.context() as patch:
             if call == "flush":
@@ -105,7 +105,7 @@ def test_a_disk_that_is_full_at_some_write(
         assert_whole(place)
         COMM.barrier()
         np.testing.assert_allclose(script(place, True).history["energy"], due, rtol=1e-7)
-    assert refusals >= 3
+    assert refusals >= (3 if COMM.size == 1 else 2)
 
 
 def test_a_folder_that_goes_away(folder: Path) -> None:
