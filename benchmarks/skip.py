@@ -46,6 +46,7 @@ FEATURES = {
     "cable": {"cable": {}, "L0": 100.0},
     "cable with friction": {"cable": {"friction": 0.3}, "L0": 100.0},
     "files written": {"files": True},
+    "and checkpoints": {"files": True, "resume": False},
 }
 """Scenes by what differs from the first one."""
 
@@ -123,7 +124,8 @@ def square(n: int, feature: dict[str, Any], folder: str | None = None) -> Any:
     if "cable" in feature:
         cable = Cable(EA=32000.0, **feature["cable"])
         scene.lay_cable(cable, [(0.0, 50.3), (100.0, 50.3)], L0=feature["L0"])
-    solver = Solver(scene, results=folder if feature.get("files") else None)
+    results = folder if feature.get("files") else None
+    solver = Solver(scene, results=results, resume=feature.get("resume"))
     if feature.get("pressure", PRESSURE):
         solver.advance(pressure=0.8 * PRESSURE)
     else:
@@ -179,7 +181,7 @@ def outside_of_terms(solver: Any, rounds: int) -> float:
 def features(n: int, rounds: int) -> None:
     """What is absent and present, in turns."""
     with tempfile.TemporaryDirectory() as folder:
-        solvers = [square(n, feature, f"{folder}/results") for feature in FEATURES.values()]
+        solvers = [square(n, own, f"{folder}/{name}") for name, own in FEATURES.items()]
         times = in_turns([evaluation_of(solver) for solver in solvers], rounds)
         print(f"\n{n} cells a side{'us':>26}{'ratio':>8}{'outside':>9}{'step, ms':>10}{'fact.':>7}"
               f"{'eval.':>7}{'ratio':>8}")  # fmt: skip

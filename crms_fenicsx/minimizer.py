@@ -155,7 +155,7 @@ class Minimizer:
         self._evaluations0 = self._length = 0
         self._interrupt: Callable[[], bool] | None = None
         self._interrupted = False
-        self._error: Exception | None = None
+        self._error: BaseException | None = None
         self.tao = PETSc.TAO().create(comm)
         self.tao.setOptionsPrefix(prefix)
         self.tao.setType(PETSc.TAO.Type.BLMVM)
@@ -211,7 +211,7 @@ class Minimizer:
             self.potential.place(self._x)
             try:
                 self._interrupted = self._interrupt()
-            except Exception as error:  # PETSc would hide it behind an error of its own
+            except BaseException as error:  # PETSc would hide it behind an error of its own
                 self._error, self._interrupted = error, True
             self._interrupt = None
         if self._interrupted or self._stage_is_over(tao.getIterationNumber(), residual):
@@ -285,7 +285,7 @@ class Minimizer:
             tolerance = max(self.rtol * self._scale, self.atol, rounding)
             tolerance = min(tolerance, max(ROUNDED, self.rtol) * self._scale + self.atol)
             residual = self.residual()
-            if not np.isfinite(residual):
+            if not np.isfinite((self._energy0, residual)).all():
                 reason = "energy or gradient not finite"
                 break
             if self._interrupted:

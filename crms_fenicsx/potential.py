@@ -16,6 +16,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from crms_fenicsx import interrupt
 from crms_fenicsx.integral import OnePass
 from crms_fenicsx.unknowns import Unknowns
 
@@ -93,8 +94,9 @@ class Potential:
         integrals = [term.integral for term in self.terms if hasattr(term, "integral")]
         self._pass = OnePass.of(integrals) if integrals else None
         ends = np.cumsum([0] + [term.n_sums for term in self.terms])
-        self._local_sums = np.zeros(int(ends[-1]))
-        self._sums = np.zeros(int(ends[-1]))
+        # The last entry counts the ranks that have been told to stop.
+        self._local_sums = np.zeros(int(ends[-1]) + 1)
+        self._sums = np.zeros(int(ends[-1]) + 1)
         self._slices = [slice(a, b) for a, b in itertools.pairwise(ends)]
         self.evaluations = 0
         unknowns.add_to_vertices(self._u, self.x)
@@ -114,12 +116,21 @@ class Potential:
         self.unknowns.read_vertices(self.x, self._u)
 
     def sum_up(self) -> None:
-        """Global sums of all terms at the current state: the one reduction of an evaluation."""
+        """Global sums of all terms at the current state: the one reduction of an evaluation.
+
+        Raises
+        ------
+        KeyboardInterrupt, SystemExit
+            On all ranks, if one of them has been told to stop; see `interrupt`.
+        """
         if self._pass is not None:
             self._pass.assemble()
         for term, part in zip(self.terms, self._slices, strict=True):
             term.sums(self.x, self._local_sums[part])
+        self._local_sums[-1] = interrupt.noted()
         self.comm.Allreduce(self._local_sums, self._sums, op=MPI.SUM)
+        if self._sums[-1] > 0.0:
+            interrupt.stop_together(self.comm)
 
     def energies(self) -> dict[str, float]:
         """Energy of each term at the sums last computed (force x length)."""

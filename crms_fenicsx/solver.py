@@ -23,6 +23,7 @@ from crms_fenicsx.errors import (
     PathWarning,
     collective,
 )
+from crms_fenicsx.interrupt import postponed, stop_together
 from crms_fenicsx.loading import Target, checked_target
 from crms_fenicsx.minimizer import Outcome
 from crms_fenicsx.output.recorder import Recorder
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from crms_fenicsx.cables.cable import LaidCable
     from crms_fenicsx.cables.contact_force import ContactForces
     from crms_fenicsx.checkpoint import Run
+    from crms_fenicsx.checkpoint.journal import Journal
     from crms_fenicsx.output import History, Line
     from crms_fenicsx.results import MembraneResults, Reactions
 
@@ -81,6 +83,15 @@ class Solver:
     results
         Folder for the history table and the ParaView files; none are written without. That it can
         be written is checked now.
+    resume
+        Whether to go on from where this script has come to before, when it was killed or stopped.
+        A solver that is told so, or not so, writes a checkpoint of each load step into the folder
+        `results`, and keeps one of each call to `advance`. With True a call that was complete
+        takes its result from there instead of computing it, and the one that was interrupted goes
+        on from its last load step; all else that the script does, such as laying cables and
+        drawing, it does again. A script that does something else than before is refused. With
+        False the first load step replaces the checkpoints that are there. With None, the default,
+        none are written.
     prefix
         Prefix of this solver's options in PETSc's options database.
     rtol
@@ -99,6 +110,17 @@ class Solver:
     ----------
     steps : list of Step
         The accepted steps.
+
+    Raises
+    ------
+    InputError
+        On all ranks: an argument that cannot be used, or a folder that cannot be written.
+
+    Examples
+    --------
+    A script that goes on after ``python script.py --resume``:
+
+    >>> solver = Solver(scene, results="results/dome", resume="--resume" in sys.argv)
     """
 
     def __init__(
@@ -106,6 +128,7 @@ class Solver:
         scene: Scene,
         *,
         results: str | FilePath | None = None,
+        resume: bool | None = None,
         prefix: str = "crms_",
         rtol: float = 1e-9,
         max_halvings: int = 8,
@@ -118,6 +141,7 @@ class Solver:
             scene.comm,
             "Solver",
             results=results,
+            resume=resume,
             prefix=prefix,
             rtol=rtol,
             max_halvings=max_halvings,
@@ -133,6 +157,13 @@ class Solver:
             )
         if results is not None:
             results = checks.file("Solver: results", results)
+        if resume is not None and not isinstance(resume, bool):
+            raise InputError(f"Solver: resume = {resume!r}; give True, False or None.")
+        if resume is not None and results is None:
+            raise InputError(
+                f"Solver: resume = {resume}, but no results: give a folder, where checkpoints go, "
+                'as in results="results/dome".'
+            )
         self.scene, self.comm = scene, scene.comm
         self.prefix, self.rtol = prefix, float(rtol)
         self.max_halvings = checks.whole("Solver: max_halvings", max_halvings, 0)
@@ -143,6 +174,13 @@ class Solver:
         self._earlier: Run | None = None
         """The run that this one goes on from."""
         self._recorder = Recorder(scene, results)
+        self._journal: Journal | None = None
+        if resume is not None and results is not None:
+            from crms_fenicsx.checkpoint.journal import FOLDER, Journal
+
+            options = {"rtol": self.rtol, "max_halvings": self.max_halvings,
+                       "slide": self.slide, "polish": self.polish}  # fmt: skip
+            self._journal = Journal(results / FOLDER, scene.comm, options, resume)
 
     @property
     def system(self) -> System:
@@ -375,6 +413,10 @@ class Solver:
             A load that cannot be applied; nothing is computed then.
         ConvergenceError
             No equilibrium was found; the scene is at the last good state.
+        KeyboardInterrupt, SystemExit
+            On all ranks, after Ctrl-C or SIGTERM on one of them, which wait for the next evaluation
+            of the energy; a second signal ends the process at once. The scene is at the last good
+            state, which with `resume` is in a checkpoint.
         """
         from crms_fenicsx.progress import progress
 
@@ -383,21 +425,25 @@ class Solver:
             self.comm, "advance", pressure=pressure, move=move, L0=L0, load=load, steps=steps
         )
         checks.whole("advance: steps", steps, 1)
-        target = checked_target(
-            scene, pressure, {} if move is None else move, {} if L0 is None else L0, load
-        )
+        move, L0 = {} if move is None else move, {} if L0 is None else L0
+        target = checked_target(scene, pressure, move, L0, load)
         first = State.of(scene)
-        done, increment, halvings = 0.0, 1.0, 0
-        began = time.perf_counter()
+        done, increment = self._resumed(pressure, move, L0, load, steps)
+        halvings, began = 0, time.perf_counter()
         spent: Outcome | None = None
-        with progress(scene.comm, steps, "load steps") as bar:
+        with postponed(scene.comm), progress(scene.comm, steps, "load steps") as bar:
+            if done >= 1:
+                bar.advance(int(done + 1e-9), "done before")
             while done < steps - 1e-9:
+                stop_together(scene.comm)
                 goal = min(done + increment, np.floor(done + 1e-9) + 1.0)
                 good = State.of(scene)
                 target.apply(scene, first, goal / steps)
                 try:
                     prestress = self._h0_prestress(target, (goal - done) / steps)
                     outcome = self.search.find(prestress)
+                    if outcome.converged:
+                        self.system.commit()
                 except BaseException:  # also an interrupt leaves a state that is one
                     self._go_back(good)
                     raise
@@ -407,21 +453,83 @@ class Solver:
                     halvings += 1
                     increment = (goal - done) / 2
                     if increment < 0.5**self.max_halvings * (1 - 1e-9):
-                        raise self._failure(outcome, done / steps)
+                        failure = self._failure(outcome, done / steps)
+                        self._keep(done, increment, str(failure))
+                        raise failure
                     logger.info("halving the increment: %s", outcome.reason)
                     continue
-                self.system.commit()
                 seconds = time.perf_counter() - began
                 step = Step(len(self.steps) + 1, spent, dict(scene.energies), seconds, halvings)
                 self.steps.append(step)
                 self._warn_of_blocked()
                 self._warn_of_friction(good)
-                self._recorder.write(step, self.system)
                 if abs(goal - round(goal)) < 1e-9:
                     bar.advance(1, f"energy {step.energy:.6g}")
                 done, increment = goal, min(2 * (goal - done), 1.0)
+                self._record(step, done, increment)
                 began, spent, halvings = time.perf_counter(), None, 0
         return self.steps[-1]
+
+    def _resumed(
+        self,
+        pressure: float | None,
+        move: Mapping[object, tuple[float, float, float]],
+        L0: Mapping[object, float],
+        load: float | None,
+        steps: int,
+    ) -> tuple[float, float]:
+        """Bring scene and solver to where a call to `advance` has come to before. Collective.
+
+        Returns
+        -------
+        Number of increments that are done, and the next one; 0 and 1 for a new call.
+        """
+        if self._journal is None:
+            return 0.0, 1.0
+        from crms_fenicsx.checkpoint.beginning import plain_loads
+
+        loads = plain_loads(pressure, move, L0, load, steps)
+        come, run = self._journal.begin(self.scene, loads, steps)
+        if run is not None:
+            self._go_on_from(run)
+        if come.failure is not None:
+            raise ConvergenceError(come.failure)
+        return come.done, come.increment
+
+    def _record(self, step: Step, done: float, increment: float) -> None:
+        """Write what is written of a load step; the checkpoint last, as it counts on the others."""
+        if self._journal is not None:
+            self._journal.make_way()
+        self._recorder.write(step, self.system)
+        self._keep(done, increment)
+
+    def _keep(self, done: float, increment: float, failure: str | None = None) -> None:
+        """Write a checkpoint of the state that a call to `advance` has come to, if there are."""
+        if self._journal is not None:
+            from crms_fenicsx.checkpoint.journal import Progress
+
+            self._journal.keep(self.scene, self._run, Progress(done, increment, failure))
+
+    @property
+    def _run(self) -> Run:
+        """What this solver knows of its load steps."""
+        from crms_fenicsx.checkpoint import Run
+
+        scene, tried = self.scene, None if self._earlier is None else self._earlier.tried
+        stepwise = "step" in (scene.strain_law, scene.pressure_law)
+        if self._search is not None and self._search.paths is not None:
+            tried = self._search.paths.tried
+        history = self.system.step_history if stepwise else None
+        return Run(self.steps, list(self.history), history, tried)
+
+    def _go_on_from(self, run: Run) -> None:
+        """Take over the load steps of a run whose state the scene has."""
+        self._earlier = run
+        if self._system is not None:
+            self._system.destroy()
+        self._system = self._search = None
+        self.steps = list(run.steps)
+        self._recorder.resume(run.rows)
 
     @collective
     def save(self, folder: str | FilePath) -> None:
@@ -446,14 +554,9 @@ class Solver:
         ...     solver.advance(pressure=pressure)
         ...     solver.save("results/dome/checkpoint")
         """
-        from crms_fenicsx.checkpoint import Run, save
+        from crms_fenicsx.checkpoint import save
 
-        scene, tried = self.scene, None if self._earlier is None else self._earlier.tried
-        stepwise = "step" in (scene.strain_law, scene.pressure_law)
-        if self._search is not None and self._search.paths is not None:
-            tried = self._search.paths.tried
-        history = self.system.step_history if stepwise else None
-        save(folder, scene, Run(self.steps, list(self.history), history, tried))
+        save(folder, self.scene, self._run)
 
     @collective
     def load(self, folder: str | FilePath) -> None:
@@ -490,12 +593,7 @@ class Solver:
                 f"load: there are {len(self.steps)} load steps and {len(self.scene.cables)} cables "
                 "already; load into a new scene and solver, before laying cables."
             )
-        self._earlier = load(folder, self.scene)
-        if self._system is not None:
-            self._system.destroy()
-        self._system = self._search = None
-        self.steps = list(self._earlier.steps)
-        self._recorder.resume(self._earlier.rows)
+        self._go_on_from(load(folder, self.scene))
 
     def _go_back(self, good: State) -> None:
         """Bring the scene back to a good state after an increment without equilibrium."""

@@ -6,7 +6,7 @@ cables are laid along great circles, just taut, and held at their ends only; ove
 over each other they slide without friction. The roof is inflated, and then the pressure raised as
 for a storm. Units: m, kN.
 
-    ./run python demos/air_dome.py [UNKNOWNS]
+    ./run python demos/air_dome.py [UNKNOWNS] [--resume]
     ./run mpirun -n 2 python demos/air_dome.py 100000
 
 with the approximate number of unknowns of the fabric, 10 000 by default. It is the mesh that grows
@@ -26,13 +26,13 @@ RADIUS, HEIGHT = 100.0, 28.0
 SPACING, CABLES = 8.5, 14
 CALM, STORM = 0.3, 0.5  # kPa
 
-unknowns = float(sys.argv[1]) if len(sys.argv) > 1 else 1e4
+unknowns = float(next((word for word in sys.argv[1:] if word != "--resume"), 1e4))
 area = np.pi * (RADIUS**2 + HEIGHT**2)
 size = np.sqrt(2 / np.sqrt(3) * area * 3 / unknowns)  # of equilateral triangles
 mesh = meshes.spherical_cap(MPI.COMM_WORLD, radius=RADIUS, height=HEIGHT, size=size)
 scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
 scene.fix("boundary")
-solver = Solver(scene, results=RESULTS)
+solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)
 for angle in np.radians([45.0, -45.0]):
     for offset in SPACING * (np.arange(CABLES) - (CABLES - 1) / 2):
         scene.lay_cable(Cable(EA=600e3), path=meshes.great_circle(RADIUS, HEIGHT, angle, offset))

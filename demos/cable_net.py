@@ -6,7 +6,7 @@ fabric and over each other they slide without friction. After inflation the wind
 pushes the windward side in, where cables lose most of their tension and lift off (striped in the
 pictures), and sucks at the rest, where they become three times as tight. Units: m, kN.
 
-    ./run python demos/cable_net.py [SIZE]
+    ./run python demos/cable_net.py [SIZE] [--resume]
 
 with the cells' size, 1.6 m by default. The picture of the README, docs/cable_net.png, is this
 demo's both.png.
@@ -62,11 +62,11 @@ def farthest(lines, others):
     return max(np.linalg.norm(there - p, axis=1).min() for line in lines for p in line.points)
 
 
-size = float(sys.argv[1]) if len(sys.argv) > 1 else 1.6
+size = float(next((word for word in sys.argv[1:] if word != "--resume"), 1.6))
 mesh = meshes.spherical_cap(MPI.COMM_WORLD, radius=RADIUS, height=HEIGHT, size=size)
 scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
 scene.fix("boundary")
-solver = Solver(scene, results=RESULTS)
+solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)
 for angle in np.radians([30.0, -30.0]):
     for offset in 4.5 * np.arange(-3, 4):
         scene.lay_cable(Cable(EA=30e3), path=meshes.great_circle(RADIUS, HEIGHT, angle, offset))

@@ -8,7 +8,7 @@ where it slides all over, its tension falls from the winch to the far end by the
 exp(0.3 x angle). Let out, it slides back near the winch only, and stays tightest in its middle.
 Units: m, kN.
 
-    ./run python demos/capstan.py [SIZE]
+    ./run python demos/capstan.py [SIZE] [--resume]
 
 with the cells' size, 1.2 m by default. The picture of the README, docs/capstan.png, is this demo's
 both.png.
@@ -25,11 +25,11 @@ from crms_fenicsx.output import History, draw_history, join_pictures
 RESULTS = "results/capstan"
 MU, EA = 0.3, 3000.0
 
-size = float(sys.argv[1]) if len(sys.argv) > 1 else 1.2
+size = float(next((word for word in sys.argv[1:] if word != "--resume"), 1.2))
 mesh = meshes.air_hall(MPI.COMM_WORLD, width=16.0, depth=24.0, height=8.0, size=size)
 scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
 scene.fix("boundary")
-solver = Solver(scene, results=RESULTS)
+solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)
 solver.advance(pressure=0.4)
 free = scene.lay_cable(Cable(EA), path=[(0.0, 9.0), (16.0, 9.0)], name="free")
 rough = scene.lay_cable(

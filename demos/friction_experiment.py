@@ -11,7 +11,7 @@ along, from the ends inwards less and less, until the ends are some 4 cm aside; 
 slides. `Friction(0.7, static=1.0)` would tell rest from motion; here, where the cable comes loose
 from its ends inwards, that changes little. Units: kgf, cm.
 
-    ./run python demos/friction_experiment.py [SIZE]
+    ./run python demos/friction_experiment.py [SIZE] [--resume]
 
 with the cells' size, 5 cm by default. The picture of the README, docs/friction_experiment.png, is
 this demo's curves.png.
@@ -27,7 +27,7 @@ from crms_fenicsx import Cable, OrthotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.output import join_pictures
 
 RESULTS = "results/friction_experiment"
-SIZE = float(sys.argv[1]) if len(sys.argv) > 1 else 5.0
+SIZE = float(next((word for word in sys.argv[1:] if word != "--resume"), 5.0))
 THICKNESS = 0.1  # only the moduli times the thickness matter
 FABRIC = OrthotropicMembrane(
     E1=1394.0 / THICKNESS, E2=140.0 / THICKNESS, G12=12.0 / THICKNESS, nu21=0.065,
@@ -47,7 +47,7 @@ def experiment(name):
     cable = scene.lay_cable(
         Cable(EA=47638.0, friction=friction), path=[(-10.0, 50.0, 0.0), (110.0, 50.0, 0.0)]
     )
-    solver = Solver(scene, results=f"{RESULTS}/{name}")
+    solver = Solver(scene, results=f"{RESULTS}/{name}", resume="--resume" in sys.argv)
     places, tensions = [], []
     for way in [(0.0, 0.0, -10.0 / DOWN)] * DOWN + [(0.0, 10.0 / SIDEWAYS, 0.0)] * SIDEWAYS:
         solver.advance(move={cable: way})

@@ -5,10 +5,12 @@ it (the paper's drawing is lost; the place is ours), and both ends are pulled do
 steps. At first the cable touches the top of the membrane only, at last all of it. No mesh line lies
 under it: it folds the cells that it crosses. Units: kgf, cm.
 
-    ./run python demos/inflated_square.py
+    ./run python demos/inflated_square.py [--resume]
 
 The picture of the README, docs/inflated_square.png, is this demo's both.png.
 """
+
+import sys
 
 import numpy as np
 from mpi4py import MPI
@@ -31,7 +33,7 @@ LOOK = {
 mesh = meshes.rectangle(MPI.COMM_WORLD, width=100.0, depth=100.0, size=4.0, structured=True)
 scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
 scene.fix("boundary")
-solver = Solver(scene, results=RESULTS)
+solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)
 
 solver.advance(pressure=0.01, steps=5)
 solver.draw(f"{RESULTS}/inflated.png", title="Inflated: 0.01 kgf/cm²", **LOOK)

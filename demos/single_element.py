@@ -5,8 +5,10 @@ triangle, once up and once down, so that it tightens and folds the triangle. Up 
 were it not held by a sleeve. The only unknowns are the six coordinates of the two sliding nodes.
 Units: kgf, cm.
 
-    ./run python demos/single_element.py
+    ./run python demos/single_element.py [--resume]
 """
+
+import sys
 
 import numpy as np
 from mpi4py import MPI
@@ -27,7 +29,7 @@ for name, lift in (("up", 12.0), ("down", -12.0)):
     scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
     scene.fix("corners")
     cable = scene.lay_cable(Cable(EA=32000.0), path=PATH, sleeve=True)
-    solver = Solver(scene, results=f"{RESULTS}/{name}")
+    solver = Solver(scene, results=f"{RESULTS}/{name}", resume="--resume" in sys.argv)
 
     positions = [cable.positions.copy()]
     for _ in range(STEPS):

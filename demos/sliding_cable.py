@@ -6,10 +6,12 @@ square is inflated in 5 steps, bulges beside the cable, and pushes it towards th
 path over the fabric (the material curve) is not its path in space, as the fabric moves too. Units:
 kgf, cm.
 
-    ./run python demos/sliding_cable.py
+    ./run python demos/sliding_cable.py [--resume]
 
 The picture of the README, docs/sliding_cable.png, is this demo's both.png.
 """
+
+import sys
 
 import numpy as np
 from mpi4py import MPI
@@ -26,7 +28,7 @@ x = np.linspace(0.0, 100.0, 21)
 arc = np.column_stack([x, 30.0 + 15.0 * np.sin(np.pi * x / 100.0)])
 cable = scene.lay_cable(Cable(EA=32000.0), path=arc, L0=100.0, name="cable")
 start = Line(cable.positions.copy(), name="as laid")
-solver = Solver(scene, results=RESULTS)
+solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)
 
 
 def middle(points):

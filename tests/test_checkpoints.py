@@ -21,6 +21,7 @@ from crms_fenicsx import (
     meshes,
 )
 from crms_fenicsx.checkpoint.folder import complete, replaced_folder
+from crms_fenicsx.checkpoint.state import signed
 from crms_fenicsx.output import History
 
 pytestmark = pytest.mark.usefixtures("comm")
@@ -268,11 +269,22 @@ BROKEN = {
     "no JSON": ("state.json", lambda path: path.write_text('{"format": ')),
     "nested": ("state.json", lambda path: path.write_text("[" * 100000)),
     "no object": ("state.json", lambda path: path.write_text("[1, 2]")),
-    "other version": ("state.json", lambda path: change(path, "format", "9")),
+    "other version": ("state.json", lambda path: path.write_text('{"format": "9"}')),
     "no loads": ("state.json", lambda path: change(path, "pressure", None)),
     "no vertex": ("state.json", lambda path: change(path, "strip", [0, 99])),
     "no cells": ("state.json", lambda path: change(path, "strip", [0])),
     "no kind": ("state.json", lambda path: change(path, "cables", "kind")),
+    "a long text that is none": (
+        "state.json",
+        lambda path: path.write_bytes(b'"' + b"a" * 9999 + b"\xff"),
+    ),
+    "not finite state": ("state.json", lambda path: rewrite(path, '"load": 1.0', '"load": 1e999')),
+    "not a number": ("state.json", lambda path: rewrite(path, '"load": 1.0', '"load": NaN')),
+    "another digit": ("state.json", lambda path: rewrite(path, '"load": 1.0', '"load": 1.5')),
+    "flipped bit": ("displacement.npy", lambda path: flip(path)),
+    "pipe": ("state.json", lambda path: (path.unlink(), os.mkfifo(path))),
+    "device": ("held.npy", lambda path: (path.unlink(), path.symlink_to("/dev/zero"))),
+    "pulling load": ("state.json", lambda path: change(path, "intensity", -1.0)),
     "few points": ("state.json", lambda path: change(path, "cables", "positions")),
 }
 
@@ -283,15 +295,27 @@ def declare(path: Path, shape: tuple[int, ...]) -> None:
         np.lib.format.write_array_header_1_0(file, header)
 
 
+def rewrite(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+def flip(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[200] ^= 1
+    path.write_bytes(data)
+
+
 def change(path: Path, name: str, value: object) -> None:
-    data = json.loads(path.read_text())
+    data = json.loads(path.read_text())["content"]
     if name == "cables" and value == "kind":
         data["cables"][0]["nodes"][1]["kind"] = "knot"
     elif name == "cables":
         data["cables"][0][value].pop()
     else:
         data[name] = value
-    path.write_text(json.dumps(data))
+    path.write_text(signed(data))
 
 
 def test_broken_files_are_named(folder: Path) -> None:

@@ -1,6 +1,7 @@
 """Checkpoints: the whole state of a run in a folder, to go on from on any number of processes.
 
-    state.json          loads, cables, history: what is small and the same on all ranks
+    state.json          loads, cables, history: what is small and the same on all ranks; digests of
+                        itself and the other files, by which accidental changes are told
     displacement.npy    rows by the vertices' ids, that is numbers in the mesh as it was given
     held.npy            held components, by the same ids
     held_edges.npy      ids of the ends of the edges that are held over their whole length
@@ -9,7 +10,8 @@
     cells.npy           state of the cells at the step's start, with the paper's incremental strain
 
 No rank ever has a whole field. Numbers survive to the last digit, and nothing that is read is
-executed. See `Solver.save` and `Solver.load`.
+executed. See `Solver.save` and `Solver.load`. `journal` keeps checkpoints of all calls of
+`Solver.advance`, for scripts that are started again.
 """
 
 from crms_fenicsx.checkpoint.run import Run

@@ -49,7 +49,7 @@ def plain_cable(cable: LaidCable, crossings: Sequence[Crossing]) -> Plain:
     number = {id(crossing): k for k, crossing in enumerate(crossings)}
     return {
         "name": cable.name,
-        "cable": _plain_data(cable.cable),
+        "cable": plain_data(cable.cable),
         "nodes": [
             {
                 "kind": node.kind,
@@ -114,7 +114,8 @@ def cable_of(data: Plain, crossings: Sequence[Crossing]) -> LaidCable:
     return cable
 
 
-def _plain_data(cable: Cable) -> Plain:
+def plain_data(cable: Cable) -> Plain:
+    """A cable's data as plain data."""
     friction: Any = cable.friction
     if isinstance(friction, Friction):
         numbers = ("mu", "static", "along", "tolerance")

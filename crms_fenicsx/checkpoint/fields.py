@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -52,29 +54,36 @@ class Fields:
         return cls(u, scene.held, scene.held_edges, None if dead is None else dead.forces)
 
 
-def write_fields(folder: Path, scene: Scene) -> int:
+def write_fields(folder: Path, scene: Scene) -> tuple[int, dict[str, str]]:
     """Write the scene's fields, and where its vertices are when stress-free. Collective.
 
     Returns
     -------
-    How many edges are held.
+    How many edges are held, and the digests of the files by their names.
     """
     fields, comm = Fields.of(scene), scene.comm
     vertices = scene.V.dofmap.index_map
-    own, total, ids = vertices.size_local, vertices.size_global, _vertex_ids(scene)
+    own, total, ids = vertices.size_local, vertices.size_global, dof_vertex_ids(scene)
     X = scene.V.tabulate_dof_coordinates()
-    for name, values in (("positions", X), ("displacement", fields.u), ("held", fields.held)):
-        write_rows(folder / f"{name}.npy", comm, ids[:own], values[:own], total)
+    digests = {
+        name: write_rows(folder / f"{name}.npy", comm, ids[:own], values[:own], total)
+        for name, values in (("positions", X), ("displacement", fields.u), ("held", fields.held))
+    }
     if fields.dead_forces is not None:  # ranks that share a vertex each give it a part
-        write_rows(folder / "dead_forces.npy", comm, ids, fields.dead_forces, total)
+        digests["dead_forces"] = write_rows(
+            folder / "dead_forces.npy", comm, ids, fields.dead_forces, total
+        )
     edges = scene.mesh.mesh.topology.index_map(1).size_local
-    pairs = _edge_vertices(scene)[:edges][fields.held_edges[:edges]]
+    pairs = edge_vertices(scene)[:edges][fields.held_edges[:edges]]
     first, count = first_row(len(pairs), comm)
-    write_rows(folder / "held_edges.npy", comm, first + np.arange(len(pairs)), pairs, count)
-    return count
+    rows = first + np.arange(len(pairs))
+    digests["held_edges"] = write_rows(folder / "held_edges.npy", comm, rows, pairs, count)
+    return count, digests
 
 
-def read_fields(folder: Path, scene: Scene, edges: int, dead_load: bool) -> Fields:
+def read_fields(
+    folder: Path, scene: Scene, edges: int, digests: Mapping[str, str], dead_load: bool
+) -> Fields:
     """Read the fields that belong to this rank's part of the mesh. Collective.
 
     Parameters
@@ -85,6 +94,8 @@ def read_fields(folder: Path, scene: Scene, edges: int, dead_load: bool) -> Fiel
         Its mesh is that of the fields.
     edges
         How many edges are held.
+    digests
+        Of the files, by their names.
     dead_load
         Whether there is a dead load.
 
@@ -93,10 +104,15 @@ def read_fields(folder: Path, scene: Scene, edges: int, dead_load: bool) -> Fiel
     InputError
         On all ranks: files that are damaged, or vertices that are elsewhere.
     """
-    comm, ids = scene.comm, _vertex_ids(scene)
+    comm, ids = scene.comm, dof_vertex_ids(scene)
     vertices = scene.V.dofmap.index_map
     own, shape = vertices.size_local, (vertices.size_global, 3)
-    X = read_rows(folder / "positions.npy", comm, ids, np.float64, shape)
+
+    def read(name: str, dtype: npt.DTypeLike = np.float64) -> npt.NDArray[Any]:
+        file = folder / f"{name}.npy"
+        return read_rows(file, comm, ids, dtype, shape, digests.get(name, ""), own)
+
+    X = read("positions")
     here, size = scene.V.tabulate_dof_coordinates(), scene.size
     with raised_together(comm):
         apart = np.flatnonzero(~(np.abs(X - here).max(axis=1) <= SAME_PLACE * size))
@@ -106,32 +122,35 @@ def read_fields(folder: Path, scene: Scene, edges: int, dead_load: bool) -> Fiel
                 f"load: the checkpoint is of another mesh: its vertex {ids[k]} is at {X[k]}, and "
                 f"here at {here[k]}; build the mesh as it was when it was saved"
             )
-    u = read_rows(folder / "displacement.npy", comm, ids, np.float64, shape)
-    held = read_rows(folder / "held.npy", comm, ids, np.bool_, shape)
+    u, held = read("displacement"), read("held", np.bool_)
     with raised_together(comm):
-        if not np.isfinite(u).all():
-            raise InputError(
-                f"{folder / 'displacement.npy'} has displacements that are not finite; take "
-                "another checkpoint"
-            )
+        _check_finite(folder / "displacement.npy", u)
     forces = None
     if dead_load:
-        forces = read_rows(folder / "dead_forces.npy", comm, ids, np.float64, shape)
+        forces = read("dead_forces")
+        with raised_together(comm):
+            _check_finite(folder / "dead_forces.npy", forces)
         forces[own:] = 0.0  # the owner gives all of it
     # The held edges are lines on the membrane: few, compared to its vertices.
-    pairs = read_rows(folder / "held_edges.npy", comm, None, np.int64, (edges, 2))
-    held_edges = np.isin(edge_keys(_edge_vertices(scene)), edge_keys(pairs))
+    pairs = read_rows(folder / "held_edges.npy", comm, None, np.int64, (edges, 2),
+                      digests.get("held_edges", ""))  # fmt: skip
+    held_edges = np.isin(edge_keys(edge_vertices(scene)), edge_keys(pairs))
     return Fields(u, held, held_edges, forces)
 
 
-def _vertex_ids(scene: Scene) -> Integers:
+def _check_finite(file: Path, values: Array) -> None:
+    if not np.isfinite(values).all():
+        raise InputError(f"{file} has numbers that are not finite; take another checkpoint")
+
+
+def dof_vertex_ids(scene: Scene) -> Integers:
     """Ids of the vertices, numbers in the mesh as it was given, by degree of freedom."""
     ids = np.zeros(len(scene.held), dtype=np.int64)
     ids[scene.V.dofmap.list] = cell_vertex_ids(scene.mesh.mesh)
     return ids
 
 
-def _edge_vertices(scene: Scene) -> Integers:
+def edge_vertices(scene: Scene) -> Integers:
     """Ids of the ends of this rank's edges, (m, 2)."""
     mesh = scene.mesh.mesh
     return vertex_ids(mesh)[mesh.topology.connectivity(1, 0).array.reshape(-1, 2)]

@@ -11,10 +11,8 @@ import numpy.typing as npt
 from crms_fenicsx.errors import InputError
 from crms_fenicsx.materials import Membrane
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
+from crms_fenicsx.output.npy import digest
 from crms_fenicsx.scene import Scene
-
-FACTOR = np.uint64(0x9E3779B97F4A7C15)
-"""An odd number whose multiples look random."""
 
 
 def fingerprint(scene: Scene) -> dict[str, Any]:
@@ -33,9 +31,9 @@ def fingerprint(scene: Scene) -> dict[str, Any]:
     return {
         "number of vertices": mesh.topology.index_map(0).size_global,
         "number of cells": mesh.topology.index_map(2).size_global,
-        "cells (their vertices, mixed to one number)": _mixed(scene, cells),
+        "cells (their vertices, mixed to one number)": mixed(scene, cells),
         "materials": [_described(material) for material in scene.materials.values()],
-        "cells of the materials (mixed to one number)": _mixed(scene, np.hstack([cells, tags])),
+        "cells of the materials (mixed to one number)": mixed(scene, np.hstack([cells, tags])),
         "strain": scene.strain_law,
         "pressure": scene.pressure_law,
         "penalty": scene.penalty,
@@ -75,10 +73,6 @@ def _described(material: Membrane) -> list[Any]:
     return [type(material).__name__, [float(value) for value in material.parameters], direction]
 
 
-def _mixed(scene: Scene, rows: npt.NDArray[np.int64]) -> str:
-    """A number of all ranks' rows of integers, whatever their order."""
-    numbers = np.zeros(len(rows), dtype=np.uint64)
-    for column in rows.T.astype(np.uint64):
-        numbers = (numbers ^ column) * FACTOR
-        numbers ^= numbers >> np.uint64(29)
-    return f"{scene.comm.allreduce(int(numbers.sum())) % 2**64:016x}"
+def mixed(scene: Scene, rows: npt.NDArray[np.int64]) -> str:
+    """A number of all ranks' rows of integers, whatever their order. Collective."""
+    return digest(scene.comm, np.zeros(len(rows), dtype=np.int64), rows)

@@ -41,12 +41,12 @@ def replaced_folder(folder: Path, comm: MPI.Intracomm, mark: str) -> Iterator[Pa
     comm
         Its ranks work together; what is raised in the block is raised on all of them.
     mark
-        Name of a file that says that a folder may be replaced.
+        Name of a file that says that a folder may be replaced, and is written last.
 
     Yields
     ------
     Path
-        What to fill with files.
+        What to fill with files; all but that one are on the disk when the block ends.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def replaced_folder(folder: Path, comm: MPI.Intracomm, mark: str) -> Iterator[Pa
         yield partial
         with raised_together(comm), explained(folder):
             if comm.rank == 0:
-                _put_in_place(partial, folder)
+                _put_in_place(partial, folder, mark)
     except BaseException:
         if comm.rank == 0:
             shutil.rmtree(partial, ignore_errors=True)
@@ -81,10 +81,9 @@ def _holds_something(folder: Path) -> bool:
     return not folder.is_dir() or any(folder.iterdir())
 
 
-def _put_in_place(partial: Path, folder: Path) -> None:
+def _put_in_place(partial: Path, folder: Path, mark: str) -> None:
     aside = _aside(folder)
-    for file in partial.iterdir():
-        flush(file)
+    flush(partial / mark)
     flush(partial)
     if folder.exists():
         os.replace(folder, aside)

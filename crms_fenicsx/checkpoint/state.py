@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -11,14 +13,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+from mpi4py import MPI
 
 from crms_fenicsx.checkpoint.fields import Fields, read_fields, write_fields
 from crms_fenicsx.checkpoint.fingerprint import check_same, fingerprint
 from crms_fenicsx.checkpoint.folder import complete, replaced_folder
 from crms_fenicsx.checkpoint.plain import Plain, integers
 from crms_fenicsx.checkpoint.run import Run, plain_run, run_of
+from crms_fenicsx.checks import LONGEST
 from crms_fenicsx.errors import InputError, raised_together
-from crms_fenicsx.output.files import explained, readable
+from crms_fenicsx.output.files import explained, read_text, readable
 from crms_fenicsx.output.npy import read_rows, write_rows
 from crms_fenicsx.scene import Scene
 
@@ -27,22 +31,78 @@ if TYPE_CHECKING:
     from crms_fenicsx.cables.strip import Strip
 
 STATE, CELLS = "state.json", "cells.npy"
-FORMAT = "crms_fenicsx checkpoint 1"
+FORMAT = "crms_fenicsx checkpoint 2"
 """What a checkpoint says it is; the number grows when its content changes."""
 
 
-def save(folder: str | Path, scene: Scene, run: Run) -> None:
-    """Write a checkpoint; see `Solver.save`. Collective."""
+def save(folder: str | Path, scene: Scene, run: Run, call: Plain | None = None) -> None:
+    """Write a checkpoint; see `Solver.save`. Collective.
+
+    Parameters
+    ----------
+    folder
+        Where to; it is replaced when the new one is complete.
+    scene, run
+        What is kept.
+    call
+        The call of `Solver.advance` that it belongs to, plain data; None if to none.
+    """
     with replaced_folder(Path(folder).resolve(), scene.comm, STATE) as partial:
-        edges = write_fields(partial, scene)
+        edges, digests = write_fields(partial, scene)
         if run.step_history is not None and run.step_history.cells is not None:
             ids, total = _cell_ids(scene)
-            write_rows(partial / CELLS, scene.comm, ids, run.step_history.cells, total)
-        data = {"format": FORMAT, "scene": fingerprint(scene), "held edges": edges}
-        data |= _plain_rest(scene) | plain_run(run)
+            cells = run.step_history.cells
+            digests["cells"] = write_rows(partial / CELLS, scene.comm, ids, cells, total)
+        data = {"scene": fingerprint(scene), "held edges": edges, "digests": digests}
+        data |= _plain_rest(scene) | plain_run(run) | {"call": call}
         with raised_together(scene.comm), explained(partial / STATE):
             if scene.comm.rank == 0:
-                (partial / STATE).write_text(json.dumps(data, allow_nan=False), encoding="utf-8")
+                (partial / STATE).write_text(signed(data), encoding="utf-8")
+
+
+def signed(data: Plain) -> str:
+    """The text of a file of plain data, in which each accidental change can be told."""
+    content = json.dumps(data, allow_nan=False)
+    return f'{{"format": "{FORMAT}", "digest": "{_digest(content)}", "content": {content}}}'
+
+
+def _digest(content: str) -> str:
+    return hashlib.sha256(content.encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class Saved:
+    """What a checkpoint's file of plain data holds, the same on all ranks.
+
+    Attributes
+    ----------
+    file
+        The file.
+    data
+        All of it.
+    call
+        The call of `Solver.advance` that the checkpoint belongs to, if to one.
+    """
+
+    file: Path
+    data: Plain
+    call: Plain | None
+
+
+def read(folder: Path, comm: MPI.Intracomm) -> Saved:
+    """Read the plain data of a checkpoint. Collective.
+
+    Raises
+    ------
+    InputError
+        On all ranks: there is none, or it is damaged.
+    """
+    data: Plain = {}
+    with raised_together(comm):
+        if comm.rank == 0:
+            data = _read(folder / STATE)
+    data = comm.bcast(data)
+    return Saved(folder / STATE, data, data["call"])
 
 
 def load(folder: str | Path, scene: Scene) -> Run:
@@ -53,23 +113,44 @@ def load(folder: str | Path, scene: Scene) -> Run:
     Run
         What its solver must know.
     """
-    comm = scene.comm
-    place = complete(Path(folder).resolve())
-    data: Plain = {}
-    with raised_together(comm):
-        if comm.rank == 0:
-            data = _read(place / STATE)
-    data = comm.bcast(data)
-    with _told(place / STATE):
-        saved, edges = dict(data["scene"]), int(data["held edges"])
+    return give(read(complete(Path(folder).resolve()), scene.comm), scene)
+
+
+def give(saved: Saved, scene: Scene) -> Run:
+    """Bring a scene to the state of a checkpoint. Collective.
+
+    Parameters
+    ----------
+    saved
+        What `read` has read.
+    scene
+        Has no cables yet, or those of the checkpoint, which stay the objects that they are.
+
+    Returns
+    -------
+    Run
+        What its solver must know.
+
+    Raises
+    ------
+    InputError
+        On all ranks: it is another scene's, or damaged. The scene is then as before.
+    """
+    comm, data, place = scene.comm, saved.data, saved.file.parent
+    with told(saved.file):
+        fingerprint_of, digests = dict(data["scene"]), dict(data["digests"])
+        (edges,) = integers([data["held edges"]])
         rest, run = _rest_of(data), run_of(data)
         _check_ids(rest, scene)
-    check_same(saved, scene)
-    fields = read_fields(place, scene, edges, rest.intensity is not None)
+        if scene.cables and [c.name for c in scene.cables] != [c.name for c in rest.cables]:
+            raise ValueError(f"its cables are {rest.cables}, and the scene's {scene.cables}")
+    check_same(fingerprint_of, scene)
+    fields = read_fields(place, scene, edges, digests, rest.intensity is not None)
     if run.step_history is not None and scene.strain_law == "step":
         ids, total = _cell_ids(scene)
-        run = run.with_cells(read_rows(place / CELLS, comm, ids, np.float64, (total, 6)))
-    _give(scene, fields, rest, place / STATE)
+        due, shape = digests.get("cells", ""), (total, 6)
+        run = run.with_cells(read_rows(place / CELLS, comm, ids, np.float64, shape, due))
+    _give(scene, fields, rest, saved.file)
     return run
 
 
@@ -115,6 +196,8 @@ def _rest_of(data: Plain) -> _Rest:
         crossings = [crossing_of(one) for one in data["crossings"]]
         cables = [cable_of(one, crossings) for one in data["cables"]]
     floor, intensity = data["floor"], data["intensity"]
+    if intensity is not None and not intensity >= 0:
+        raise ValueError(f"a dead load of the intensity {intensity}")
     return _Rest(
         float(data["pressure"]),
         float(data["load"]),
@@ -166,7 +249,9 @@ def _give(scene: Scene, fields: Fields, rest: _Rest, file: Path) -> None:
         from crms_fenicsx.dead_load import DeadForces
 
         scene.dead_forces = DeadForces(fields.dead_forces, rest.intensity)
-    scene.cables, scene.crossings = rest.cables, rest.crossings
+    for own, cable in zip(scene.cables, rest.cables, strict=False):
+        vars(own).update(vars(cable) | {"cable": own.cable})
+    scene.cables, scene.crossings = scene.cables or rest.cables, rest.crossings
     scene.changes += 1
 
 
@@ -189,22 +274,37 @@ def _cell_ids(scene: Scene) -> tuple[npt.NDArray[np.int64], int]:
 
 def _read(file: Path) -> Plain:
     with readable(file, "give the folder of a checkpoint"):
-        text = file.read_bytes()
-    with _told(file):
-        data: Plain = json.loads(text)
-        if data["format"] != FORMAT:
-            raise ValueError(f"it is a {data['format']!r} where a {FORMAT!r} is due")
+        text = read_text(file)
+    with told(file):
+        found = json.loads(text, parse_constant=_finite, parse_float=_finite)
+        if found["format"] != FORMAT:
+            raise ValueError(f"it is a {found['format']!r} where a {FORMAT!r} is due")
+        data: Plain = found["content"]
+        if _digest(json.dumps(data)) != found["digest"]:
+            raise ValueError("its content is not what was written")
+        if not isinstance(data["call"], dict | None):
+            raise ValueError(f"it belongs to the call {data['call']!r}")
     return data
 
 
+def _finite(text: str) -> float:
+    """A number of a JSON text, which may name some that JSON does not have."""
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"it has the number {text[:20]}")
+    return number
+
+
 @contextmanager
-def _told(file: Path) -> Iterator[None]:
+def told(file: Path) -> Iterator[None]:
     """Say of data that are not what they should be which file they are from."""
     try:
         yield
     except (
         ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError,
     ) as error:  # fmt: skip
+        why = repr(error)  # of a text that cannot be decoded it has all of it
+        why = why if len(why) <= LONGEST else why[:LONGEST] + "..."
         raise InputError(
-            f"{file} is damaged or of another version ({error!r}); take another checkpoint"
+            f"{file} is damaged or of another version ({why}); take another checkpoint"
         ) from error

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +13,23 @@ from numpy.typing import NDArray
 
 from crms_fenicsx import checks
 from crms_fenicsx.errors import MeshError
-from crms_fenicsx.meshes.gmsh_model import own_model, read_model
+from crms_fenicsx.meshes.foreign import read_apart
+from crms_fenicsx.meshes.gmsh_model import own_model, read_model, renumbered, surface_of_model
 from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, distributed
 from crms_fenicsx.meshes.orientation import UPWARD, Outside
 from crms_fenicsx.meshes.partition import Ranks
 from crms_fenicsx.meshes.surface import SurfaceArrays
+from crms_fenicsx.output.files import readable
 
-_GMSH_SUFFIXES = (".geo", ".msh")
-_TAGS = ("gmsh:physical", "medit:ref")  # meshio's names of the integer marks of cells
+SUFFIXES = (
+    ".vtu", ".vtk", ".stl", ".obj", ".ply", ".off", ".xdmf", ".med", ".inp", ".mesh", ".meshb",
+)  # fmt: skip
+"""Formats that meshio reads, and that have triangles."""
+
+SIZES = {"vertex": 1, "line": 2, "triangle": 3}
+"""Corners of the cells that are read."""
+
+Integers = NDArray[np.int64]
 
 
 def from_gmsh(
@@ -69,9 +77,11 @@ def from_file(
 ) -> MembraneMesh:
     """Read a membrane from a file.
 
-    gmsh reads .geo (and meshes its surfaces) and .msh; meshio reads everything else that it
-    knows by its suffix: .vtu, .vtk, .stl, .obj, .xdmf, .med, and others. A .geo file is a
-    program: it can run commands of the operating system. Read only those that you trust.
+    gmsh reads .geo (and meshes its surfaces) and .msh; meshio reads .vtu, .vtk, .stl, .obj, .ply,
+    .off, .xdmf, .med, .inp (Abaqus), .mesh and .meshb (Medit). A .geo file is a program: it can run
+    commands of the operating system. Read only those that you trust. All other files are data, and
+    are read in a process of its own with limits of memory and time (`foreign`): a file that is
+    broken, or made to do harm, is refused.
 
     Groups are physical groups in gmsh's files (see `from_gmsh`). In the other files they are
     cell sets of triangles (`parts`), lines (`edges`) and vertices (`points`), point sets
@@ -100,28 +110,28 @@ def from_file(
         file = checks.file("from_file: path", path)
         if not file.is_file():
             raise MeshError(f"there is no mesh file '{file}' (in {Path.cwd()}): check the path")
-        if file.suffix.lower() in _GMSH_SUFFIXES:
-            return _read_by_gmsh(file)
+        suffix = file.suffix.lower()
+        if suffix == ".geo":
+            return _read_script(file)
+        if suffix == ".msh":
+            return _read_msh(file)
+        if suffix not in SUFFIXES:
+            raise MeshError(
+                f"'{file}' has the suffix '{suffix}': convert it to one of .geo, .msh, "
+                f"{', '.join(SUFFIXES)}"
+            )
         return _read_by_meshio(file)
 
     return distributed(comm, build, outside, ranks)
 
 
-def _read_by_gmsh(file: Path) -> SurfaceArrays:
-    is_script = file.suffix.lower() == ".geo"
-    if not is_script:
-        with file.open("rb") as stream:
-            # gmsh would take anything else for a script, and run it
-            if not stream.read(64).lstrip().startswith(b"$"):
-                raise MeshError(
-                    f"'{file}' is no gmsh mesh, it does not begin with $MeshFormat: save it "
-                    "again with gmsh"
-                )
+def _read_script(file: Path) -> SurfaceArrays:
+    """Run a .geo file, which the user trusts, in this process."""
     with own_model(quiet_only=True) as gmsh:
         gmsh.logger.start()
         try:
             gmsh.merge(str(file))
-            if is_script and len(gmsh.model.mesh.getElementTypes(2)) == 0:
+            if len(gmsh.model.mesh.getElementTypes(2)) == 0:
                 gmsh.model.mesh.generate(2)
             errors = [line for line in gmsh.logger.get() if line.startswith("Error")]
         except Exception as error:  # gmsh raises nothing more special
@@ -130,109 +140,104 @@ def _read_by_gmsh(file: Path) -> SurfaceArrays:
             gmsh.logger.stop()
         if errors:
             raise MeshError(f"gmsh cannot read '{file}': {'; '.join(errors)}")
-        try:
-            return read_model(gmsh)
-        except MeshError as error:
-            raise MeshError(f"'{file}': {error}") from error
+        return _named(file, lambda: read_model(gmsh))
+
+
+def _read_msh(file: Path) -> SurfaceArrays:
+    with readable(f"'{file}'", "check the path and your rights"), file.open("rb") as stream:
+        # gmsh would take anything else for a script, and run it
+        if not stream.read(64).startswith(b"$MeshFormat"):
+            raise MeshError(
+                f"'{file}' is no gmsh mesh, it does not begin with $MeshFormat: save it again "
+                "with gmsh"
+            )
+    arrays = read_apart(file, "gmsh")
+    return _named(file, lambda: surface_of_model(arrays))
 
 
 def _read_by_meshio(file: Path) -> SurfaceArrays:
-    import meshio
+    content = read_apart(file, "meshio")
+    return _named(file, lambda: _surface_of(content))
 
-    said = io.StringIO()
+
+def _named(file: Path, read: Callable[[], SurfaceArrays]) -> SurfaceArrays:
+    """What is read, with the file's name in the message where it cannot be."""
     try:
-        # meshio prints, and ends the program, where a file is not what its suffix says; its
-        # test for binary .stl files overflows on those that are text
-        with (
-            contextlib.redirect_stdout(said),
-            contextlib.redirect_stderr(said),
-            np.errstate(over="ignore"),
-        ):
-            content = meshio.read(file)
-    except (Exception, SystemExit) as error:
-        raise MeshError(
-            f"meshio cannot read '{file}': {said.getvalue().strip() or error!r}"
-        ) from error
-    return _surface_of(content, file)
+        return read()
+    except MeshError as error:
+        raise MeshError(f"'{file}': {error}") from error
 
 
-def _surface_of(content: Any, file: Path) -> SurfaceArrays:
-    """Take the triangles and the groups out of a meshio mesh."""
-    for block in content.cells:
-        if block.type not in ("vertex", "line", "triangle", "tetra"):
-            raise MeshError(
-                f"'{file}' has cells of the type '{block.type}': convert them to 3-node triangles"
-            )
-    blocks = [block for block in content.cells if block.type == "triangle"]
-    if sum(len(block.data) for block in blocks) == 0:
-        raise MeshError(f"'{file}' has no triangles")
-    corners = np.concatenate([np.asarray(block.data, dtype=np.int64) for block in blocks])
-    used, cells = np.unique(corners, return_inverse=True)
-    if used[0] < 0 or used[-1] >= len(content.points):
+def _surface_of(content: dict[str, Any]) -> SurfaceArrays:
+    """Take the triangles and the groups out of what meshio has read."""
+    types: list[str] = content["types"]
+    for kind in types:
+        if kind not in ("vertex", "line", "triangle", "tetra"):
+            raise MeshError(f"there are cells of the type '{kind}': convert them to triangles")
+    given = content["points"]
+    if given.ndim != 2:
+        raise MeshError(f"the points have shape {given.shape}: give (n, 3) or (n, 2) coordinates")
+    blocks = {k: _rows(content[f"cells {k}"], SIZES[kind], kind)
+              for k, kind in enumerate(types) if kind in SIZES}  # fmt: skip
+    triangles = [rows for k, rows in blocks.items() if types[k] == "triangle"]
+    if sum(map(len, triangles)) == 0:
+        raise MeshError("there are no triangles")
+    used, cells = np.unique(np.concatenate(triangles), return_inverse=True)
+    if used[0] < 0 or used[-1] >= len(given):
         raise MeshError(
-            f"'{file}' has a triangle with vertex {used[0] if used[0] < 0 else used[-1]}, but "
-            f"only {len(content.points)} points"
+            f"there is a triangle with vertex {used[0] if used[0] < 0 else used[-1]}, but only "
+            f"{len(given)} points"
         )
-    edges: dict[str, list[NDArray[np.int64]]] = {}
-    parts: dict[str, list[NDArray[np.int64]]] = {}
-    points: dict[str, list[NDArray[np.int64]]] = {}
-    groups = {"triangle": parts, "line": edges, "vertex": points}
-    first_cell = 0
-    for number, block in enumerate(content.cells):
-        if block.type not in groups:
-            continue
-        entities: NDArray[np.int64]
-        if block.type == "triangle":
-            entities = np.arange(first_cell, first_cell + len(block.data))
-            first_cell += len(block.data)
+    groups: dict[str, dict[str, list[Integers]]] = {kind: {} for kind in SIZES}
+    first = 0  # number of the block's first triangle
+    entities: dict[int, Integers] = {}
+    for k, rows in blocks.items():
+        entities[k] = rows
+        if types[k] == "triangle":
+            entities[k] = np.arange(first, first + len(rows))
+            first += len(rows)
+    for k, (name, block) in enumerate(zip(content["names"], content["blocks"], strict=True)):
+        members = content[f"members {k}"].ravel()
+        if block < 0:
+            kind, chosen = "vertex", renumbered(used, _whole(members, name), name)
         else:
-            entities = np.asarray(block.data, dtype=np.int64)
-        for name, members in _groups_of_block(content, number):
-            chosen = entities[members]
-            if len(chosen):
-                if block.type != "triangle":
-                    chosen = _renumbered(used, chosen, name, file)
-                chosen = chosen.ravel() if block.type == "vertex" else chosen
-                groups[block.type].setdefault(name, []).append(chosen)
-    for name, members in getattr(content, "point_sets", {}).items():
-        vertices = _renumbered(used, np.asarray(members, dtype=np.int64), name, file)
-        points.setdefault(name, []).append(vertices)
-    return SurfaceArrays(
-        np.asarray(content.points)[used],
-        cells.reshape(-1, 3),
-        {name: np.concatenate(group) for name, group in edges.items()},
-        {name: np.concatenate(group) for name, group in parts.items()},
-        {name: np.concatenate(group) for name, group in points.items()},
+            kind, chosen = types[block], _chosen(entities[block], members, name)
+            if kind != "triangle":
+                chosen = renumbered(used, chosen.ravel(), name).reshape(chosen.shape)
+        if len(chosen):
+            chosen = chosen.ravel() if kind == "vertex" else chosen
+            groups[kind].setdefault(name, []).append(chosen)
+    edges, parts, points = (
+        {name: np.concatenate(found) for name, found in groups[kind].items()}
+        for kind in ("line", "triangle", "vertex")
     )
+    return SurfaceArrays(given[used], cells.reshape(-1, 3), edges, parts, points)
 
 
-def _groups_of_block(content: Any, number: int) -> list[tuple[str, NDArray[Any]]]:
-    """Return names and members (indices or mask) of the groups in one block of cells."""
-    dimension = {"vertex": 0, "line": 1, "triangle": 2}[content.cells[number].type]
-    found: list[tuple[str, NDArray[Any]]] = []
-    for name, sets in content.cell_sets.items():
-        if not name.startswith("gmsh:") and sets[number] is not None:
-            found.append((name, np.asarray(sets[number], dtype=np.int64)))
-    names = {int(tag): name for name, (tag, dim) in content.field_data.items() if dim == dimension}
-    for key in _TAGS:
-        if key in content.cell_data:
-            tags = np.asarray(content.cell_data[key][number]).ravel()
-            found += [
-                (names.get(int(tag), str(int(tag))), tags == tag)
-                for tag in np.unique(tags)
-                if tag != 0
-            ]
-    return found
+def _rows(cells: NDArray[Any], corners: int, kind: str) -> Integers:
+    if cells.ndim != 2 or cells.shape[1] != corners:
+        raise MeshError(f"cells of the type '{kind}' have the shape {cells.shape}")
+    return _whole(cells, f"cells of the type '{kind}'")
 
 
-def _renumbered(
-    used: NDArray[np.int64], vertices: NDArray[np.int64], group: str, file: Path
-) -> NDArray[np.int64]:
-    found = np.searchsorted(used, vertices).clip(max=len(used) - 1)
-    missing = vertices[used[found] != vertices]
-    if len(missing):
-        raise MeshError(
-            f"group '{group}' of '{file}' has point {missing[0]}, which is the corner of no "
-            "triangle: take it out of the group"
-        )
-    return found.astype(np.int64)
+def _whole(numbers: NDArray[Any], what: str) -> Integers:
+    if numbers.dtype.kind not in "iu" and not np.all(np.abs(numbers) < 2**53):
+        raise MeshError(f"{what}: there are numbers that are no indices")
+    whole = numbers.astype(np.int64)
+    if not np.array_equal(whole, numbers):
+        raise MeshError(f"{what}: there are numbers that are no indices")
+    return whole
+
+
+def _chosen(entities: Integers, members: NDArray[Any], name: str) -> Integers:
+    """Those of the entities that a mask or indices name."""
+    if members.dtype != bool:
+        members = _whole(members, f"group '{name}'")
+        if len(members) and not 0 <= members.min() <= members.max() < len(entities):
+            raise MeshError(
+                f"group '{name}' has the members {members.min()} to {members.max()} of "
+                f"{len(entities)}"
+            )
+    elif len(members) != len(entities):
+        raise MeshError(f"group '{name}' marks {len(members)} of {len(entities)} cells")
+    return entities[members]

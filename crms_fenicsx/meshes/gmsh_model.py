@@ -10,10 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crms_fenicsx.errors import MeshError
+from crms_fenicsx.meshes.apart import gmsh_arrays
 from crms_fenicsx.meshes.surface import SurfaceArrays
 
-_LINE, _TRIANGLE, _POINT = 1, 2, 15  # gmsh's element types
+_TRIANGLE = "Triangle 3"  # gmsh's name
 _FRONTAL_DELAUNAY = 6
+
+Integers = NDArray[np.int64]
+Groups = dict[str, list[Integers]]
 _OPTIONS = {
     "General.Terminal": 0,
     "Mesh.Algorithm": _FRONTAL_DELAUNAY,
@@ -96,49 +100,50 @@ def read_model(gmsh: Any) -> SurfaceArrays:
         If the model has no triangles, surface elements of another kind, or a physical group
         with nodes that are the corners of no triangle.
     """
-    for kind in gmsh.model.mesh.getElementTypes(2):
+    return surface_of_model(gmsh_arrays(gmsh))
+
+
+def surface_of_model(model: dict[str, Any]) -> SurfaceArrays:
+    """Take triangles and groups out of what `apart.gmsh_arrays` has of a model.
+
+    Raises
+    ------
+    MeshError
+        As `read_model`.
+    """
+    for kind in model["kinds"]:
         if kind != _TRIANGLE:
-            name = gmsh.model.mesh.getElementProperties(kind)[0]
             raise MeshError(
-                f"the gmsh model has surface elements of the type '{name}': mesh it with "
+                f"the gmsh model has surface elements of the type '{kind}': mesh it with "
                 "3-node triangles (Mesh.ElementOrder = 1, no recombination)"
             )
-    tags, nodes = gmsh.model.mesh.getElementsByType(_TRIANGLE)
+    tags = model["triangles"]
     if len(tags) == 0:
         raise MeshError(
             "the gmsh model has no triangles: define a surface, mesh it with "
             "gmsh.model.mesh.generate(2) and, where there are physical groups, put the surface "
             "into one before saving"
         )
-    used, cells = np.unique(nodes.astype(np.int64), return_inverse=True)
-    node_tags, coordinates, _ = gmsh.model.mesh.getNodes()
-    order = np.argsort(node_tags)
-    rows = order[np.searchsorted(node_tags, used, sorter=order)]
+    used, cells = np.unique(model["corners"].astype(np.int64), return_inverse=True)
+    order = np.argsort(model["nodes"])
+    rows = order[_found(model["nodes"][order].astype(np.int64), used, "there is a triangle with")]
     tag_order = np.argsort(tags)
+    sorted_tags = tags[tag_order].astype(np.int64)
     cells, cell_of_element = _without_repetitions(cells.reshape(-1, 3))
-    edges: dict[str, list[NDArray[np.int64]]] = {}
-    parts: dict[str, list[NDArray[np.int64]]] = {}
-    points: dict[str, list[NDArray[np.int64]]] = {}
-    for dim, tag in gmsh.model.getPhysicalGroups():
-        name = gmsh.model.getPhysicalName(dim, tag) or str(tag)
-        for entity in gmsh.model.getEntitiesForPhysicalGroup(dim, tag):
-            if dim == 2:
-                members = gmsh.model.mesh.getElementsByType(_TRIANGLE, entity)[0]
-                found = np.searchsorted(tags, members, sorter=tag_order)
-                parts.setdefault(name, []).append(cell_of_element[tag_order[found]])
-            elif dim == 1:
-                members = gmsh.model.mesh.getElementsByType(_LINE, entity)[1]
-                edges.setdefault(name, []).append(_renumbered(used, members, name).reshape(-1, 2))
-            elif dim == 0:
-                members = gmsh.model.mesh.getElementsByType(_POINT, entity)[1]
-                points.setdefault(name, []).append(_renumbered(used, members, name))
-    return SurfaceArrays(
-        coordinates.reshape(-1, 3)[rows],
-        cells,
-        {name: np.concatenate(group) for name, group in edges.items()},
-        {name: np.concatenate(group) for name, group in parts.items()},
-        {name: np.concatenate(group) for name, group in points.items()},
+    groups: tuple[Groups, Groups, Groups] = ({}, {}, {})
+    for k, (name, dimension) in enumerate(zip(model["names"], model["dimensions"], strict=True)):
+        members = model[f"members {k}"].astype(np.int64)
+        if dimension == 2:
+            what = f"the physical group '{name}' has triangle"
+            members = cell_of_element[tag_order[_found(sorted_tags, members, what)]]
+        else:
+            members = renumbered(used, members, name)
+            members = members.reshape(-1, 2) if dimension == 1 else members
+        groups[dimension].setdefault(name, []).append(members)
+    points, edges, parts = (
+        {name: np.concatenate(found) for name, found in group.items()} for group in groups
     )
+    return SurfaceArrays(model["coordinates"].reshape(-1, 3)[rows], cells, edges, parts, points)
 
 
 def _without_repetitions(
@@ -157,15 +162,28 @@ def _without_repetitions(
     return triangles[kept], place.astype(np.int64)
 
 
-def _renumbered(
-    used: NDArray[np.int64], nodes: NDArray[np.uint64], group: str
-) -> NDArray[np.int64]:
-    tags = nodes.astype(np.int64)
-    found = np.searchsorted(used, tags).clip(max=len(used) - 1)
-    missing = tags[used[found] != tags]
+def renumbered(used: Integers, nodes: Integers, group: str) -> Integers:
+    """Rows of the used nodes, sorted, that are those of a group.
+
+    Raises
+    ------
+    MeshError
+        One of the group's is not used.
+    """
+    found = np.searchsorted(used, nodes).clip(max=len(used) - 1)
+    missing = nodes[used[found] != nodes]
     if len(missing):
         raise MeshError(
-            f"the physical group '{group}' has node {missing[0]}, which is the corner of no "
-            "triangle: take it out of the group or embed it in a surface"
+            f"the group '{group}' has node {missing[0]}, which is the corner of no triangle: take "
+            "it out of the group or embed it in a surface"
         )
+    return found.astype(np.int64)
+
+
+def _found(known: Integers, wanted: Integers, what: str) -> Integers:
+    """Where numbers are among sorted ones."""
+    found = np.searchsorted(known, wanted).clip(max=max(len(known) - 1, 0))
+    missing = wanted[known[found] != wanted] if len(known) else wanted
+    if len(missing):
+        raise MeshError(f"{what} {missing[0]}, which is not there: mesh the model again")
     return found.astype(np.int64)

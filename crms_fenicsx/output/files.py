@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -56,6 +58,38 @@ def readable(what: object, remedy: str) -> Iterator[None]:
         yield
     except OSError as error:
         raise InputError(f"{what} cannot be read ({error.strerror or error}); {remedy}") from error
+
+
+LARGEST_TEXT = 2**30
+"""Most bytes of a file of text that is read."""
+
+
+def size_of_file(path: Path) -> int:
+    """Size of a file that can be read to its end (bytes).
+
+    Raises
+    ------
+    OSError
+        There is none, or it is a folder, a pipe or a device, where reading might never end.
+    """
+    status = os.stat(path)
+    if not stat.S_ISREG(status.st_mode):
+        raise OSError(errno.EINVAL, "it is no regular file")
+    return status.st_size
+
+
+def read_text(path: Path) -> bytes:
+    """Read a file of text.
+
+    Raises
+    ------
+    OSError
+        As `size_of_file`, or it is larger than any that is written.
+    """
+    size = size_of_file(path)
+    if size > LARGEST_TEXT:
+        raise OSError(errno.EFBIG, f"it has {size} bytes, more than {LARGEST_TEXT}")
+    return path.read_bytes()
 
 
 @contextmanager

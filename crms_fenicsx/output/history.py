@@ -13,7 +13,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from crms_fenicsx.errors import InputError, raised_together
-from crms_fenicsx.output.files import make_writable, readable, replaced
+from crms_fenicsx.output.files import make_writable, read_text, readable, replaced
 
 Value = int | float | str
 
@@ -149,11 +149,15 @@ class History:
         InputError
             When the file is missing, empty or has a row of another length.
         """
-        with (
-            readable(f"the history {path}", "give the CSV file that a run has written"),
-            open(path, newline="", encoding="utf-8") as file,
-        ):
-            cells = list(csv.reader(file))
+        with readable(f"the history {path}", "give the CSV file that a run has written"):
+            content = read_text(Path(path))
+        try:
+            cells = list(csv.reader(io.StringIO(content.decode("utf-8"), newline="")))
+        except (UnicodeDecodeError, csv.Error) as error:
+            raise InputError(
+                f"the history {path} is no table ({error}); give the CSV file that a run has "
+                "written"
+            ) from error
         if not cells:
             raise InputError(f"the history {path} is empty; a run writes at least its header")
         columns, *rows = cells

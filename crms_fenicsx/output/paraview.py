@@ -14,7 +14,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from crms_fenicsx.errors import InputError, raised_together
-from crms_fenicsx.output.files import PARTIAL, make_writable, replaced
+from crms_fenicsx.output.files import PARTIAL, make_writable, read_text, replaced
 from crms_fenicsx.output.shapes import Line, Surface
 from crms_fenicsx.output.vtu import write_vtu
 
@@ -164,9 +164,9 @@ class Series:
         try:
             found = [
                 (float(tag.attrib["timestep"]), Path(tag.attrib["file"]).name)
-                for tag in ElementTree.parse(path).getroot().iter("DataSet")
+                for tag in ElementTree.fromstring(read_text(path)).iter("DataSet")
             ]
-        except (OSError, KeyError, ValueError, ElementTree.ParseError) as error:
+        except (OSError, LookupError, ValueError, ElementTree.ParseError) as error:
             raise InputError(f"{path} cannot be read ({error}); give another folder") from error
         return [_entry(time, name) for time, name in found if time in times]
 

@@ -13,7 +13,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from crms_fenicsx.errors import raised_together
-from crms_fenicsx.output.files import explained, flush, forget, partial_of
+from crms_fenicsx.output.files import explained, forget, partial_of
 
 SLAB = 2**30
 """Most bytes that one call writes, as MPI counts them in 32 bits."""
@@ -51,19 +51,18 @@ def write_together(path: Path, comm: MPI.Intracomm, size: int, parts: Sequence[P
             if comm.rank == 0:
                 with open(partial, "wb") as new:
                     new.truncate(size)
-        with raised_together(comm), explained(path), _told_by_system():
+        with raised_together(comm), explained(path), _told_by_system(path):
             file = MPI.File.Open(comm, os.fspath(partial), MPI.MODE_WRONLY)
         try:
-            with raised_together(comm), explained(path), _told_by_system():
+            with raised_together(comm), explained(path), _told_by_system(path):
                 for offset, array in parts:
                     _write(file, offset, array)
-            with raised_together(comm), explained(path), _told_by_system():
-                file.Sync()
+            with raised_together(comm), explained(path), _told_by_system(path):
+                file.Sync()  # now it is on the disk
         finally:
             file.Close()
         with raised_together(comm), explained(path):
             if comm.rank == 0:
-                flush(partial)
                 os.replace(partial, path)
     except BaseException:
         if comm.rank == 0:
@@ -101,9 +100,11 @@ def _write(file: MPI.File, offset: int, array: NDArray[Any]) -> None:
 
 
 @contextmanager
-def _told_by_system() -> Iterator[None]:
-    """Let an error of MPI be one of the system, which MPI does not tell the reason of."""
+def _told_by_system(path: Path) -> Iterator[None]:
+    """Let an error of MPI be one of the system, of which MPI does not tell the reason."""
     try:
         yield
     except MPI.Exception as error:
-        raise OSError(str(error)) from error
+        disk = os.statvfs(path.parent)
+        free = disk.f_bavail * disk.f_frsize
+        raise OSError(f"{error}; the disk has {free} bytes left") from error

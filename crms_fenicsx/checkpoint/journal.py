@@ -1,0 +1,197 @@
+"""Checkpoints of a run's calls of `Solver.advance`, so that its script can be started again.
+
+Each call has a folder of its own, numbered from 1: a checkpoint of its last load step, and what it
+was called with. Started again, the script makes the same calls. What a call has come to before is
+taken from its folder instead of being computed, so that all that the script does in between finds
+the scene as it was; the call that was interrupted goes on from its last load step.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import shutil
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from mpi4py import MPI
+
+from crms_fenicsx.checkpoint.beginning import beginning, difference
+from crms_fenicsx.checkpoint.folder import ASIDE, complete
+from crms_fenicsx.checkpoint.plain import Plain
+from crms_fenicsx.checkpoint.run import Run
+from crms_fenicsx.checkpoint.state import STATE, Saved, give, read, save, told
+from crms_fenicsx.errors import InputError, raised_together
+from crms_fenicsx.output.files import PARTIAL, explained, make_writable, partial_of
+from crms_fenicsx.scene import Scene
+
+logger = logging.getLogger("crms_fenicsx")
+
+FOLDER = "checkpoints"
+"""Name of the folder with those of the calls, in the one of the results."""
+_OURS = re.compile(rf"({re.escape(PARTIAL)}|{re.escape(ASIDE)})?(\d{{4,9}})")
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a call has come.
+
+    Attributes
+    ----------
+    done
+        Number of its increments that are done; with a part if increments were halved.
+    increment
+        The next one, 1 if it is whole.
+    failure
+        Why it has given up; None if it has not.
+    """
+
+    done: float = 0.0
+    increment: float = 1.0
+    failure: str | None = None
+
+
+class Journal:
+    """Keeps what the calls of `Solver.advance` have come to.
+
+    Parameters
+    ----------
+    folder
+        Where the calls' folders go.
+    comm
+        Its ranks work together.
+    options
+        Of the solver, plain data: what must be the same when a script is started again.
+    resume
+        Whether to go on from what is there. Else the first load step replaces it.
+
+    Raises
+    ------
+    InputError
+        On all ranks: the folder cannot be written.
+    """
+
+    def __init__(self, folder: Path, comm: MPI.Intracomm, options: Plain, resume: bool) -> None:
+        self.folder, self.comm, self.options = folder.resolve(), comm, options
+        self._replaying = resume
+        self._call: Plain = {}
+        self._number = 0
+        self._outdated = 1
+        """Number of the first call whose folder is not of this run; 0 if there are none."""
+        with raised_together(comm):
+            if comm.rank == 0:
+                make_writable(self.folder)
+
+    def begin(self, scene: Scene, loads: Plain, steps: int) -> tuple[Progress, Run | None]:
+        """Begin a call, and bring the scene to where it has come to before. Collective.
+
+        Parameters
+        ----------
+        scene
+            As it is before the loads.
+        loads
+            What the call was given, as plain data.
+        steps
+            Number of its increments.
+
+        Returns
+        -------
+        progress, run
+            How far the call has come, and the load steps so far; none where it is computed from
+            its beginning.
+
+        Raises
+        ------
+        InputError
+            On all ranks: there was another call, the scene was another one, or the checkpoint
+            cannot be read.
+        """
+        self._number += 1
+        call: Plain = {"solver": self.options, "advance": loads, "scene": beginning(scene)}
+        saved = self._saved() if self._replaying else None
+        if saved is None:
+            self._replaying, self._call, self._outdated = False, call, self._number
+            return Progress(), None
+        if saved.call is None:
+            raise InputError(f"{saved.file} is no checkpoint of a call; take it away")
+        for name, now in call.items():
+            found = difference(saved.call.get(name), now)
+            if found is not None:
+                raise InputError(
+                    f"resume: at call {self._number} of advance the script is not the one that "
+                    f"was interrupted: {name}, {found}. Run it as it was, or begin anew with "
+                    f"resume=False, or delete {saved.file.parent} and those after it, to compute "
+                    "from this call on anew."
+                )
+        with told(saved.file):
+            progress = _progress(saved.call["progress"], steps)
+            if progress.done > 0 and not saved.data["steps"]:
+                raise ValueError(f"{progress.done} steps are done, but it has none")
+        run = give(saved, scene)
+        self._call = call
+        if progress.done < steps and progress.failure is None:
+            self._replaying, self._outdated = False, self._number + 1
+        logger.info("call %d of advance: %g of %d steps from %s", self._number, progress.done,
+                    steps, saved.file.parent)  # fmt: skip
+        return progress, run
+
+    def make_way(self) -> None:
+        """Remove the folders of calls that will be computed anew. Collective.
+
+        The last one goes first, each at once: whenever the run is killed, what is left is one that
+        can go on.
+        """
+        first, self._outdated = self._outdated, 0
+        if first == 0:
+            return
+        with raised_together(self.comm), explained(self.folder):
+            if self.comm.rank == 0:
+                found = [(match, path) for path in self.folder.iterdir()
+                         if (match := _OURS.fullmatch(path.name))]  # fmt: skip
+                order = {PARTIAL: 0, ASIDE: 1, None: 2}
+                found.sort(key=lambda one: (-int(one[0][2]), order[one[0][1]]))
+                for match, path in found:
+                    if int(match[2]) >= first:
+                        _remove(path, self.folder / match[2])
+
+    def keep(self, scene: Scene, run: Run, progress: Progress) -> None:
+        """Write the checkpoint of a load step of the call. Collective.
+
+        Raises
+        ------
+        InputError
+            On all ranks: it cannot be written; the one before is then still there.
+        """
+        self.make_way()
+        save(self._place(), scene, run, self._call | {"progress": asdict(progress)})
+
+    def _place(self) -> Path:
+        return self.folder / f"{self._number:04d}"
+
+    def _saved(self) -> Saved | None:
+        """What the call has come to before; None if it has not begun."""
+        place, there = complete(self._place()), False
+        with raised_together(self.comm):
+            if self.comm.rank == 0:
+                there = os.path.lexists(place / STATE)
+        return read(place, self.comm) if self.comm.bcast(there) else None
+
+
+def _progress(data: Plain, steps: int) -> Progress:
+    done, increment, failure = float(data["done"]), float(data["increment"]), data["failure"]
+    if not (0 <= done <= steps and 0 < increment <= 1):
+        raise ValueError(f"{done} of {steps} steps are done, the next one is {increment}")
+    if not isinstance(failure, str | None):
+        raise ValueError(f"it has given up because of {failure!r}")
+    return Progress(done, increment, failure)
+
+
+def _remove(path: Path, folder: Path) -> None:
+    """Remove a folder, its name first, so that none is ever there in parts."""
+    partial = partial_of(folder)
+    if path != partial:
+        if partial.exists():
+            shutil.rmtree(partial)
+        os.replace(path, partial)
+    shutil.rmtree(partial)

@@ -1,0 +1,182 @@
+"""The program that reads a mesh file by gmsh or meshio, in a process of its own; see `foreign`.
+
+It imports nothing of this package, as that would start MPI. What it has read goes to the standard
+output: "E" and a text in words, or "A" and arrays in numpy's format .npz.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+Arrays = dict[str, Any]
+
+BASE, GROWTH = 4 * 2**30, 60
+"""Memory that reading may take: bytes at least, and bytes for each byte of the file."""
+
+
+def limit(file: Path, seconds: int) -> None:
+    """Limit what this process may take, so that no file can exhaust the machine."""
+    try:
+        import resource
+    except ImportError:  # not on every system
+        return
+    most = BASE + GROWTH * file.stat().st_size
+    for what, value in ((resource.RLIMIT_AS, most), (resource.RLIMIT_CPU, seconds)):
+        _, hard = resource.getrlimit(what)
+        lower = value if hard == resource.RLIM_INFINITY else min(value, hard)
+        resource.setrlimit(what, (lower, hard))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def read_by_gmsh(file: Path) -> Arrays:
+    """Read a .msh file."""
+    import gmsh
+
+    gmsh.initialize(argv=[], readConfigFiles=False, interruptible=False)
+    gmsh.option.setNumber("General.Terminal", 0)
+    gmsh.logger.start()
+    gmsh.merge(str(file))
+    errors = [line for line in gmsh.logger.get() if line.startswith("Error")]
+    if errors:
+        raise ValueError("; ".join(errors))
+    return gmsh_arrays(gmsh)
+
+
+def gmsh_arrays(gmsh: Any) -> Arrays:
+    """Take elements, nodes and physical groups from the current gmsh model.
+
+    Returns
+    -------
+    dict
+        "kinds", the names of the types of surface elements. "triangles" and their "corners",
+        "nodes" and their "coordinates", by gmsh's tags. "names" and "dimensions" of the physical
+        groups with their entities, of which group k has the "members k": triangles, or nodes of its
+        lines or points.
+    """
+    import numpy as np
+
+    mesh = gmsh.model.mesh
+    kinds = [mesh.getElementProperties(kind)[0] for kind in mesh.getElementTypes(2)]
+    tags, corners = mesh.getElementsByType(2)
+    nodes, coordinates, _ = mesh.getNodes()
+    arrays = {
+        "triangles": tags, "corners": corners, "nodes": nodes, "coordinates": coordinates,
+    }  # fmt: skip
+    names: list[str] = []
+    dimensions: list[int] = []
+    for dimension, tag in gmsh.model.getPhysicalGroups():
+        if dimension > 2:
+            continue
+        name = gmsh.model.getPhysicalName(dimension, tag) or str(tag)
+        for entity in gmsh.model.getEntitiesForPhysicalGroup(dimension, tag):
+            kind = (15, 1, 2)[dimension]  # gmsh's numbers of point, line and triangle
+            members = mesh.getElementsByType(kind, entity)
+            arrays[f"members {len(names)}"] = members[0 if dimension == 2 else 1]
+            names.append(name)
+            dimensions.append(dimension)
+    arrays = {key: np.asarray(value) for key, value in arrays.items()}
+    return arrays | {"kinds": kinds, "names": names, "dimensions": dimensions}
+
+
+def read_by_meshio(file: Path) -> Arrays:
+    """Read a file of another format.
+
+    Returns
+    -------
+    dict
+        "points"; "types" of the blocks of cells, and "cells k" of block k; the "names" of groups
+        with the "blocks" that they are of, -1 for points, and "members k" of group k.
+    """
+    import numpy as np
+
+    said = io.StringIO()
+    try:
+        # meshio prints, and ends the program, where a file is not what its suffix says
+        with (
+            contextlib.redirect_stdout(said),
+            contextlib.redirect_stderr(said),
+            np.errstate(all="ignore"),
+        ):
+            import meshio
+
+            content = meshio.read(file)
+    except MemoryError:
+        raise
+    except (Exception, SystemExit) as error:
+        raise ValueError(said.getvalue().strip() or repr(error)) from error
+    arrays: Arrays = {"points": np.asarray(content.points)}
+    names: list[str] = []
+    blocks: list[int] = []
+    for number, block in enumerate(content.cells):
+        if block.type in ("vertex", "line", "triangle"):
+            arrays[f"cells {number}"] = np.asarray(block.data)
+            for name, members in _groups(content, number):
+                arrays[f"members {len(names)}"] = members
+                names.append(name)
+                blocks.append(number)
+    for name, members in content.point_sets.items():
+        arrays[f"members {len(names)}"] = np.asarray(members)
+        names.append(name)
+        blocks.append(-1)
+    types = [block.type for block in content.cells]
+    return arrays | {"types": types, "names": names, "blocks": blocks}
+
+
+def _groups(content: Any, number: int) -> list[tuple[str, Any]]:
+    """Names and members (indices or mask) of the groups in one block of cells."""
+    import numpy as np
+
+    dimension = {"vertex": 0, "line": 1, "triangle": 2}[content.cells[number].type]
+    found: list[tuple[str, Any]] = []
+    for name, sets in content.cell_sets.items():
+        if not name.startswith("gmsh:") and sets[number] is not None:
+            found.append((name, np.asarray(sets[number])))
+    names = {int(tag): name for name, (tag, dim) in content.field_data.items() if dim == dimension}
+    for key in ("gmsh:physical", "medit:ref"):  # meshio's names of the integer marks of cells
+        if key in content.cell_data:
+            tags = np.asarray(content.cell_data[key][number]).ravel()
+            found += [
+                (names.get(int(tag), str(int(tag))), tags == tag)
+                for tag in np.unique(tags)
+                if tag != 0
+            ]
+    return found
+
+
+def main(reader: str, path: str, seconds: str) -> None:
+    """Read a file, and write what is in it."""
+    answer = os.fdopen(os.dup(1), "wb")
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):  # libraries say what they like
+        os.dup2(nowhere, stream)
+    file = Path(path)
+    try:
+        limit(file, int(seconds))
+        arrays = {"gmsh": read_by_gmsh, "meshio": read_by_meshio}[reader](file)
+        import numpy as np
+
+        wrong = [key for key, value in arrays.items()
+                 if isinstance(value, np.ndarray) and value.dtype.kind not in "biuf"]  # fmt: skip
+        if wrong:
+            raise ValueError(f"{wrong[0]}: what should be numbers is {arrays[wrong[0]].dtype}")
+        texts = {key: json.dumps(v) for key, v in arrays.items() if isinstance(v, list)}
+        content = io.BytesIO()
+        np.savez(content, **(arrays | texts))
+        answer.write(b"A" + content.getvalue())
+    except MemoryError:
+        answer.write(b"E" + b"it asks for more memory than a file of its size can need")
+    except Exception as error:
+        answer.write(b"E" + (str(error) or repr(error)).encode(errors="replace"))
+    answer.flush()
+    os._exit(0)  # what libraries do at the end is of no interest
+
+
+if __name__ == "__main__":
+    del sys.path[0]  # this file's folder, whose modules are no libraries
+    main(*sys.argv[1:])

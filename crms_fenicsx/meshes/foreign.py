@@ -1,0 +1,82 @@
+"""Files read by other people's programs, gmsh and meshio, in a process of its own.
+
+They are written for files that are sound. One that is damaged, or made to do harm, may crash them,
+keep them busy for ever or let them ask for all memory. There that ends nothing but their process.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from crms_fenicsx.errors import MeshError
+from crms_fenicsx.meshes import apart
+
+SECONDS, SPEED = 30, 1e6
+"""Processor time that reading may take: seconds at least, and bytes of the file for each more."""
+
+LARGEST = 2**33
+"""Most bytes of a file: limits that grow with the size are none for one that only claims it."""
+
+SCRUBBED = ("OMPI_", "PMIX_", "PRTE_", "PMI_", "MPI_", "HYDRA_", "SLURM_")
+"""Beginnings of the variables by which MPI's launcher tells a process that it is a rank."""
+
+
+def read_apart(file: Path, reader: Literal["gmsh", "meshio"]) -> dict[str, Any]:
+    """Read a file in a process of its own, with limits of memory and time. Not collective.
+
+    Parameters
+    ----------
+    file
+        The file.
+    reader
+        What reads it.
+
+    Returns
+    -------
+    dict
+        Arrays and lists of numbers and texts; see `apart`.
+
+    Raises
+    ------
+    MeshError
+        The file cannot be read.
+    """
+    size = file.stat().st_size
+    if size > LARGEST:
+        raise MeshError(
+            f"'{file}' has {size} bytes, more than {LARGEST}: give a coarser mesh, and refine it"
+        )
+    seconds = SECONDS + int(size / SPEED)
+    own = {name: text for name, text in os.environ.items() if not name.startswith(SCRUBBED)}
+    one = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
+    done = subprocess.run(
+        [sys.executable, apart.__file__, reader, os.fspath(file.resolve()), str(seconds)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env=own | one,
+        check=False,
+    )
+    kind, answer = done.stdout[:1], done.stdout[1:]
+    if kind == b"A" and done.returncode == 0:
+        with np.load(io.BytesIO(answer), allow_pickle=False) as content:
+            found = {key: content[key] for key in content.files}
+        return {key: json.loads(str(a)) if a.dtype.kind == "U" else a for key, a in found.items()}
+    if kind == b"E":
+        why = answer.decode(errors="replace")
+    elif done.returncode == -getattr(signal, "SIGXCPU", 0):
+        why = f"it did not come to an end in {seconds} s"
+    else:
+        why = f"it ended with the status {done.returncode}"
+    raise MeshError(
+        f"{reader} cannot read '{file}': {why[:1000]}; make the file again, or take another one"
+    )
