@@ -37,6 +37,9 @@ E t answers them with, relative to the scene's force.
 The difference of the energy is of second order in them where the energy is smooth; where it is not,
 as in cells that turn slack there and then, it is wrong by `SHAKE` of the scene's force at most.
 """
+LARGEST_SHAKE = 1e-6
+"""Largest size of the virtual displacements, relative to the cells: cables can be so tight that the
+membrane's stiffness says nothing."""
 VIRTUAL_WORK = 1e-3
 """Largest virtual work, relative to the scene's force; rounding comes on top. A hundred times what
 `SHAKE` explains, as edges near cables' points are stiffer than the membrane."""
@@ -142,7 +145,7 @@ class Verifier:
         self._prescribed = np.zeros((0, 3)), np.zeros((0, 2, 3))
         self._cables: CableVerifier | None = None
         self._shake = np.zeros(0)
-        self._saved = np.zeros((0, 3))
+        self._saved: Array = np.zeros((0, 3))
 
     def begin(self) -> None:
         """Remember what a load step prescribes: called once its loads are on the scene."""
@@ -165,16 +168,26 @@ class Verifier:
         """
         began = time.perf_counter()
         force = max(outcome.tolerance / self.rtol, NEGLIGIBLE)
-        checks = self._balance(system, outcome, force)
+        checks = [self._finite(system)]
+        if not checks[0].passed:  # what follows would divide by what is not there
+            return Verification(tuple(checks), time.perf_counter() - began)
+        checks += self._balance(system, outcome, force)
         if self.scene.cables:
             if self._cables is None:
                 from crms_fenicsx.cables.verification import CableVerifier
 
                 self._cables = CableVerifier()
-            checks += self._cables.check(system, self._prescribed[1])
+            checks += self._cables.check(system, self._prescribed[1], force)
         if all(check.passed for check in checks):  # else the energy may not even be finite
             checks.append(self._virtual_work(system, outcome, force))
         return Verification(tuple(checks), time.perf_counter() - began)
+
+    def _finite(self, system: System) -> Check:
+        """Places and energies that are not finite numbers."""
+        state = system.potential.x, *(cable.positions for cable in self.scene.cables)
+        bad = sum(int(np.count_nonzero(~np.isfinite(values))) for values in state)
+        bad += sum(not np.isfinite(energy) for energy in self.scene.energies.values())
+        return Check("values not finite", float(self.comm.allreduce(bad)), 0.0)
 
     def _virtual_work(self, system: System, outcome: Outcome, force: float) -> Check:
         """Central difference of the energy along a random displacement, which must vanish.
@@ -188,16 +201,19 @@ class Verifier:
             self._shake = np.zeros(3 * n)
         if self._saved.shape != potential.x.shape:
             self._saved = np.zeros_like(potential.x)
-        way, saved = self._shake, self._saved
+        way: Array = self._shake
+        saved: Array = self._saved
         self._random.random(out=way)
         way -= 0.5
         modulus = max(m.reference_modulus for m in scene.materials.values())
+        cells = scene.mesh.mesh.topology.index_map(2).size_global
         step = SHAKE * force / (modulus * np.sqrt(3.0 * unknowns.n_global))
+        step = min(step, LARGEST_SHAKE * scene.size / np.sqrt(cells))
         way *= np.sqrt(12.0) * step
         shake = way.reshape(n, 3)
-        fixed: npt.NDArray[np.bool_] = unknowns.held[:n]
+        fixed: npt.NDArray[np.bool_] = np.array(unknowns.held[:n])
         if unknowns.bounds is not None:
-            fixed = fixed | (potential.x[:n] <= unknowns.bounds[0][:n])
+            fixed |= potential.x[:n] <= unknowns.bounds[0][:n]
         shake[fixed] = 0.0
         saved[:] = potential.x
         levels = np.zeros(len(potential.terms))
@@ -211,7 +227,9 @@ class Verifier:
             size = max(size, float(np.abs(values).sum()))
         potential.x[:] = saved
         unknowns.read_vertices(potential.x, scene.u.x.array.reshape(-1, 3))
-        cells = scene.mesh.mesh.topology.index_map(2).size_global
+        # Rounding of places counts with the forces, not with their energies: N A and T L.
+        size += scene.size * np.sqrt(2 * modulus * abs(scene.energies.get("membrane", 0.0)))
+        size += sum(abs(cable.tension) * cable.length for cable in scene.cables)
         rounding = np.finfo(float).eps * np.sqrt(cells) * size / step
         limit = VIRTUAL_WORK + (SPREAD * outcome.residual + rounding) / force
         return Check("virtual work", abs(float(levels.sum())) / (2 * step * force), float(limit))

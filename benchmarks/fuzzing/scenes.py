@@ -134,7 +134,7 @@ def drawn(draws: Draws, number: int = 0) -> SceneData:
         events.append(("load", (draws.real(-1e-3, 1e-3), 0.0, downward)))
     has_load = events[-1:] != [] and events[-1][0] == "load"
     events += [loads.next(count, has_load) for _ in range(draws.integer(1, 3))]
-    twin = _of(draws, ("", "", *TWINS))
+    twin = _of(draws, (*TWINS, *[""] * len(TWINS)))
     return SceneData(number, kind, points, cells, material, laws, held, floor, tuple(events), twin)
 
 
