@@ -12,6 +12,7 @@ solve had not converged, and in the end raises a `ConvergenceError` that names w
 
 from __future__ import annotations
 
+import logging
 import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from crms_fenicsx.system import System
 
 Array = npt.NDArray[np.float64]
+logger = logging.getLogger("crms_fenicsx")
 
 SHAKE = 1e-5
 """Size of the virtual displacements: the change of the nodal forces that a membrane of stiffness
@@ -67,12 +69,16 @@ class Check:
         How far it may be.
     where
         The cable for which it is worst; empty if it concerns the scene.
+    binding
+        Whether a state that fails is no result. What depends on how coarse the mesh is, as the
+        contact of single points, only makes it doubtful.
     """
 
     name: str
     value: float
     limit: float
     where: str = ""
+    binding: bool = True
 
     @property
     def passed(self) -> bool:
@@ -103,7 +109,12 @@ class Verification:
     @property
     def failed(self) -> tuple[Check, ...]:
         """The checks that say that the state is no equilibrium."""
-        return tuple(check for check in self.checks if not check.passed)
+        return tuple(check for check in self.checks if check.binding and not check.passed)
+
+    @property
+    def doubtful(self) -> tuple[Check, ...]:
+        """The checks that say that the state is crude where they look."""
+        return tuple(check for check in self.checks if not check.binding and not check.passed)
 
     @property
     def passed(self) -> bool:
@@ -178,9 +189,12 @@ class Verifier:
 
                 self._cables = CableVerifier()
             checks += self._cables.check(system, self._prescribed[1], force)
-        if all(check.passed for check in checks):  # else the energy may not even be finite
+        if all(check.passed for check in checks if check.binding):
             checks.append(self._virtual_work(system, outcome, force))
-        return Verification(tuple(checks), time.perf_counter() - began)
+        found = Verification(tuple(checks), time.perf_counter() - began)
+        if found.doubtful and self.comm.rank == 0:
+            logger.info("doubtful: %s", "; ".join(str(check) for check in found.doubtful))
+        return found
 
     def _finite(self, system: System) -> Check:
         """Places and energies that are not finite numbers."""

@@ -72,7 +72,9 @@ class SceneData:
     laws
         Options of `Scene`.
     held
-        "all": the boundary. "ends": its part beyond 40 % of the width from the middle.
+        "all": the boundary. "ends": what lies beyond 40 % of the width from the middle, along
+    axis
+        this direction.
     floor
         Height of a floor below; None for none.
     events
@@ -89,6 +91,7 @@ class SceneData:
     material: tuple[str, dict[str, Any]]
     laws: dict[str, str] = field(default_factory=dict)
     held: str = "all"
+    axis: tuple[float, ...] = (1.0, 0.0, 0.0)
     floor: float | None = None
     events: tuple[tuple[str, Any], ...] = ()
     twin: str = ""
@@ -135,7 +138,10 @@ def drawn(draws: Draws, number: int = 0) -> SceneData:
     has_load = events[-1:] != [] and events[-1][0] == "load"
     events += [loads.next(count, has_load) for _ in range(draws.integer(1, 3))]
     twin = _of(draws, (*TWINS, *[""] * len(TWINS)))
-    return SceneData(number, kind, points, cells, material, laws, held, floor, tuple(events), twin)
+    return SceneData(
+        number, kind, points, cells, material, laws, held,
+        floor=floor, events=tuple(events), twin=twin,
+    )  # fmt: skip
 
 
 def _of(draws: Draws, choices: Sequence[Choice]) -> Choice:

@@ -49,6 +49,9 @@ the edge, lengths to the unstressed length, tensions to the axial stiffness, oth
 tension, or to the membrane's own nodal forces where those are larger. A cable pulls where it touched down on a point at
 which it was let go in the same step: there it stays."""
 
+CRUDE = {"pull on the membrane", "depth below the membrane", "friction beyond its bound"}
+"""Checks that depend on how coarse the mesh is: a state that fails them is doubtful."""
+
 
 @dataclass(frozen=True)
 class _Nodes:
@@ -153,7 +156,7 @@ class CableVerifier:
         worst = np.array([found[name][0] for name in names])
         scene.comm.Allreduce(MPI.IN_PLACE, worst, op=MPI.MAX)
         return [
-            Check(name, float(value), LIMITS[name], found[name][1])
+            Check(name, float(value), LIMITS[name], found[name][1], name not in CRUDE)
             for name, value in zip(names, worst, strict=True)
         ]
 
@@ -238,19 +241,25 @@ def _places(
 def _tensions(cable: LaidCable, parts: Array) -> dict[str, float]:
     """Tensions against the lengths of the cable's parts."""
     EA, L0, length = cable.cable.EA, cable.L0, float(parts.sum())
-    start = cable.step_start
-    if start is not None:
-        told = start.tension + EA / start.length * (length - start.length)
-        return {"tension against length": abs(cable.tension - told) / EA}
-    errors = [abs(cable.tension / EA - max(length / L0 - 1, 0.0)), abs(cable.length - length) / L0]
+    spans: Array = np.zeros(0)
+    of_part: Integers = np.zeros(0, dtype=np.int64)
     if cable.axial is not None and len(cable.axial.spans):
         from crms_fenicsx.cables.grip import held_nodes
 
-        of_part = np.searchsorted(held_nodes(cable), cable.contacts()[:-1], side="right")
-        spans = np.bincount(of_part, parts)
+        passed = np.searchsorted(held_nodes(cable), cable.contacts()[:-1], side="right")
+        of_part = passed.astype(np.int64)
+        spans = np.asarray(np.bincount(of_part, parts), dtype=np.float64)
+    start = cable.step_start
+    if start is not None:
+        force = start.tension + EA / start.length * (length - start.length)
+        return {"tension against length": abs(cable.tension - force) / EA}
+    errors = [abs(cable.tension / EA - max(length / L0 - 1, 0.0)), abs(cable.length - length) / L0]
+    if cable.axial is not None and len(spans):
         unstressed = np.diff([0.0, *cable.axial.arcs, L0])
-        by_law = EA * np.maximum(spans / unstressed - 1, 0.0)
-        errors.append(float(np.abs(cable.tensions - by_law[of_part]).max()) / EA)
+        # By elongations, as the strain of a short span is rounded.
+        told = unstressed * np.bincount(of_part, cable.tensions) / np.bincount(of_part) / EA
+        by_law = np.maximum(spans - unstressed, 0.0)
+        errors.append(float(np.abs(told - by_law).max()) / L0)
     return {
         "tension against length": max(errors),
         "compression": max(-float(cable.tensions.min()), -cable.tension) / EA,
