@@ -66,7 +66,9 @@ def test_what_is_checked_stays_as_it_is(comm: MPI.Intracomm) -> None:
         solver.advance(pressure=PRESSURE, steps=2)
         results.append([scene.energy, cable.tension, *cable.positions.ravel()])
         assert (solver.steps[-1].verification is not None) == verify
-    assert results[0] == results[1]
+    if comm.size == 1:  # the order in which several add up forces is not always the same
+        assert results[0] == results[1]
+    np.testing.assert_allclose(results[0], results[1], rtol=1e-7, atol=1e-7)
 
 
 @pytest.mark.parametrize("term", ["membrane", "pressure", "cables"])

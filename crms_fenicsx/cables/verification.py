@@ -46,8 +46,8 @@ LIMITS = {
 }
 """What is checked of each cable, and how far it may be from true: places relative to the scene or
 the edge, lengths to the unstressed length, tensions to the axial stiffness, other forces to the
-tension, or to the membrane's own nodal forces where those are larger. A cable pulls where it touched down on a point at
-which it was let go in the same step: there it stays."""
+tension, or to the membrane's own nodal forces where those are larger. A cable pulls where it
+touched down on a point at which it was let go in the same step: there it stays."""
 
 CRUDE = {"pull on the membrane", "depth below the membrane", "friction beyond its bound"}
 """Checks that depend on how coarse the mesh is: a state that fails them is doubtful."""
