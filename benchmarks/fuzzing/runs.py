@@ -35,7 +35,7 @@ Array = npt.NDArray[np.float64]
 
 SECONDS = 30
 """Time of the processor after which a scene counts as hanging."""
-FALL = 1e-11
+FALL = 1e-9
 """Rise of the energy in a minimisation, relative to the sum of its parts, that is rounding."""
 SAME_ENERGY, SAME_TENSION = 1e-6, 1e-4
 """Relative differences up to which two answers are the same."""
@@ -107,6 +107,7 @@ def watched(result: Result) -> Iterator[None]:
         finally:
             del self.potential.evaluate_terms
         size = sum(abs(v) for v in self.potential.energies().values())
+        size += self.atol * float(np.ptp(self.potential.unknowns.X)) / FALL  # nothing at all
         rises = np.diff(levels)
         if outcome.converged and len(rises) and rises.max() > FALL * size:
             result.problems.append(f"energy rises in a minimisation by {rises.max() / size:.1e}")
