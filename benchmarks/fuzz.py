@@ -21,7 +21,9 @@ import argparse
 import dataclasses
 import json
 import logging
+import os
 import resource
+import subprocess
 import sys
 import tempfile
 from collections import Counter
@@ -101,45 +103,48 @@ def report(results: list[dict[str, Any]]) -> None:
             print(f"{r['number']:6}  {problem}")
 
 
-def leaks(steps: int) -> None:
-    """PETSc's objects that are alive, and memory, over load steps with and without a cable."""
-    from petsc4py import PETSc
+SLIDING = ("no cable", "cable that slides", "friction")
 
-    PETSc.Log.begin()
+
+def leaks(steps: int) -> None:
+    """PETSc's objects that are never destroyed, and memory, after half of the steps and all."""
+    print(f"{'never destroyed':20}{'steps':>7}{'objects':>9}{'created':>9}{'MiB':>8}")
+    for what in SLIDING:
+        for n in (steps // 2, steps):
+            with tempfile.TemporaryDirectory() as folder:
+                log = Path(folder) / "log"
+                done = subprocess.run(
+                    [sys.executable, __file__, "--slide", what, str(n)],
+                    env={**os.environ, "PETSC_OPTIONS": f"-log_view :{log}"},
+                    capture_output=True, text=True, check=True,
+                )  # fmt: skip
+                text = log.read_text(encoding="utf-8")
+            created = destroyed = 0
+            for line in text.split("Object Type")[1].split("=====")[0].splitlines()[1:]:
+                words = line.split()
+                if len(words) >= 3 and words[-1].isdigit() and words[-2].isdigit():
+                    created, destroyed = created + int(words[-2]), destroyed + int(words[-1])
+            memory = float(done.stdout.split()[-1])
+            print(f"{what:20}{n:7}{created - destroyed:9}{created:9}{memory:8.1f}", flush=True)
+
+
+def slide(what: str, steps: int) -> None:
+    """Load steps back and forth; prints the most memory that they took."""
     from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 
-    def alive() -> dict[str, int]:
-        with tempfile.TemporaryDirectory() as folder:
-            name = f"{folder}/log"
-            viewer = PETSc.Viewer().createASCII(name, "w", comm=MPI.COMM_WORLD)
-            PETSc.Log.view(viewer)
-            viewer.destroy()
-            text = Path(name).read_text(encoding="utf-8")
-        table = text.split("Object Type")[1].split("====")[0].splitlines()
-        counts = {}
-        for line in table[1:]:
-            words = line.rsplit(None, 2)
-            if len(words) == 3 and words[1].isdigit():
-                counts[words[0].strip()] = int(words[1]) - int(words[2])
-        return counts
-
-    for what in ("no cable", "cable that slides", "friction"):
-        mesh = meshes.rectangle(MPI.COMM_WORLD, 100.0, 100.0, 12.5, structured=True)
-        scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
-        scene.fix("boundary")
-        cables = []
-        if what != "no cable":
-            cable = Cable(EA=32000.0, friction=0.2 if what == "friction" else 0.0)
-            cables = [scene.lay_cable(cable, [(-5.0, 35.0, 2.0), (105.0, 42.0, 2.0)], L0=109.0)]
-        solver = Solver(scene)
-        print(f"{what:20}{'step':>6}{'objects':>9}{'MiB':>9}")
-        for k in range(steps):
-            way = (0.0, 4.0 * np.cos(k), 0.0)
-            solver.advance(pressure=0.01 * (1 + 0.3 * np.sin(k)), move=dict.fromkeys(cables, way))
-            if k + 1 in (1, 10, 100, steps // 2, steps):
-                memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-                now = alive()
-                print(f"{'':20}{k + 1:6}{sum(now.values()):9}{memory:9.1f}  {now}", flush=True)
+    mesh = meshes.rectangle(MPI.COMM_WORLD, 100.0, 100.0, 12.5, structured=True)
+    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
+    scene.fix("boundary")
+    cables = []
+    if what != "no cable":
+        cable = Cable(EA=32000.0, friction=0.2 if what == "friction" else 0.0)
+        cables = [scene.lay_cable(cable, [(-5.0, 35.0, 2.0), (105.0, 42.0, 2.0)], L0=109.0)]
+    solver = Solver(scene)
+    for k in range(steps):
+        way = (0.0, float(4.0 * np.cos(k)), 0.0)
+        pressure = float(0.01 * (1 + 0.3 * np.sin(k)))
+        solver.advance(pressure=pressure, move=dict.fromkeys(cables, way))
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 
 
 def main() -> None:
@@ -151,7 +156,10 @@ def main() -> None:
     parser.add_argument("--against", type=Path, help="results to compare with, without twins")
     parser.add_argument("--report", type=Path, nargs="+", help="files of results")
     parser.add_argument("--leaks", type=int, metavar="STEPS")
+    parser.add_argument("--slide", nargs=2, help=argparse.SUPPRESS)
     given = parser.parse_args()
+    if given.slide:
+        slide(given.slide[0], int(given.slide[1]))
     if given.leaks:
         leaks(given.leaks)
     if given.scene is not None:
