@@ -195,8 +195,6 @@ class Potential:
 
     def commit(self) -> None:
         """Tell the terms with history that the current state ends a load step."""
-        if not any(hasattr(term, "commit") for term in self.terms):
-            return
         self.sum_up()
         for term, part in zip(self.terms, self._slices, strict=True):
             commit = getattr(term, "commit", None)
