@@ -139,7 +139,8 @@ def step(n: int, clock: Clock, rounds: int) -> None:
             ms, calls = column["parts"].get(part, (0.0, 0))
             text += f"{ms:18.2f}{calls:7.0f}{ms / max(calls, 1):9.3f}"
         print(text)
-    rows = ("load step, ms", "floor, ms", "load step / floor", "evaluations", "factorisations",
+    rows = ("load step, ms", "of it verification, per cent", "floor, ms", "load step / floor",
+            "evaluations", "factorisations",
             "solves with K", "evaluation, ns per cell", "of it cables, ns per fold element",
             "fused loop, ns per cell", "H0 assembly, ns per cell")  # fmt: skip
     for row in rows:
@@ -156,6 +157,7 @@ def measured(solver: Any, clock: Clock, rounds: int) -> dict[str, Any]:
     evaluate, _ = fused_loop(scene)
     evaluate()
     steps: list[float] = []
+    shares: list[float] = []
     parts: dict[str, list[tuple[float, int]]] = defaultdict(list)
     floor: dict[str, list[float]] = defaultdict(list)
     for k in range(2 * rounds):
@@ -166,6 +168,8 @@ def measured(solver: Any, clock: Clock, rounds: int) -> dict[str, Any]:
         if k % 2 == 0:
             done = solver.steps[-1].outcome
             steps.append(spent)
+            last = solver.steps[-1]
+            shares.append(100 * last.verification.seconds / last.seconds)
             for part in clock.seconds:
                 parts[part].append((clock.seconds[part], clock.calls[part]))
             h0 = solver.system.minimizer.h0
@@ -187,6 +191,7 @@ def measured(solver: Any, clock: Clock, rounds: int) -> dict[str, Any]:
     return {
         "parts": middle,
         "load step, ms": 1e3 * statistics.median(steps),
+        "of it verification, per cent": statistics.median(shares),
         "floor, ms": lowest,
         "load step / floor": 1e3 * statistics.median(steps) / lowest,
         "evaluations": done.evaluations,

@@ -206,6 +206,20 @@ def reactions(system: System, where: str | Marker) -> Reactions:
 
 def _subtract_pressure(system: System, g: Array) -> None:
     """Subtract a third of the pressure on each facet at its corners."""
+    corners, vectors = pressed_facets(system)
+    np.subtract.at(g, corners, system.scene.pressure / 3 * vectors[:, None, :])
+
+
+def pressed_facets(system: System) -> tuple[Integers, Array]:
+    """This rank's current facets under pressure, by plain geometry.
+
+    Returns
+    -------
+    corners : (n, 3)
+        Blocks; facets of folded cells that belong to a mean over fans overlap.
+    vectors : (n, 3)
+        Area vectors (length squared), outward, times the facets' weights in the mean.
+    """
     unknowns, owned = system.unknowns, system.scene.mesh.mesh.topology.index_map(2).size_local
     dofs = system.scene.V.dofmap.list[:owned][system.plain_pressed.x.array[:owned] > 0.5]
     corners = unknowns.vertex_blocks()[dofs]
@@ -214,9 +228,13 @@ def _subtract_pressure(system: System, g: Array) -> None:
         facets = system.tables.facets
         corners = np.concatenate([corners, facets.corners])
         weights = np.concatenate([weights, facets.weights])
-    x = (unknowns.X + system.potential.x)[corners]
-    share = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) * (weights / 6)[:, None]
-    np.subtract.at(g, corners, system.scene.pressure * share[:, None, :])
+    # By components: rows of three take numpy five times as long.
+    places = np.ascontiguousarray((unknowns.X + system.potential.x).T)
+    start = places.take(corners[:, 0], axis=1)
+    (a, b, c), (d, e, f) = (places.take(corners[:, k], axis=1) - start for k in (1, 2))
+    vectors = np.array([b * f - c * e, c * d - a * f, a * e - b * d])
+    vectors *= weights / 2
+    return corners, vectors.T
 
 
 def _leave_ends_to_anchors(system: System, g: Array) -> None:

@@ -6,7 +6,7 @@ import logging
 import time
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +30,7 @@ from crms_fenicsx.output.recorder import Recorder
 from crms_fenicsx.scene import Marker, Scene
 from crms_fenicsx.state import State
 from crms_fenicsx.system import System
+from crms_fenicsx.verification import Verification, Verifier
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.cable import LaidCable
@@ -59,6 +60,9 @@ class Step:
         Wall time.
     halvings
         How often the increment had to be halved.
+    verification
+        What checks of the state say that do without the solver; None if it was told not to make
+        any. It is not saved with a run.
     """
 
     number: int
@@ -66,6 +70,7 @@ class Step:
     energies: dict[str, float]
     seconds: float
     halvings: int
+    verification: Verification | None = field(default=None, compare=False)
 
     @property
     def energy(self) -> float:
@@ -105,6 +110,9 @@ class Solver:
     polish
         Whether to try the other side of every vertex near which a sliding cable passes, and not
         only of those against which it is pressed. It costs more than all else and changes little.
+    verify
+        Whether to check each solved step on ways of its own, without the gradient and the forms:
+        ``step.verification``. A state that fails is treated as one that did not converge.
 
     Attributes
     ----------
@@ -134,6 +142,7 @@ class Solver:
         max_halvings: int = 8,
         slide: bool = True,
         polish: bool = False,
+        verify: bool = True,
     ) -> None:
         if not isinstance(scene, Scene):
             raise InputError(f"Solver: scene is of type {type(scene).__name__}; give a Scene.")
@@ -147,6 +156,7 @@ class Solver:
             max_halvings=max_halvings,
             slide=slide,
             polish=polish,
+            verify=verify,
         )
         if not 0 < checks.finite("Solver: rtol", rtol) < 1:
             raise InputError(f"Solver: rtol = {rtol} must lie between 0 and 1, as 1e-9 does.")
@@ -168,6 +178,7 @@ class Solver:
         self.prefix, self.rtol = prefix, float(rtol)
         self.max_halvings = checks.whole("Solver: max_halvings", max_halvings, 0)
         self.slide, self.polish = bool(slide), bool(polish)
+        self._verifier = Verifier(scene, self.rtol) if verify else None
         self.steps: list[Step] = []
         self._system: System | None = None
         self._search: EquilibriumSearch | None = None
@@ -441,7 +452,14 @@ class Solver:
                 target.apply(scene, first, goal / steps)
                 try:
                     prestress = self._h0_prestress(target, (goal - done) / steps)
+                    if self._verifier is not None:
+                        self._verifier.begin()
                     outcome = self.search.find(prestress)
+                    verification = None
+                    if self._verifier is not None and outcome.converged:
+                        verification = self._verifier.check(self.system, outcome)
+                        if not verification.passed:
+                            outcome = replace(outcome, converged=False, reason=str(verification))
                     if outcome.converged:
                         self.system.commit()
                 except BaseException:  # also an interrupt leaves a state that is one
@@ -459,7 +477,10 @@ class Solver:
                     logger.info("halving the increment: %s", outcome.reason)
                     continue
                 seconds = time.perf_counter() - began
-                step = Step(len(self.steps) + 1, spent, dict(scene.energies), seconds, halvings)
+                step = Step(
+                    len(self.steps) + 1, spent, dict(scene.energies), seconds, halvings,
+                    verification,
+                )  # fmt: skip
                 self.steps.append(step)
                 self._warn_of_blocked()
                 self._warn_of_friction(good)

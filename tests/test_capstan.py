@@ -455,3 +455,19 @@ def test_free_length_is_the_drums(comm) -> None:
     x = rope.positions[rope.contacts()]
     np.testing.assert_allclose(x[0] - x[1], (0, 0, -FREE), atol=1e-12)
     np.testing.assert_allclose(x[-1] - x[-2], (0, 0, -FREE), atol=1e-12)
+
+
+def test_ends_on_vertices_that_are_held(comm: MPI.Intracomm) -> None:
+    """The span from the anchor to the vertex that it lies on has no length, and takes no part."""
+    tensions = []
+    for start in ((0.0, 100.0 / 3), (0.0, 100.0 / 3 + 1e-4)):
+        scene = sheet(comm, 6)
+        cable = scene.lay_cable(
+            Cable(32000.0, friction=Friction(0.0, along=0.2)), [start, (100.0, 100.0 / 3)], L0=101.0
+        )
+        solver = Solver(scene)
+        solver.advance(pressure=0.01)
+        solver.advance(L0={cable: 100.5})
+        tensions.append([cable.tension, cable.tensions.min(), cable.tensions.max()])
+    assert {cable.nodes[-2].kind} == {"vertex"}
+    np.testing.assert_allclose(tensions[0], tensions[1], rtol=1e-3)

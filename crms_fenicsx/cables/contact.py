@@ -353,5 +353,8 @@ def drape(cable: LaidCable, shape: StripShape) -> None:
         cable.lifted[free] = True
         places = {} if free else captured(cable, shape, {})
         touch(cable, places)
+        for k in places:  # nothing moves it from there to where it says that it is
+            ids, weights = cable.masters(k)
+            cable.positions[k] = np.dot(weights, [shape.at(i) for i in ids])
         if not free and not places:
             return

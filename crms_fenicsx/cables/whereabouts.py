@@ -110,6 +110,10 @@ class Whereabouts:
         s = np.where(self._free[sliders], fraction[sliders], before[sliders])
         self._weights[self._sliders, :2] = np.stack([1 - s, s], axis=1)
         material[self._own] = np.einsum("nm,nmi->ni", self._weights, unknowns.X[self._masters])
+        # A slack cable may have been draped anew since its points began to ride where they were.
+        slack = self._sliders[~self._free[sliders]]
+        corners = places[self._masters[slack]]
+        position[self._own[slack]] = np.einsum("nm,nmi->ni", self._weights[slack], corners)
         total = np.zeros_like(local)
         unknowns.comm.Allreduce(local, total)
         self._set_material(total)

@@ -46,7 +46,7 @@ def plain_run(run: Run) -> Plain:
     """A run as plain data, but for the fields of the step-wise laws."""
     history, tried = run.step_history, run.tried
     return {
-        "steps": [asdict(step) for step in run.steps],
+        "steps": [asdict(replace(step, verification=None)) for step in run.steps],
         "history": [dict(row) for row in run.rows],
         "step history": None
         if history is None

@@ -1,0 +1,351 @@
+"""Is the answer one? Checks of a solved load step, each on another way than the solver's.
+
+The solver brings the gradient of the energy to zero. What is checked here is what an equilibrium
+must be however it was found: virtual work by differences of the energy, without the gradient;
+loads from areas and normals of the current triangles, without the forms; the balance of supports
+and loads in forces and moments; supports and anchors where they were told to be. What is checked of
+cables is in `crms_fenicsx.cables.verification`.
+
+A state that fails is no result: `Solver.advance` goes back and halves the increment, as when the
+solve had not converged, and in the end raises a `ConvergenceError` that names what failed.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from crms_fenicsx.results import pressed_facets
+
+if TYPE_CHECKING:
+    from crms_fenicsx.cables.verification import CableVerifier
+    from crms_fenicsx.minimizer import Outcome
+    from crms_fenicsx.scene import Scene
+    from crms_fenicsx.system import System
+
+Array = npt.NDArray[np.float64]
+logger = logging.getLogger("crms_fenicsx")
+
+SHAKE = 1e-5
+"""Size of the virtual displacements: the change of the nodal forces that a membrane of stiffness
+E t answers them with, relative to the scene's force.
+
+The difference of the energy is of second order in them where the energy is smooth; where it is not,
+as in cells that turn slack there and then, it is wrong by `SHAKE` of the scene's force at most.
+"""
+LARGEST_SHAKE = 1e-6
+"""Largest size of the virtual displacements, relative to the cells: cables can be so tight that the
+membrane's stiffness says nothing."""
+VIRTUAL_WORK = 1e-3
+"""Largest virtual work, relative to the scene's force; rounding comes on top. A hundred times what
+`SHAKE` explains, as edges near cables' points are stiffer than the membrane."""
+BALANCE = 1e-7
+"""Largest difference of forces that must be equal, relative to their size."""
+PLACE = 1e-9
+"""Largest distance of points from where they must be, relative to the scene's size."""
+SPREAD = 8.0
+"""Standard deviations in which a sum of unbalanced forces with random signs lies."""
+NEGLIGIBLE = 1e-300
+"""Forces below this have no size that others could be relative to."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that is true of an equilibrium.
+
+    Attributes
+    ----------
+    name
+        What is checked.
+    value
+        How far it is from true, without a unit.
+    limit
+        How far it may be.
+    where
+        The cable for which it is worst; empty if it concerns the scene.
+    binding
+        Whether a state that fails is no result. What depends on how coarse the mesh is, as the
+        contact of single points, only makes it doubtful.
+    """
+
+    name: str
+    value: float
+    limit: float
+    where: str = ""
+    binding: bool = True
+
+    @property
+    def passed(self) -> bool:
+        """Whether the value is within the limit; not a number is not."""
+        return bool(self.value <= self.limit)
+
+    def __str__(self) -> str:
+        of = f" of {self.where!r}" if self.where else ""
+        sign = "<=" if self.passed else "and not <="
+        return f"{self.name}{of} {self.value:.2g} {sign} {self.limit:.2g}"
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What came of the checks of a load step.
+
+    Attributes
+    ----------
+    checks
+        All of them.
+    seconds
+        Wall time that they took.
+    """
+
+    checks: tuple[Check, ...]
+    seconds: float
+
+    @property
+    def failed(self) -> tuple[Check, ...]:
+        """The checks that say that the state is no equilibrium."""
+        return tuple(check for check in self.checks if check.binding and not check.passed)
+
+    @property
+    def doubtful(self) -> tuple[Check, ...]:
+        """The checks that say that the state is crude where they look."""
+        return tuple(check for check in self.checks if not check.binding and not check.passed)
+
+    @property
+    def passed(self) -> bool:
+        """Whether all is as it must be."""
+        return not self.failed
+
+    def __getitem__(self, name: str) -> Check:
+        """The check with a name.
+
+        Raises
+        ------
+        KeyError
+            There was none.
+        """
+        for check in self.checks:
+            if check.name == name:
+                return check
+        raise KeyError(name)
+
+    def __str__(self) -> str:
+        head = "verified" if self.passed else "not verified"
+        return f"{head}: " + "; ".join(str(check) for check in self.failed or self.checks)
+
+
+class Verifier:
+    """Checks load steps of a scene.
+
+    Parameters
+    ----------
+    scene
+        The scene.
+    rtol
+        Relative tolerance of the solver.
+    """
+
+    def __init__(self, scene: Scene, rtol: float) -> None:
+        self.scene, self.comm, self.rtol = scene, scene.comm, rtol
+        self._random = np.random.default_rng((2026, scene.comm.rank))
+        self._prescribed = np.zeros((0, 3)), np.zeros((0, 2, 3))
+        self._cables: CableVerifier | None = None
+        self._shake = np.zeros(0)
+        self._saved: Array = np.zeros((0, 3))
+
+    def begin(self) -> None:
+        """Remember what a load step prescribes: called once its loads are on the scene."""
+        scene = self.scene
+        u = scene.u.x.array.reshape(-1, 3)[scene.held]
+        ends = [cable.positions[[0, -1]] for cable in scene.cables]
+        self._prescribed = u, np.array(ends).reshape(-1, 2, 3)
+
+    def check(self, system: System, outcome: Outcome) -> Verification:
+        """Check the state that a solve has left in the scene and in the potential. Collective.
+
+        Both are afterwards as they were.
+
+        Parameters
+        ----------
+        system
+            The potential that was minimised.
+        outcome
+            What the solve came to.
+        """
+        began = time.perf_counter()
+        force = max(outcome.tolerance / self.rtol, NEGLIGIBLE)
+        checks = [self._finite(system)]
+        if not checks[0].passed:  # what follows would divide by what is not there
+            return Verification(tuple(checks), time.perf_counter() - began)
+        checks += self._balance(system, outcome, force)
+        if self.scene.cables:
+            if self._cables is None:
+                from crms_fenicsx.cables.verification import CableVerifier
+
+                self._cables = CableVerifier()
+            checks += self._cables.check(system, self._prescribed[1], force)
+        if all(check.passed for check in checks if check.binding):
+            checks.append(self._virtual_work(system, outcome, force))
+        found = Verification(tuple(checks), time.perf_counter() - began)
+        if found.doubtful and self.comm.rank == 0:
+            logger.info("doubtful: %s", "; ".join(str(check) for check in found.doubtful))
+        return found
+
+    def _finite(self, system: System) -> Check:
+        """Places and energies that are not finite numbers."""
+        state = system.potential.x, *(cable.positions for cable in self.scene.cables)
+        bad = sum(int(np.count_nonzero(~np.isfinite(values))) for values in state)
+        bad += sum(not np.isfinite(energy) for energy in self.scene.energies.values())
+        return Check("values not finite", float(self.comm.allreduce(bad)), 0.0)
+
+    def _virtual_work(self, system: System, outcome: Outcome, force: float) -> Check:
+        """Central difference of the energy along a random displacement, which must vanish.
+
+        Its components are of unit variance: a force that is not balanced has about its own size as
+        virtual work, wherever it is.
+        """
+        potential, unknowns = system.potential, system.unknowns
+        n, scene = unknowns.n_owned, self.scene
+        if self._shake.size != 3 * n:
+            self._shake = np.zeros(3 * n)
+        if self._saved.shape != potential.x.shape:
+            self._saved = np.zeros_like(potential.x)
+        way: Array = self._shake
+        saved: Array = self._saved
+        self._random.random(out=way)
+        way -= 0.5
+        modulus = max(m.reference_modulus for m in scene.materials.values())
+        cells = scene.mesh.mesh.topology.index_map(2).size_global
+        step = SHAKE * force / (modulus * np.sqrt(3.0 * unknowns.n_global))
+        step = min(step, LARGEST_SHAKE * scene.size / np.sqrt(cells))
+        way *= np.sqrt(12.0) * step
+        shake = way.reshape(n, 3)
+        fixed: npt.NDArray[np.bool_] = np.array(unknowns.held[:n])
+        if unknowns.bounds is not None:
+            fixed |= potential.x[:n] <= unknowns.bounds[0][:n]
+        shake[fixed] = 0.0
+        saved[:] = potential.x
+        levels = np.zeros(len(potential.terms))
+        size = 0.0
+        for sign in (1.0, -1.0):
+            potential.x[:n] = saved[:n] + sign * shake
+            potential.place()
+            potential.sum_up()
+            values = np.array([t.energy(potential.sums_of(t)) for t in potential.terms])
+            levels += sign * values
+            size = max(size, float(np.abs(values).sum()))
+        potential.x[:] = saved
+        unknowns.read_vertices(potential.x, scene.u.x.array.reshape(-1, 3))
+        # Rounding of places counts with the forces, not with their energies: N A and T L.
+        size += scene.size * np.sqrt(2 * modulus * abs(scene.energies.get("membrane", 0.0)))
+        size += sum(abs(cable.tension) * cable.length for cable in scene.cables)
+        rounding = np.finfo(float).eps * np.sqrt(cells) * size / step
+        limit = VIRTUAL_WORK + (SPREAD * outcome.residual + rounding) / force
+        return Check("virtual work", abs(float(levels.sum())) / (2 * step * force), float(limit))
+
+    def _balance(self, system: System, outcome: Outcome, force: float) -> list[Check]:
+        """Unbalanced forces, and supports against loads, the loads taken from the geometry."""
+        scene, potential, unknowns = self.scene, system.potential, system.unknowns
+        n, size = unknowns.n_owned, scene.size
+        x = unknowns.X + potential.x
+        loads = self._loads(system)
+        g = potential.g  # free between two solves
+        g[:] = -loads
+        for term in potential.terms:
+            if term.name not in ("pressure", "dead load"):
+                term.add_gradient(potential.x, potential.sums_of(term), g)
+        unknowns.gather_forces(potential.g_vector, g)
+        supports = np.where(unknowns.held[:n], g[:n], 0.0)
+        supports += self._obstacle(system)
+        rails = unknowns.rails[unknowns.rails < n]
+        supports[rails] = g[rails]
+        unknowns.project(g)
+        supports[rails] -= g[rails]
+        free = g[:n] - supports
+        free[rails] = g[rails]
+        moved, _ = self._prescribed
+        local = np.concatenate([
+            supports.sum(axis=0), _moment(x[:n] - scene.centre, supports),
+            loads.sum(axis=0), _moment(x - scene.centre, loads),
+            [np.abs(supports).sum() + np.abs(loads).sum(), np.sum(free * free)],
+        ])  # fmt: skip
+        total = np.zeros_like(local)
+        self.comm.Allreduce(local, total)
+        # The sum of m unbalanced forces of random signs.
+        unbalanced = SPREAD * outcome.residual
+        all_forces = max(float(total[12]), force)
+        limit = BALANCE + unbalanced / all_forces
+        away = float(
+            np.max(np.abs(scene.u.x.array.reshape(-1, 3)[scene.held] - moved), initial=0.0)
+        )
+        under = 0.0
+        if scene.floor_level is not None:
+            heights = scene.positions()[~scene.held[:, 2], 2]
+            under = float(np.max(scene.floor_level - heights, initial=0.0))
+        worst = np.nan_to_num([away, under], nan=np.inf)  # of which MPI's maximum is undefined
+        self.comm.Allreduce(MPI.IN_PLACE, worst, op=MPI.MAX)
+        checks = [
+            Check("unbalanced forces", float(np.sqrt(total[13])) / force,
+                  BALANCE + SPREAD * outcome.residual / force),
+            Check("sum of supports and loads", _norm(total[:3] + total[6:9]) / all_forces, limit),
+            Check("way of the supports", worst[0] / size, PLACE),
+        ]  # fmt: skip
+        if (
+            system.friction_elements is None
+        ):  # the paper's have forces that do not turn with a shape
+            moment = _norm(total[3:6] + total[9:12])
+            checks.append(
+                Check("moment of supports and loads", moment / (all_forces * size), limit)
+            )
+        if scene.floor_level is not None:
+            checks.append(Check("depth below the floor", worst[1] / size, PLACE))
+        return checks
+
+    def _loads(self, system: System) -> Array:
+        """This rank's nodal forces of pressure and dead load, (n_local, 3).
+
+        A facet's pressure is shared by its corners; the paper's keeps those of the step's start,
+        which its term alone knows.
+        """
+        scene, unknowns = self.scene, system.unknowns
+        loads = np.zeros((unknowns.n_local, 3))
+        if scene.pressure_law == "total":
+            if scene.pressure != 0.0:
+                corners, vectors = pressed_facets(system)
+                blocks = corners.ravel()
+                for i in range(3):
+                    share = np.repeat(vectors[:, i] * (scene.pressure / 3), 3)
+                    loads[:, i] = np.bincount(blocks, share, unknowns.n_local)
+        else:
+            for term in system.potential.terms:
+                if term.name == "pressure":
+                    term.add_gradient(system.potential.x, system.potential.sums_of(term), loads)
+            loads *= -1.0
+        if scene.dead_forces is not None:
+            unknowns.add_to_vertices(scene.load * scene.dead_forces.forces, loads)
+        return loads
+
+    def _obstacle(self, system: System) -> Array:
+        """Forces (n, 3) of the floor on what lies on it; it only pushes."""
+        potential, unknowns = system.potential, system.unknowns
+        n = unknowns.n_owned
+        forces = np.zeros((n, 3))
+        if unknowns.bounds is not None:
+            on = (potential.x[:n] <= unknowns.bounds[0][:n]) & (potential.g[:n] > 0.0)
+            forces[on] = potential.g[:n][on]
+        return forces
+
+
+def _moment(at: Array, forces: Array) -> Array:
+    """Sum of the moments (3,) of forces (n, 3) at places (n, 3)."""
+    (x, y, z), (a, b, c) = at.T, forces.T
+    return np.array([y @ c - z @ b, z @ a - x @ c, x @ b - y @ a])
+
+
+def _norm(vector: Array) -> float:
+    return float(np.linalg.norm(vector))
