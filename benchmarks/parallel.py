@@ -1,12 +1,14 @@
 """Scaling of a load step over processes: time and its parts, memory, and what is sent.
 
-    ./run python benchmarks/parallel.py [UNKNOWNS] [CABLES] [PROCESSES ...]
+    ./run python benchmarks/parallel.py [--held] [UNKNOWNS] [CABLES] [PROCESSES ...]
 
 The roof of `demos/air_dome.py` with CABLES cables in each of its two families (0 to 14) is inflated
 to 0.3 kPa and then to 0.5 kPa; that second load step is what counts. For each number of processes
 (1 and 2 by default) it runs itself under mpirun. What is sent is counted by PETSc's own log, in
 stages of their own, after the load step. PETSc does not see the one sum over all ranks that an
 evaluation makes (`Potential.sum_up`): it is counted with its bytes beside the log's figures.
+With --held the cables slide along the edges that they are laid over, but not to other cells: how
+many paths are tried depends on rounding.
 """
 
 from __future__ import annotations
@@ -99,7 +101,7 @@ def watched(now: Callable[[], float] = time.perf_counter) -> Clock:
     return clock
 
 
-def roof(unknowns: float, cables: int):
+def roof(unknowns: float, cables: int, slide: bool):
     """The inflated roof and its solver."""
     import numpy as np
     from mpi4py import MPI
@@ -116,7 +118,7 @@ def roof(unknowns: float, cables: int):
         for offset in spacing * (np.arange(cables) - (cables - 1) / 2):
             path = meshes.great_circle(radius, height, angle, offset)
             scene.lay_cable(Cable(EA=600e3), path=path)
-    return scene, Solver(scene)
+    return scene, Solver(scene, slide=slide)
 
 
 def repeat_in_stages(solver) -> None:
@@ -156,14 +158,14 @@ def messages(log: str) -> dict[str, list[float]]:
     return counts
 
 
-def work(unknowns: float, cables: int) -> None:
+def work(unknowns: float, cables: int, slide: bool) -> None:
     """One run: prints its figures on rank 0."""
     from mpi4py import MPI
 
     comm = MPI.COMM_WORLD
     clock = watched()
     begin = time.perf_counter()
-    scene, solver = roof(unknowns, cables)
+    scene, solver = roof(unknowns, cables, slide)
     made = time.perf_counter() - begin
     first = solver.advance(pressure=0.3)
     clock.seconds.clear()
@@ -191,13 +193,15 @@ def work(unknowns: float, cables: int) -> None:
 
 def main() -> None:
     """Run for each number of processes, and print the tables."""
-    arguments = sys.argv[1:]
+    held = ["--held"] if "--held" in sys.argv else []
+    arguments = [argument for argument in sys.argv[1:] if argument not in held]
     unknowns = arguments[0] if arguments else "1e5"
     cables = arguments[1] if len(arguments) > 1 else "0"
     processes = [int(p) for p in arguments[2:]] or [1, 2]
     runs = []
     for count in processes:
-        command = ["mpirun", "-n", str(count), sys.executable, __file__, "--work", unknowns, cables]
+        command = ["mpirun", "-n", str(count), sys.executable, __file__]
+        command += ["--work", unknowns, cables, *held]
         with tempfile.TemporaryDirectory() as folder:
             log = Path(folder) / "petsc.log"
             options = f"{os.environ.get('PETSC_OPTIONS', '')} -log_view :{log}"
@@ -209,7 +213,8 @@ def main() -> None:
             runs.append(json.loads(lines[0].removeprefix("FIGURES ")))
             runs[-1]["messages"] = messages(log.read_text())
     first = runs[0]
-    print(f"{first['unknowns']} unknowns, {2 * int(cables)} cables; second load step")
+    how = ", paths held" if held else ""
+    print(f"{first['unknowns']} unknowns, {2 * int(cables)} cables{how}; second load step")
     print("processes " + "".join(f"{run['processes']:>12}" for run in runs))
     for name in ("scene", "first step", "seconds"):
         print(f"{name:<34}" + "".join(f"{run[name]:12.2f}" for run in runs) + " s")
@@ -235,6 +240,6 @@ def main() -> None:
 
 if __name__ == "__main__":
     if "--work" in sys.argv:
-        work(float(sys.argv[2]), int(sys.argv[3]))
+        work(float(sys.argv[2]), int(sys.argv[3]), slide="--held" not in sys.argv)
     else:
         main()
