@@ -392,8 +392,19 @@ class System:
             self.scene.pressure != 0.0 and self.pressure is None
         ):
             self.rebuild()
+        elif self._gripped_elsewhere():
+            self.rebuild()
         else:  # it still counts the slips of cables from where the last load step began
             self.renew_friction()
+
+    def _gripped_elsewhere(self) -> bool:
+        """Whether friction along some cable holds it at other nodes than the potential has."""
+        held = [cable for cable in self.scene.cables if cable.axial is not None]
+        if not held:
+            return False
+        from crms_fenicsx.cables.axial import is_aligned
+
+        return not all(is_aligned(cable) for cable in held)
 
     def locate_cables(self) -> None:
         """Tell all ranks where the cables' points are."""

@@ -20,10 +20,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.cable import LaidCable
+from crms_fenicsx.cables.cable import COINCIDENT, LaidCable
 from crms_fenicsx.cables.contact import is_foot
 from crms_fenicsx.cables.contact_force import edge_direction, turns, wrap_angles
-from crms_fenicsx.cables.grip import held_nodes, succession, supports_of
+from crms_fenicsx.cables.grip import held_nodes, succession
 from crms_fenicsx.cables.slip import MaterialCurve, Support, material_place
 from crms_fenicsx.cables.strip import StripShape
 
@@ -96,7 +96,7 @@ class RestPlaces:
 
 def laid_grip(cable: LaidCable, shape: StripShape) -> AxialGrip:
     """Grip of a cable that has the same strain everywhere, as one that has just been laid."""
-    supports = tuple(supports_of(cable))
+    supports = _supports(cable)
     n = len(supports)
     curve, rest = _curve(cable, shape, [], np.zeros(0))
     none, zero = np.zeros(0), np.zeros(n)
@@ -105,10 +105,44 @@ def laid_grip(cable: LaidCable, shape: StripShape) -> AxialGrip:
     )  # fmt: skip
 
 
+def _supports(cable: LaidCable) -> tuple[Support, ...]:
+    """Places of the nodes that friction can hold along the cable.
+
+    Not the held vertex that an anchor lies on: between the two there is no cable.
+    """
+    last = len(cable.nodes) - 1
+    supports = []
+    for k in held_nodes(cable):
+        node, anchor = cable.nodes[k], {1: 0, last - 1: last}.get(k)
+        if anchor is not None and node.kind == "vertex" and cable.nodes[anchor].kind == "anchor":
+            away = np.linalg.norm(cable.positions[k] - cable.positions[anchor])
+            if away <= COINCIDENT * cable.length:
+                continue
+        assert node.point is not None
+        supports.append(node.point.support)
+    return tuple(supports)
+
+
+def is_aligned(cable: LaidCable) -> bool:
+    """Whether the grip has the nodes that friction can hold now."""
+    return cable.axial is None or not cable.taut or cable.axial.supports == _supports(cable)
+
+
+def gripped_nodes(cable: LaidCable) -> list[int]:
+    """Numbers of the nodes that the grip has, which stay while its potential is minimised."""
+    assert cable.axial is not None
+    own = set(cable.axial.supports)
+    return [
+        k
+        for k in held_nodes(cable)
+        if (point := cable.nodes[k].point) is not None and point.support in own
+    ]
+
+
 def align_axial(cable: LaidCable) -> None:
     """Bring the bounds to the nodes that the cable has now."""
     grip = cable.axial
-    if grip is None or (now := tuple(supports_of(cable))) == grip.supports:
+    if grip is None or (now := _supports(cable)) == grip.supports:
         return
     stays, rows, heirs = succession(grip.supports, now)
     bounds, eps, slips = np.zeros((3, len(now)))
@@ -131,7 +165,7 @@ def rest_places(cable: LaidCable, shape: StripShape) -> RestPlaces:
     """
     grip = cable.axial
     assert grip is not None
-    nodes, contacts, direction = held_nodes(cable), cable.contacts(), turns(cable)
+    nodes, contacts, direction = gripped_nodes(cable), cable.contacts(), turns(cable)
     places = np.array([material_place(cable, k, shape) for k in nodes]).reshape(-1, 3)
     slope, size = np.zeros((2, len(nodes)))
     for i, k in enumerate(nodes):
@@ -270,7 +304,7 @@ def found(
 
 def _by_link(cable: LaidCable, of_spans: Array) -> Array:
     """Values of spans for the cable's parts between the nodes that it touches."""
-    span = np.searchsorted(held_nodes(cable), cable.contacts()[:-1], side="right")
+    span = np.searchsorted(gripped_nodes(cable), cable.contacts()[:-1], side="right")
     return np.asarray(of_spans[span])
 
 
@@ -283,7 +317,7 @@ def commit_axial(cable: LaidCable, shape: StripShape) -> None:
         cable.axial = replace(laid_grip(cable, shape), dissipated=grip.dissipated + grip.loss)
         return
     held = np.where(grip.bounds > 0, np.clip(grip.slips, -grip.eps, grip.eps), 0.0)
-    curve, rest = _curve(cable, shape, held_nodes(cable), grip.arcs - held)
+    curve, rest = _curve(cable, shape, gripped_nodes(cable), grip.arcs - held)
     cable.axial = replace(
         grip, curve=curve, rest=rest, slips=held, loss=0.0, dissipated=grip.dissipated + grip.loss
     )

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.axial import rest_places
+from crms_fenicsx.cables.axial import gripped_nodes, rest_places
 from crms_fenicsx.cables.cable import LaidCable
 from crms_fenicsx.cables.capstan import Chains, Grips
-from crms_fenicsx.cables.grip import held_nodes
 from crms_fenicsx.cables.network import Network
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.cables.tables import CableTables
@@ -24,7 +23,7 @@ def held_along(cable: LaidCable) -> bool:
 def chain_table(network: Network, tables: CableTables) -> Chains:
     """Spans and nodes of the cables that friction holds along their axis."""
     cables = [c for c, cable in enumerate(network.cables) if held_along(cable)]
-    held = {c: held_nodes(network.cables[c]) for c in cables}
+    held = {c: gripped_nodes(network.cables[c]) for c in cables}
     starts = np.cumsum([0] + [len(held[c]) + 1 for c in cables])
     first = dict(zip(cables, starts, strict=False))
     own = [s for s, link in enumerate(tables.links) if link.cable in first]
@@ -82,7 +81,7 @@ def _fold_points(network: Network) -> list[tuple[int, int, int, tuple[int, int]]
     found = []
     cables = [c for c, cable in enumerate(network.cables) if held_along(cable)]
     for n, c in enumerate(cables):
-        for i, k in enumerate(held_nodes(network.cables[c])):
+        for i, k in enumerate(gripped_nodes(network.cables[c])):
             node = network.cables[c].nodes[k]
             if node.slides and node.point is not None:
                 a, b = node.point.support

@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.cable import COINCIDENT, LaidCable, polyline_length
+from crms_fenicsx.cables.cable import LaidCable, polyline_length
 from crms_fenicsx.cables.contact_force import contact_forces, paper_forces
 from crms_fenicsx.cables.slip import MaterialCurve, Support, material_curve, node_slips
 from crms_fenicsx.cables.stick_slip import friction_energy
@@ -324,27 +324,12 @@ def _support(cable: LaidCable, k: int) -> Support:
 
 
 def held_nodes(cable: LaidCable) -> list[int]:
-    """Nodes that friction may hold: those that touch the membrane, inside of the cable's ends.
-
-    Not the held vertex that an anchor lies on: there is no cable between the two.
-    """
-    last = len(cable.nodes) - 1
-    ends = {
-        beside
-        for anchor, beside in ((0, 1), (last, last - 1))
-        if cable.nodes[anchor].kind == "anchor"
-        and cable.nodes[beside].kind == "vertex"
-        and _together(cable.positions[anchor], cable.positions[beside], cable.length)
-    }
+    """Nodes that friction may hold: those that touch the membrane, inside of the cable's ends."""
     return [
         k
         for k in cable.contacts()
-        if cable.nodes[k].kind in ("fold", "rail", "vertex") and 0 < k < last and k not in ends
+        if cable.nodes[k].kind in ("fold", "rail", "vertex") and 0 < k < len(cable.nodes) - 1
     ]
-
-
-def _together(a: Array, b: Array, length: float) -> bool:
-    return float(np.linalg.norm(a - b)) <= COINCIDENT * length
 
 
 def supports_of(cable: LaidCable) -> Sequence[Support]:

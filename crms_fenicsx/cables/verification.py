@@ -244,9 +244,9 @@ def _tensions(cable: LaidCable, parts: Array) -> dict[str, float]:
     spans: Array = np.zeros(0)
     of_part: Integers = np.zeros(0, dtype=np.int64)
     if cable.axial is not None and len(cable.axial.spans):
-        from crms_fenicsx.cables.grip import held_nodes
+        from crms_fenicsx.cables.axial import gripped_nodes
 
-        passed = np.searchsorted(held_nodes(cable), cable.contacts()[:-1], side="right")
+        passed = np.searchsorted(gripped_nodes(cable), cable.contacts()[:-1], side="right")
         of_part = passed.astype(np.int64)
         spans = np.asarray(np.bincount(of_part, parts), dtype=np.float64)
     start = cable.step_start
@@ -322,7 +322,9 @@ def _friction(cable: LaidCable, shape: StripShape, nodal: float) -> dict[str, fl
         heat = energies(cable, shape)[1]
         values["negative dissipation"] = -heat / max(cable.tension * cable.length, 1e-300)
     if cable.axial is not None and len(cable.axial.spans):
-        nodes, tensions = held_nodes(cable), cable.tensions
+        from crms_fenicsx.cables.axial import gripped_nodes
+
+        nodes, tensions = gripped_nodes(cable), cable.tensions
         at = np.searchsorted(cable.contacts(), nodes)
         before, after = tensions[at - 1], tensions[at]
         angles = cable.cable.along * wrap_angles(cable, shape)[nodes]
