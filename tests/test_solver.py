@@ -638,3 +638,19 @@ def test_a_cable_that_slides_forgets_the_way_it_was_laid(
     assert slid[:2] == pytest.approx(straight[:2], rel=1e-8)
     assert slid[2] == ()
     assert blocked[2] and blocked[1] > slid[1] + 100.0 and blocked[0] > 1.2 * slid[0]
+
+
+def test_what_is_not_finite_ends_a_solve(
+    square: meshes.MembraneMesh, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also an energy that is not, with forces that are; the step is halved, and then given up."""
+    scene = clamped(square)
+    solver = Solver(scene, max_halvings=1)
+    good = solver.advance(pressure=0.005).energy
+    own = Potential.evaluate_terms
+    monkeypatch.setattr(Potential, "evaluate_terms", lambda self: (np.nan, own(self)[1]))
+    with pytest.raises(ConvergenceError, match=r"energy or gradient not finite.* halved 1 times"):
+        solver.advance(pressure=0.01)
+    assert scene.energy == good
+    monkeypatch.undo()
+    assert solver.advance(pressure=0.01).outcome.converged
