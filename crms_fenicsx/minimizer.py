@@ -53,9 +53,6 @@ COARSE = 1e-5
 BOUNDED_TYPES, UNBOUNDED_TYPES = ("blmvm", "bqnls", "bncg"), ("lmvm", "cg")
 """Minimisers that need energy and gradient only, with bounds and without."""
 
-NOT_FINITE = 83
-"""PETSc's error code PETSC_ERR_USER: with it TAO ends where an energy or gradient is not finite."""
-
 REASONS = {
     -2: "too many iterations",
     -4: "energy or gradient not finite",
@@ -288,8 +285,8 @@ class Minimizer:
             tolerance = max(self.rtol * self._scale, self.atol, rounding)
             tolerance = min(tolerance, max(ROUNDED, self.rtol) * self._scale + self.atol)
             residual = self.residual()
-            if not np.isfinite((self._energy0, residual)).all():
-                reason = "energy or gradient not finite"
+            if not np.isfinite([residual, self._energy0]).all():  # TAO would raise an error
+                reason = REASONS[-4]
                 break
             if self._interrupted:
                 reason = "interrupted"
@@ -312,13 +309,7 @@ class Minimizer:
             self._at_start = self._bounds is None
             self._residual0, self._evaluations0 = residual, potential.evaluations
             self.tao.setTolerances(gatol=tolerance, grtol=0.0, gttol=0.0)
-            try:
-                self.tao.solve()
-            except PETSc.Error as error:
-                if error.__cause__ is not None or error.ierr != NOT_FINITE:
-                    raise
-                reason = REASONS[-4]
-                break
+            self.tao.solve()
             if self._error is not None:
                 raise self._error
             iterations += self.tao.getIterationNumber()

@@ -676,3 +676,19 @@ def test_loads_that_cancel_on_their_way_are_none(square) -> None:
     pressures = [row["pressure"] for row in solver.history]
     assert pressures[2] == 0.0
     assert abs(scene.positions()[:, 2]).max(initial=0.0) < 1e-9
+
+
+def test_what_is_not_finite_ends_a_solve(
+    square: meshes.MembraneMesh, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also an energy that is not, with forces that are; the step is halved, and then given up."""
+    scene = clamped(square)
+    solver = Solver(scene, max_halvings=1)
+    good = solver.advance(pressure=0.005).energy
+    own = Potential.evaluate_terms
+    monkeypatch.setattr(Potential, "evaluate_terms", lambda self: (np.nan, own(self)[1]))
+    with pytest.raises(ConvergenceError, match=r"energy or gradient not finite.* halved 1 times"):
+        solver.advance(pressure=0.01)
+    assert scene.energy == good
+    monkeypatch.undo()
+    assert solver.advance(pressure=0.01).outcome.converged

@@ -205,7 +205,7 @@ def _pass(paths: Retracer, cable: LaidCable, vertex: int, to_left: bool) -> int:
     if min(paths.led[here], paths.led[cable.name, vertex, not to_left]) >= THERE_AND_BACK:
         return 0
     kept = found.corridor[first : len(found.corridor) - (n + 1 in anchors)]
-    if any(len(s) == 1 and s[0] >= n for s in kept):
+    if any(max(s) >= n for s in kept):  # beside the membrane, between its boundary and an anchor
         return 0
     _adopt(paths, cable, rim, kept, vertex, joined)
     paths.offered.add(way)
@@ -254,7 +254,8 @@ def _adopt(
     cable.set_nodes(nodes, np.array(positions), np.array(fractions), np.array(lifted))
     rim = cable.rim()
     added = [i for i, k in enumerate(rim) if _support(cable.nodes[k]) not in old]
-    _straighten(paths, cable, rim[added[0] - 1 : added[-1] + 2])
+    if added:  # along the membrane's boundary there may only be fewer
+        _straighten(paths, cable, rim[max(added[0] - 1, 0) : added[-1] + 2])
 
 
 def _support(node: CableNode) -> Support:
