@@ -42,6 +42,9 @@ as in cells that turn slack there and then, it is wrong by `SHAKE` of the scene'
 LARGEST_SHAKE = 1e-6
 """Largest size of the virtual displacements, relative to the cells: cables can be so tight that the
 membrane's stiffness says nothing."""
+SMALLEST_SLIP = 0.01
+"""Largest size of the virtual displacements, relative to the smallest slip at which friction along a
+cable is mobilised: beyond it the energy is not smooth."""
 VIRTUAL_WORK = 1e-3
 """Largest virtual work, relative to the scene's force; rounding comes on top. A hundred times what
 `SHAKE` explains, as edges near cables' points are stiffer than the membrane."""
@@ -222,7 +225,7 @@ class Verifier:
         modulus = max(m.reference_modulus for m in scene.materials.values())
         cells = scene.mesh.mesh.topology.index_map(2).size_global
         step = SHAKE * force / (modulus * np.sqrt(3.0 * unknowns.n_global))
-        step = min(step, LARGEST_SHAKE * scene.size / np.sqrt(cells))
+        step = min(step, LARGEST_SHAKE * scene.size / np.sqrt(cells), SMALLEST_SLIP * self._slip())
         way *= np.sqrt(12.0) * step
         shake = way.reshape(n, 3)
         fixed: npt.NDArray[np.bool_] = np.array(unknowns.held[:n])
@@ -247,6 +250,15 @@ class Verifier:
         rounding = np.finfo(float).eps * np.sqrt(cells) * size / step
         limit = VIRTUAL_WORK + (SPREAD * outcome.residual + rounding) / force
         return Check("virtual work", abs(float(levels.sum())) / (2 * step * force), float(limit))
+
+    def _slip(self) -> float:
+        """Smallest slip (length) at which friction along a cable is mobilised; infinite if none."""
+        smallest = np.inf
+        for cable in self.scene.cables:
+            if cable.taut and cable.axial is not None:
+                slips = cable.axial.eps[cable.axial.bounds > 0.0]
+                smallest = float(np.min(slips, initial=smallest))
+        return smallest
 
     def _balance(self, system: System, outcome: Outcome, force: float) -> list[Check]:
         """Unbalanced forces, and supports against loads, the loads taken from the geometry."""
