@@ -43,8 +43,8 @@ LARGEST_SHAKE = 1e-6
 """Largest size of the virtual displacements, relative to the cells: cables can be so tight that the
 membrane's stiffness says nothing."""
 SMALLEST_SLIP = 0.01
-"""Largest size of the virtual displacements, relative to the smallest slip at which friction along a
-cable is mobilised: beyond it the energy is not smooth."""
+"""Largest size of the virtual displacements, relative to the smallest slip at which friction along
+a cable is mobilised: beyond it the energy is not smooth."""
 VIRTUAL_WORK = 1e-3
 """Largest virtual work, relative to the scene's force; rounding comes on top. A hundred times what
 `SHAKE` explains, as edges near cables' points are stiffer than the membrane."""
