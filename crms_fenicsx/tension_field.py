@@ -47,7 +47,7 @@ def cell_values(u, dofs, axes, shapes, row, p, cells, strains, values):  # type:
             e[0] += (x + 0.5 * du) * du
             e[1] += (y + 0.5 * dv) * dv
             e[2] += x * dv + y * du + du * dv
-        energy, state = laws.stress(ORTHOTROPIC_TENSION_FIELD, p[row[c]], e, s)
+        energy, state = laws.stress(ORTHOTROPIC_TENSION_FIELD, p[row[c]], e, s, True)
         into = values[cells[c]]
         into[0], into[1], into[2], into[3], into[4] = energy, s[0], s[1], s[2], state
         for m in range(3):
@@ -59,7 +59,7 @@ def cell_tangents(strains, row, p, cells, tangents):  # type: ignore[no-untyped-
     """Consistent tangents (3, 3) into `tangents` at the cells, flat."""
     C = np.empty((3, 3))
     for c in range(len(cells)):
-        laws.tangent(ORTHOTROPIC_TENSION_FIELD, p[row[c]], strains[c], 0.0, C)
+        laws.tangent(ORTHOTROPIC_TENSION_FIELD, p[row[c]], strains[c], 0.0, C, True)
         tangents[cells[c]] = C.ravel()
 
 

@@ -19,7 +19,7 @@ from crms_fenicsx import Cable, IsotropicMembrane, OrthotropicMembrane, Scene, S
 from crms_fenicsx.cables import law as compiled
 from crms_fenicsx.compat import geometry_dofmap
 from crms_fenicsx.errors import InputError
-from crms_fenicsx.materials import UNSTRAINED, Membrane
+from crms_fenicsx.materials import ORTHOTROPIC_TENSION_FIELD, UNSTRAINED, Membrane
 from crms_fenicsx.solver import Step
 
 Array = npt.NDArray[Any]
@@ -34,12 +34,27 @@ def fabric(E1: float, E2: float, kappa: float, nu: float) -> OrthotropicMembrane
 def evaluate(material: Membrane, e: Array, floor: float = 0.0) -> tuple[Array, ...]:
     """Compiled energies (n,), section forces (n, 3), states (n,) and tangents (n, 3, 3)."""
     law, p = material.law, material.parameters
+    orthotropic = True if law == ORTHOTROPIC_TENSION_FIELD else None
     s, C = np.zeros((len(e), 3)), np.zeros((len(e), 3, 3))
-    pairs = [compiled.stress(law, p, e[k], s[k]) for k in range(len(e))]
+    pairs = [compiled.stress(law, p, e[k], s[k], orthotropic) for k in range(len(e))]
     for k in range(len(e)):
-        compiled.tangent(law, p, e[k], floor, C[k])
+        compiled.tangent(law, p, e[k], floor, C[k], orthotropic)
     energy, state = np.array(pairs).T
     return energy, s, state, C
+
+
+@pytest.mark.parametrize(("orthotropic", "compiles"), [(None, 0), (True, 1)])
+def test_the_orthotropic_law_is_compiled_only_for_those_who_have_it(
+    orthotropic: bool | None, compiles: int
+) -> None:
+    import numba
+
+    stress, law = compiled.stress.py_func, compiled._orthotropic
+    here = numba.njit(stress)  # not from the cache on disk, and of a type that nothing else has
+    before = len(law.signatures)
+    p, e = np.ones(18, dtype=np.float32), np.zeros(3, dtype=np.float32)
+    here(0, p, e, np.zeros(3, dtype=np.float32), orthotropic)
+    assert len(law.signatures) - before == compiles
 
 
 def linear_energy(material: Membrane, e: Array) -> Array:

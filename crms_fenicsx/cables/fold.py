@@ -25,6 +25,7 @@ from crms_fenicsx.cables.length import (
     segment_stiffness,
     slope_over_distance,
 )
+from crms_fenicsx.materials import ORTHOTROPIC_TENSION_FIELD
 from crms_fenicsx.membrane import Stiffening
 from crms_fenicsx.unknowns import Unknowns
 
@@ -98,8 +99,13 @@ class FoldedCells:
 
 
 @numba.njit(cache=True)
-def cell_forces(lengths, pointers, side_segments, sides, maps, squares, areas, law, p, forces, out):  # type: ignore[no-untyped-def]  # fmt: skip
-    """Energy of the cells; forces in the segments (m,); strain, stress, state into `out` (n, 7)."""
+def cell_forces(  # type: ignore[no-untyped-def]
+    lengths, pointers, side_segments, sides, maps, squares, areas, law, p, forces, out, orthotropic,
+):  # fmt: skip
+    """Energy of the cells; forces in the segments (m,); strain, stress, state into `out` (n, 7).
+
+    `orthotropic` as in `crms_fenicsx.cables.law.stress`.
+    """
     forces[:] = 0.0
     energy = 0.0
     e, s, r = np.empty(3), np.empty(3), np.empty(3)
@@ -111,7 +117,7 @@ def cell_forces(lengths, pointers, side_segments, sides, maps, squares, areas, l
                 r[k] += lengths[side_segments[q]]
             for i in range(3):
                 e[i] += maps[c, i, k] * (r[k] * r[k] - squares[c, k])
-        density, state = laws.stress(law[c], p[c], e, s)
+        density, state = laws.stress(law[c], p[c], e, s, orthotropic)
         energy += areas[c] * density
         for k in range(3):
             force = 0.0
@@ -129,7 +135,7 @@ def cell_forces(lengths, pointers, side_segments, sides, maps, squares, areas, l
 @numba.njit(cache=True)
 def cell_stiffness(  # type: ignore[no-untyped-def]
     X, x, segments, eps, lengths, pointers, side_segments, sides, maps, areas, law, p, out, floor,
-    prestress, element_pointers, element_blocks, offsets, values, tension,
+    prestress, element_pointers, element_blocks, offsets, values, tension, orthotropic,
 ):  # fmt: skip
     """Stiffness ``sum K_kl grad(r_k) grad(r_l)^T`` per cell, r its sides.
 
@@ -143,7 +149,7 @@ def cell_stiffness(  # type: ignore[no-untyped-def]
         start = element_pointers[c]
         size = element_pointers[c + 1] - start
         own = element_blocks[start : start + size]
-        laws.tangent(law[c], p[c], out[c, :3], floor, C)
+        laws.tangent(law[c], p[c], out[c, :3], floor, C, orthotropic)
         B, r = np.zeros((3, size, 3)), np.zeros(3)
         for k in range(3):
             for q in range(pointers[sides[c, k]], pointers[sides[c, k] + 1]):
@@ -206,6 +212,7 @@ class FoldEnergy:
         self._tension = np.zeros(len(table.segments))
         self.results = np.zeros((len(table.cells), 7))
         """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state of each cell."""
+        self._orthotropic = True if np.any(table.laws == ORTHOTROPIC_TENSION_FIELD) else None
         self._element_pointers, self._element_blocks = table.element_blocks
         self.elements = ElementPattern(self._element_pointers, self._element_blocks)
         self.edges = SegmentPattern(table.segments)
@@ -220,7 +227,7 @@ class FoldEnergy:
         segment_lengths(self.unknowns.X, x, t.segments, t.eps, self.lengths)
         out[0] = cell_forces(
             self.lengths, t.side_pointers, t.side_segments, t.sides, self.maps, self.squares,
-            self.areas, t.laws, t.parameters, self.forces, self.results,
+            self.areas, t.laws, t.parameters, self.forces, self.results, self._orthotropic,
         )  # fmt: skip
 
     def cell_results(self) -> Array:
@@ -247,7 +254,7 @@ class FoldEnergy:
             self.maps, self.areas, t.laws, t.parameters, self.results,
             float(self.stiffening.floor.value), float(self.stiffening.prestress.value),
             self._element_pointers, self._element_blocks, self.elements.offsets,
-            self.elements.values, self._tension,
+            self.elements.values, self._tension, self._orthotropic,
         )  # fmt: skip
         self.elements.add(A, self.unknowns)
         segment_stiffness(X, x, t.segments, t.eps, self._tension, self.edges.own_values)

@@ -60,11 +60,12 @@ def tension_line(p, e0, e1, e2):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def stress(law, p, e, s):  # type: ignore[no-untyped-def]
+def stress(law, p, e, s, orthotropic):  # type: ignore[no-untyped-def]
     """Energy per area; section forces (S11, S22, S12) into s. Returns (energy, state).
 
     `p` is `Membrane.parameters`, e the strain (E11, E22, 2 E12); state is 2 taut, 1 wrinkled,
-    0 slack.
+    0 slack. Where `orthotropic` is None, and not True, the orthotropic tension field is not
+    compiled: its iteration takes longer than all the rest.
     """
     if law == LINEAR:
         energy = 0.0
@@ -78,7 +79,7 @@ def stress(law, p, e, s):  # type: ignore[no-untyped-def]
     rest = 0.0
     for i in range(3):
         rest += 0.5 * p[9 + i] * p[12 + i]
-    if law == TENSION_FIELD:
+    if orthotropic is None or law == TENSION_FIELD:
         density, state = _isotropic(p, e0, e1, e2, s)
     else:
         density, state = _orthotropic(p, e0, e1, e2, s)
@@ -131,15 +132,18 @@ def _taut(p, e0, e1, e2, s):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def tangent(law, p, e, floor, C):  # type: ignore[no-untyped-def]
-    """Consistent tangent (3, 3) into C, in wrinkling laws plus `floor` times the taut stiffness."""
+def tangent(law, p, e, floor, C, orthotropic):  # type: ignore[no-untyped-def]
+    """Consistent tangent (3, 3) into C, in wrinkling laws plus `floor` times the taut stiffness.
+
+    `orthotropic` as in `stress`.
+    """
     for i in range(3):
         for j in range(3):
             C[i, j] = p[3 * i + j]
     if law == LINEAR:
         return
     e0, e1, e2 = e[0] + p[9], e[1] + p[10], e[2] + p[11]
-    if law == TENSION_FIELD:
+    if orthotropic is None or law == TENSION_FIELD:
         taut, along, across, first, second = _isotropic_dyads(p, e0, e1, e2)
     else:
         taut, along, across, first, second = _orthotropic_dyads(p, e0, e1, e2)
