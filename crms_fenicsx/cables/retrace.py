@@ -9,6 +9,7 @@ is tried twice, so this ends.
 from __future__ import annotations
 
 import itertools
+import operator
 from collections import Counter
 from collections.abc import Sequence, Set
 from typing import TYPE_CHECKING, NamedTuple
@@ -287,17 +288,25 @@ class Retracer:
             self._passed.setdefault(self.scene.cables[c].name, set()).add(vertex)
 
     def _pass_vertex(self, cable: LaidCable, vertex: int) -> bool:
-        if cable.lifted.any():
-            return False
         surface = self.surface([vertex])
         refused = self.refused.setdefault(cable.name, set())
-        path = list(cable.path.points)
-        refused.add(corridor(path))
-        points = pass_vertex(path, surface, vertex, refused=refused)
-        if points is None:
+        points: list[SurfacePoint] = []
+        lifted: list[bool] = []
+        passed = False
+        for is_off, run in _runs(cable):
+            # All edges of the vertex that the cable crosses must be in one part that touches.
+            around = [p for p in cable.path.points if vertex in p.support]
+            new = None
+            if not is_off and len(run) > 2 and around and all(p in run for p in around):
+                refused.add(corridor(run))
+                new = pass_vertex(run, surface, vertex, refused=refused)
+                passed |= new is not None
+            points += run if new is None else new
+            lifted += [is_off] * len(run if new is None else new)
+        if not passed:
             return False
         grow(self.scene, [v for point in points for v in point.support])
-        self._adopt(cable, points, [False] * len(points), self.surface())
+        self._adopt(cable, points, lifted, self.surface())
         return True
 
     def _retrace(
@@ -338,11 +347,6 @@ class Retracer:
     ) -> tuple[list[SurfacePoint], list[bool], int]:
         """The path pulled taut: its points, which of them are lifted, how many flips."""
         path = list(cable.path.points)
-        off = [
-            bool(lifted)
-            for lifted, node in zip(cable.lifted, cable.nodes, strict=True)
-            if node.point is not None and node.kind != "crossing"
-        ]
         refused = self.refused.setdefault(cable.name, set())
         held_at = None
         if _is_crossed(cable) and not fresh:
@@ -351,9 +355,10 @@ class Retracer:
         points: list[SurfacePoint] = []
         lifted: list[bool] = []
         passed = 0
-        for is_off, group in itertools.groupby(range(len(path)), key=off.__getitem__):
-            run = list(group)
-            new = [path[k] for k in run]
+        first = 0
+        for is_off, new in _runs(cable):
+            run = range(first, first + len(new))
+            first += len(new)
             if not is_off:
                 # Pulled between the places under the spans at its ends, or the anchors beyond.
                 before, after = self._beyond(cable, surface, path, run)
@@ -485,6 +490,20 @@ def _is_crossed(cable: LaidCable) -> bool:
     only, and on fine meshes where they would not go.
     """
     return any(node.crossing is not None for node in cable.nodes)
+
+
+def _runs(cable: LaidCable) -> list[tuple[bool, list[SurfacePoint]]]:
+    """The parts of a path that are lifted, and those that are not, in their order."""
+    off = [
+        bool(lifted)
+        for lifted, node in zip(cable.lifted, cable.nodes, strict=True)
+        if node.point is not None and node.kind != "crossing"
+    ]
+    pairs = zip(off, cable.path.points, strict=True)
+    return [
+        (is_off, [point for _, point in group])
+        for is_off, group in itertools.groupby(pairs, key=operator.itemgetter(0))
+    ]
 
 
 def _near(cable: LaidCable, near: float) -> dict[int, float]:
