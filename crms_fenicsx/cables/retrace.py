@@ -293,7 +293,7 @@ class Retracer:
         points: list[SurfacePoint] = []
         lifted: list[bool] = []
         passed = False
-        for is_off, run in _runs(cable):
+        for is_off, run in _runs(cable, touching=vertex):
             # All edges of the vertex that the cable crosses must be in one part that touches.
             around = [p for p in cable.path.points if vertex in p.support]
             new = None
@@ -492,14 +492,24 @@ def _is_crossed(cable: LaidCable) -> bool:
     return any(node.crossing is not None for node in cable.nodes)
 
 
-def _runs(cable: LaidCable) -> list[tuple[bool, list[SurfacePoint]]]:
-    """The parts of a path that are lifted, and those that are not, in their order."""
+def _runs(cable: LaidCable, touching: int | None = None) -> list[tuple[bool, list[SurfacePoint]]]:
+    """The parts of a path that are lifted, and those that are not, in their order.
+
+    Where the cable lifts only from edges of the vertex `touching` it counts as touching.
+    """
     off = [
         bool(lifted)
         for lifted, node in zip(cable.lifted, cable.nodes, strict=True)
         if node.point is not None and node.kind != "crossing"
     ]
-    pairs = zip(off, cable.path.points, strict=True)
+    points = cable.path.points
+    if touching is not None:
+        for is_off, group in itertools.groupby(range(len(points)), key=off.__getitem__):
+            run = list(group)
+            if is_off and all(touching in points[k].support for k in run):
+                for k in run:
+                    off[k] = False
+    pairs = zip(off, points, strict=True)
     return [
         (is_off, [point for _, point in group])
         for is_off, group in itertools.groupby(pairs, key=operator.itemgetter(0))
