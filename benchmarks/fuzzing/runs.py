@@ -35,8 +35,9 @@ Array = npt.NDArray[np.float64]
 
 SECONDS = 30
 """Time of the processor after which a scene counts as hanging."""
-FALL = 1e-9
-"""Rise of the energy in a minimisation, relative to the sum of its parts, that is rounding."""
+FALL = 1e-8
+"""Rise of the energy between two stages of a minimisation, relative to the sum of its parts, that
+is rounding, or what the trapezoidal rule misses near the minimum where friction is not smooth."""
 SAME_ENERGY, SAME_TENSION = 1e-6, 1e-4
 """Relative differences up to which two answers are the same."""
 SHAKES = (1e-4, 1e-2)
