@@ -14,6 +14,7 @@ so that a change costs little and none costs nothing.
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -43,6 +44,10 @@ TENSE = 0.01
 
 MAX_PASSES = 30
 """How often friction forces are taken from the state that they have led to."""
+
+PATIENCE = 12
+"""How often they may be without their change becoming less: where the state answers a small change
+of a force by a large one, as at the edge of lifting off, they go round in circles."""
 
 MAX_PATHS = 60
 """How many sets of paths are tried in one load step before it is given up."""
@@ -150,7 +155,7 @@ class EquilibriumSearch:
         from crms_fenicsx.cables.grip import NEARLY
         from crms_fenicsx.cables.strip import StripShape
 
-        change = 0.0
+        change, least, waited = 0.0, math.inf, 0
         for passes in range(1, MAX_PASSES + 1):
             outcome = replace(outcome, passes=passes)
             if not outcome.converged:
@@ -161,13 +166,19 @@ class EquilibriumSearch:
                 return outcome
             change = max(changes)
             logger.debug("pass %d: friction forces change by %.2g", passes, change)
+            least, waited = min(change, least), waited + 1 if change >= least else 0
+            given_up = waited == PATIENCE or passes == MAX_PASSES
+            if given_up and change > NEARLY:
+                break
             if change > NEARLY and self.paths is not None:
                 self.paths.withheld.clear()
             self.system.renew_friction()
             if change <= NEARLY and not any(cable.has_coulomb for cable in self.scene.cables):
                 solve = self._settle  # friction along moves a path too little to try others again
             outcome = outcome + solve((0.0,))
-        reason = f"friction forces still change by {change:.1%} after {MAX_PASSES} passes"
+            if given_up and outcome.converged:
+                return replace(outcome, passes=passes, unsettled=change)
+        reason = f"friction forces still change by {change:.1%} after {outcome.passes} passes"
         return replace(outcome, converged=False, reason=reason)
 
     def _lags(self) -> list[Lag | AxialLag]:

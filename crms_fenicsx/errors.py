@@ -43,7 +43,11 @@ class PathWarning(UserWarning):
 
 
 class FrictionWarning(UserWarning):
-    """Friction with the paper's law has pushed a cable back: a cable that sticks is beyond it."""
+    """Friction forces that are crude.
+
+    Those of the paper's law have pushed a cable back, as sticking is beyond it; or forces went
+    round in circles, as the state answers a small change of them by a large one.
+    """
 
 
 class PenaltyWarning(UserWarning):

@@ -84,6 +84,9 @@ class Outcome:
         paths included; not those over which paths were pulled straight before the first.
     passes
         How often friction forces were taken from the state that they led to; 0 without friction.
+    unsettled
+        What the friction forces still change by, relative to their sum, where they went round in
+        circles and were left at that.
     """
 
     converged: bool
@@ -96,6 +99,7 @@ class Outcome:
     solves: int = 1
     flips: int = 0
     passes: int = 0
+    unsettled: float = 0.0
 
     def __add__(self, other: Outcome) -> Outcome:
         """The outcome of `other`, after the work of both."""

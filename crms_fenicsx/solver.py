@@ -483,7 +483,7 @@ class Solver:
                 )  # fmt: skip
                 self.steps.append(step)
                 self._warn_of_blocked()
-                self._warn_of_friction(good)
+                self._warn_of_friction(good, outcome.unsettled)
                 if abs(goal - round(goal)) < 1e-9:
                     bar.advance(1, f"energy {step.energy:.6g}")
                 done, increment = goal, min(2 * (goal - done), 1.0)
@@ -652,8 +652,16 @@ class Solver:
             return (0.0,)
         return (coming, 0.1 * coming, 0.01 * coming, 0.0)
 
-    def _warn_of_friction(self, before: State) -> None:
-        """The paper's friction element pushes a cable back that should stick."""
+    def _warn_of_friction(self, before: State, unsettled: float) -> None:
+        """Friction forces that have not settled; the paper's friction element pushes a cable back
+        that should stick."""
+        if unsettled > 0.0 and self.scene.comm.rank == 0:
+            warnings.warn(
+                f"step {len(self.steps)}: friction forces went round in circles and are right to "
+                f"{unsettled:.1%} of their sum only; make the mesh finer along the cables.",
+                FrictionWarning,
+                stacklevel=4,
+            )
         for cable, was in zip(self.scene.cables, before.cables, strict=True):
             gained = 0.0 if was.grip is None else was.grip.dissipated
             if cable.grip is None or cable.has_coulomb or cable.grip.dissipated >= gained:

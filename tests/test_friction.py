@@ -302,3 +302,33 @@ def test_contact_force_per_length(comm) -> None:
     pull = cable.tension * -np.diff(slope / np.sqrt(1 + slope**2))[0]
     total = np.trapezoid(line[on], arc)
     assert total == pytest.approx(pull * (arc[-1] - arc[0]) / 60.0, rel=0.1)
+
+
+class Circling:
+    """A cable of which the friction forces change by so much in each pass."""
+
+    settled = 1e-3
+
+    def __init__(self, change: float) -> None:
+        self.change = change
+
+    def renew(self, shape: Any) -> float:
+        """Their change."""
+        return self.change
+
+
+@pytest.mark.parametrize("change", [0.01, 0.5])
+def test_forces_that_go_round_in_circles_are_told(comm, monkeypatch, change: float) -> None:
+    """Crude ones with a warning; if they are nothing at all the step has not converged."""
+    _, solver, cable = anchored(comm, Friction(0.2))
+    lags = [Circling(change)]
+    monkeypatch.setattr(equilibrium.EquilibriumSearch, "_lags", lambda self: lags)
+    if change > 0.1:
+        with pytest.raises(ConvergenceError, match=r"friction forces still change by 50\.0% after"):
+            solver.advance(L0={cable: 0.985 * cable.length})
+        return
+    told = pytest.warns(FrictionWarning, match=r"are right to 1\.0% of their sum only")
+    with told if comm.rank == 0 else nullcontext():
+        step = solver.advance(L0={cable: 0.985 * cable.length})
+    assert step.outcome.unsettled == change
+    assert step.outcome.passes == equilibrium.PATIENCE + 1

@@ -20,6 +20,7 @@ KNOWN = (
     182,  # a slack cable that touches down next to a vertex
     620,  # friction along a cable that ends on a held vertex
     1310,  # and the vertex moves off the cable's end
+    659,  # friction forces that go round in circles
     1978,  # a cable with friction along the boundary that is led past a vertex of it
 )
 

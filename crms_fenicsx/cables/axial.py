@@ -24,6 +24,7 @@ from crms_fenicsx.cables.cable import COINCIDENT, LaidCable
 from crms_fenicsx.cables.contact import is_foot
 from crms_fenicsx.cables.contact_force import edge_direction, turns, wrap_angles
 from crms_fenicsx.cables.grip import held_nodes, succession
+from crms_fenicsx.cables.pace import Pace
 from crms_fenicsx.cables.slip import MaterialCurve, Support, material_place
 from crms_fenicsx.cables.strip import StripShape
 
@@ -32,6 +33,8 @@ Array = npt.NDArray[np.float64]
 SETTLED = 1e-4
 """Change of the tensions, relative to the sum of the bounds, below which these have settled. What
 is sharper than sideways costs one short pass here."""
+LEAST_PART = 0.01
+"""Least part of a change of the bounds that is taken."""
 
 
 @dataclass(frozen=True)
@@ -208,6 +211,7 @@ class AxialLag:
 
     def __init__(self, cable: LaidCable) -> None:
         self.cable = cable
+        self._pace = Pace(LEAST_PART)
 
     def renew(self, shape: StripShape) -> float:
         """Take the bounds from the current state.
@@ -241,6 +245,10 @@ class AxialLag:
         change = float(error) / max(total, 1e-3 * used)
         if change > self.settled:  # the state found stays the one that belongs to its bounds
             tensions = _by_link(cable, EA * strains)
+            if used > 0.0:
+                part = self._pace.of(grip.supports, bounds - grip.bounds)
+                bounds = grip.bounds + part * (bounds - grip.bounds)
+                eps = grip.eps + part * (eps - grip.eps)
             cable.axial = replace(grip, bounds=bounds, eps=eps, tensions=tensions)
         return change
 

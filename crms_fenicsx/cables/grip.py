@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from crms_fenicsx.cables.cable import LaidCable, polyline_length
 from crms_fenicsx.cables.contact_force import contact_forces, paper_forces
+from crms_fenicsx.cables.pace import Pace
 from crms_fenicsx.cables.slip import MaterialCurve, Support, material_curve, node_slips
 from crms_fenicsx.cables.stick_slip import friction_energy
 from crms_fenicsx.cables.strip import StripShape
@@ -37,9 +38,11 @@ NOISE = 1e-6
 LEAST_STRAIN = 1e-4
 """Strain of a cable that sets the force by which it is first taken to stick."""
 LEAST_SHARE = 0.1
-"""Least share of a change in how the bounds are divided that is taken."""
+"""Least part of a change in how the bounds are divided that is taken."""
 STEEPEST = 0.9
 """Largest part of a change of their sum that is taken to come back from the state."""
+AGAINST = 30.0
+"""As `STEEPEST`, where the state answers a larger sum by a smaller one."""
 
 
 @dataclass(frozen=True)
@@ -169,9 +172,8 @@ class Lag:
 
     The bounds are proportional to the tension, and a stiff cable that slides soon loses it: taking
     their sum over would converge slowly, so it is found by the secant method. How it is divided
-    among the nodes can go back and forth between two states, so of a change of that a share is
-    taken, by Aitken's rule for vectors (B. M. Irons and R. C. Tuck, Int. J. Numer. Meth. Engng 1,
-    1969).
+    among the nodes can go back and forth between two states, so of a change of that a part is
+    taken.
     """
 
     settled = SETTLED
@@ -182,8 +184,7 @@ class Lag:
         self._forget()
 
     def _forget(self) -> None:
-        self._share = 1.0
-        self._division: tuple[tuple[Support, ...], Array] | None = None
+        self._pace = Pace(LEAST_SHARE)
         self._sums: tuple[float, float] | None = None
 
     def renew(self, shape: StripShape) -> float:
@@ -205,8 +206,10 @@ class Lag:
         if not grip.known or np.any(moving != grip.moving):  # another law from here on
             self._forget()
         elif total > 0.0 < used:
-            shares = np.asarray(grip.bounds / used), np.asarray(found / total)
-            found = self._add_up(used, total) * self._divide(grip.supports, *shares)
+            shares = grip.bounds / used
+            change = found / total - shares
+            part = self._pace.of(grip.supports, change)
+            found = np.asarray(self._add_up(used, total) * (shares + part * change))
         cable.grip = replace(grip, bounds=found, moving=moving, known=True)
         return self.change
 
@@ -216,19 +219,8 @@ class Lag:
         if self._sums is not None and here[0] != self._sums[0]:
             slope = (here[1] - self._sums[1]) / (here[0] - self._sums[0])
         self._sums = here
-        return float(np.exp(here[0] + (here[1] - here[0]) / (1 - min(max(slope, -1.0), STEEPEST))))
-
-    def _divide(self, supports: tuple[Support, ...], used: Array, found: Array) -> Array:
-        """How the sum is divided among the nodes, between how it is and was found to be, (n,)."""
-        change = found - used
-        if self._division is not None and self._division[0] == supports:
-            bend = change - self._division[1]
-            size = float(bend @ bend)
-            if size > 0.0:
-                share = -self._share * float(self._division[1] @ bend) / size
-                self._share = min(max(share, LEAST_SHARE), 1.0)
-        self._division = supports, change
-        return used + self._share * change
+        step = (here[1] - here[0]) / (1 - min(max(slope, -AGAINST), STEEPEST))
+        return float(np.exp(here[0] + step))
 
 
 def _change(used: Array, found: Array) -> float:
