@@ -5,7 +5,7 @@
 The roof of `demos/air_dome.py` with CABLES cables in each of its two families (0 to 14) is inflated
 to 0.3 kPa and then to 0.5 kPa; that second load step is what counts. For each number of processes
 (1 and 2 by default) it runs itself under mpirun. What is sent is counted by PETSc's own log, in
-stages of their own, after the load step. PETSc does not see the one sum over all ranks that an
+stages of their own. PETSc does not see the one sum over all ranks that an
 evaluation makes (`Potential.sum_up`): it is counted with its bytes beside the log's figures.
 With --held the cables slide along the edges that they are laid over, but not to other cells: how
 many paths are tried depends on rounding.
@@ -26,9 +26,8 @@ from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
 
-STAGES = ("an evaluation", "a solve with H0")
-ROUNDS = 20
-"""Evaluations and solves over which messages are counted."""
+STAGES = {"the load step": 1, "an evaluation": 20, "a solve with H0": 20}
+"""What is counted, and how many times it is done."""
 
 
 class Clock:
@@ -123,24 +122,26 @@ def roof(unknowns: float, cables: int, slide: bool):
 
 def repeat_in_stages(solver) -> None:
     """Evaluate and solve with H0 some times, each in a stage of PETSc's log."""
-    from petsc4py import PETSc
-
     potential, minimizer = solver.system.potential, solver.system.minimizer
     X, G = potential.x_vector.copy(), potential.x_vector.duplicate()
     potential.objective_gradient(None, X, G)
     minimizer.h0.rebuild()
     minimizer.h0.solve(G, X)
     potential.x_vector.copy(X)
-    with _stage(PETSc, STAGES[0]):
-        for _ in range(ROUNDS):
+    _, evaluation, solve = STAGES
+    with stage(evaluation):
+        for _ in range(STAGES[evaluation]):
             potential.objective_gradient(None, X, G)
-    with _stage(PETSc, STAGES[1]):
-        for _ in range(ROUNDS):
+    with stage(solve):
+        for _ in range(STAGES[solve]):
             minimizer.h0.solve(G, X)
 
 
 @contextlib.contextmanager
-def _stage(PETSc, name: str):
+def stage(name: str):
+    """A stage of PETSc's log."""
+    from petsc4py import PETSc
+
     stage = PETSc.Log.Stage(name)
     stage.push()
     yield
@@ -148,13 +149,13 @@ def _stage(PETSc, name: str):
 
 
 def messages(log: str) -> dict[str, list[float]]:
-    """Messages, bytes and reductions of an evaluation and of a solve with H0, from the log."""
+    """Messages, bytes and reductions of each stage, from the log."""
     counts = {}
-    for name in STAGES:
+    for name, rounds in STAGES.items():
         line = next(line for line in log.splitlines() if f": {name}:" in " ".join(line.split()))
         values = [v for v in line.rpartition(name + ":")[2].split() if not v.endswith("%")]
         _, _, sent, length, reductions = map(float, values)
-        counts[name] = [sent / ROUNDS, sent * length / ROUNDS, reductions / ROUNDS]
+        counts[name] = [sent / rounds, sent * length / rounds, reductions / rounds]
     return counts
 
 
@@ -171,7 +172,8 @@ def work(unknowns: float, cables: int, slide: bool) -> None:
     clock.seconds.clear()
     comm.Barrier()
     begin = time.perf_counter()
-    step = solver.advance(pressure=0.5)
+    with stage(next(iter(STAGES))):
+        step = solver.advance(pressure=0.5)
     spent = time.perf_counter() - begin
     parts = dict(clock.seconds)
     kilobytes = comm.allreduce(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)

@@ -118,6 +118,9 @@ def test_arguments_that_differ_between_ranks(scene: Scene) -> None:
         "lay_cable: path": lambda: scene.lay_cable(Cable(EA=1.0), path),
         "lay_cable: cable": lambda: scene.lay_cable(Cable(EA=1.0 + own), path[:, :1] * [1.0, 0.5]),
         "Solver: rtol": lambda: Solver(scene, rtol=1e-9 * (1 + own)),
+        "rectangle: size": lambda: meshes.rectangle(comm, 100.0, 100.0, 25.0 + own),
+        "spherical_cap: height": lambda: meshes.spherical_cap(comm, 10.0, 3.0 + own, 2.0),
+        "polygon: corners": lambda: meshes.polygon(comm, [(0, 0), (9 + own, 0), (0, 9)], 3.0),
         "draw: view = nothing": lambda: solver.draw("a.png", **({"view": (0, 90)} if own else {})),
     }
     for words, call in calls.items():

@@ -60,6 +60,10 @@ def spherical_cap(
         On all ranks, if an argument is not finite or positive, or `size` is more than
         `radius`.
     """
+    checks.same(
+        comm, "spherical_cap", radius=radius, height=height, size=size,
+        center=center, refinements=refinements,
+    )  # fmt: skip
 
     def build() -> SurfaceArrays:
         check_positive("the spherical cap", radius=radius, height=height)
@@ -177,6 +181,10 @@ def air_hall(
     InputError
         On all ranks, if an argument is not finite or positive, or `size` is more than a side.
     """
+    checks.same(
+        comm, "air_hall", width=width, depth=depth, height=height, size=size,
+        corner=corner, refinements=refinements,
+    )  # fmt: skip
 
     def build() -> SurfaceArrays:
         check_positive("the air hall", width=width, depth=depth, height=height)

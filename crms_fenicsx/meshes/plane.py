@@ -9,6 +9,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from crms_fenicsx import checks
 from crms_fenicsx.errors import InputError
 from crms_fenicsx.meshes.arguments import check_point, check_positive, check_size
 from crms_fenicsx.meshes.gmsh_model import mesh_with_sizes, own_model, read_model
@@ -62,6 +63,10 @@ def rectangle(
         On all ranks, if an argument is not finite or positive, `size` is more than a side, or
         a structured mesh is to be refined.
     """
+    checks.same(
+        comm, "rectangle", width=width, depth=depth, size=size, corner=corner,
+        structured=structured, refinements=refinements,
+    )  # fmt: skip
 
     def build() -> SurfaceArrays:
         check_positive("the rectangle", width=width, depth=depth)
@@ -114,6 +119,7 @@ def ellipse(
         On all ranks, if an argument is not finite or positive, or `size` is more than a
         semi-axis.
     """
+    checks.same(comm, "ellipse", a=a, b=b, size=size, center=center, refinements=refinements)
 
     def build() -> SurfaceArrays:
         check_positive("the ellipse", a=a, b=b)
@@ -156,6 +162,7 @@ def circle(
         On all ranks, if an argument is not finite or positive, or `size` is more than the
         radius.
     """
+    checks.same(comm, "circle", radius=radius, size=size, center=center, refinements=refinements)
 
     def build() -> SurfaceArrays:
         check_positive("the circle", radius=radius)
@@ -202,6 +209,7 @@ def polygon(
         intersect or touch, the names are not as many as the sides, or `size` is not
         positive or more than the polygon's extent.
     """
+    checks.same(comm, "polygon", corners=corners, size=size, names=names, refinements=refinements)
 
     def build() -> SurfaceArrays:
         outline = simple_outline(corners)
