@@ -3,8 +3,9 @@
 The paper minimises each step's potential by a quasi-Newton method (section 2.7). On its own BLMVM
 needs hundreds of iterations on a membrane and stalls with a cable. Here its initial Hessian H0 is
 a stiffness that is positive definite by construction, factorised and rebuilt when that pays: the
-solve runs in *stages*, with a new H0 at the start of each. A stage ends after a few iterations
-unless they converge fast, or when its line searches have cost as much as a new H0 would.
+solve runs in *stages*. After a few iterations a stage ends, and H0 is rebuilt, if it would take
+longer to the end than with a new H0; or when its line searches have cost as much as that. The next
+solve, be it on new paths or at new loads, begins with the H0 that is there.
 
 Near the minimum the energy's differences drown in rounding, long before the forces balance to the
 tolerance. There a stage, which keeps the H0 of the one before, measures energy from its start x0 by
@@ -17,6 +18,7 @@ which is accurate to the rounding of the forces.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -31,15 +33,14 @@ from crms_fenicsx.potential import Potential
 
 Array = npt.NDArray[np.float64]
 
-STAGE_LENGTHS = (4, 6, 10, 20)
+STAGE_LENGTHS = (3, 6, 10, 20)
 """Iterations after which H0 is rebuilt; the last value repeats."""
 
-FAST = 0.3
-"""Reduction of the residual by each iteration of a stage with which it goes on all the same."""
+REBUILD = 8
+"""Iterations, or evaluations in line searches, that cost as much as a new H0."""
 
-WASTED = 8
-"""Evaluations beyond one for each iteration of a stage, after which H0 is rebuilt: steps that need
-line searches say that H0 has aged. A rebuild costs as much as 10 to 20 evaluations."""
+FRESH = 0.15
+"""Reduction of the residual by each iteration with a new H0."""
 
 CLOSE = 1e-5
 """Residual, relative to the force scale, from which on energy counts from the stage's start."""
@@ -49,6 +50,9 @@ ROUNDED = 1e-6
 
 COARSE = 1e-5
 """Residual, relative to the force scale, at which `solve` asks whether to go on."""
+
+TINY = 1e-300
+"""What takes the place of zero where it would have no logarithm."""
 
 BOUNDED_TYPES, UNBOUNDED_TYPES = ("blmvm", "bqnls", "bncg"), ("lmvm", "cg")
 """Minimisers that need energy and gradient only, with bounds and without."""
@@ -154,9 +158,10 @@ class Minimizer:
         self._x, self._g, self._x0, self._g0, self._step = (
             potential.x_vector.duplicate() for _ in range(5)
         )
-        self._close = self._at_start = self._aged = False
-        self._energy0 = self._residual0 = self._scale = 0.0
-        self._evaluations0 = self._length = 0
+        self._close = self._at_start = False
+        self._energy0 = self._residual0 = self._scale = self._tolerance = 0.0
+        self._evaluations0, self._length = 0, STAGE_LENGTHS[0]
+        self._aged = True
         self._interrupt: Callable[[], bool] | None = None
         self._interrupted = False
         self._error: BaseException | None = None
@@ -225,11 +230,22 @@ class Minimizer:
         """Whether energy is to be measured in another way, or H0 to be rebuilt."""
         if iterations == 0:
             return False
-        self._aged = self._uses_h0 and (
-            self.potential.evaluations - self._evaluations0 >= iterations + WASTED
-            or (iterations >= self._length and residual > self._residual0 * FAST**iterations)
-        )
+        searches = self.potential.evaluations - self._evaluations0 - iterations
+        slow = iterations >= self._length and self._is_slow(iterations, residual)
+        self._aged = self._uses_h0 and (slow or searches >= REBUILD)
         return self._aged or (not self._close and residual <= CLOSE * self._scale)
+
+    def _is_slow(self, iterations: int, residual: float) -> bool:
+        """Whether what is left takes longer than to rebuild H0 and go on with that."""
+        if residual <= self._tolerance:
+            return False
+        left = math.log(residual) - math.log(max(self._tolerance, TINY))
+        rate = (math.log(self._residual0) - math.log(residual)) / iterations
+        return left > rate * (REBUILD - left / math.log(FRESH))
+
+    def forget(self) -> None:
+        """Begin the next solve with a new H0, as another process would."""
+        self._aged = True
 
     def _set_h0(self) -> None:
         """Rebuild H0 at the current state, and hand it to TAO the first time."""
@@ -281,7 +297,9 @@ class Minimizer:
         iterations = factorizations = 0
         start = potential.evaluations
         reason, failures, best = "too many stages", 0, np.inf
-        self._aged = True
+        # What lies on a floor is held in H0.
+        self._aged |= h0_prestress[0] != 0.0 or self._bounds is not None
+        self._length = STAGE_LENGTHS[0]
         for _ in range(self.max_stages):
             self._energy0, self._scale = potential.evaluate_terms()
             potential.free_gradient(self._g0)
@@ -311,7 +329,8 @@ class Minimizer:
             potential.x_vector.copy(self._x0)
             self._close = residual <= CLOSE * self._scale
             self._at_start = self._bounds is None
-            self._residual0, self._evaluations0 = residual, potential.evaluations
+            self._residual0, self._tolerance = residual, tolerance
+            self._evaluations0 = potential.evaluations
             self.tao.setTolerances(gatol=tolerance, grtol=0.0, gttol=0.0)
             self.tao.solve()
             if self._error is not None:
@@ -324,6 +343,7 @@ class Minimizer:
             failures = failures + 1 if ended == -6 else 0
         for term in stiffened:
             term.stiffening.set(0.0)
+        self._aged |= reason != "converged"
         if reason not in ("converged", "interrupted") and rounding > tolerance:
             reason += (
                 f", where forces cancel to their rounding ({rounding:.2g}): a tension, a penalty or"

@@ -530,6 +530,7 @@ class Solver:
             from crms_fenicsx.checkpoint.journal import Progress
 
             self._journal.keep(self.scene, self._run, Progress(done, increment, failure))
+            self.system.forget()  # a run that goes on from here takes the same way
 
     @property
     def _run(self) -> Run:

@@ -103,6 +103,11 @@ class System:
         """Let the next solve begin with a rebuild."""
         self.built_for = -1
 
+    def forget(self) -> None:
+        """Let the next solve begin with a new H0."""
+        if self.minimizer is not None:
+            self.minimizer.forget()
+
     def rebuild(self) -> None:
         """Make layout, tables and solver anew for the scene as it is."""
         self.destroy()
