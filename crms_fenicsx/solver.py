@@ -530,7 +530,7 @@ class Solver:
             from crms_fenicsx.checkpoint.journal import Progress
 
             self._journal.keep(self.scene, self._run, Progress(done, increment, failure))
-            self.system.forget()  # a run that goes on from here takes the same way
+            self.system.forget()  # a resumed run takes the same way
 
     @property
     def _run(self) -> Run:
@@ -579,6 +579,8 @@ class Solver:
         from crms_fenicsx.checkpoint import save
 
         save(folder, self.scene, self._run)
+        if self._system is not None:
+            self._system.forget()  # what goes on from the checkpoint takes the same way
 
     @collective
     def load(self, folder: str | FilePath) -> None:

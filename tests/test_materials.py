@@ -15,6 +15,7 @@ from crms_fenicsx.compat import interpolation_points
 from crms_fenicsx.errors import InputError
 from crms_fenicsx.materials import (
     LINEAR,
+    ORTHOTROPIC_TENSION_FIELD,
     TENSION_FIELD,
     IsotropicMembrane,
     OrthotropicMembrane,
@@ -53,8 +54,10 @@ def evaluate(material, e, floor=0.0):
     """Compiled energies (n,), section forces (n, 3), states (n,) and tangents (n, 3, 3)."""
     s, C, results = np.empty(3), np.empty((3, 3)), []
     for strain in e:
-        energy, state = compiled.stress(material.law, material.parameters, strain, s)
-        compiled.tangent(material.law, material.parameters, strain, floor, C)
+        number, p = material.law, material.parameters
+        orthotropic = True if number == ORTHOTROPIC_TENSION_FIELD else None
+        energy, state = compiled.stress(number, p, strain, s, orthotropic)
+        compiled.tangent(number, p, strain, floor, C, orthotropic)
         results.append((energy, s.copy(), state, C.copy()))
     return tuple(np.array(part) for part in zip(*results, strict=True))
 

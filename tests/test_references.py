@@ -13,6 +13,7 @@ from reference_meshes import square
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.compat import geometry_dofmap
+from crms_fenicsx.minimizer import REBUILD
 
 PRESSURE = 0.01
 
@@ -48,11 +49,10 @@ def test_inflated_square(comm, n: int, wrinkling: bool, w: float, W: float) -> N
     step = solver.advance(pressure=PRESSURE)
     assert height(scene) == pytest.approx(w, rel=1e-7)
     assert scene.energy == pytest.approx(W, rel=1e-9)
-    assert step.outcome.factorizations <= 3
-    assert step.outcome.evaluations <= 30
+    first = step.outcome
+    assert first.evaluations + REBUILD * first.factorizations <= 54
     later = solver.advance(pressure=1.1 * PRESSURE).outcome
-    assert later.factorizations <= (1 if wrinkling else 2)
-    assert later.evaluations <= 12
+    assert later.evaluations + REBUILD * later.factorizations <= 24
 
 
 def test_inflated_square_converges_to_the_continuum(comm) -> None:

@@ -20,6 +20,7 @@ from crms_fenicsx.cables import law as compiled
 from crms_fenicsx.compat import geometry_dofmap
 from crms_fenicsx.errors import InputError
 from crms_fenicsx.materials import ORTHOTROPIC_TENSION_FIELD, UNSTRAINED, Membrane
+from crms_fenicsx.minimizer import REBUILD
 from crms_fenicsx.solver import Step
 
 Array = npt.NDArray[Any]
@@ -373,8 +374,7 @@ def test_twisted_annulus_converges(comm: MPI.Intracomm, name: str) -> None:
         state = solver.results().state
         wrinkled = comm.allreduce(int(np.count_nonzero(state == 1)))
         assert wrinkled > 0.9 * comm.allreduce(len(state))
-        assert step.outcome.factorizations <= 3
-        assert step.outcome.evaluations <= 20
+        assert step.outcome.evaluations + REBUILD * step.outcome.factorizations <= 40
     assert np.abs(errors[-1]).max() < 2e-3
     for error in np.array(errors).T:
         assert np.all(error > 0), "the mesh is too stiff"
