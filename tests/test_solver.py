@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import warnings
 import weakref
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -211,6 +212,24 @@ def test_the_factorisation_of_h0_is_an_option(
     h0 = solver.system.minimizer.h0.pc
     assert (h0.getType(), h0.getFactorSolverType()) == ("lu", package)
     assert_same(state(other), state(usual), 1e-9)
+
+
+def test_a_load_step_begins_with_the_h0_that_is_there(
+    square: meshes.MembraneMesh, tmp_path: Path
+) -> None:
+    """Not after it has been saved, as one that goes on from there has none, nor on a floor, which
+    it may have left. It is the same equilibrium: to the tolerance in the end."""
+    kept, saved, floored = clamped(square), clamped(square), clamped(square)
+    floored.floor(-1.0)
+    solvers = [Solver(scene) for scene in (kept, saved, floored)]
+    steps = []
+    folder = square.comm.bcast(tmp_path)
+    for pressure in (0.01, 0.0101):
+        steps = [solver.advance(pressure=pressure) for solver in solvers]
+        solvers[1].save(folder / "point")
+    assert [step.outcome.factorizations for step in steps] == [0, 1, 1]
+    assert_same(state(saved), state(kept), 1e-9)
+    assert_same(state(floored), state(kept), 1e-9)
 
 
 def test_options_of_another_prefix_do_not_count(square: meshes.MembraneMesh, options: Any) -> None:
