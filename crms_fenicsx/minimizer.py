@@ -5,7 +5,7 @@ needs hundreds of iterations on a membrane and stalls with a cable. Here its ini
 a stiffness that is positive definite by construction, factorised and rebuilt when that pays: the
 solve runs in *stages*. After a few iterations a stage ends, and H0 is rebuilt, if it would take
 longer to the end than with a new H0; or when its line searches have cost as much as that. The next
-solve, be it on new paths or at new loads, begins with the H0 that is there.
+solve of the same potential, at other loads, begins with the H0 that is there.
 
 Near the minimum the energy's differences drown in rounding, long before the forces balance to the
 tolerance. There a stage, which keeps the H0 of the one before, measures energy from its start x0 by
@@ -118,6 +118,7 @@ class Outcome:
             self.solves + other.solves,
             self.flips + other.flips,
             self.passes + other.passes,
+            other.unsettled,
         )
 
 
