@@ -21,6 +21,7 @@ KNOWN = (
     620,  # friction along a cable that ends on a held vertex
     1310,  # and the vertex moves off the cable's end
     659,  # friction forces that go round in circles
+    4136,  # a node that begins to hold a cable between two passes
     1978,  # a cable with friction along the boundary that is led past a vertex of it
 )
 

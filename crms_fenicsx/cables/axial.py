@@ -247,8 +247,10 @@ class AxialLag:
             tensions = _by_link(cable, EA * strains)
             if used > 0.0:
                 part = self._pace.of(grip.supports, bounds - grip.bounds)
-                bounds = grip.bounds + part * (bounds - grip.bounds)
-                eps = grip.eps + part * (eps - grip.eps)
+                # Where nothing holds the cable, now or before, eps has no meaning.
+                before = np.where(grip.bounds > 0.0, grip.eps, eps)
+                eps = (1 - part) * before + part * np.where(wrap > 0.0, eps, before)
+                bounds = (1 - part) * grip.bounds + part * bounds
             cable.axial = replace(grip, bounds=bounds, eps=eps, tensions=tensions)
         return change
 
