@@ -45,6 +45,9 @@ membrane's stiffness says nothing."""
 SMALLEST_SLIP = 0.01
 """Largest size of the virtual displacements, relative to the smallest slip at which friction along
 a cable is mobilised: beyond it the energy is not smooth."""
+FINER = 16.0
+"""How much shorter displacements are tried where the virtual work is too large: what an energy that
+is not smooth makes of it falls with them."""
 VIRTUAL_WORK = 1e-3
 """Largest virtual work, relative to the scene's force; rounding comes on top. A hundred times what
 `SHAKE` explains, as edges near cables' points are stiffer than the membrane."""
@@ -160,6 +163,8 @@ class Verifier:
         self._cables: CableVerifier | None = None
         self._shake = np.zeros(0)
         self._saved: Array = np.zeros((0, 3))
+        self._share: Array = np.zeros(0)
+        self._least = 1.0
 
     def begin(self) -> None:
         """Remember what a load step prescribes: called once its loads are on the scene."""
@@ -219,37 +224,77 @@ class Verifier:
         if self._saved.shape != potential.x.shape:
             self._saved = np.zeros_like(potential.x)
         way: Array = self._shake
-        saved: Array = self._saved
         self._random.random(out=way)
         way -= 0.5
         modulus = max(m.reference_modulus for m in scene.materials.values())
         cells = scene.mesh.mesh.topology.index_map(2).size_global
         step = SHAKE * force / (modulus * np.sqrt(3.0 * unknowns.n_global))
         step = min(step, LARGEST_SHAKE * scene.size / np.sqrt(cells), SMALLEST_SLIP * self._slip())
-        way *= np.sqrt(12.0) * step
+        way *= np.sqrt(12.0)
         shake = way.reshape(n, 3)
+        self._spare_small_cells(system, scene.size / np.sqrt(cells), shake)
         fixed: npt.NDArray[np.bool_] = np.array(unknowns.held[:n])
         if unknowns.bounds is not None:
             fixed |= potential.x[:n] <= unknowns.bounds[0][:n]
         shake[fixed] = 0.0
-        saved[:] = potential.x
-        levels = np.zeros(len(potential.terms))
-        size = 0.0
-        for sign in (1.0, -1.0):
-            potential.x[:n] = saved[:n] + sign * shake
+        # Rounding of places counts with the forces, not with their energies: N A and T L.
+        forces = scene.size * np.sqrt(2 * modulus * abs(scene.energies.get("membrane", 0.0)))
+        forces += sum(abs(cable.tension) * cable.length for cable in scene.cables)
+        found, before = Check("virtual work", np.inf, 0.0), np.inf
+        for size in (step, step / FINER):
+            work, level = self._difference(system, shake, size)
+            rounding = np.finfo(float).eps * np.sqrt(cells) * (level + forces) / size
+            limit = VIRTUAL_WORK + (SPREAD * outcome.residual + rounding) / force
+            value = abs(work) / (2 * size * force)
+            if value > 0.5 * before:  # a force that is not balanced works along the shortest way
+                break
+            found, before = Check("virtual work", value, float(limit)), value
+            if found.passed:
+                break
+        return found
+
+    def _difference(self, system: System, shake: Array, size: float) -> tuple[float, float]:
+        """Difference of the energy between displacements by +-size, and the size of its parts."""
+        potential, unknowns = system.potential, system.unknowns
+        n = unknowns.n_owned
+        self._saved[:] = potential.x
+        levels, level = np.zeros(len(potential.terms)), 0.0
+        for step in (size, -size):
+            potential.x[:n] = self._saved[:n] + step * shake
             potential.place()
             potential.sum_up()
             values = np.array([t.energy(potential.sums_of(t)) for t in potential.terms])
-            levels += sign * values
-            size = max(size, float(np.abs(values).sum()))
-        potential.x[:] = saved
-        unknowns.read_vertices(potential.x, scene.u.x.array.reshape(-1, 3))
-        # Rounding of places counts with the forces, not with their energies: N A and T L.
-        size += scene.size * np.sqrt(2 * modulus * abs(scene.energies.get("membrane", 0.0)))
-        size += sum(abs(cable.tension) * cable.length for cable in scene.cables)
-        rounding = np.finfo(float).eps * np.sqrt(cells) * size / step
-        limit = VIRTUAL_WORK + (SPREAD * outcome.residual + rounding) / force
-        return Check("virtual work", abs(float(levels.sum())) / (2 * step * force), float(limit))
+            levels += np.sign(step) * values
+            level = max(level, float(np.abs(values).sum()))
+        potential.x[:] = self._saved
+        unknowns.read_vertices(potential.x, self.scene.u.x.array.reshape(-1, 3))
+        return float(levels.sum()), level
+
+    def _spare_small_cells(self, system: System, size: float, shake: Array) -> None:
+        """Shake vertices less where cells are smaller than on the whole, or slivers.
+
+        Points of cables may lie in any cell: as little as the vertex that moves least.
+        """
+        scene, unknowns = self.scene, system.unknowns
+        if self._share.shape != (unknowns.n_vertices,):
+            cells = scene.V.dofmap.list[: scene.mesh.mesh.topology.index_map(2).size_local]
+            corners = scene.V.tabulate_dof_coordinates()[cells]
+            sides = np.roll(corners, -1, axis=1) - corners
+            areas = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=-1)
+            longest = np.linalg.norm(sides, axis=-1).max(axis=1, initial=0.0)
+            g = system.potential.g  # free between two solves
+            g[:] = 0.0
+            values = np.zeros((unknowns.n_vertices + unknowns.n_ghost_vertices, 3))
+            np.add.at(values[:, 0], cells, (longest / (2 * areas))[:, None])
+            unknowns.add_to_vertices(values, g)
+            unknowns.gather_forces(system.potential.g_vector, g)
+            # Six cells of the usual height around a vertex leave it as it is.
+            narrow = g[: unknowns.n_vertices, 0]
+            self._share = np.asarray(6.0 / np.maximum(size * narrow, 6.0))
+            smallest = float(self._share.min(initial=1.0))
+            self._least = self.comm.allreduce(smallest, op=MPI.MIN)
+        shake[: unknowns.n_vertices] *= self._share[:, None]
+        shake[unknowns.n_vertices :] *= self._least
 
     def _slip(self) -> float:
         """Smallest slip (length) at which friction along a cable is mobilised; infinite if none."""
