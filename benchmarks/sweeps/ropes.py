@@ -64,7 +64,7 @@ def stiffness() -> Iterator[Point]:
                 (_, a), (_, b) = run(stiff, longer), run(stiff / 10, longer)
                 slopes.append((1 / b.tension - 1 / a.tension) / (1 / b.cable.EA - 1 / a.cable.EA))
             # The cable's strain is that of its length, of which rounding leaves EA times its own.
-            allowed = 1e4 / ratio + 1e-3 + 1e-9 * ratio
+            allowed = 1e4 / ratio + 1e-3 + 4e-9 * ratio
             judge.same("slope of 1/T over 1/EA", slopes[0], slopes[1], allowed)
         elif ratio >= 1e4:
             # The next term of the expansion is smaller by the cubic root as well.
