@@ -163,7 +163,7 @@ class Verifier:
         self._cables: CableVerifier | None = None
         self._shake = np.zeros(0)
         self._saved: Array = np.zeros((0, 3))
-        self._share: Array = np.zeros(0)
+        self._share: Array | None = None
         self._least = 1.0
 
     def begin(self) -> None:
@@ -276,7 +276,7 @@ class Verifier:
         Points of cables may lie in any cell: as little as the vertex that moves least.
         """
         scene, unknowns = self.scene, system.unknowns
-        if self._share.shape != (unknowns.n_vertices,):
+        if self._share is None:  # on all ranks, also those without a vertex
             cells = scene.V.dofmap.list[: scene.mesh.mesh.topology.index_map(2).size_local]
             corners = scene.V.tabulate_dof_coordinates()[cells]
             sides = np.roll(corners, -1, axis=1) - corners
