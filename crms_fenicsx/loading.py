@@ -197,6 +197,7 @@ def _check_open_edges_held(scene: Scene) -> None:
         free = dofs[~scene.held[dofs].all(axis=1)]
         if len(free):
             place = scene.V.tabulate_dof_coordinates()[free[0]]
+            at = ", ".join(f"{round(v, 9):g}" for v in place)
             what, remedy = (
                 ("whose boundary is free at", 'scene.fix("boundary")')
                 if free[0] in boundary
@@ -206,6 +207,6 @@ def _check_open_edges_held(scene: Scene) -> None:
                 )
             )
             raise InputError(
-                f"advance: pressure on a membrane {what} {place}: the follower pressure needs it "
+                f"advance: pressure on a membrane {what} ({at}): the follower pressure needs it "
                 f'held ({remedy}); with free edges use Scene(..., pressure="step").'
             )

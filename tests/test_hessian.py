@@ -157,7 +157,7 @@ def test_multigrid_solves_too_and_leaves_alone_what_is_held(comm, monkeypatch) -
     assert np.all(y.array.reshape(-1, 3)[unknowns.held[:n]] == 0.0)
     h0.multiply(y, back)
     back.axpy(-1.0, b)
-    assert back.norm() < 1e-9 * b.norm()
+    assert back.norm() < 2e-9 * b.norm()
 
 
 def test_multigrid_leads_to_the_same_equilibrium(comm, request) -> None:
