@@ -43,13 +43,14 @@ FRESH = 0.15
 """Reduction of the residual by each iteration with a new H0."""
 
 CLOSE = 1e-5
-"""Residual, relative to the force scale, from which on energy counts from the stage's start."""
+"""Residual from which on energy counts from the stage's start, relative to that to which `rtol`
+leads: the force scale, or more where rounding or `atol` sets the tolerance."""
 
 ROUNDED = 1e-6
 """Residual, relative to the force scale, up to which one of nothing but rounding is accepted."""
 
 COARSE = 1e-5
-"""Residual, relative to the force scale, at which `solve` asks whether to go on."""
+"""Residual at which `solve` asks whether to go on, relative as `CLOSE`."""
 
 TINY = 1e-300
 """What takes the place of zero where it would have no logarithm."""
@@ -160,7 +161,7 @@ class Minimizer:
             potential.x_vector.duplicate() for _ in range(5)
         )
         self._close = self._at_start = False
-        self._energy0 = self._residual0 = self._scale = self._tolerance = 0.0
+        self._energy0 = self._residual0 = self._force = self._tolerance = 0.0
         self._evaluations0, self._length = 0, STAGE_LENGTHS[0]
         self._aged = True
         self._interrupt: Callable[[], bool] | None = None
@@ -217,7 +218,7 @@ class Minimizer:
         Near the minimum it asks once whether to go on at all.
         """
         residual = tao.getSolutionStatus()[2]
-        if self._interrupt is not None and residual <= COARSE * self._scale:
+        if self._interrupt is not None and residual <= COARSE * self._force:
             self.potential.place(self._x)
             try:
                 self._interrupted = self._interrupt()
@@ -234,7 +235,7 @@ class Minimizer:
         searches = self.potential.evaluations - self._evaluations0 - iterations
         slow = iterations >= self._length and self._is_slow(iterations, residual)
         self._aged = self._uses_h0 and (slow or searches >= REBUILD)
-        return self._aged or (not self._close and residual <= CLOSE * self._scale)
+        return self._aged or (not self._close and residual <= CLOSE * self._force)
 
     def _is_slow(self, iterations: int, residual: float) -> bool:
         """Whether what is left takes longer than to rebuild H0 and go on with that."""
@@ -302,11 +303,12 @@ class Minimizer:
         self._aged |= h0_prestress[0] != 0.0 or self._bounds is not None
         self._length = STAGE_LENGTHS[0]
         for _ in range(self.max_stages):
-            self._energy0, self._scale = potential.evaluate_terms()
+            self._energy0, scale = potential.evaluate_terms()
             potential.free_gradient(self._g0)
             rounding = potential.rounding()
-            tolerance = max(self.rtol * self._scale, self.atol, rounding)
-            tolerance = min(tolerance, max(ROUNDED, self.rtol) * self._scale + self.atol)
+            tolerance = max(self.rtol * scale, self.atol, rounding)
+            tolerance = min(tolerance, max(ROUNDED, self.rtol) * scale + self.atol)
+            self._force = tolerance / self.rtol
             residual = self.residual()
             if not np.isfinite([residual, self._energy0]).all():  # TAO would raise an error
                 reason = REASONS[-4]
@@ -328,7 +330,7 @@ class Minimizer:
                 factorizations += 1
             potential.x_vector.copy(self._x)
             potential.x_vector.copy(self._x0)
-            self._close = residual <= CLOSE * self._scale
+            self._close = residual <= CLOSE * self._force
             self._at_start = self._bounds is None
             self._residual0, self._tolerance = residual, tolerance
             self._evaluations0 = potential.evaluations
