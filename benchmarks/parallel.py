@@ -5,10 +5,10 @@
 The roof of `demos/air_dome.py` with CABLES cables in each of its two families (0 to 14) is inflated
 to 0.3 kPa and then to 0.5 kPa; that second load step is what counts. For each number of processes
 (1 and 2 by default) it runs itself under mpirun. What is sent is counted by PETSc's own log, in
-stages of their own. PETSc does not see the one sum over all ranks that an
-evaluation makes (`Potential.sum_up`): it is counted with its bytes beside the log's figures.
-With --held the cables slide along the edges that they are laid over, but not to other cells: how
-many paths are tried depends on rounding.
+stages of their own. PETSc does not see the one sum over all ranks that an evaluation makes
+(`Potential.sum_up`): it is counted with its bytes beside the log's figures. With --held the cables
+slide along the edges that they are laid over, but not to other cells: how many paths are tried
+depends on rounding.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
 
-STAGES = {"the load step": 1, "an evaluation": 20, "a solve with H0": 20}
+STEP, EVALUATION, SOLVE = "the load step", "an evaluation", "a solve with H0"
+STAGES = {STEP: 1, EVALUATION: 20, SOLVE: 20}
 """What is counted, and how many times it is done."""
 
 
@@ -128,12 +129,11 @@ def repeat_in_stages(solver) -> None:
     minimizer.h0.rebuild()
     minimizer.h0.solve(G, X)
     potential.x_vector.copy(X)
-    _, evaluation, solve = STAGES
-    with stage(evaluation):
-        for _ in range(STAGES[evaluation]):
+    with stage(EVALUATION):
+        for _ in range(STAGES[EVALUATION]):
             potential.objective_gradient(None, X, G)
-    with stage(solve):
-        for _ in range(STAGES[solve]):
+    with stage(SOLVE):
+        for _ in range(STAGES[SOLVE]):
             minimizer.h0.solve(G, X)
 
 
@@ -172,7 +172,7 @@ def work(unknowns: float, cables: int, slide: bool) -> None:
     clock.seconds.clear()
     comm.Barrier()
     begin = time.perf_counter()
-    with stage(next(iter(STAGES))):
+    with stage(STEP):
         step = solver.advance(pressure=0.5)
     spent = time.perf_counter() - begin
     parts = dict(clock.seconds)

@@ -7,10 +7,12 @@ import pickle
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, TypeVar, cast
 
+import numpy as np
+import numpy.typing as npt
 from mpi4py import MPI
 
 PATIENCE = 60.0
@@ -56,6 +58,12 @@ class PenaltyWarning(UserWarning):
 
 class PictureWarning(UserWarning):
     """A mesh too large for a picture, which one process draws from all of it."""
+
+
+def as_text(position: Sequence[float] | npt.NDArray[np.float64]) -> str:
+    """A place as messages show it: what rounding has left of a zero is one."""
+    least = 1e-12 * max(map(abs, position))
+    return "(" + ", ".join(f"{x if abs(x) > least else 0.0:.6g}" for x in position) + ")"
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from dolfinx.fem import locate_dofs_topological
 
 from crms_fenicsx import checks
 from crms_fenicsx.cables.cable import CableEnd, LaidCable
-from crms_fenicsx.errors import InputError, raised_together
+from crms_fenicsx.errors import InputError, as_text, raised_together
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.state import State
 
@@ -197,7 +197,6 @@ def _check_open_edges_held(scene: Scene) -> None:
         free = dofs[~scene.held[dofs].all(axis=1)]
         if len(free):
             place = scene.V.tabulate_dof_coordinates()[free[0]]
-            at = ", ".join(f"{round(v, 9):g}" for v in place)
             what, remedy = (
                 ("whose boundary is free at", 'scene.fix("boundary")')
                 if free[0] in boundary
@@ -207,6 +206,6 @@ def _check_open_edges_held(scene: Scene) -> None:
                 )
             )
             raise InputError(
-                f"advance: pressure on a membrane {what} ({at}): the follower pressure needs it "
-                f'held ({remedy}); with free edges use Scene(..., pressure="step").'
+                f"advance: pressure on a membrane {what} {as_text(place)}: the follower pressure "
+                f'needs it held ({remedy}); with free edges use Scene(..., pressure="step").'
             )

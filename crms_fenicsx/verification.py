@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from crms_fenicsx.membrane import area_vectors
 from crms_fenicsx.results import pressed_facets
 
 if TYPE_CHECKING:
@@ -277,10 +278,11 @@ class Verifier:
         """
         scene, unknowns = self.scene, system.unknowns
         if self._share is None:  # on all ranks, also those without a vertex
-            cells = scene.V.dofmap.list[: scene.mesh.mesh.topology.index_map(2).size_local]
+            mesh = scene.mesh.mesh
+            cells = scene.V.dofmap.list[: mesh.topology.index_map(2).size_local]
             corners = scene.V.tabulate_dof_coordinates()[cells]
             sides = np.roll(corners, -1, axis=1) - corners
-            areas = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=-1)
+            areas = np.linalg.norm(area_vectors(mesh)[: len(cells)], axis=1)
             longest = np.linalg.norm(sides, axis=-1).max(axis=1, initial=0.0)
             g = system.potential.g  # free between two solves
             g[:] = 0.0

@@ -15,7 +15,6 @@ from crms_fenicsx.compat import interpolation_points
 from crms_fenicsx.errors import InputError
 from crms_fenicsx.materials import (
     LINEAR,
-    ORTHOTROPIC_TENSION_FIELD,
     TENSION_FIELD,
     IsotropicMembrane,
     OrthotropicMembrane,
@@ -55,7 +54,7 @@ def evaluate(material, e, floor=0.0):
     s, C, results = np.empty(3), np.empty((3, 3)), []
     for strain in e:
         number, p = material.law, material.parameters
-        orthotropic = True if number == ORTHOTROPIC_TENSION_FIELD else None
+        orthotropic = compiled.orthotropic_flag(number)
         energy, state = compiled.stress(number, p, strain, s, orthotropic)
         compiled.tangent(number, p, strain, floor, C, orthotropic)
         results.append((energy, s.copy(), state, C.copy()))

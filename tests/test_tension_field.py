@@ -19,7 +19,7 @@ from crms_fenicsx import Cable, IsotropicMembrane, OrthotropicMembrane, Scene, S
 from crms_fenicsx.cables import law as compiled
 from crms_fenicsx.compat import geometry_dofmap
 from crms_fenicsx.errors import InputError
-from crms_fenicsx.materials import ORTHOTROPIC_TENSION_FIELD, UNSTRAINED, Membrane
+from crms_fenicsx.materials import UNSTRAINED, Membrane
 from crms_fenicsx.minimizer import REBUILD
 from crms_fenicsx.solver import Step
 
@@ -35,7 +35,7 @@ def fabric(E1: float, E2: float, kappa: float, nu: float) -> OrthotropicMembrane
 def evaluate(material: Membrane, e: Array, floor: float = 0.0) -> tuple[Array, ...]:
     """Compiled energies (n,), section forces (n, 3), states (n,) and tangents (n, 3, 3)."""
     law, p = material.law, material.parameters
-    orthotropic = True if law == ORTHOTROPIC_TENSION_FIELD else None
+    orthotropic = compiled.orthotropic_flag(law)
     s, C = np.zeros((len(e), 3)), np.zeros((len(e), 3, 3))
     pairs = [compiled.stress(law, p, e[k], s[k], orthotropic) for k in range(len(e))]
     for k in range(len(e)):

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.locate import ON_SURFACE, as_text, foot_of
+from crms_fenicsx.cables.locate import ON_SURFACE, foot_of
 from crms_fenicsx.cables.path import Path
 from crms_fenicsx.cables.strip import StripShape, own_surface
 from crms_fenicsx.cables.triangles import vectors
-from crms_fenicsx.errors import PathError
+from crms_fenicsx.errors import PathError, as_text
 
 if TYPE_CHECKING:
     from crms_fenicsx.scene import Scene

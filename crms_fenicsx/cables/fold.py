@@ -25,7 +25,6 @@ from crms_fenicsx.cables.length import (
     segment_stiffness,
     slope_over_distance,
 )
-from crms_fenicsx.materials import ORTHOTROPIC_TENSION_FIELD
 from crms_fenicsx.membrane import Stiffening
 from crms_fenicsx.unknowns import Unknowns
 
@@ -212,7 +211,7 @@ class FoldEnergy:
         self._tension = np.zeros(len(table.segments))
         self.results = np.zeros((len(table.cells), 7))
         """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state of each cell."""
-        self._orthotropic = True if np.any(table.laws == ORTHOTROPIC_TENSION_FIELD) else None
+        self._orthotropic = laws.orthotropic_flag(table.laws)
         self._element_pointers, self._element_blocks = table.element_blocks
         self.elements = ElementPattern(self._element_pointers, self._element_blocks)
         self.edges = SegmentPattern(table.segments)

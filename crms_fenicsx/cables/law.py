@@ -21,8 +21,15 @@ from __future__ import annotations
 import math
 
 import numba
+import numpy as np
+import numpy.typing as npt
 
-from crms_fenicsx.materials import LINEAR, TENSION_FIELD, UNSTRAINED
+from crms_fenicsx.materials import (
+    LINEAR,
+    ORTHOTROPIC_TENSION_FIELD,
+    TENSION_FIELD,
+    UNSTRAINED,
+)
 
 MOST_STEPS = 50
 """Newton steps for a direction; they end by themselves, after 4 on average and 10 at most."""
@@ -57,6 +64,11 @@ def tension_line(p, e0, e1, e2):  # type: ignore[no-untyped-def]
     c, s = (1 / h, x / h) if steep else (x / h, 1 / h)
     N = mean + c * abs(half) + s * abs(b)
     return math.copysign(c, half), math.copysign(s, b), N, mean
+
+
+def orthotropic_flag(laws: npt.ArrayLike) -> bool | None:
+    """What `stress` and `tangent` want as `orthotropic`, for cells with these laws."""
+    return True if np.any(np.asarray(laws) == ORTHOTROPIC_TENSION_FIELD) else None
 
 
 @numba.njit(cache=True)

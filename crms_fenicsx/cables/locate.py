@@ -27,7 +27,7 @@ from crms_fenicsx.cables.triangles import (
     norm,
     vectors,
 )
-from crms_fenicsx.errors import PathError
+from crms_fenicsx.errors import PathError, as_text
 
 # A point in space counts as lying on the surface up to this part of the local mesh size: a
 # faceted dome of three cells per radius is nowhere farther from the smooth one.
@@ -86,11 +86,6 @@ class Surface:
         """Least and greatest coordinates of the cells in plan, (m, 2) each."""
         corners = self.points[self.cells][:, :, :2]
         return corners.min(axis=1), corners.max(axis=1)
-
-
-def as_text(position: Floats) -> str:
-    """Return a position as messages show it."""
-    return "(" + ", ".join(f"{x:.6g}" for x in position) + ")"
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ is tried twice, so this ends.
 from __future__ import annotations
 
 import itertools
-import operator
 from collections import Counter
 from collections.abc import Sequence, Set
 from typing import TYPE_CHECKING, NamedTuple
@@ -293,16 +292,18 @@ class Retracer:
         points: list[SurfacePoint] = []
         lifted: list[bool] = []
         passed = False
+        path = list(cable.path.points)
+        around = {k for k, point in enumerate(path) if vertex in point.support}
         for is_off, run in _runs(cable, touching=vertex):
+            new = path[run.start : run.stop]
             # All edges of the vertex that the cable crosses must be in one part that touches.
-            around = [p for p in cable.path.points if vertex in p.support]
-            new = None
-            if not is_off and len(run) > 2 and around and all(p in run for p in around):
-                refused.add(corridor(run))
-                new = pass_vertex(run, surface, vertex, refused=refused)
-                passed |= new is not None
-            points += run if new is None else new
-            lifted += [is_off] * len(run if new is None else new)
+            if not is_off and len(run) > 2 and around and around.issubset(run):
+                refused.add(corridor(new))
+                other_side = pass_vertex(new, surface, vertex, refused=refused)
+                if other_side is not None:
+                    new, passed = list(other_side), True
+            points += new
+            lifted += [is_off] * len(new)
         if not passed:
             return False
         grow(self.scene, [v for point in points for v in point.support])
@@ -355,10 +356,8 @@ class Retracer:
         points: list[SurfacePoint] = []
         lifted: list[bool] = []
         passed = 0
-        first = 0
-        for is_off, new in _runs(cable):
-            run = range(first, first + len(new))
-            first += len(new)
+        for is_off, run in _runs(cable):
+            new = path[run.start : run.stop]
             if not is_off:
                 # Pulled between the places under the spans at its ends, or the anchors beyond.
                 before, after = self._beyond(cable, surface, path, run)
@@ -492,28 +491,30 @@ def _is_crossed(cable: LaidCable) -> bool:
     return any(node.crossing is not None for node in cable.nodes)
 
 
-def _runs(cable: LaidCable, touching: int | None = None) -> list[tuple[bool, list[SurfacePoint]]]:
-    """The parts of a path that are lifted, and those that are not, in their order.
+def _runs(cable: LaidCable, touching: int | None = None) -> list[tuple[bool, range]]:
+    """The parts of a path that are lifted, and those that are not: indices of their points.
 
     Where the cable lifts only from edges of the vertex `touching` it counts as touching.
     """
+    path = cable.path.points
     off = [
         bool(lifted)
         for lifted, node in zip(cable.lifted, cable.nodes, strict=True)
         if node.point is not None and node.kind != "crossing"
     ]
-    points = cable.path.points
-    if touching is not None:
-        for is_off, group in itertools.groupby(range(len(points)), key=off.__getitem__):
-            run = list(group)
-            if is_off and all(touching in points[k].support for k in run):
-                for k in run:
-                    off[k] = False
-    pairs = zip(off, points, strict=True)
-    return [
-        (is_off, [point for _, point in group])
-        for is_off, group in itertools.groupby(pairs, key=operator.itemgetter(0))
-    ]
+    runs = _alike(off)
+    if touching is None:
+        return runs
+    for is_off, run in runs:
+        if is_off and all(touching in path[k].support for k in run):
+            off[run.start : run.stop] = [False] * len(run)
+    return _alike(off)
+
+
+def _alike(flags: Sequence[bool]) -> list[tuple[bool, range]]:
+    """Runs of equal flags, and their indices."""
+    starts = [k for k in range(len(flags)) if k == 0 or flags[k] != flags[k - 1]]
+    return [(flags[a], range(a, b)) for a, b in itertools.pairwise([*starts, len(flags)])]
 
 
 def _near(cable: LaidCable, near: float) -> dict[int, float]:

@@ -14,7 +14,7 @@ from itertools import combinations
 
 import numpy as np
 
-from crms_fenicsx.cables.locate import Node, Place, Surface, as_text, edge_count
+from crms_fenicsx.cables.locate import Node, Place, Surface, edge_count
 from crms_fenicsx.cables.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
 from crms_fenicsx.cables.triangles import (
     WALL,
@@ -28,7 +28,7 @@ from crms_fenicsx.cables.triangles import (
     lists,
     norm,
 )
-from crms_fenicsx.errors import PathError
+from crms_fenicsx.errors import PathError, as_text
 
 # A fraction that rounding has put on a vertex, where the signs say that it is not, goes here.
 LEAST, MOST = float(np.finfo(float).tiny), float(1.0 - np.finfo(float).epsneg)

@@ -20,7 +20,6 @@ from crms_fenicsx.cables.locate import (
     Node,
     Place,
     Surface,
-    as_text,
     foot_of,
     place_in_plan,
     places_in_space,
@@ -45,7 +44,7 @@ from crms_fenicsx.cables.triangles import (
     norm,
     vectors,
 )
-from crms_fenicsx.errors import PathError
+from crms_fenicsx.errors import PathError, as_text
 
 # The direct way is shorter than one around the back by more than this: two ways around a tube that
 # are about as long are as good as each other.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from crms_fenicsx.errors import MeshError
+from crms_fenicsx.errors import MeshError, as_text
 from crms_fenicsx.meshes.edge_table import EdgeTable
 
 _VANISHING = 1e-6  # share of a piece's area below which `outside` does not tell its sides apart
@@ -161,12 +161,11 @@ def _pieces_inside_out(
     unclear = np.flatnonzero(np.abs(flux) <= _VANISHING * np.bincount(piece, weights=scale))
     if len(unclear):
         cell = int(np.flatnonzero(piece == unclear[0])[0])
-        x, y, z = corners[cell].mean(axis=0)
         raise MeshError(
             f"outside={outside} does not tell the two sides of the piece with cell {cell} at "
-            f"({x:.6g}, {y:.6g}, {z:.6g}) apart, as on a closed or vertical surface: give another "
-            "direction, a point well inside (AwayFrom(point)), or a part of the mesh its own side "
-            "({'wall': (1, 0, 0)})"
+            f"{as_text(corners[cell].mean(axis=0))} apart, as on a closed or vertical surface: "
+            "give another direction, a point well inside (AwayFrom(point)), or a part of the mesh "
+            "its own side ({'wall': (1, 0, 0)})"
         )
     return flux < 0
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from crms_fenicsx.errors import MeshError
+from crms_fenicsx.errors import MeshError, as_text
 from crms_fenicsx.meshes.edge_table import EdgeTable, edge_keys
 from crms_fenicsx.meshes.orientation import Outside, connected_labels, oriented
 from crms_fenicsx.meshes.seams import hidden_cells
@@ -99,8 +99,7 @@ def checked_surface(arrays: SurfaceArrays, outside: Outside) -> Surface:
 
 
 def _place(points: NDArray[np.float64], vertex: int) -> str:
-    x, y, z = points[vertex]
-    return f"vertex {vertex} at ({x:.6g}, {y:.6g}, {z:.6g})"
+    return f"vertex {vertex} at {as_text(points[vertex])}"
 
 
 def _places(points: NDArray[np.float64], vertices: NDArray[np.int64]) -> str:
