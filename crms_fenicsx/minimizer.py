@@ -50,7 +50,7 @@ ROUNDED = 1e-6
 """Residual, relative to the force scale, up to which one of nothing but rounding is accepted."""
 
 COARSE = 1e-5
-"""Residual at which `solve` asks whether to go on, relative as `CLOSE`."""
+"""Residual, relative to the force scale, at which `solve` asks whether to go on."""
 
 TINY = 1e-300
 """What takes the place of zero where it would have no logarithm."""
@@ -161,7 +161,7 @@ class Minimizer:
             potential.x_vector.duplicate() for _ in range(5)
         )
         self._close = self._at_start = False
-        self._energy0 = self._residual0 = self._force = self._tolerance = 0.0
+        self._energy0 = self._residual0 = self._tolerance = self._scale = self._force = 0.0
         self._evaluations0, self._length = 0, STAGE_LENGTHS[0]
         self._aged = True
         self._interrupt: Callable[[], bool] | None = None
@@ -218,7 +218,7 @@ class Minimizer:
         Near the minimum it asks once whether to go on at all.
         """
         residual = tao.getSolutionStatus()[2]
-        if self._interrupt is not None and residual <= COARSE * self._force:
+        if self._interrupt is not None and residual <= COARSE * self._scale:
             self.potential.place(self._x)
             try:
                 self._interrupted = self._interrupt()
@@ -303,11 +303,11 @@ class Minimizer:
         self._aged |= h0_prestress[0] != 0.0 or self._bounds is not None
         self._length = STAGE_LENGTHS[0]
         for _ in range(self.max_stages):
-            self._energy0, scale = potential.evaluate_terms()
+            self._energy0, self._scale = potential.evaluate_terms()
             potential.free_gradient(self._g0)
             rounding = potential.rounding()
-            tolerance = max(self.rtol * scale, self.atol, rounding)
-            tolerance = min(tolerance, max(ROUNDED, self.rtol) * scale + self.atol)
+            tolerance = max(self.rtol * self._scale, self.atol, rounding)
+            tolerance = min(tolerance, max(ROUNDED, self.rtol) * self._scale + self.atol)
             self._force = tolerance / self.rtol
             residual = self.residual()
             if not np.isfinite([residual, self._energy0]).all():  # TAO would raise an error
