@@ -8,6 +8,8 @@ from cabled_square import CABLE, KINDS, PRESSURE, place, sheet
 
 from crms_fenicsx import Scene, Solver
 from crms_fenicsx.cables.cable import LaidCable
+from crms_fenicsx.cables.ends import renew_ends
+from crms_fenicsx.cables.retrace import Retracer
 
 N = 9
 
@@ -49,6 +51,18 @@ def test_ends_moved_over_many_cells_at_once(comm) -> None:
     np.testing.assert_allclose(cable.positions[[0, -1]], [[0, 80, 0], [100, 80, 0]], atol=1e-9)
     fresh = solved(comm, "structured", [(0, 80), (100, 80)], 100.0)
     assert_same((scene, cable), fresh[:2], 1e-4)
+
+
+@pytest.mark.parametrize(
+    ("movement", "stays"), [((-4, 0, -2), True), ((0, 4, -2), False), ((0, -4, -2), False)]
+)
+def test_an_end_moved_aside_lays_its_cable_anew(comm, movement, stays: bool) -> None:
+    """Also one that was held on the boundary, where two points of the cable coincide."""
+    scene, cable, _ = solved(comm, "structured", [(0, 30), (100, 30)], 100.0)
+    assert cable.traced and cable.ends == ("held", "held")
+    cable.positions[0] += movement
+    renew_ends(Retracer(scene))
+    assert cable.traced == stays
 
 
 @pytest.mark.parametrize("kind", ["structured", "unstructured"])

@@ -63,11 +63,13 @@ def _moved_aside(cable: LaidCable, k: int, shape: StripShape) -> bool:
     """
     if cable.nodes[k].kind != "anchor" or cable.ends_before is None:
         return False
-    contacts = cable.contacts()
-    beside = contacts[1] if k == 0 else contacts[-2]
+    contacts = cable.contacts()[1:] if k == 0 else cable.contacts()[-2::-1]
+    chords = cable.positions[contacts] - cable.ends_before[k]
+    # An end on the boundary is there twice, as an anchor and as the path's first point.
+    apart = np.linalg.norm(chords, axis=1) > COINCIDENT * cable.length
+    beside, along = contacts[np.argmax(apart)], chords[np.argmax(apart)]
     point = cable.nodes[beside].point or cable.nodes[1].point
     assert point is not None
-    along = cable.positions[beside] - cable.ends_before[k]
     aside = cross(along, shape.normal(point.support))
     length = float(np.linalg.norm(aside))
     moved = float((cable.positions[k] - cable.ends_before[k]) @ aside)
