@@ -66,7 +66,7 @@ class Integral:
 
 
 class OnePass:
-    """Assembles integrals together; compiles their form when it does so first.
+    """Assembles integrals together by one form, which is compiled here.
 
     Parameters
     ----------
@@ -76,39 +76,36 @@ class OnePass:
 
     def __init__(self, integrals: Sequence[Integral]) -> None:
         self.integrals = integrals
-        self._form: fem.Form | None = None
-        self._entries: Array = np.zeros((0, 0))
+        V, size = integrals[0].V, 4 * len(integrals)
+        space = fem.functionspace(V.mesh, ("Lagrange", 1, (size,)))
+        # Rows are read as V's: DOLFINx numbers vertices alike whatever they carry.
+        assert np.array_equal(space.dofmap.list, V.dofmap.list)
+        dofs = space.dofmap.index_map
+        self._entries: Array = np.zeros((dofs.size_local + dofs.num_ghosts, size))
+        test = ufl.TestFunction(space)
+        tags = next((i.cell_tags for i in integrals if i.cell_tags is not None), None)
+        dx = one_point(V.mesh, subdomain_data=tags)  # a form has one measure, tags or none
+        form: Any = 0
+        for k, integral in enumerate(integrals):
+            v = ufl.as_vector([test[4 * k + i] for i in range(3)])
+            form += integral.form(v, test[4 * k + 3], dx)
+        self._form: fem.Form = fem.form(form)
 
     @classmethod
     def of(cls, integrals: Sequence[Integral]) -> OnePass:
         """The pass over these integrals, always the same one: it is compiled once."""
-        return integrals[0].passes.setdefault(tuple(integrals), cls(integrals))
+        passes, key = integrals[0].passes, tuple(integrals)
+        if key not in passes:
+            passes[key] = cls(integrals)
+        return passes[key]
 
     def assemble(self) -> None:
         """Give all integrals their value and gradient at the current state of their functions."""
         for integral in self.integrals:
             if integral.prepare is not None:
                 integral.prepare()
-        if self._form is None:
-            self._form = self._compile()
         self._entries[:] = 0.0
         fem.assemble_vector(self._entries.reshape(-1), self._form)
         for k, integral in enumerate(self.integrals):
             integral.gradient = self._entries[:, 4 * k : 4 * k + 3]
             integral.value = float(self._entries[:, 4 * k + 3].sum())
-
-    def _compile(self) -> fem.Form:
-        V, size = self.integrals[0].V, 4 * len(self.integrals)
-        space = fem.functionspace(V.mesh, ("Lagrange", 1, (size,)))
-        # Rows are read as V's: DOLFINx numbers vertices alike whatever they carry.
-        assert np.array_equal(space.dofmap.list, V.dofmap.list)
-        dofs = space.dofmap.index_map
-        self._entries = np.zeros((dofs.size_local + dofs.num_ghosts, size))
-        test = ufl.TestFunction(space)
-        tags = next((i.cell_tags for i in self.integrals if i.cell_tags is not None), None)
-        dx = one_point(V.mesh, subdomain_data=tags)  # a form has one measure, tags or none
-        form: Any = 0
-        for k, integral in enumerate(self.integrals):
-            v = ufl.as_vector([test[4 * k + i] for i in range(3)])
-            form += integral.form(v, test[4 * k + 3], dx)
-        return fem.form(form)
