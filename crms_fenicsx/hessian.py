@@ -82,7 +82,7 @@ class InitialHessian:
         lgmap = unknowns.lgmap()
         self.matrix.setLGMap(lgmap, lgmap)
         lgmap.destroy()
-        self.matrix.setUp()
+        potential.count_stiffness().allocate(self.matrix)
         self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         self.pc = PETSc.PC().create(unknowns.comm)
         self.pc.setOptionsPrefix(prefix)

@@ -22,6 +22,7 @@ from crms_fenicsx.materials import (
     Membrane,
     law_terms,
 )
+from crms_fenicsx.row_sizes import RowSizes
 from crms_fenicsx.unknowns import Unknowns
 
 if TYPE_CHECKING:
@@ -307,6 +308,16 @@ class MembraneEnergy:
         if self.tension_field is not None:
             self.tension_field.update_tangents()
         fem_petsc.assemble_matrix(A, self.stiffness_form)
+
+    def count_stiffness(self, sizes: RowSizes) -> None:
+        """Count the blocks that an edge of this rank's cells makes, of both its vertices."""
+        topology = self.u.function_space.mesh.topology
+        topology.create_connectivity(1, 0)
+        dof_of = np.zeros(topology.index_map(0).size_local + topology.index_map(0).num_ghosts, int)
+        dof_of[topology.connectivity(2, 0).array] = self.u.function_space.dofmap.list.ravel()
+        edges = topology.connectivity(1, 0).array.reshape(-1, 2)
+        a, b = self.unknowns.vertex_blocks()[dof_of[edges]].T
+        sizes.add(np.concatenate([a, b]), np.concatenate([b, a]))
 
     def cell_results(self) -> Array:
         """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state of the owned cells.

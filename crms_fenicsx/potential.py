@@ -18,6 +18,7 @@ from petsc4py import PETSc
 
 from crms_fenicsx import interrupt
 from crms_fenicsx.integral import OnePass
+from crms_fenicsx.row_sizes import RowSizes
 from crms_fenicsx.unknowns import Unknowns
 
 Array = npt.NDArray[np.float64]
@@ -33,8 +34,9 @@ class Term(Protocol):
 
     ``integral``
         An `Integral`: its value and gradient are up to date before `sums`.
-    ``add_stiffness(x, sums, A)``
-        Add a positive semidefinite stiffness, blocks of three by local numbers, to the matrix.
+    ``add_stiffness(x, sums, A)`` and ``count_stiffness(sizes)``
+        Add a positive semidefinite stiffness, blocks of three by local numbers, to the matrix; and
+        count its blocks in `RowSizes`, once for a layout.
     ``dyads(sums)`` and ``add_dyad_column(k, x, g)``
         Stiffness of the form ``value * column column^T`` that couples many points: the values,
         and this rank's part of column k.
@@ -59,6 +61,7 @@ class Damping(Protocol):
     """Stiffness that H0 gets on top while forces are unbalanced, and that vanishes with them."""
 
     def add_stiffness(self, unknowns: Unknowns, x: Array, g: Array, A: PETSc.Mat) -> None: ...
+    def count_stiffness(self, sizes: RowSizes) -> None: ...
 
 
 class Potential:
@@ -182,6 +185,15 @@ class Potential:
             add = getattr(term, "add_stiffness", None)
             if add is not None:
                 add(self.x, self._sums[part], A)
+
+    def count_stiffness(self) -> RowSizes:
+        """How many blocks the rows of the stiffness have at most."""
+        sizes = RowSizes(self.unknowns)
+        for part in (*self.terms, self.damping):
+            count = getattr(part, "count_stiffness", None)
+            if count is not None:
+                count(sizes)
+        return sizes
 
     def dyads(self) -> Iterator[tuple[Term, int, float]]:
         """Stiffness dyads of all terms at the sums last computed: term, number, value."""

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
+from crms_fenicsx.row_sizes import RowSizes
 from crms_fenicsx.unknowns import Unknowns
 
 Array = npt.NDArray[np.float64]
@@ -44,6 +45,7 @@ class BlockPattern:
         rows, cols = unknowns.matrix_numbers[self._places].astype(np.int64)
         unique, block = np.unique(rows * unknowns.n_local + cols, return_inverse=True)
         rows, cols = np.divmod(unique, unknowns.n_local)
+        self._blocks = unknowns.matrix_order()[np.stack([rows, cols])]
         rows, first, counts = np.unique(rows, return_index=True, return_counts=True)
         components = np.arange(3)
         # A row of m blocks becomes three rows of 3 m numbers, handed over one after the other.
@@ -57,6 +59,12 @@ class BlockPattern:
         self._cols[handed] = 3 * cols[:, None, None] + j
         self._row_values = np.zeros(9 * len(unique))
         self._starts, self._strides = starts[block], 3 * m[block]
+
+    def count(self, sizes: RowSizes) -> None:
+        """Count the blocks that `add` fills."""
+        if self._unknowns is not sizes.unknowns:
+            self._arrange(sizes.unknowns)
+        sizes.add(*self._blocks)
 
     def add(self, A: PETSc.Mat, unknowns: Unknowns) -> None:
         """Add what `values` holds.

@@ -32,6 +32,7 @@ from crms_fenicsx.cables.stick_slip import (
     friction_energy,
     secant_stiffness,
 )
+from crms_fenicsx.row_sizes import RowSizes
 from crms_fenicsx.unknowns import Unknowns
 
 Array = npt.NDArray[np.float64]
@@ -226,6 +227,11 @@ class CapstanTension:
         """Add the gradient of what rests at this rank's fold points, weighted."""
         c = self.chains
         add_slip_forces(c.pointers, c.blocks, self._gradients, weights, self.grips.slope, g)
+
+    def count_stiffness(self, sizes: RowSizes) -> None:
+        """Count the blocks of the stiffness."""
+        self.pattern.count(sizes)
+        self.links.count(sizes)
 
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add the geometric stiffness, and that of single spans between nodes that stick."""

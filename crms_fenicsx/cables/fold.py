@@ -26,6 +26,7 @@ from crms_fenicsx.cables.length import (
     slope_over_distance,
 )
 from crms_fenicsx.membrane import Stiffening
+from crms_fenicsx.row_sizes import RowSizes
 from crms_fenicsx.unknowns import Unknowns
 
 Array = npt.NDArray[np.float64]
@@ -244,6 +245,11 @@ class FoldEnergy:
         """Add the nodal forces of the segments."""
         t = self.table
         add_segment_forces(self.unknowns.X, x, t.segments, t.eps, self.forces, g)
+
+    def count_stiffness(self, sizes: RowSizes) -> None:
+        """Count the blocks of the stiffness."""
+        self.elements.count(sizes)
+        self.edges.count(sizes)
 
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add the material stiffness and the geometric one of the segments in tension."""

@@ -21,6 +21,7 @@ import numpy.typing as npt
 from petsc4py import PETSc
 
 from crms_fenicsx.cables.blocks import ElementPattern
+from crms_fenicsx.row_sizes import RowSizes
 from crms_fenicsx.unknowns import Unknowns
 
 Array = npt.NDArray[np.float64]
@@ -154,6 +155,10 @@ class KinkPenalty:
         """Squared norm of the forces that rounding leaves: angles sum up to pi, less pi."""
         slopes = np.sum(self._dr**2, axis=(1, 2))
         return float(np.sum((2 * self.table.coefficients * EPSILON * np.pi) ** 2 * slopes))
+
+    def count_stiffness(self, sizes: RowSizes) -> None:
+        """Count the blocks of the stiffness."""
+        self.pattern.count(sizes)
 
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add the Gauss-Newton stiffness ``2 mu grad(w r) grad(w r)^T``."""

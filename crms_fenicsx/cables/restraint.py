@@ -21,6 +21,7 @@ from petsc4py import PETSc
 
 from crms_fenicsx.cables.blocks import ElementPattern, SegmentPattern
 from crms_fenicsx.cables.network import Network
+from crms_fenicsx.row_sizes import RowSizes
 from crms_fenicsx.unknowns import Unknowns
 
 Array = npt.NDArray[np.float64]
@@ -64,6 +65,11 @@ class Restraint:
                     sliders.append((network.block(c, k), *ends))
                     fractions.append(fraction)
         return cls(np.array(sliders, dtype=np.int32).reshape(-1, 3), np.array(fractions), segments)
+
+    def count_stiffness(self, sizes: RowSizes) -> None:
+        """Count the blocks of the stiffness."""
+        self._on_edges.count(sizes)
+        self._along.count(sizes)
 
     def add_stiffness(self, unknowns: Unknowns, x: Array, g: Array, A: PETSc.Mat) -> None:
         """Add the springs' stiffness to the matrix.

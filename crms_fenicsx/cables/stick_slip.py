@@ -23,6 +23,7 @@ from petsc4py import PETSc
 
 from crms_fenicsx.cables.blocks import ElementPattern
 from crms_fenicsx.cables.length import difference
+from crms_fenicsx.row_sizes import RowSizes
 from crms_fenicsx.unknowns import Unknowns
 
 Array = npt.NDArray[np.float64]
@@ -151,6 +152,10 @@ class StickSlip:
         """Add the friction forces."""
         t = self.table
         add_slip_forces(t.pointers, t.blocks, self._gradients, self._force, t.slope, g)
+
+    def count_stiffness(self, sizes: RowSizes) -> None:
+        """Count the blocks of the stiffness."""
+        self.pattern.count(sizes)
 
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add the stiffness ``force / slip`` against the slip; see `secant_stiffness`."""

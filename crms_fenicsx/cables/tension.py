@@ -11,6 +11,7 @@ from petsc4py import PETSc
 from crms_fenicsx.cables.blocks import SegmentPattern
 from crms_fenicsx.cables.cable import NEARLY_TAUT, StepStart
 from crms_fenicsx.cables.length import add_segment_forces, segment_lengths, segment_stiffness
+from crms_fenicsx.row_sizes import RowSizes
 from crms_fenicsx.unknowns import Unknowns
 
 Array = npt.NDArray[np.float64]
@@ -88,6 +89,10 @@ class CableTension:
         turned = np.abs(self.tensions(sums))[self.cable[counts]] / lengths
         stretched = (self.EA / self.L0)[self.cable[counts]]
         return float(np.sum((EPSILON * (turned + stretched) * far[counts]) ** 2))
+
+    def count_stiffness(self, sizes: RowSizes) -> None:
+        """Count the blocks of the stiffness."""
+        self.pattern.count(sizes)
 
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add the geometric stiffness."""

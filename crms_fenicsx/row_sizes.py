@@ -1,0 +1,58 @@
+"""How many entries the rows of the stiffness have, which PETSc wants to know beforehand.
+
+If it does not it collects the places of the first values in a hash table, which takes five times as
+long as an assembly.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from petsc4py import PETSc
+
+from crms_fenicsx.unknowns import Unknowns
+
+Indices = npt.NDArray[np.int32]
+
+
+class RowSizes:
+    """Upper bounds of the number of blocks in each row of the stiffness, diagonal included.
+
+    Parameters
+    ----------
+    unknowns
+        The layout.
+    """
+
+    def __init__(self, unknowns: Unknowns) -> None:
+        self.unknowns = unknowns
+        self._vector, self._counts = unknowns.vector()
+        # Columns: all blocks, and those that may belong to another rank.
+        self._counts[: unknowns.n_owned, 0] = 1.0
+
+    def add(self, rows: Indices, cols: Indices) -> None:
+        """Count blocks of one term beside the diagonal, each once.
+
+        Parameters
+        ----------
+        rows, cols
+            Local blocks, (n,); rows may be those of other ranks.
+        """
+        n = self.unknowns.n_owned
+        beside = rows != cols
+        rows, elsewhere = rows[beside], ((rows >= n) | (cols >= n))[beside]
+        size = self.unknowns.n_local
+        self._counts[:, 0] += np.bincount(rows, minlength=size)
+        self._counts[:, 1] += np.bincount(rows, weights=elsewhere, minlength=size)
+
+    def allocate(self, A: PETSc.Mat) -> None:
+        """Give a matrix of the layout's size its memory. Collective, and the last call."""
+        unknowns = self.unknowns
+        unknowns.add_ghosts(self._vector)
+        own, others = self._counts[: unknowns.n_owned, :2].astype(PETSc.IntType).T
+        own = np.minimum(own, unknowns.n_owned)
+        others = np.minimum(others, unknowns.n_global - unknowns.n_owned)
+        A.setPreallocationNNZ((np.repeat(3 * own, 3), np.repeat(3 * others, 3)))
+        # PETSc does this by itself, but not on ranks without rows, which would hang the others.
+        A.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, True)
+        self._vector.destroy()
