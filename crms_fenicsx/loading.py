@@ -196,7 +196,7 @@ def _check_open_edges_held(scene: Scene) -> None:
     with raised_together(scene.comm):
         free = dofs[~scene.held[dofs].all(axis=1)]
         if len(free):
-            place = scene.V.tabulate_dof_coordinates()[free[0]]
+            place = scene.stress_free[free[0]]
             what, remedy = (
                 ("whose boundary is free at", 'scene.fix("boundary")')
                 if free[0] in boundary

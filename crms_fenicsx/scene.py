@@ -167,12 +167,20 @@ class Scene:
         return open_edges(self.mesh.mesh, self.pressed)
 
     @cached_property
+    def stress_free(self) -> Array:
+        """Stress-free positions (length) of the vertices by degree of freedom, (n, 3), read-only.
+
+        With ghosts, as `positions`.
+        """
+        positions: Array = self.V.tabulate_dof_coordinates()
+        positions.flags.writeable = False
+        return positions
+
+    @cached_property
     def centre(self) -> Array:
         """Mean stress-free position (length), from which volumes count. Collective."""
         vertices = self.V.dofmap.index_map
-        total = self.comm.allreduce(
-            self.V.tabulate_dof_coordinates()[: vertices.size_local].sum(axis=0)
-        )
+        total = self.comm.allreduce(self.stress_free[: vertices.size_local].sum(axis=0))
         return np.asarray(total / vertices.size_global)
 
     @cached_property
@@ -184,7 +192,7 @@ class Scene:
 
     def positions(self) -> Array:
         """Current positions of the vertices by local degree of freedom, (n, 3), with ghosts."""
-        return self.V.tabulate_dof_coordinates() + self.u.x.array.reshape(-1, 3)
+        return self.stress_free + self.u.x.array.reshape(-1, 3)
 
     def check_finite(self, purpose: str) -> None:
         """Refuse to go on from a displacement that is not finite.
@@ -206,7 +214,7 @@ class Scene:
                 first = int(np.argmax(bad))
                 raise InputError(
                     f"{purpose}: scene.u is {u[first]} at the vertex "
-                    f"{self.V.tabulate_dof_coordinates()[first]}; set it to finite displacements."
+                    f"{self.stress_free[first]}; set it to finite displacements."
                 )
 
     def _warn_of_penalty(self) -> None:

@@ -65,7 +65,7 @@ class CurrentSurface:
 
 def folded_shape(scene: Scene) -> FoldedShape:
     """Cut this rank's folded cells along the cables in tension. Not collective."""
-    places, stress_free = scene.positions(), scene.V.tabulate_dof_coordinates()
+    places, stress_free = scene.positions(), scene.stress_free
     if scene.strip is None or not any(cable.taut for cable in scene.cables):
         return FoldedShape(places, stress_free, [])
     from crms_fenicsx.cables.network import Network

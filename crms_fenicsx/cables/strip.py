@@ -96,6 +96,13 @@ class Strip:
         return np.unique(self.cells)
 
     @cached_property
+    def givers(self) -> Integers:
+        """Where each of `vertices` is in the flat `cells`: in a cell of the lowest rank, (k,)."""
+        order = np.argsort(np.repeat(self.owner, 3), kind="stable")
+        _, first = np.unique(self.cells.ravel()[order], return_index=True)
+        return order[first]
+
+    @cached_property
     def row_of(self) -> dict[int, int]:
         """Place of each vertex in `vertices`."""
         return {int(vertex): row for row, vertex in enumerate(self.vertices)}
@@ -169,17 +176,12 @@ class StripShape:
         """Gather the scene's positions, by default of its own strip. Collective."""
         strip = scene.strip if strip is None else strip
         assert strip is not None
-        rank, n = scene.comm.rank, len(strip.vertices)
-        rows = np.searchsorted(strip.vertices, strip.cells)
-        giver = np.full(n, scene.comm.size)
-        np.minimum.at(giver, rows, np.broadcast_to(strip.owner[:, None], rows.shape))
-        own = strip.owner == rank
-        dofs = np.zeros(n, dtype=np.int64)
-        dofs[rows[own]] = scene.V.dofmap.list[strip.local[own]]
-        mine = giver == rank
-        given = np.zeros((2, n, 3))
-        given[0, mine] = scene.positions()[dofs[mine]]
-        given[1, mine] = scene.V.tabulate_dof_coordinates()[dofs[mine]]
+        cell, corner = np.divmod(strip.givers, 3)
+        mine = np.flatnonzero(strip.owner[cell] == scene.comm.rank)
+        dofs = scene.V.dofmap.list[strip.local[cell[mine]], corner[mine]]
+        given = np.zeros((2, len(strip.vertices), 3))
+        given[1, mine] = scene.stress_free[dofs]
+        given[0, mine] = given[1, mine] + scene.u.x.array.reshape(-1, 3)[dofs]
         found = np.zeros_like(given)
         scene.comm.Allreduce(given, found)
         return cls(strip, found[0], found[1])

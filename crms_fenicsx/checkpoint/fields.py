@@ -64,7 +64,7 @@ def write_fields(folder: Path, scene: Scene) -> tuple[int, dict[str, str]]:
     fields, comm = Fields.of(scene), scene.comm
     vertices = scene.V.dofmap.index_map
     own, total, ids = vertices.size_local, vertices.size_global, dof_vertex_ids(scene)
-    X = scene.V.tabulate_dof_coordinates()
+    X = scene.stress_free
     digests = {
         name: write_rows(folder / f"{name}.npy", comm, ids[:own], values[:own], total)
         for name, values in (("positions", X), ("displacement", fields.u), ("held", fields.held))
@@ -113,7 +113,7 @@ def read_fields(
         return read_rows(file, comm, ids, dtype, shape, digests.get(name, ""), own)
 
     X = read("positions")
-    here, size = scene.V.tabulate_dof_coordinates(), scene.size
+    here, size = scene.stress_free, scene.size
     with raised_together(comm):
         apart = np.flatnonzero(~(np.abs(X - here).max(axis=1) <= SAME_PLACE * size))
         if len(apart):

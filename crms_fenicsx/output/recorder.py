@@ -113,7 +113,7 @@ class Recorder:
             row["dissipated"] = scene.dissipated
             row["passes"] = outcome.passes
         if scene.pressure != 0.0 or "volume" in self.history.columns:
-            row["volume"] = gained_volume(scene)
+            row["volume"] = self._volume()
         for cable in scene.cables:
             row[f"tension {cable.name}"] = cable.tension
             if cable.axial is not None:
@@ -132,6 +132,13 @@ class Recorder:
         # Each rank's clock says something else; a row is the same on all.
         row["seconds"] = scene.comm.bcast(step.seconds)
         return row
+
+    def _volume(self) -> float:
+        """The volume gained in the step's state: where it can be, from the work of the pressure."""
+        scene = self.scene
+        if scene.pressure_law == "total" and scene.pressure != 0.0:
+            return -scene.energies["pressure"] / scene.pressure
+        return gained_volume(scene)
 
     def _surface(self, system: System) -> Surface:
         surface, results = current_surface(self.scene), membrane_results(system)

@@ -213,7 +213,7 @@ def draw_scene_paths(
     parts = None
     if not _too_large(scene, f"{filename} is drawn without the mesh"):
         cells = scene.V.dofmap.list[: scene.mesh.mesh.topology.index_map(2).size_local]
-        parts = scene.comm.gather((scene.V.tabulate_dof_coordinates(), cells))
+        parts = scene.comm.gather((scene.stress_free, cells))
     with raised_together(scene.comm):
         if parts is not None:
             ends = np.cumsum([len(points) for points, _ in parts])
