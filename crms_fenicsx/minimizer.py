@@ -42,9 +42,12 @@ REBUILD = 8
 FRESH = 0.15
 """Reduction of the residual by each iteration with a new H0."""
 
-CLOSE = 1e-5
-"""Residual from which on energy counts from the stage's start, relative to that to which `rtol`
-leads: the force scale, or more where rounding or `atol` sets the tolerance."""
+CLOSE, NEAR = 1e-6, 100
+"""Residual from which on energy counts from the stage's start: relative to the force scale, or
+where rounding or `atol` sets the tolerance to that. From farther the rule's error would matter."""
+
+LONGEST = 15
+"""Evaluations of a line search: more have hardly ever led to anything but its failure."""
 
 ROUNDED = 1e-6
 """Residual, relative to the force scale, up to which one of nothing but rounding is accepted."""
@@ -161,7 +164,7 @@ class Minimizer:
             potential.x_vector.duplicate() for _ in range(5)
         )
         self._close = self._at_start = False
-        self._energy0 = self._residual0 = self._tolerance = self._scale = self._force = 0.0
+        self._energy0 = self._residual0 = self._tolerance = self._scale = self._near = 0.0
         self._evaluations0, self._length = 0, STAGE_LENGTHS[0]
         self._aged = True
         self._interrupt: Callable[[], bool] | None = None
@@ -179,8 +182,9 @@ class Minimizer:
             self._bounds = (self._x.duplicate(), self._x.duplicate())
             self.tao.setVariableBounds(*self._bounds)
         options = PETSc.Options(prefix)
-        if not options.hasName("tao_blmvm_mat_lmvm_hist_size"):
-            options["tao_blmvm_mat_lmvm_hist_size"] = 20
+        for name, value in (("tao_blmvm_mat_lmvm_hist_size", 20), ("tao_ls_max_funcs", LONGEST)):
+            if not options.hasName(name):
+                options[name] = value
         self.tao.setFromOptions()
         kind = self.tao.getType()
         usable = BOUNDED_TYPES if self._bounds else BOUNDED_TYPES + UNBOUNDED_TYPES
@@ -235,7 +239,7 @@ class Minimizer:
         searches = self.potential.evaluations - self._evaluations0 - iterations
         slow = iterations >= self._length and self._is_slow(iterations, residual)
         self._aged = self._uses_h0 and (slow or searches >= REBUILD)
-        return self._aged or (not self._close and residual <= CLOSE * self._force)
+        return self._aged or (not self._close and residual <= self._near)
 
     def _is_slow(self, iterations: int, residual: float) -> bool:
         """Whether what is left takes longer than to rebuild H0 and go on with that."""
@@ -308,7 +312,7 @@ class Minimizer:
             rounding = potential.rounding()
             tolerance = max(self.rtol * self._scale, self.atol, rounding)
             tolerance = min(tolerance, max(ROUNDED, self.rtol) * self._scale + self.atol)
-            self._force = tolerance / self.rtol
+            self._near = max(CLOSE * self._scale, NEAR * tolerance)
             residual = self.residual()
             if not np.isfinite([residual, self._energy0]).all():  # TAO would raise an error
                 reason = REASONS[-4]
@@ -330,7 +334,7 @@ class Minimizer:
                 factorizations += 1
             potential.x_vector.copy(self._x)
             potential.x_vector.copy(self._x0)
-            self._close = residual <= CLOSE * self._force
+            self._close = residual <= self._near
             self._at_start = self._bounds is None
             self._residual0, self._tolerance = residual, tolerance
             self._evaluations0 = potential.evaluations
