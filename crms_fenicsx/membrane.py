@@ -55,10 +55,15 @@ class Stiffening:
         self.prestress = fem.Constant(mesh, PETSc.ScalarType(0.0))
         self.floor = fem.Constant(mesh, PETSc.ScalarType(FLOOR))
 
-    def set(self, prestress: float) -> None:
-        """Take this prestress, and the floor that goes with it."""
+    def set(self, prestress: float, failures: int = 0) -> None:
+        """Take this prestress, and the floor that goes with it.
+
+        After a line search that has failed, as slack cells let a step go too far, the floor is
+        higher, and ten times as high after each further one.
+        """
         self.prestress.value = prestress
-        self.floor.value = FLOOR_FROM_FLAT if prestress > 0.0 else FLOOR
+        raised = failures + (prestress > 0.0)
+        self.floor.value = min(FLOOR_FROM_FLAT * 10.0 ** (raised - 1), 1.0) if raised else FLOOR
 
 
 def warp_field(mesh: Any, material: Membrane, cells: npt.NDArray[np.int32]) -> fem.Function:

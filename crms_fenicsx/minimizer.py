@@ -327,8 +327,9 @@ class Minimizer:
                 break
             best = min(best, residual)
             if self._uses_h0 and self._aged:
+                prestress = h0_prestress[min(factorizations, len(h0_prestress) - 1)]
                 for term in stiffened:
-                    term.stiffening.set(h0_prestress[min(factorizations, len(h0_prestress) - 1)])
+                    term.stiffening.set(prestress, failures)
                 self._length = STAGE_LENGTHS[min(factorizations, len(STAGE_LENGTHS) - 1)]
                 self._set_h0()
                 factorizations += 1
