@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from dolfinx.fem import locate_dofs_topological
+from mpi4py import MPI
 
 from crms_fenicsx import checks
 from crms_fenicsx.cables.cable import CableEnd, LaidCable
@@ -34,6 +35,9 @@ class Target:
         Number of the cable, its first (0) or last (-1) node, and that end's displacement (length).
     moved : (n, 3)
         Displacements of the vertices (length).
+    carried : (3,)
+        Displacement that all supports have in common, and zero if there is none (length): the
+        whole structure begins each increment displaced by it.
     lengths
         Number of the cable, its first and last unstressed length (length).
     """
@@ -42,13 +46,16 @@ class Target:
     load: tuple[float, float]
     cable_ends: list[tuple[int, int, Array]]
     moved: Array
+    carried: Array
     lengths: list[tuple[int, float, float]]
 
-    def apply(self, scene: Scene, first: State, share: float) -> None:
-        """Set the loads at a share of the way from the state `first`."""
+    def apply(self, scene: Scene, first: State, before: float, share: float) -> None:
+        """Set the loads at a share of the way from the state `first`; `before` is that reached."""
         scene.pressure = _between(*self.pressure, share)
         scene.load = _between(*self.load, share)
         u = scene.u.x.array.reshape(-1, 3)
+        for places in (u, *(cable.positions for cable in scene.cables)):
+            places += (share - before) * self.carried
         some = self.moved != 0.0
         u[some] = first.u.reshape(-1, 3)[some] + share * self.moved[some]
         for c, k, _ in self.cable_ends:
@@ -140,7 +147,8 @@ def checked_target(
             )
         length = checks.positive(f"advance: L0 of {key.name!r}", length)
         lengths.append((_number(scene, key), key.L0, length))
-    return Target((scene.pressure, value), (scene.load, factor), ends, moved, lengths)
+    carried = _carried(scene, moved, ends)
+    return Target((scene.pressure, value), (scene.load, factor), ends, moved, carried, lengths)
 
 
 def _number(scene: Scene, cable: object) -> int:
@@ -185,6 +193,27 @@ def _moved(scene: Scene, vertices: list[tuple[npt.NDArray[np.int32], Array]]) ->
     for dofs, displacement in vertices:
         moved[dofs] += displacement
     return moved
+
+
+def _carried(scene: Scene, moved: Array, ends: list[tuple[int, int, Array]]) -> Array:
+    """The displacement that held vertices and anchors have in common, (3,); else zero."""
+    given = np.where(scene.held, moved, np.nan)
+    ranges: Array = np.stack([np.fmin.reduce(v, initial=np.inf) for v in (given, -given)])
+    scene.comm.Allreduce(MPI.IN_PLACE, ranges, op=MPI.MIN)
+    least, negative = ranges
+    # A direction in which nothing is held stays as it is.
+    common: Array = np.where(np.isinf(least), 0.0, least)
+    travels: dict[tuple[int, int], Array] = {
+        (c, k): np.zeros(3)
+        for c, cable in enumerate(scene.cables)
+        for k in (0, -1)
+        if cable.nodes[k].kind == "anchor"
+    }
+    for c, k, displacement in ends:
+        travels[c, k] = travels[c, k] + displacement
+    alike = np.all((least == -negative) | np.isinf(least))
+    alike &= all(np.array_equal(travel, common) for travel in travels.values())
+    return common if alike and scene.floor_level is None else np.zeros(3)
 
 
 def _check_open_edges_held(scene: Scene) -> None:

@@ -449,7 +449,7 @@ class Solver:
                 stop_together(scene.comm)
                 goal = min(done + increment, np.floor(done + 1e-9) + 1.0)
                 good = State.of(scene)
-                target.apply(scene, first, goal / steps)
+                target.apply(scene, first, done / steps, goal / steps)
                 try:
                     prestress = self._h0_prestress(target, (goal - done) / steps)
                     if self._verifier is not None:

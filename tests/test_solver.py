@@ -28,6 +28,7 @@ from crms_fenicsx import (
 from crms_fenicsx.cables.cable import polyline_length
 from crms_fenicsx.compat import geometry_dofmap
 from crms_fenicsx.equilibrium import EquilibriumSearch
+from crms_fenicsx.loading import checked_target
 from crms_fenicsx.minimizer import Minimizer, Outcome
 from crms_fenicsx.potential import Potential
 from crms_fenicsx.system import System
@@ -139,6 +140,41 @@ def test_movements_of_groups_add_up_and_need_hold_only_where_they_move(
     D, nu = 24.0 / (1 - 0.25**2), 0.25
     energy = D / 2 * (e1**2 + e2**2 + 2 * nu * e1 * e2) * 100.0**2
     assert scene.energy == pytest.approx(energy, rel=1e-12)
+
+
+@pytest.mark.parametrize("pressure", [0.0, 0.01])
+def test_supports_that_move_alike_carry_all_with_them(
+    free_mesh: meshes.MembraneMesh, pressure: float
+) -> None:
+    """Without a load nothing tells a slack membrane where to go; under load it is a state moved."""
+    scene = clamped(free_mesh)
+    cable = scene.lay_cable(CABLE, [(-10.0, 47.0, 0.0), (110.0, 52.0, 0.0)], L0=120.0)
+    solver = Solver(scene)
+    solver.advance(pressure=pressure)
+    before = [scene.energies["membrane"], cable.tension, cable.positions, scene.positions()]
+    before = [np.array(value) for value in before]
+    way = np.array([3.0, -2.0, 40.0])
+    done = solver.advance(move={"boundary": tuple(way), cable: tuple(way)}, steps=2)
+    assert done.outcome.evaluations <= 3
+    places = cable.positions - way, scene.positions() - way
+    after = [scene.energies["membrane"], cable.tension, *places]
+    for a, b in zip(after, before, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-7)
+
+
+def test_a_part_of_the_supports_carries_nothing(free_mesh: meshes.MembraneMesh) -> None:
+    scene = clamped(free_mesh)
+    cable = scene.lay_cable(CABLE, [(-10.0, 47.0, 0.0), (110.0, 52.0, 0.0)], L0=120.0)
+    up = (0.0, 0.0, 5.0)
+    both: dict[object, tuple[float, float, float]] = {"boundary": up, cable: up}
+    assert np.array_equal(checked_target(scene, None, both, {}).carried, up)
+    moves: list[dict[object, tuple[float, float, float]]] = [
+        {"boundary": up}, {cable: up}, {"boundary": up, cable.start: up}, {}
+    ]  # fmt: skip
+    for move in moves:
+        assert not checked_target(scene, None, move, {}).carried.any()
+    scene.floor(-1.0)
+    assert not checked_target(scene, None, both, {}).carried.any()
 
 
 def test_moving_a_cable_and_its_end_adds_up(square: meshes.MembraneMesh) -> None:
@@ -344,7 +380,7 @@ def test_the_result_does_not_depend_on_steps_or_calls(free_mesh: meshes.Membrane
         [("half", 1), ("both", 2)],
     ):
         scene = clamped(free_mesh)
-        solver = Solver(scene)
+        solver = Solver(scene, rtol=1e-11)
         cable = scene.lay_cable(CABLE, ACROSS)
         for load, steps in calls:
             up, down = scene.pressure, {cable: (0.0, 0.0, -5.0)}
