@@ -102,15 +102,26 @@ class Potential:
         self._sums = np.zeros(int(ends[-1]) + 1)
         self._slices = [slice(a, b) for a, b in itertools.pairwise(ends)]
         self.evaluations = 0
+        self._asked = self.x_vector.duplicate()
+        self._is_asked = self._is_summed = False
+        """Whether the state is that of the minimiser's last evaluation, and the sums are its."""
         unknowns.add_to_vertices(self._u, self.x)
 
     def destroy(self) -> None:
         """Free the PETSc vectors."""
-        self.x_vector.destroy()
-        self.g_vector.destroy()
+        for vector in (self.x_vector, self.g_vector, self._asked):
+            vector.destroy()
 
     def place(self, X: PETSc.Vec | None = None) -> None:
-        """Make X (or what `x` holds) the current state, ghosts and DOLFINx's view included."""
+        """Make X (or what `x` holds) the current state, ghosts and DOLFINx's view included.
+
+        Where X is what the minimiser evaluated last, all that is known of it stays.
+        """
+        if X is None or not (self._is_asked and X.equal(self._asked)):
+            self._place(X)
+
+    def _place(self, X: PETSc.Vec | None) -> None:
+        self._is_asked = self._is_summed = False
         if X is not None:
             X.copy(self.x_vector)
         self.unknowns.update_ghosts(self.x_vector)
@@ -134,6 +145,12 @@ class Potential:
         self.comm.Allreduce(self._local_sums, self._sums, op=MPI.SUM)
         if self._sums[-1] > 0.0:
             interrupt.stop_together(self.comm)
+        self._is_summed = True
+
+    def bring_up_to_date(self) -> None:
+        """`sum_up`, if the sums are not those of the state that was placed."""
+        if not self._is_summed:
+            self.sum_up()
 
     def energies(self) -> dict[str, float]:
         """Energy of each term at the sums last computed (force x length)."""
@@ -161,7 +178,9 @@ class Potential:
 
     def objective_gradient(self, tao: PETSc.TAO | None, X: PETSc.Vec, G: PETSc.Vec) -> float:
         """TAO's callback: energy at X, and its gradient with held components set to zero."""
-        self.place(X)
+        self._place(X)
+        X.copy(self._asked)
+        self._is_asked = True
         energy = self.evaluate()
         self.free_gradient(G)
         return energy
@@ -233,14 +252,16 @@ class Potential:
 
     def commit(self) -> None:
         """Tell the terms with history that the current state ends a load step."""
-        self.sum_up()
-        for term, part in zip(self.terms, self._slices, strict=True):
-            commit = getattr(term, "commit", None)
+        pairs = zip(self.terms, self._slices, strict=True)
+        ending = [(getattr(term, "commit", None), part) for term, part in pairs]
+        if any(commit is not None for commit, _ in ending):
+            self.sum_up()
+        for commit, part in ending:
             if commit is not None:
                 commit(self.x, self._sums[part])
 
     def evaluate_terms(self) -> tuple[float, float]:
-        """As `evaluate`, term by term.
+        """As `evaluate`, term by term; what is known of the current state is not computed again.
 
         Returns
         -------
@@ -250,8 +271,8 @@ class Potential:
             Largest norm of one term's free nodal forces: the scene's own force. Those across
             rails count, as there may be no other that does not vanish.
         """
-        self.evaluations += 1
-        self.sum_up()
+        self.evaluations += not self._is_summed
+        self.bring_up_to_date()
         n = self.unknowns.n_owned
         free = ~self.unknowns.held[:n]
         energy, squares = 0.0, np.zeros(len(self.terms))

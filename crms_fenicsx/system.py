@@ -355,7 +355,7 @@ class System:
     def push(self) -> None:
         """Give the solved state back to the scene."""
         scene, network = self.scene, self.network
-        self.potential.sum_up()
+        self.potential.bring_up_to_date()
         scene.energies = self.potential.energies()
         self.objective = scene.energy
         if network is None:

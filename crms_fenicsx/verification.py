@@ -268,7 +268,7 @@ class Verifier:
             levels += np.sign(step) * values
             level = max(level, float(np.abs(values).sum()))
         potential.x[:] = self._saved
-        unknowns.read_vertices(potential.x, self.scene.u.x.array.reshape(-1, 3))
+        potential.place()
         return float(levels.sum()), level
 
     def _spare_small_cells(self, system: System, size: float, shake: Array) -> None:

@@ -466,6 +466,7 @@ def test_the_floor_carries_what_is_pressed_on_it(free_mesh: meshes.MembraneMesh)
         assert step.halvings == 0 and step.outcome.iterations < 60
         system = solver.system
         n = system.unknowns.n_vertices
+        system.potential.sum_up()
         internal = np.zeros_like(system.potential.x)  # of the membrane alone
         system.membrane.add_gradient(system.potential.x, np.zeros(1), internal)
         system.potential.g[:] = internal

@@ -45,7 +45,7 @@ class BlockPattern:
         rows, cols = unknowns.matrix_numbers[self._places].astype(np.int64)
         unique, block = np.unique(rows * unknowns.n_local + cols, return_inverse=True)
         rows, cols = np.divmod(unique, unknowns.n_local)
-        self._blocks = unknowns.matrix_order()[np.stack([rows, cols])]
+        self._numbers = np.stack([rows, cols])
         rows, first, counts = np.unique(rows, return_index=True, return_counts=True)
         components = np.arange(3)
         # A row of m blocks becomes three rows of 3 m numbers, handed over one after the other.
@@ -64,7 +64,7 @@ class BlockPattern:
         """Count the blocks that `add` fills."""
         if self._unknowns is not sizes.unknowns:
             self._arrange(sizes.unknowns)
-        sizes.add(*self._blocks)
+        sizes.add(*sizes.unknowns.matrix_order()[self._numbers])
 
     def add(self, A: PETSc.Mat, unknowns: Unknowns) -> None:
         """Add what `values` holds.
