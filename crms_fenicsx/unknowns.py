@@ -165,7 +165,9 @@ class Unknowns:
         if self.comm.size > 1:
             vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
 
-    def set_riders(self, riders: Indices, masters: Indices, weights: Array) -> None:
+    def set_riders(
+        self, riders: Indices, masters: Indices, weights: Array, n_loaded: int | None = None
+    ) -> None:
         """Let points ride on vertices: their position is a weighted mean of the vertices'.
 
         Parameters
@@ -174,20 +176,32 @@ class Unknowns:
             Local blocks of cable points, (n,).
         masters, weights
             Local blocks of three vertices each and their weights, (n, 3).
+        n_loaded
+            How many of the first of them have forces; None: all. Others are idle: an evaluation of
+            the energy leaves them where they are, see `place_idle_riders`.
 
         `X` must have the places of all these blocks.
         """
         self.riders, self.masters, self.weights = riders, masters, weights
-        self.n_riders = len(riders)
+        self.n_riders, self.n_loaded = len(riders), len(riders) if n_loaded is None else n_loaded
         self.held[riders] = True
         self._undisplaced = np.einsum("nk,nki->ni", weights, self.X[masters]) - self.X[riders]
-        self._master_components = (3 * masters[:, :, None] + np.arange(3)).ravel()
+        loaded = masters[: self.n_loaded]
+        self._master_components = (3 * loaded[:, :, None] + np.arange(3)).ravel()
 
     def place_riders(self, x: Array) -> None:
-        """Move the riders with their vertices."""
-        if self.n_riders:
-            moved = np.einsum("nk,nki->ni", self.weights, x[self.masters])
-            x[self.riders] = moved + self._undisplaced
+        """Move the riders that have forces with their vertices."""
+        if self.n_loaded:
+            self._place(slice(0, self.n_loaded), x)
+
+    def place_idle_riders(self, x: Array) -> None:
+        """Move the riders without forces with their vertices."""
+        if self.n_loaded < self.n_riders:
+            self._place(slice(self.n_loaded, self.n_riders), x)
+
+    def _place(self, some: slice, x: Array) -> None:
+        moved = np.einsum("nk,nki->ni", self.weights[some], x[self.masters[some]])
+        x[self.riders[some]] = moved + self._undisplaced[some]
 
     def set_rails(self, rails: Indices, directions: Array) -> None:
         """Let points be displaced along a direction only.
@@ -219,11 +233,12 @@ class Unknowns:
 
         `g` is the vector's local array, (n, 3).
         """
-        if self.n_riders:
-            parts = self.weights[:, :, None] * g[self.riders][:, None, :]
+        if self.n_loaded:
+            riders = self.riders[: self.n_loaded]
+            parts = self.weights[: self.n_loaded, :, None] * g[riders][:, None, :]
             # one by one: six times as fast as by rows of three
             np.add.at(g.reshape(-1), self._master_components, parts.ravel())
-            g[self.riders] = 0.0
+            g[riders] = 0.0
         self.add_ghosts(vector)
 
     def spread(self, rows: Indices, cols: Indices) -> tuple[Indices, Indices, Array]:

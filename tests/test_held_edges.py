@@ -297,6 +297,7 @@ def test_a_moved_edge_takes_its_rail_along(comm) -> None:
         assert unknowns.n_rails == (taut and block >= 0)
         if block < 0:
             continue
+        unknowns.place_idle_riders(system.potential.x)
         ends = unknowns.X + system.potential.x
         a, b = (ends[system.network.vertex(v)] for v in point.edge)
         np.testing.assert_allclose(ends[block], a + 0.3 * (b - a), atol=1e-12)

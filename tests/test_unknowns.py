@@ -146,6 +146,22 @@ def test_riders_are_at_the_weighted_mean_of_their_vertices(comm):
     assert not unknowns.held[free].any()
 
 
+def test_idle_riders_are_placed_on_demand(comm):
+    scene, unknowns, (first, second, _) = ridden(comm)
+    parts = unknowns.riders, unknowns.masters, unknowns.weights
+    unknowns.set_riders(*parts, n_loaded=1)
+    f = OnMesh(unknowns, scene.u, [Springs()])
+    x = noise(unknowns.X[: unknowns.n_owned], 1)
+    f.value(x)
+    expected = np.einsum("nk,nki->ni", parts[2], (unknowns.X + f.potential.x)[parts[1]])
+    places = (unknowns.X + f.potential.x)[[first, second]]
+    np.testing.assert_allclose(places[0], expected[0], atol=1e-12)
+    assert np.abs(places[1] - expected[1]).max() > 1e-3
+    unknowns.place_idle_riders(f.potential.x)
+    places = (unknowns.X + f.potential.x)[[first, second]]
+    np.testing.assert_allclose(places, expected, atol=1e-12)
+
+
 def test_riders_hand_on_their_forces_by_virtual_work(comm):
     """Force on riders times their motion is that on their vertices times the vertices' motion."""
     scene, unknowns, (first, second, _) = ridden(comm)

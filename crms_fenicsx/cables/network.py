@@ -245,7 +245,8 @@ class Network:
 
         Collective.
         """
-        riders, masters, weights = [], [], []
+        loaded: list[tuple[int, list[int], list[float]]] = []
+        idle: list[tuple[int, list[int], list[float]]] = []
         self.rails: list[Member] = []
         for (c, k), number in self.numbers.items():
             block, cable = int(self.blocks[number]), self.cables[c]
@@ -258,13 +259,14 @@ class Network:
             if node.kind == "rider" or (node.slides and not cable.taut):
                 ids, share = node.masters(cable.fractions[k] if node.slides else None)
                 own = [self.vertex(i) for i in ids]
-                riders.append(block)
-                masters.append(own + own[:1] * (3 - len(own)))
-                weights.append([*share, 0.0, 0.0][:3])
+                masters, weights = own + own[:1] * (3 - len(own)), [*share, 0.0, 0.0][:3]
+                (loaded if cable.taut else idle).append((block, masters, weights))
+        riders = loaded + idle
         unknowns.set_riders(
-            np.array(riders, dtype=np.int32),
-            np.array(masters, dtype=np.int32).reshape(-1, 3),
-            np.array(weights, dtype=float).reshape(-1, 3),
+            np.array([block for block, _, _ in riders], dtype=np.int32),
+            np.array([masters for _, masters, _ in riders], dtype=np.int32).reshape(-1, 3),
+            np.array([weights for _, _, weights in riders], dtype=float).reshape(-1, 3),
+            len(loaded),
         )
         if any(n.kind == "rail" for cable in self.cables if cable.taut for n in cable.nodes):
             vector, x = unknowns.vector()

@@ -94,8 +94,12 @@ class Whereabouts:
         self._pairs = np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
     def tell(self, x: Array) -> None:
-        """Give the cables the places of their points at the displacements x (n, 3). Collective."""
+        """Give the cables the places of their points at the displacements x (n, 3). Collective.
+
+        The points of slack cables in x are brought up to date.
+        """
         network, unknowns = self.network, self.unknowns
+        unknowns.place_idle_riders(x)
         local = np.zeros((self._starts[-1], 7))  # position, fraction, place when stress-free
         position, fraction, material = local[:, :3], local[:, 3], local[:, 4:]
         places = unknowns.X + x
