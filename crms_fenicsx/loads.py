@@ -89,10 +89,14 @@ class FollowerPressure:
         # V - V0 per area, term by term, so that a small change is not lost in a large volume.
         n0, n = ufl.cross(e1, e2), ufl.cross(F[0], F[1])
         change = ufl.dot(u, n) + ufl.dot(X, n - n0)
-        density = cells * change / 3
+        x = X + u
 
         def variation(v: Any, q: Any, dx: ufl.Measure) -> Any:
-            return density * q * dx - pressure * ufl.derivative(density * dx, u, v)
+            # of u . n + X . n, by hand: UFL's derivative has twice as many products
+            dF = [ufl.dot(ufl.grad(v), e) for e in (e1, e2)]
+            work = ufl.dot(v, n) + ufl.dot(dF[0], ufl.cross(F[1], x))
+            work += ufl.dot(dF[1], ufl.cross(x, F[0]))
+            return cells / 3 * (change * q - pressure * work) * dx
 
         self.integral = Integral(u.function_space, variation)
 
