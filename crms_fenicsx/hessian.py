@@ -204,8 +204,22 @@ class InitialHessian:
         self._shares = np.empty(len(dyads))
 
     def _apply_to_all(self, columns: Array) -> Array:
-        """K's preconditioner on many columns at once, which is much faster than one by one."""
+        """K's preconditioner on many columns: at once if factorised, which is much faster.
+
+        Multigrid takes them one by one: several at once end in a segmentation fault on several
+        processes with PETSc 3.25.
+        """
         solved = np.empty_like(columns)
+        if not self._exact:
+            b, y = self.matrix.createVecs()
+            for k in range(columns.shape[1]):
+                b.array[:] = columns[:, k]
+                self.pc.apply(b, y)
+                self._take_out(y.array)
+                solved[:, k] = y.array
+            b.destroy()
+            y.destroy()
+            return solved
         size = ((len(columns), 3 * self.potential.unknowns.n_global), (None, columns.shape[1]))
         B, Y = (
             PETSc.Mat().createDense(size, array=array, comm=self.potential.comm)
@@ -214,9 +228,6 @@ class InitialHessian:
         self.pc.matApply(B, Y)
         B.destroy()
         Y.destroy()
-        if not self._exact:
-            for column in solved.T:
-                self._take_out(column)
         return solved
 
     def _sums_over_ranks(self, rows: Array, vector: PETSc.Vec) -> Array:
