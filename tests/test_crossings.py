@@ -312,6 +312,25 @@ def test_a_crossing_moves_to_the_next_cell_and_off() -> None:
     assert [kinds(cable) for cable in cables] == ["rfr", "rfr"]
 
 
+def test_arranging_again_keeps_what_a_solve_has_found(comm: MPI.Intracomm) -> None:
+    """Of a state that is taken up again, as from a checkpoint, too."""
+    mesh = meshes.rectangle(comm, 100.0, 100.0, 20.0)
+    scene = Scene(mesh, ISOTROPIC)
+    scene.fix("boundary")
+    for path in ([(0.0, 47.0), (100.0, 52.0)], [(47.0, 0.0), (52.0, 100.0)]):
+        scene.lay_cable(Cable(EA=32000.0), path)
+    Solver(scene).advance(pressure=1e-4)
+    assert len(scene.crossings) == 1
+    before = [cable.material.copy() for cable in scene.cables]
+    assert all(np.isfinite(places).any() for places in before)
+    system = Solver(scene).system
+    for cable, places in zip(scene.cables, before, strict=True):
+        np.testing.assert_array_equal(cable.material, places)
+    system.rebuild()
+    for cable, places in zip(scene.cables, before, strict=True):
+        np.testing.assert_array_equal(cable.material, places)
+
+
 def test_a_crossing_that_stays_keeps_its_place() -> None:
     """Where the equilibrium has put it, which need not be on the straight links."""
     cables = [across(), cable_over([on(0, 1, 0.25), on(1, 2, 0.75), on(2, 3, 0.25)])]

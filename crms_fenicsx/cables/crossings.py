@@ -51,7 +51,10 @@ def arrange(cables: Sequence[LaidCable], strip: Strip, known: Sequence[Crossing]
         Cells around them.
     known
         The crossings before: which of them are apart is kept.
+
+    What the last solve has found of a cable's points stays where these are as before.
     """
+    before = [(_points(cable), cable.material, cable.blocked) for cable in cables]
     for cable in cables:
         _remove_crossings(cable)
     meetings = _meetings(cables, strip)
@@ -77,7 +80,15 @@ def arrange(cables: Sequence[LaidCable], strip: Strip, known: Sequence[Crossing]
                 inserted[member].append((t, node, crossing.place))
     for c, cable in enumerate(cables):
         _insert(cable, {k: new for (d, k), new in inserted.items() if d == c})
+        points, material, blocked = before[c]
+        if _points(cable) == points:
+            cable.material, cable.blocked = material, blocked
     return crossings
+
+
+def _points(cable: LaidCable) -> list[tuple[str, tuple[int, ...]]]:
+    """What a cable's nodes are, and the vertices that they lie on or between."""
+    return [(node.kind, () if node.point is None else node.point.support) for node in cable.nodes]
 
 
 def tangled(crossings: Sequence[Crossing]) -> set[int]:
