@@ -7,6 +7,8 @@ import operator
 import os
 import re
 import sys
+from collections.abc import Mapping
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -97,7 +99,7 @@ def same(comm: MPI.Intracomm, call: str, /, **arguments: object) -> None:
         What the arguments are given to, for the message.
     **arguments
         By name. Numbers must be the same to the last digit. Of functions, which may do on each rank
-        what is right there, only the names count.
+        what is right there, only the names count. The order of a mapping's keys does not.
 
     Raises
     ------
@@ -115,13 +117,18 @@ def same(comm: MPI.Intracomm, call: str, /, **arguments: object) -> None:
         return
     name, text = comm.bcast((differing, own.get(differing or "", "nothing")), root=rank)
     other = first.get(name, "nothing")
+    pairs = enumerate(zip_longest(other, text))
+    begin = max(next(k for k, (a, b) in pairs if a != b) - LONGEST // 2, 0)
+    other, text = (("..." if begin else "") + one[begin:][:LONGEST] for one in (other, text))
     raise InputError(
-        f"{call}: {name} = {other[:LONGEST]} on rank 0, but {text[:LONGEST]} on rank {rank}; "
+        f"{call}: {name} = {other} on rank 0, but {text} on rank {rank}; "
         "give the same on all ranks, as comm.bcast makes it."
     )
 
 
 def _text(value: object) -> str:
-    """All digits of a value, without what differs between processes: addresses."""
+    """All digits of a value, without what differs between processes: addresses, order of keys."""
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(sorted(f'{_text(k)}: {_text(v)}' for k, v in value.items()))}}}"
     with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
         return re.sub(r" at 0x[0-9a-fA-F]+", "", repr(value))

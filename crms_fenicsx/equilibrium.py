@@ -52,6 +52,9 @@ of a force by a large one, as at the edge of lifting off, they go round in circl
 MAX_PATHS = 60
 """How many sets of paths are tried in one load step before it is given up."""
 
+_Solve = Callable[[tuple[float, ...], bool], Outcome]
+"""Finds an equilibrium with the friction forces that there are, or a state near to it."""
+
 
 @dataclass(frozen=True)
 class _Try:
@@ -72,14 +75,11 @@ class EquilibriumSearch:
         The scene's potential.
     slide
         Whether cables may slide into other cells than those that they cross.
-    polish
-        Whether to try the other side of every vertex near which a cable passes, and not only of
-        those against which it is pressed.
     """
 
-    def __init__(self, system: System, slide: bool, polish: bool = False) -> None:
+    def __init__(self, system: System, slide: bool) -> None:
         self.system, self.scene = system, system.scene
-        self.slide, self.polish = slide, polish
+        self.slide = slide
         self.paths: Retracer | None = None
         self.shadows = 0
 
@@ -109,22 +109,38 @@ class EquilibriumSearch:
             return outcome
         from crms_fenicsx.cables.active import ActiveSet
 
-        self.active: ActiveSet = ActiveSet(self.scene)
         if not self.slide:
-            return self._with_friction(self._settle(h0_prestress), self._settle)
+            self.active: ActiveSet = ActiveSet(self.scene, None)
+            outcome = self._with_friction(self._solve_in_cells, h0_prestress)
+            return self._unsmoothed(outcome)
         from crms_fenicsx.cables.ends import renew_ends
         from crms_fenicsx.cables.retrace import Retracer
 
         if self.paths is None:
             self.paths = Retracer(self.scene)
+        self.active = ActiveSet(self.scene, self.paths)
         self.paths.begin_step()
         self.shadows = 0
         changed = renew_ends(self.paths)
         if self.paths.renew_shadows() or changed:
             self.system.rebuild()
-        outcome = self._with_friction(self._slide(h0_prestress), self._slide)
+        outcome = self._with_friction(self._slide, h0_prestress)
+        outcome = self._unsmoothed(outcome)
         self.paths.end_step()
         return outcome
+
+    def _unsmoothed(self, outcome: Outcome) -> Outcome:
+        """Repeat a solve until cables are as long as their polylines, though these are smoothed.
+
+        Smoothing has its place in the gradient, which turns a segment that comes to an end at a
+        vertex; the length that it adds hardly depends on the state, and is taken off.
+        """
+        for _ in range(MAX_PASSES):
+            if not outcome.converged or not self.system.renew_excess():
+                return outcome
+            outcome = outcome + self._with_friction(self._solve_in_cells, (0.0,))
+        reason = "the smoothed lengths of a cable's short segments do not settle"
+        return replace(outcome, converged=False, reason=reason)
 
     @property
     def _has_friction(self) -> bool:
@@ -145,16 +161,19 @@ class EquilibriumSearch:
         if not known:
             self.system.expire()
 
-    def _with_friction(
-        self, outcome: Outcome, solve: Callable[[tuple[float, ...]], Outcome]
-    ) -> Outcome:
-        """Repeat a solve until the friction forces are those of its own state."""
+    def _with_friction(self, solve: _Solve, h0_prestress: tuple[float, ...]) -> Outcome:
+        """Solve, again and again until the friction forces are those of its own state.
+
+        While these change much the states are worked out near their equilibrium only.
+        """
         lags = self._lags()
+        outcome = solve(h0_prestress, bool(lags))
         if not lags:
             return outcome
         from crms_fenicsx.cables.grip import NEARLY
         from crms_fenicsx.cables.strip import StripShape
 
+        rough = True
         change, least, waited = 0.0, math.inf, 0
         for passes in range(1, MAX_PASSES + 1):
             outcome = replace(outcome, passes=passes)
@@ -163,7 +182,10 @@ class EquilibriumSearch:
             shape = StripShape.of(self.scene)
             changes = [lag.renew(shape) for lag in lags]
             if all(c <= lag.settled for c, lag in zip(changes, lags, strict=True)):
-                return outcome
+                if not rough:
+                    return outcome
+                outcome, rough = outcome + self._settle((0.0,)), False
+                continue
             change = max(changes)
             logger.debug("pass %d: friction forces change by %.2g", passes, change)
             least, waited = min(change, least), waited + 1 if change >= least else 0
@@ -174,8 +196,9 @@ class EquilibriumSearch:
                 self.paths.withheld.clear()
             self.system.renew_friction()
             if change <= NEARLY and not any(cable.has_coulomb for cable in self.scene.cables):
-                solve = self._settle  # friction along moves a path too little to try others again
-            outcome = outcome + solve((0.0,))
+                solve = self._solve_in_cells  # friction along moves a path too little for others
+            rough = change > NEARLY
+            outcome = outcome + solve((0.0,), rough)
             if given_up and outcome.converged:
                 return replace(outcome, passes=passes, unsettled=change)
         reason = f"friction forces still change by {change:.1%} after {outcome.passes} passes"
@@ -195,36 +218,39 @@ class EquilibriumSearch:
                 lags.append(AxialLag(cable))
         return lags
 
-    def _slide(self, h0_prestress: tuple[float, ...]) -> Outcome:
+    def _slide(self, h0_prestress: tuple[float, ...], rough: bool) -> Outcome:
         """Try new paths while the energy falls.
 
         What is tried is worked out near its equilibrium only, where energies can be compared; the
-        last digits come at the end.
+        last digits come at the end, unless all shall be `rough`.
         """
         from crms_fenicsx.cables.crossings import tangled
-        from crms_fenicsx.cables.other_sides import OtherSides
+        from crms_fenicsx.cables.vertex_trials import Trial, VertexTrials
 
-        paths, best = self.paths, self._try(h0_prestress)
+        paths, best = self.paths, self._try(h0_prestress, rough)
         assert paths is not None
         total, flips = best.outcome, best.flips
-        sides = OtherSides(paths, self.polish)
+        trials = VertexTrials(paths)
         laid_again: set[int] = set()
         tries = 0
         while best.outcome.converged:
-            passed: list[tuple[int, int]] = []
+            led: list[Trial] = []
             if not flips:
                 caught = self.system.caught_cables(CAUGHT) | tangled(self.scene.crossings)
-                caught |= self._sunk()
+                sunk = self._sunk()
+                caught |= sunk
                 caught = {c for c in caught - laid_again if self.scene.cables[c].slides_freely}
-                best = replace(best, state=State.of(self.scene), energy=self.system.objective)
+                # Through the membrane a cable is shorter: that energy is none to fall below.
+                energy = math.inf if sunk & caught else self.system.objective
+                best = replace(best, state=State.of(self.scene), energy=energy)
                 if caught:
                     laid_again |= caught
                     paths.lay_again(caught)
                 else:
                     scale = sum(map(abs, self.scene.energies.values()))
                     if tries < MAX_PATHS:
-                        passed = sides.next(best.energy, scale)
-                    if not passed:
+                        led = trials.next(best.energy, scale)
+                    if not led:
                         flips = self._give_way(None)
                         if not flips and not self._relax_held():
                             break
@@ -233,19 +259,20 @@ class EquilibriumSearch:
                 return replace(total, converged=False, reason=reason)
             tries += 1
             tried = paths.offered
-            refused = paths.refused_now()
+            refused = {name: set(ways) for name, ways in paths.refused.items()}
             self.system.rebuild()
             new = self._try((0.0,), rough=True)
             total = total + new.outcome
             if new.outcome.converged and new.energy < best.energy:
                 best, flips = new, new.flips
-                paths.note_passed(passed)
+                if led:
+                    laid_again.clear()
                 continue
-            if passed:
-                if sides.halve(passed):
+            if led:
+                if trials.halve(led):
                     paths.refused = refused
             else:
-                paths.give_up_strings()
+                paths.count_misled()
             best.state.restore(self.scene)
             # Half of the flips; one alone cannot be halved.
             flips = self._change_paths(flips // 2)
@@ -254,7 +281,7 @@ class EquilibriumSearch:
                 self.system.rebuild()
                 total = total + self._settle((0.0,), lambda: True)
                 best = replace(best, outcome=total)
-        if total.converged and total.residual > total.tolerance:
+        if total.converged and not rough and total.residual > total.tolerance:
             total = total + self._settle((0.0,))
         if not total.converged:
             return total
@@ -322,6 +349,10 @@ class EquilibriumSearch:
 
         assert self.paths is not None
         return relax(self.paths, self.system.caught_nodes(TENSE))
+
+    def _solve_in_cells(self, h0_prestress: tuple[float, ...], rough: bool) -> Outcome:
+        """Equilibrium on the paths that there are; near it only, if `rough`."""
+        return self._settle(h0_prestress, (lambda: True) if rough else None)
 
     def _settle(
         self, h0_prestress: tuple[float, ...], look: Callable[[], bool] | None = None

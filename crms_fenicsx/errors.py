@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import functools
 import pickle
 import sys
@@ -14,6 +15,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
+from petsc4py import PETSc  # noqa: F401 (its end is registered before what is registered here)
 
 PATIENCE = 60.0
 """Seconds for which a rank with an error waits for the others to have one as well."""
@@ -157,3 +159,17 @@ def end_all(comm: MPI.Intracomm, error: str, where: str) -> None:
         flush=True,
     )
     comm.Abort(1)
+
+
+def _abort_after_an_error() -> None:
+    """Let `python -m mpi4py` end all ranks when the program has failed on one, as it promises.
+
+    It does so at the very end, and PETSc's own end, which comes before, waits for all ranks.
+    """
+    failed = getattr(sys, "last_value", None) is not None
+    if failed and "mpi4py.run" in sys.modules and MPI.COMM_WORLD.size > 1:
+        sys.stderr.flush()
+        MPI.COMM_WORLD.Abort(1)
+
+
+atexit.register(_abort_after_an_error)

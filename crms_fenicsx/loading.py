@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,7 @@ from crms_fenicsx.scene import Scene
 from crms_fenicsx.state import State
 
 Array = npt.NDArray[np.float64]
+Value = TypeVar("Value")
 
 TYPE_OF_MOVE = "a laid cable, one of its ends, or the name of a group of held vertices"
 
@@ -51,8 +53,8 @@ class Target:
 
     def apply(self, scene: Scene, first: State, before: float, share: float) -> None:
         """Set the loads at a share of the way from the state `first`; `before` is that reached."""
-        scene.pressure = _between(*self.pressure, share)
-        scene.load = _between(*self.load, share)
+        scene._pressure = _between(*self.pressure, share)
+        scene._load = _between(*self.load, share)
         u = scene.u.x.array.reshape(-1, 3)
         for places in (u, *(cable.positions for cable in scene.cables)):
             places += (share - before) * self.carried
@@ -63,7 +65,7 @@ class Target:
         for c, k, displacement in self.cable_ends:
             scene.cables[c].positions[k] += share * displacement
         for c, start, end in self.lengths:
-            scene.cables[c].L0 = start + share * (end - start)
+            scene.cables[c].state.L0 = start + share * (end - start)
 
 
 def _between(first: float, last: float, share: float) -> float:
@@ -111,7 +113,7 @@ def checked_target(
             )
     ends: list[tuple[int, int, Array]] = []
     vertices: list[tuple[npt.NDArray[np.int32], Array]] = []
-    for key, vector in move.items():
+    for key, vector in _in_order(move):
         displacement = checks.vector(f"advance: move of {key!r}", vector)
         if isinstance(key, LaidCable):
             wanted = [key.start, key.end]
@@ -133,11 +135,11 @@ def checked_target(
             # The last node's number changes with the path.
             ends.append((c, 0 if k == 0 else -1, displacement))
     if value != 0.0:
-        _check_open_edges_held(scene)
+        _check_rim(scene)
     moved = _moved(scene, vertices)
     _check_above_floor(scene, moved)
     lengths = []
-    for key, length in L0.items():
+    for key, length in _in_order(L0):
         if not isinstance(key, LaidCable):
             raise InputError(f"advance: L0 of {key!r}; give a laid cable.")
         if key.cable.law == "step":
@@ -149,6 +151,11 @@ def checked_target(
         lengths.append((_number(scene, key), key.L0, length))
     carried = _carried(scene, moved, ends)
     return Target((scene.pressure, value), (scene.load, factor), ends, moved, carried, lengths)
+
+
+def _in_order(given: Mapping[object, Value]) -> list[tuple[object, Value]]:
+    """The items by the names of their keys: sums and errors are then the same on all ranks."""
+    return sorted(given.items(), key=lambda item: repr(item[0]))
 
 
 def _number(scene: Scene, cable: object) -> int:
@@ -216,19 +223,29 @@ def _carried(scene: Scene, moved: Array, ends: list[tuple[int, int, Array]]) -> 
     return common if alike and scene.floor_level is None else np.zeros(3)
 
 
-def _check_open_edges_held(scene: Scene) -> None:
-    """The exact follower pressure has a potential only if its open edges are held."""
+def has_free_rim(scene: Scene) -> bool:
+    """Whether the paper's pressure acts on a membrane with edges that are free. Collective."""
+    if scene.pressure_law == "total" or scene.pressure == 0.0:
+        return False
+    return bool(scene.comm.allreduce(len(scene.rim().free)))
+
+
+def _check_rim(scene: Scene) -> None:
+    """The exact follower pressure has a potential only if its rim is held or slides in planes."""
     if scene.pressure_law != "total":
         return
-    dofs = locate_dofs_topological(scene.V, 1, scene.open_edges)
+    rim = scene.rim()
     boundary = locate_dofs_topological(scene.V, 1, scene.mesh.edges["boundary"])
     with raised_together(scene.comm):
-        free = dofs[~scene.held[dofs].all(axis=1)]
-        if len(free):
-            place = scene.stress_free[free[0]]
+        if len(rim.free):
+            place = scene.stress_free[rim.free[0]]
             what, remedy = (
-                ("whose boundary is free at", 'scene.fix("boundary")')
-                if free[0] in boundary
+                (
+                    "whose boundary is free at",
+                    'scene.fix("boundary"), or in a plane of symmetry in its normal direction, as '
+                    'by scene.fix(group, "y")',
+                )
+                if rim.free[0] in boundary
                 else (
                     "whose cells under pressure end, or meet in a seam, at",
                     'scene.fix, or leave walls without pressure: Scene(..., pressure_on=["roof"])',
@@ -238,3 +255,13 @@ def _check_open_edges_held(scene: Scene) -> None:
                 f"advance: pressure on a membrane {what} {as_text(place)}: the follower pressure "
                 f'needs it held ({remedy}); with free edges use Scene(..., pressure="step").'
             )
+        edges = scene.open_edges
+        sliding = {(int(a), int(b)) for a, b in edges.ids[np.isin(edges.numbers, rim.sliding)]}
+        for cable in scene.cables:
+            for node in cable.nodes:
+                ids = node.masters()[0] if node.kind == "fold" else ()
+                if tuple(sorted(ids)) in sliding:
+                    raise InputError(
+                        f"advance: pressure on a membrane whose edge slides in a plane, but "
+                        f"{cable.name!r} runs over it and folds it; let the cable end there."
+                    )

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
-from dolfinx.mesh import Mesh
 
 from crms_fenicsx.integral import Integral, one_point
 from crms_fenicsx.membrane import Kinematics, tangent_basis
@@ -18,40 +18,69 @@ from crms_fenicsx.unknowns import Unknowns
 Array = npt.NDArray[np.float64]
 
 
-def open_edges(mesh: Mesh, pressed: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
+@dataclass(frozen=True)
+class OpenEdges:
+    """Edges at which the cells under pressure do not cancel each other, as this rank knows them.
+
+    Attributes
+    ----------
+    numbers : (n,)
+        Local numbers of the edges, owned ones and ghosts, sorted.
+    vertices : (n, 2)
+        Their vertices by local degree of freedom.
+    ids : (n, 2)
+        The vertices' numbers in the mesh as it was given; the first one is lower.
+    senses : (n,)
+        How many more cells pass from the first vertex to the second one than back.
+    """
+
+    numbers: npt.NDArray[np.int32]
+    vertices: npt.NDArray[np.int32]
+    ids: npt.NDArray[np.int64]
+    senses: Array
+
+
+def open_edges(V: fem.FunctionSpace, pressed: npt.NDArray[np.bool_]) -> OpenEdges:
     """Edges at which the cells under pressure do not cancel each other. Collective.
 
-    The exact follower pressure has a potential only if these are held: each cell makes a volume
-    with the origin, whose sides over an edge cancel if as many cells pass it in the one sense as
-    in the other. It is not so at the rim of what is under pressure, nor at a seam of three.
+    The exact follower pressure has a potential only if these are held or slide in planes: each cell
+    makes a volume with the origin, whose sides over an edge cancel if as many cells pass it in the
+    one sense as in the other. It is not so at the rim of what is under pressure, nor at a seam of
+    three.
 
     Parameters
     ----------
-    mesh
-        The oriented membrane.
+    V
+        Vertex displacements.
     pressed
         Whether there is pressure on each local cell, (n,).
-
-    Returns
-    -------
-    Local numbers of the edges, owned ones and ghosts, sorted.
     """
+    mesh = V.mesh
+    numbers = mesh.topology.connectivity(2, 1).array.reshape(-1, 3)
     ids = cell_vertex_ids(mesh)
-    start, end = np.roll(ids, -1, axis=1), np.roll(ids, -2, axis=1)  # side k lies opposite to k
-    sense = np.where(start < end, 1.0, -1.0)[pressed]
+    sides = np.stack([np.roll(np.arange(3), -1), np.roll(np.arange(3), -2)], axis=1)
+    start, end = ids[:, sides[:, 0]], ids[:, sides[:, 1]]  # side k lies opposite to k
+    sense = np.where(start < end, 1.0, -1.0)
     total = la.vector(mesh.topology.index_map(1), dtype=np.float64)
-    np.add.at(total.array, mesh.topology.connectivity(2, 1).array.reshape(-1, 3)[pressed], sense)
+    np.add.at(total.array, numbers[pressed], sense[pressed])
     total.scatter_reverse(la.InsertMode.add)
     total.scatter_forward()
-    return np.flatnonzero(total.array).astype(np.int32)
+    found = np.flatnonzero(total.array).astype(np.int32)
+    pairs = np.zeros((len(total.array), 2), dtype=np.int32)
+    named = np.zeros((len(total.array), 2), dtype=np.int64)
+    order = np.where((sense > 0)[..., None], sides, sides[:, ::-1])  # (cells, 3, 2)
+    pairs[numbers] = np.take_along_axis(V.dofmap.list[:, None, :], order, axis=2)
+    named[numbers] = np.take_along_axis(ids[:, None, :], order, axis=2)
+    return OpenEdges(found, pairs[found], named[found], total.array[found])
 
 
 class FollowerPressure:
     """Potential ``-p (V - V0)`` of a uniform pressure, V the volume under the membrane.
 
     Its gradient is the pressure's exact nodal forces, normal to the current surface, as long as
-    the `open_edges` are held. V is counted from `origin`; V0 is that of the stress-free
-    surface, so that the energy is the work done since and does not depend on the origin.
+    the `open_edges` are held; where they slide in planes `crms_fenicsx.rim` has what is missing. V
+    is counted from `origin`; V0 is that of the stress-free surface, so that the energy is the work
+    done since and does not depend on the origin.
 
     Parameters
     ----------

@@ -291,11 +291,11 @@ def law_terms(law: int, E: Any, p: Any) -> LawTerms:
     def taut_tangent(a: Any, b: Any) -> Any:
         return ufl.dot(voigt(a), D * voigt(b))
 
+    # Without the energy at rest, S^2 / E t, in which small changes would be lost.
+    s = prestress + D * voigt(E)
+    taut_energy = ufl.dot(prestress + s, voigt(E)) / 2
     if law == LINEAR:
-        e = voigt(E)
-        s = prestress + D * e
-        energy = ufl.dot(prestress, e) + ufl.dot(e, D * e) / 2
-        return LawTerms(energy, symmetric(s), ufl.as_ufl(2.0), taut_tangent, taut_tangent)
+        return LawTerms(taut_energy, symmetric(s), ufl.as_ufl(2.0), taut_tangent, taut_tangent)
 
     e = voigt(E) + elastic
     mean, half, shear = (e[0] + e[1]) / 2, (e[0] - e[1]) / 2, e[2] / 2
@@ -310,8 +310,9 @@ def law_terms(law: int, E: Any, p: Any) -> LawTerms:
     def select(if_taut: Any, if_wrinkled: Any, if_slack: Any) -> Any:
         return ufl.conditional(taut, if_taut, ufl.conditional(wrinkled, if_wrinkled, if_slack))
 
-    energy = select(ufl.dot(e, D * e) / 2, Et * larger**2 / 2, 0.0)
-    stress_taut, stress_wrinkled = symmetric(D * e), Et * larger * along
+    rest = ufl.dot(elastic, prestress) / 2
+    energy = select(taut_energy, Et * larger**2 / 2 - rest, -rest)
+    stress_taut, stress_wrinkled = symmetric(s), Et * larger * along
     stress = ufl.as_matrix(
         [[select(stress_taut[i, j], stress_wrinkled[i, j], 0.0) for j in (0, 1)] for i in (0, 1)]
     )
@@ -324,7 +325,7 @@ def law_terms(law: int, E: Any, p: Any) -> LawTerms:
         return ufl.conditional(nearly_taut, taut_tangent(a, b), wrinkling)
 
     return LawTerms(
-        energy - ufl.dot(elastic, D * elastic) / 2,
+        energy,
         stress,
         select(2.0, 1.0, 0.0),
         tangent,

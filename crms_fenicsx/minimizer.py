@@ -7,6 +7,11 @@ solve runs in *stages*. After a few iterations a stage ends, and H0 is rebuilt, 
 longer to the end than with a new H0; or when its line searches have cost as much as that. The next
 solve of the same potential, at other loads, begins with the H0 that is there.
 
+Where much of a membrane is wrinkled or slack, what the quasi-Newton updates have learnt is wrong as
+soon as some more cells have wrinkled. Once a stage has come to little, H0 without updates takes
+over, rebuilt in each iteration: Newton's method on an energy whose slope has kinks, with a part of
+the taut stiffness on top that grows where the energy falls less than promised, and shrinks else.
+
 Near the minimum the energy's differences drown in rounding, long before the forces balance to the
 tolerance. There a stage, which keeps the H0 of the one before, measures energy from its start x0 by
 the trapezoidal rule,
@@ -55,17 +60,38 @@ ROUNDED = 1e-6
 COARSE = 1e-5
 """Residual, relative to the force scale, at which `solve` asks whether to go on."""
 
+STUBBORN, PATIENCE = 0.1, 8
+"""Reduction of the residual by a stage above which Newton's method takes over, after how many
+stages: cables that pass vertices take a few, and no Newton step makes that faster."""
+
+RESTRAINT = 1e-2
+"""Part of the taut stiffness that wrinkled cells have at first in Newton's method, relative to the
+root of the residual over the force scale."""
+
+NEWTON_STAGES = 20
+"""Iterations of Newton's method in which the residual must fall by more than that."""
+
+STEADY, RISE = 1e-10, 1e-11
+"""Fall of the energy, relative to it, below which the trapezoidal rule takes its place in Newton's
+method, and rise up to which: that much is rounding."""
+
+DESCENT, SHORTEST = 1e-4, 1e-3
+"""Least part of the descent promised that a Newton step must keep, and the shortest one tried."""
+
 TINY = 1e-300
 """What takes the place of zero where it would have no logarithm."""
 
 BOUNDED_TYPES, UNBOUNDED_TYPES = ("blmvm", "bqnls", "bncg"), ("lmvm", "cg")
 """Minimisers that need energy and gradient only, with bounds and without."""
 
+SEARCH_FAILED, OUT_OF_RANGE = -6, 63
+"""TAO's reason, and PETSc's error code, for a line search that has led nowhere."""
+
 REASONS = {
     -2: "too many iterations",
     -4: "energy or gradient not finite",
     -5: "too many evaluations",
-    -6: "line search failed",
+    SEARCH_FAILED: "line search failed",
     -7: "trust region failed",
     -8: "stopped by the user",
 }
@@ -95,6 +121,8 @@ class Outcome:
     unsettled
         What the friction forces still change by, relative to their sum, where they went round in
         circles and were left at that.
+    scale
+        The scene's own force, to which the tolerance is relative unless rounding is larger.
     """
 
     converged: bool
@@ -108,6 +136,7 @@ class Outcome:
     flips: int = 0
     passes: int = 0
     unsettled: float = 0.0
+    scale: float = 0.0
 
     def __add__(self, other: Outcome) -> Outcome:
         """The outcome of `other`, after the work of both."""
@@ -123,6 +152,7 @@ class Outcome:
             self.flips + other.flips,
             self.passes + other.passes,
             other.unsettled,
+            other.scale,
         )
 
 
@@ -158,6 +188,8 @@ class Minimizer:
     ) -> None:
         self.potential = potential
         self.rtol, self.atol, self.max_stages = rtol, atol, max_stages
+        self.newton = True
+        """Whether Newton's method may take over where quasi-Newton stages come to little."""
         comm = potential.comm
         self.h0 = InitialHessian(potential, prefix + "h0_")
         self._x, self._g, self._x0, self._g0, self._step = (
@@ -166,6 +198,7 @@ class Minimizer:
         self._close = self._at_start = False
         self._energy0 = self._residual0 = self._tolerance = self._scale = self._near = 0.0
         self._evaluations0, self._length = 0, STAGE_LENGTHS[0]
+        self._restraint = RESTRAINT
         self._aged = True
         self._interrupt: Callable[[], bool] | None = None
         self._interrupted = False
@@ -222,15 +255,46 @@ class Minimizer:
         Near the minimum it asks once whether to go on at all.
         """
         residual = tao.getSolutionStatus()[2]
-        if self._interrupt is not None and residual <= COARSE * self._scale:
-            self.potential.place(self._x)
-            try:
-                self._interrupted = self._interrupt()
-            except BaseException as error:  # PETSc would hide it behind an error of its own
-                self._error, self._interrupted = error, True
-            self._interrupt = None
+        try:
+            self._ask(residual)
+        except BaseException as error:  # PETSc would hide it behind an error of its own
+            self._error, self._interrupted = error, True
         if self._interrupted or self._stage_is_over(tao.getIterationNumber(), residual):
             tao.setConvergedReason(PETSc.TAO.ConvergedReason.CONVERGED_USER)
+
+    def _ask(self, residual: float) -> None:
+        """Ask once near the minimum whether to go on."""
+        if self._interrupt is not None and residual <= COARSE * self._scale:
+            self.potential.place(self._x)
+            interrupt, self._interrupt = self._interrupt, None
+            self._interrupted = interrupt()
+
+    def _newton_step(self) -> bool:
+        """Step by H0 alone from the state evaluated last, as far as the energy falls; if it did."""
+        part, kept, fallen = 2.0, 0.0, False
+        self.h0.solve(self._g0, self._step)
+        slope = -self._g0.dot(self._step)
+        while not fallen and part >= SHORTEST:
+            part *= 0.5
+            self._x.waxpy(-part, self._step, self._x0)
+            energy = self.potential.objective_gradient(None, self._x, self._g)
+            change = energy - self._energy0
+            if -STEADY * abs(energy) <= change <= RISE * abs(energy):
+                change = 0.5 * part * (slope - self._g.dot(self._step))
+            fallen = change <= DESCENT * part * slope
+            kept = change / (part * (1 - part / 2) * slope)  # of what H0 promises
+        if not fallen:
+            factor = 10.0
+            if not energy - self._energy0 <= RISE * abs(energy):
+                self.potential.place(self._x0)
+        elif part < 0.25 or kept < 0.25:
+            factor = 3.0
+        else:
+            factor = 0.1 if kept > 0.9 else 0.3 if kept > 0.6 else 1.0
+            factor = factor if part == 1.0 else 1.0
+        self._restraint = min(factor * self._restraint, 1.0)
+        self._ask(self._g.norm())
+        return fallen
 
     def _stage_is_over(self, iterations: int, residual: float) -> bool:
         """Whether energy is to be measured in another way, or H0 to be rebuilt."""
@@ -248,6 +312,21 @@ class Minimizer:
         left = math.log(residual) - math.log(max(self._tolerance, TINY))
         rate = (math.log(self._residual0) - math.log(residual)) / iterations
         return left > rate * (REBUILD - left / math.log(FRESH))
+
+    def _run(self) -> int:
+        """Let TAO go on to the end of a stage; return why it has ended."""
+        try:
+            self.tao.solve()
+            ended = int(self.tao.getConvergedReason())
+        except PETSc.Error as error:
+            # Raised where a trial step has a slope of the wrong sign: the search is over.
+            if error.ierr != OUT_OF_RANGE or error.__cause__ is not None:
+                raise
+            self._x0.copy(self._x)
+            ended = SEARCH_FAILED
+        if self._error is not None:
+            raise self._error
+        return ended
 
     def forget(self) -> None:
         """Begin the next solve with a new H0, as another process would."""
@@ -297,16 +376,18 @@ class Minimizer:
         """
         potential = self.potential
         self._interrupt, self._interrupted, self._error = interrupt, False, None
+        may_be_newton = self.newton and self._uses_h0 and self._bounds is None
         stiffened = [term for term in potential.terms if hasattr(term, "stiffening")]
         self._place_bounds()
         potential.place()
         iterations = factorizations = 0
         start = potential.evaluations
         reason, failures, best = "too many stages", 0, np.inf
+        newton, since, mark, stages = False, 0, 0.0, 0.0
         # What lies on a floor is held in H0.
         self._aged |= h0_prestress[0] != 0.0 or self._bounds is not None
         self._length = STAGE_LENGTHS[0]
-        for _ in range(self.max_stages):
+        while stages < self.max_stages:
             self._energy0, self._scale = potential.evaluate_terms()
             potential.free_gradient(self._g0)
             rounding = potential.rounding()
@@ -326,29 +407,40 @@ class Minimizer:
             if failures >= 3 and residual > 0.5 * best:
                 break
             best = min(best, residual)
+            if newton:
+                since += 1
+                if since == NEWTON_STAGES:
+                    newton, since, mark = residual <= STUBBORN * mark, 0, residual
+            elif self._aged and may_be_newton and stages >= PATIENCE:
+                newton, since, mark = residual > STUBBORN * self._residual0, 0, residual
+                self._restraint = RESTRAINT * (residual / max(self._scale, residual)) ** 0.5
+            stages += 1 / 4 if newton else 1
             if self._uses_h0 and self._aged:
                 prestress = h0_prestress[min(factorizations, len(h0_prestress) - 1)]
                 for term in stiffened:
                     term.stiffening.set(prestress, failures)
+                    if newton:
+                        term.stiffening.floor.value = self._restraint
                 self._length = STAGE_LENGTHS[min(factorizations, len(STAGE_LENGTHS) - 1)]
                 self._set_h0()
                 factorizations += 1
             potential.x_vector.copy(self._x)
             potential.x_vector.copy(self._x0)
+            self._residual0, self._tolerance = residual, tolerance
+            if newton:
+                iterations += 1
+                failures = 0 if self._newton_step() else failures + 1
+                continue
             self._close = residual <= self._near
             self._at_start = self._bounds is None
-            self._residual0, self._tolerance = residual, tolerance
             self._evaluations0 = potential.evaluations
             self.tao.setTolerances(gatol=tolerance, grtol=0.0, gttol=0.0)
-            self.tao.solve()
-            if self._error is not None:
-                raise self._error
+            ended = self._run()
             iterations += self.tao.getIterationNumber()
             potential.place(self._x)
-            ended = int(self.tao.getConvergedReason())
             if ended < 0:
                 reason, self._aged = REASONS.get(ended, f"TAO reason {ended}"), True
-            failures = failures + 1 if ended == -6 else 0
+            failures = failures + 1 if ended == SEARCH_FAILED else 0
         for term in stiffened:
             term.stiffening.set(0.0)
         self._aged |= reason != "converged"
@@ -365,4 +457,5 @@ class Minimizer:
             iterations,
             potential.evaluations - start,
             factorizations,
+            scale=max(self._scale, self.atol / self.rtol),
         )

@@ -269,13 +269,14 @@ class Potential:
             Energy at the current state (force x length).
         scale
             Largest norm of one term's free nodal forces: the scene's own force. Those across
-            rails count, as there may be no other that does not vanish.
+            rails count, as there may be no other that does not vanish. Where only one term has
+            any, which vanish in equilibrium, those of the supports.
         """
         self.evaluations += not self._is_summed
         self.bring_up_to_date()
         n = self.unknowns.n_owned
         free = ~self.unknowns.held[:n]
-        energy, squares = 0.0, np.zeros(len(self.terms))
+        energy, squares = 0.0, np.zeros(len(self.terms) + 1)
         total = np.zeros_like(self.g)
         for k, (term, part) in enumerate(zip(self.terms, self._slices, strict=True)):
             energy += term.energy(self._sums[part])
@@ -284,6 +285,9 @@ class Potential:
             self.unknowns.gather_forces(self.g_vector, self.g)
             squares[k] = np.sum(self.g[:n][free] ** 2)
             total += self.g
+        squares[-1] = np.sum(total[:n][~free] ** 2)
         self.g[:] = total
         self.unknowns.project(self.g)
-        return energy, float(np.sqrt(np.max(self.comm.allreduce(squares, op=MPI.SUM))))
+        *of_terms, of_supports = self.comm.allreduce(squares, op=MPI.SUM).tolist()
+        alone = sum(square > 0.0 for square in of_terms) < 2
+        return energy, max(*of_terms, of_supports * alone, 0.0) ** 0.5

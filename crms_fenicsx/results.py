@@ -279,10 +279,12 @@ def _sum_over_ranks(scene: Scene, vectors: Array) -> Array:
 def gained_volume(scene: Scene) -> float:
     """Volume between the stress-free and the current cells under pressure (length cubed).
 
-    Collective. A pressure p does the work p V on it. While their rim is held it is that between the
-    two surfaces; if it moves, what its way sweeps out as seen from the stress-free
-    membrane's centre counts too.
+    Collective. A pressure p does the work p V on it. While their rim is held, or slides in planes,
+    it is that between the two surfaces and the planes; if it moves else, what its way sweeps out as
+    seen from the stress-free membrane's centre counts too.
     """
+    from crms_fenicsx.rim import gain
+
     V, mesh = scene.V, scene.mesh.mesh
     shape = folded_shape(scene)
     owned = mesh.topology.index_map(2).size_local
@@ -298,6 +300,8 @@ def gained_volume(scene: Scene) -> float:
         corners, weights = fan_facets(pieces)
         # Pieces of a folded cell together are, stress-free, the cell: their changes add up.
         local += np.sum(weights * _volume_change(X, u, corners))
+    rim = scene.rim()
+    local += rim.factors @ gain(*(places.reshape(-1)[rim.components] for places in (X, u)))
     return float(scene.comm.allreduce(float(local)))
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+import weakref
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
@@ -17,11 +18,15 @@ from crms_fenicsx.errors import InputError, PenaltyWarning, collective, raised_t
 from crms_fenicsx.materials import LINEAR, Membrane
 from crms_fenicsx.membrane import area_vectors
 from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.readonly import ReadOnly
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.cable import Cable, Crossing, LaidCable
     from crms_fenicsx.cables.strip import Strip
     from crms_fenicsx.dead_load import DeadForces, Traction
+    from crms_fenicsx.loads import OpenEdges
+    from crms_fenicsx.rim import Rim
+    from crms_fenicsx.system import StepHistory
 
 Array = npt.NDArray[np.float64]
 Marker = Callable[[Array], npt.NDArray[np.bool_]]
@@ -30,6 +35,25 @@ Law = Literal["total", "step"]
 STABLE_PENALTY = (1e-3, 1.0)
 """Penalty factors between which folded cells are stable and do not lock."""
 COMPONENTS = {"x": 0, "y": 1, "z": 2}
+
+
+class Cables(tuple["LaidCable", ...]):
+    """The cables of a scene in the order of laying; `remove` is all that changes them."""
+
+    _scene: weakref.ref[Scene]
+
+    @classmethod
+    def of(cls, scene: Scene, cables: Iterable[LaidCable]) -> Cables:
+        """Some cables of a scene."""
+        new = cls(cables)
+        new._scene = weakref.ref(scene)
+        return new
+
+    def remove(self, cable: LaidCable | str) -> None:
+        """Take a cable away; see `Scene.remove`. Collective."""
+        scene = self._scene()
+        assert scene is not None, "its cables outlive the scene"
+        scene.remove(cable)
 
 
 class Scene:
@@ -47,8 +71,11 @@ class Scene:
         "total": Green-Lagrange strain from the stress-free shape. "step": the paper's incremental
         strain, linear in a step and aligned to a side of each cell, (2.3-3 ... 2.3-14).
     pressure
-        "total": the exact follower pressure. "step": the paper's nodal forces, which keep
-        direction and size in a step, (2.4-1, 2).
+        "total": the exact follower pressure. The rim of what is under pressure must be held, or
+        slide in planes x, y or z = constant that are held in their normal direction, as planes of
+        symmetry are. "step": the paper's nodal forces, which keep direction and size in a step,
+        (2.4-1, 2). They need no held rim; where it is free steps are repeated until the forces are
+        those of the follower pressure.
     pressure_on
         The parts of the mesh on which pressure acts; all of it by default. A wall below the roof
         has the same air on both its sides: leave it out.
@@ -69,6 +96,21 @@ class Scene:
     PenaltyWarning
         The penalty's factor lies outside the range in which folded cells are sound.
     """
+
+    pressure: ReadOnly[float] = ReadOnly("_pressure", "call solver.advance(pressure=...)")
+    """Current pressure (force per area)."""
+    load: ReadOnly[float] = ReadOnly("_load", "call solver.advance(load=...)")
+    """Current factor of the dead load."""
+    cables: ReadOnly[Cables] = ReadOnly("_cables", "call scene.lay_cable(...) or scene.remove(...)")
+    """The laid cables, in their order."""
+    dead_forces: ReadOnly[DeadForces | None] = ReadOnly("_dead_forces", "call scene.put_load(...)")
+    floor_level: ReadOnly[float | None] = ReadOnly("_floor_level", "call scene.floor(z)")
+    strain_law: ReadOnly[Law] = ReadOnly("_strain_law", "give it to Scene(..., strain=...)")
+    pressure_law: ReadOnly[Law] = ReadOnly("_pressure_law", "give it to Scene(..., pressure=...)")
+    penalty: ReadOnly[float] = ReadOnly("_penalty", "give it to Scene(..., penalty=...)")
+    literal_penalty: ReadOnly[float | None] = ReadOnly(
+        "_literal_penalty", "give it to Scene(..., literal_penalty=...)"
+    )
 
     def __init__(
         self,
@@ -99,9 +141,9 @@ class Scene:
             if value not in ("total", "step"):
                 raise InputError(f"Scene: {name} = {value!r} is not known; use 'total' or 'step'.")
         self.mesh, self.comm = mesh, mesh.comm
-        self.strain_law, self.pressure_law = strain, pressure
-        self.penalty = checks.positive("Scene: penalty", penalty)
-        self.literal_penalty = (
+        self._strain_law, self._pressure_law = strain, pressure
+        self._penalty = checks.positive("Scene: penalty", penalty)
+        self._literal_penalty = (
             None
             if literal_penalty is None
             else checks.positive("Scene: literal_penalty", literal_penalty)
@@ -124,19 +166,24 @@ class Scene:
         edges = mesh.mesh.topology.index_map(1)
         self.held_edges = np.zeros(edges.size_local + edges.num_ghosts, dtype=bool)
         """Edges that are held over their whole length, by local number."""
-        self.floor_level: float | None = None
-        self.pressure = 0.0
-        """Current pressure (force per area)."""
-        self.dead_forces: DeadForces | None = None
-        self.load = 0.0
-        """Current factor of the dead load."""
-        self.cables: list[LaidCable] = []
+        self._floor_level: float | None = None
+        self._pressure = self._load = 0.0
+        self._dead_forces: DeadForces | None = None
+        self._cables = Cables.of(self, ())
+        self._laid = 0
+        self._dissipated = 0.0
+        """How many cables have been laid, and what friction of those that are gone has dissipated.
+        """
         self.strip: Strip | None = None
         self.crossings: list[Crossing] = []
         self.energies: dict[str, float] = {}
         """Energy of each kind of term in the current state (force x length)."""
         self.changes = 0
         """Counts what needs a new set-up of the solver."""
+        self.commits = 0
+        """Counts the states that load steps and checkpoints have brought it to."""
+        self.step_history: StepHistory | None = None
+        """What the step-wise laws know of the load steps before; None before the first."""
 
     @property
     def energy(self) -> float:
@@ -146,25 +193,31 @@ class Scene:
     @property
     def dissipated(self) -> float:
         """Energy that friction has dissipated in all load steps (force x length)."""
-        grips = [grip for c in self.cables for grip in (c.grip, c.axial) if grip is not None]
-        return sum(grip.dissipated for grip in grips)
+        return self._dissipated + sum(cable.dissipated for cable in self.cables)
 
     @property
     def volume(self) -> float:
         """Volume gained under the cells under pressure since the stress-free shape (length cubed).
 
-        It is the volume between the two shapes while the rim of these cells is held.
+        It is the volume between the two shapes while the rim of these cells is held, or slides in
+        planes that are held in their normal direction.
         """
         from crms_fenicsx.results import gained_volume
 
         return gained_volume(self)
 
     @cached_property
-    def open_edges(self) -> npt.NDArray[np.int32]:
-        """Local edges that pressure needs to be held; see `loads.open_edges`. Collective."""
+    def open_edges(self) -> OpenEdges:
+        """Edges that pressure needs to be held; see `loads.open_edges`. Collective."""
         from crms_fenicsx.loads import open_edges
 
-        return open_edges(self.mesh.mesh, self.pressed)
+        return open_edges(self.V, self.pressed)
+
+    def rim(self) -> Rim:
+        """How the `open_edges` are held in the current state. Collective."""
+        from crms_fenicsx.rim import rim_of
+
+        return rim_of(self.open_edges, self.V, self.held, self.positions(), self.size)
 
     @cached_property
     def stress_free(self) -> Array:
@@ -341,7 +394,7 @@ class Scene:
                     f"floor: the membrane is at z = {heights.min():g}, below the floor z = {z:g}; "
                     "put the floor lower."
                 )
-        self.floor_level = z
+        self._floor_level = z
         self.changes += 1
 
     @collective
@@ -370,7 +423,7 @@ class Scene:
 
         checks.same(self.comm, "put_load", force=force)
         self.check_finite("put_load")
-        self.dead_forces = dead_forces(self, force)
+        self._dead_forces = dead_forces(self, force)
         self.changes += 1
 
     def cable(self, name: str) -> LaidCable:
@@ -439,7 +492,8 @@ class Scene:
         ------
         PathError
             The path cannot be laid, as one that leaves the membrane, could only go around its
-            back, begins inside of it, or goes to a part behind a seam.
+            back, begins inside of it, goes to a part behind a seam, or comes back through the
+            cells that it went out by.
         InputError
             L0 or tension that is not positive, or both, or a name that is taken.
         """
@@ -453,6 +507,30 @@ class Scene:
         self.changes += 1
         return laid
 
+    @collective
+    def remove(self, cable: LaidCable | str) -> None:
+        """Take a cable away; the next load step finds the equilibrium without it.
+
+        What other cables had to do with it ends: where they crossed it they lie on the membrane,
+        or on the cables below. The energy that its friction has dissipated stays in `dissipated`,
+        and what it was before in tables and pictures. A new cable may have its name.
+
+        Parameters
+        ----------
+        cable
+            A cable of this scene, or its name.
+
+        Raises
+        ------
+        InputError
+            On all ranks: there is no such cable.
+        """
+        from crms_fenicsx.cables.removing import remove
+
+        checks.same(self.comm, "remove", cable=cable)
+        remove(self, cable)
+        self.changes += 1
+
 
 def _assign_materials(
     mesh: MembraneMesh, material: Membrane | Mapping[str, Membrane]
@@ -465,10 +543,11 @@ def _assign_materials(
             f"Scene: material = {material!r} is none; give a membrane such as IsotropicMembrane, "
             "or a mapping from the mesh's parts to membranes."
         )
+    given = sorted(material.items(), key=lambda item: repr(item[0]))  # alike on all ranks
     n = mesh.mesh.topology.index_map(2).size_local + mesh.mesh.topology.index_map(2).num_ghosts
     tags = np.full(n, -1, dtype=np.int32)
     with raised_together(mesh.comm):
-        for k, (part, value) in enumerate(material.items()):
+        for k, (part, value) in enumerate(given):
             if part not in mesh.parts:
                 raise InputError(
                     f"Scene: the mesh has no part {part!r}; it has "
@@ -476,19 +555,21 @@ def _assign_materials(
                 )
             if not isinstance(value, Membrane):
                 raise InputError(f"Scene: the material of part {part!r} is {value!r}, no Membrane.")
-            if np.any(tags[mesh.parts[part]] >= 0):
+            own = mesh.parts[part]
+            if np.any(tags[own] >= 0):
+                shared = next(p for p, _ in given[:k] if np.isin(mesh.parts[p], own).any())
                 raise InputError(
-                    f"Scene: part {part!r} shares cells with another part that has a material; "
-                    "give each cell one material."
+                    f"Scene: part {part!r} shares cells with part {shared!r}, which has a material "
+                    "as well; give each cell one material."
                 )
-            tags[mesh.parts[part]] = k
+            tags[own] = k
         if np.any(tags < 0):
             raise InputError(
                 f"Scene: {np.count_nonzero(tags < 0)} cells have no material; give one for "
                 "every part of the mesh."
             )
     cells = np.arange(n, dtype=np.int32)
-    return meshtags(mesh.mesh, 2, cells, tags), dict(enumerate(material.values()))
+    return meshtags(mesh.mesh, 2, cells, tags), {k: value for k, (_, value) in enumerate(given)}
 
 
 def _pressed_cells(mesh: MembraneMesh, pressure_on: Sequence[str] | None) -> npt.NDArray[np.bool_]:

@@ -24,17 +24,19 @@ from crms_fenicsx.errors import (
     collective,
 )
 from crms_fenicsx.interrupt import postponed, stop_together
-from crms_fenicsx.loading import Target, checked_target
+from crms_fenicsx.loading import Target, checked_target, has_free_rim
 from crms_fenicsx.minimizer import Outcome
 from crms_fenicsx.output.recorder import Recorder
+from crms_fenicsx.readonly import ReadOnly
 from crms_fenicsx.scene import Marker, Scene
 from crms_fenicsx.state import State
-from crms_fenicsx.system import System
+from crms_fenicsx.system import StepHistory, System
 from crms_fenicsx.verification import Verification, Verifier
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.cable import LaidCable
     from crms_fenicsx.cables.contact_force import ContactForces
+    from crms_fenicsx.cables.retrace import Tried
     from crms_fenicsx.checkpoint import Run
     from crms_fenicsx.checkpoint.journal import Journal
     from crms_fenicsx.output import History, Line
@@ -42,6 +44,11 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 logger = logging.getLogger("crms_fenicsx")
+
+ANOTHER = "make another Solver(scene, ...), which goes on from the scene as it is"
+"""What to do instead of assigning a solver's options."""
+MOST_TURNS = 50
+"""Solves of an increment with the paper's pressure on a membrane with free edges."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +94,8 @@ class Solver:
         The scene; its state is advanced.
     results
         Folder for the history table and the ParaView files; none are written without. That it can
-        be written is checked now.
+        be written is checked now. The first load step (or `load`) takes it for this solver alone,
+        until the solver is gone or its process ends.
     resume
         Whether to go on from where this script has come to before, when it was killed or stopped.
         A solver that is told so, or not so, writes a checkpoint of each load step into the folder
@@ -107,9 +115,6 @@ class Solver:
     slide
         Whether cables may slide sideways into other cells than those that they cross. Without it
         they slide inside their cells only, and a `PathWarning` tells when they run into a vertex.
-    polish
-        Whether to try the other side of every vertex near which a sliding cable passes, and not
-        only of those against which it is pressed. It costs more than all else and changes little.
     verify
         Whether to check each solved step on ways of its own, without the gradient and the forms:
         ``step.verification``. A state that fails is treated as one that did not converge.
@@ -131,6 +136,12 @@ class Solver:
     >>> solver = Solver(scene, results="results/dome", resume="--resume" in sys.argv)
     """
 
+    scene: ReadOnly[Scene] = ReadOnly("_scene", ANOTHER)
+    prefix: ReadOnly[str] = ReadOnly("_prefix", ANOTHER)
+    rtol: ReadOnly[float] = ReadOnly("_rtol", ANOTHER)
+    max_halvings: ReadOnly[int] = ReadOnly("_max_halvings", ANOTHER)
+    slide: ReadOnly[bool] = ReadOnly("_slide", ANOTHER)
+
     def __init__(
         self,
         scene: Scene,
@@ -141,7 +152,6 @@ class Solver:
         rtol: float = 1e-9,
         max_halvings: int = 8,
         slide: bool = True,
-        polish: bool = False,
         verify: bool = True,
     ) -> None:
         if not isinstance(scene, Scene):
@@ -155,7 +165,6 @@ class Solver:
             rtol=rtol,
             max_halvings=max_halvings,
             slide=slide,
-            polish=polish,
             verify=verify,
         )
         if not 0 < checks.finite("Solver: rtol", rtol) < 1:
@@ -174,39 +183,47 @@ class Solver:
                 f"Solver: resume = {resume}, but no results: give a folder, where checkpoints go, "
                 'as in results="results/dome".'
             )
-        self.scene, self.comm = scene, scene.comm
-        self.prefix, self.rtol = prefix, float(rtol)
-        self.max_halvings = checks.whole("Solver: max_halvings", max_halvings, 0)
-        self.slide, self.polish = bool(slide), bool(polish)
-        self._verifier = Verifier(scene, self.rtol) if verify else None
+        self._scene, self.comm = scene, scene.comm
+        self._prefix, self._rtol = prefix, float(rtol)
+        self._max_halvings = checks.whole("Solver: max_halvings", max_halvings, 0)
+        self._slide = bool(slide)
+        self._verifier = Verifier(scene) if verify else None
         self.steps: list[Step] = []
         self._system: System | None = None
         self._search: EquilibriumSearch | None = None
         self._earlier: Run | None = None
         """The run that this one goes on from."""
+        self._known: tuple[LaidCable, ...] = ()
+        """The cables of the load steps before."""
         self._recorder = Recorder(scene, results)
         self._journal: Journal | None = None
+        self._resumes = bool(resume)
         if resume is not None and results is not None:
             from crms_fenicsx.checkpoint.journal import FOLDER, Journal
 
-            options = {"rtol": self.rtol, "max_halvings": self.max_halvings,
-                       "slide": self.slide, "polish": self.polish}  # fmt: skip
+            options = {"rtol": self.rtol, "max_halvings": self.max_halvings, "slide": self.slide}
             self._journal = Journal(results / FOLDER, scene.comm, options, resume)
 
     @property
     def system(self) -> System:
         """The potential of the scene and its minimiser; made when first needed."""
+        if self._system is not None and self._system.is_outdated:
+            self._drop_system()  # another solver has advanced the scene
         if self._system is None:
             self._system = System(self.scene, self.prefix, self.rtol)
-            if self._earlier is not None and self._earlier.step_history is not None:
-                self._system.take_step_history(self._earlier.step_history)
         return self._system
+
+    def _drop_system(self) -> None:
+        if self._system is not None:
+            self._system.destroy()
+        self._system = self._search = self._earlier = None
 
     @property
     def search(self) -> EquilibriumSearch:
         """What finds the equilibrium of each load step; made when first needed."""
+        system = self.system
         if self._search is None:
-            self._search = EquilibriumSearch(self.system, self.slide, self.polish)
+            self._search = EquilibriumSearch(system, self.slide)
             if self._earlier is not None and self._earlier.tried is not None:
                 self._search.remember(self._earlier.tried)
         return self._search
@@ -266,7 +283,8 @@ class Solver:
         Returns
         -------
         ContactForces
-            At the cable's nodes: among others ``line``, the normal force per length of cable.
+            At the points of the cable's `line`: among others ``line``, the normal force per length
+            of cable.
 
         Raises
         ------
@@ -279,7 +297,7 @@ class Solver:
         checks.same(self.comm, "contact_forces", cable=cable)
         if not any(cable is own for own in self.scene.cables):
             raise InputError(f"contact_forces: {cable!r} is not a cable of this scene.")
-        return contact_forces(cable, StripShape.of(self.scene))
+        return contact_forces(cable, StripShape.of(self.scene)).at(cable.line_nodes())
 
     @collective
     def draw(self, filename: str | FilePath, *, colour: str | None = None, **options: Any) -> None:
@@ -329,7 +347,7 @@ class Solver:
         filename
             Picture to write; its suffix says the format.
         lines
-            Paths of cables, such as ``Line(cable.positions, name="now")``.
+            Paths of cables, such as ``Line(cable.line, name="now")``.
         paths
             Ways of points, step by step.
         **options
@@ -394,7 +412,10 @@ class Solver:
     ) -> Step:
         """Go to new loads in equal increments, and write each state.
 
-        An increment without equilibrium is halved from the last good state, and grows again.
+        An increment without equilibrium is halved from the last good state, and grows again. With
+        the paper's pressure, ``pressure="step"``, an increment of a membrane with free edges is
+        solved until the pressure is normal to the state found: an equilibrium of the follower
+        pressure, whatever the number of steps.
 
         Parameters
         ----------
@@ -421,7 +442,8 @@ class Solver:
         Raises
         ------
         InputError
-            A load that cannot be applied; nothing is computed then.
+            A load that cannot be applied, or results in a folder to which another solver writes;
+            nothing is computed then.
         ConvergenceError
             No equilibrium was found; the scene is at the last good state.
         KeyboardInterrupt, SystemExit
@@ -438,6 +460,8 @@ class Solver:
         checks.whole("advance: steps", steps, 1)
         move, L0 = {} if move is None else move, {} if L0 is None else L0
         target = checked_target(scene, pressure, move, L0, load)
+        self._recorder.claim(self._resumes)
+        self._forget_removed()
         first = State.of(scene)
         done, increment = self._resumed(pressure, move, L0, load, steps)
         halvings, began = 0, time.perf_counter()
@@ -448,13 +472,15 @@ class Solver:
             while done < steps - 1e-9:
                 stop_together(scene.comm)
                 goal = min(done + increment, np.floor(done + 1e-9) + 1.0)
-                good = State.of(scene)
+                good, history = State.of(scene), scene.step_history
                 target.apply(scene, first, done / steps, goal / steps)
                 try:
                     prestress = self._h0_prestress(target, (goal - done) / steps)
                     if self._verifier is not None:
                         self._verifier.begin()
                     outcome = self.search.find(prestress)
+                    if outcome.converged and has_free_rim(scene):
+                        outcome = self._turn_pressure(outcome)
                     verification = None
                     if self._verifier is not None and outcome.converged:
                         verification = self._verifier.check(self.system, outcome)
@@ -463,11 +489,11 @@ class Solver:
                     if outcome.converged:
                         self.system.commit()
                 except BaseException:  # also an interrupt leaves a state that is one
-                    self._go_back(good)
+                    self._go_back(good, history)
                     raise
                 spent = outcome if spent is None else spent + outcome
                 if not outcome.converged:
-                    self._go_back(good)
+                    self._go_back(good, history)
                     halvings += 1
                     increment = (goal - done) / 2
                     if increment < 0.5**self.max_halvings * (1 - 1e-9):
@@ -537,19 +563,27 @@ class Solver:
         """What this solver knows of its load steps."""
         from crms_fenicsx.checkpoint import Run
 
-        scene, tried = self.scene, None if self._earlier is None else self._earlier.tried
-        stepwise = "step" in (scene.strain_law, scene.pressure_law)
+        return Run(self.steps, list(self.history), self.scene.step_history, self._tried)
+
+    @property
+    def _tried(self) -> Tried | None:
+        """Paths that cables have not taken, if any were tried."""
         if self._search is not None and self._search.paths is not None:
-            tried = self._search.paths.tried
-        history = self.system.step_history if stepwise else None
-        return Run(self.steps, list(self.history), history, tried)
+            return self._search.paths.tried
+        return None if self._earlier is None else self._earlier.tried
+
+    def _forget_removed(self) -> None:
+        """Let cables not inherit paths that were tried for one of their name that is gone."""
+        tried = self._tried
+        for cable in self._known:
+            if tried is not None and cable not in self.scene.cables:
+                tried.forget(cable.name)
+        self._known = self.scene.cables
 
     def _go_on_from(self, run: Run) -> None:
         """Take over the load steps of a run whose state the scene has."""
-        self._earlier = run
-        if self._system is not None:
-            self._system.destroy()
-        self._system = self._search = None
+        self._drop_system()
+        self._earlier, self._known = run, self.scene.cables
         self.steps = list(run.steps)
         self._recorder.resume(run.rows)
 
@@ -600,8 +634,8 @@ class Solver:
         ------
         InputError
             On all ranks: a solver that has made steps or whose scene has cables, a checkpoint of
-            another mesh, material or law (it says which), or one that is missing or damaged. The
-            scene is then as before.
+            another mesh, material or law (it says which), one that is missing or damaged, or
+            results in a folder to which another solver writes. The scene is then as before.
 
         Examples
         --------
@@ -617,11 +651,32 @@ class Solver:
                 f"load: there are {len(self.steps)} load steps and {len(self.scene.cables)} cables "
                 "already; load into a new scene and solver, before laying cables."
             )
+        self._recorder.claim(going_on=True)
         self._go_on_from(load(folder, self.scene))
 
-    def _go_back(self, good: State) -> None:
-        """Bring the scene back to a good state after an increment without equilibrium."""
+    def _turn_pressure(self, outcome: Outcome) -> Outcome:
+        """Repeat a step with the paper's pressure until its forces are normal to the end state.
+
+        Each solve is a step of its own for what counts by steps.
+        """
+        for _ in range(MOST_TURNS):
+            self.system.commit()
+            more = self.search.find((0.0,))
+            outcome = outcome + more
+            if more.iterations == 0 or not more.converged:
+                return outcome
+        reason = f"the pressure at free edges still turns after {MOST_TURNS} solves"
+        return replace(outcome, converged=False, reason=reason)
+
+    def _go_back(self, good: State, history: StepHistory | None) -> None:
+        """Bring the scene back to a good state after an increment without equilibrium.
+
+        `history` is what step-wise laws knew then.
+        """
         good.restore(self.scene)
+        if self.scene.step_history is not history:  # the pressure has turned
+            self.scene.step_history = history
+            self.scene.commits += 1
         if self._system is not None:  # its tables may be those of other cables in tension
             self._system.expire()
 

@@ -12,29 +12,9 @@ import numpy.typing as npt
 from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
-    from crms_fenicsx.cables.axial import AxialGrip
-    from crms_fenicsx.cables.cable import CableNode, Crossing
-    from crms_fenicsx.cables.grip import Grip
+    from crms_fenicsx.cables.cable import CableNode, CableState, Crossing
 
 Array = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class CableState:
-    """What changes of a laid cable."""
-
-    nodes: tuple[CableNode, ...]
-    positions: Array
-    fractions: Array
-    lifted: npt.NDArray[np.bool_]
-    material: Array
-    L0: float
-    length: float
-    tension: float
-    taut: bool
-    blocked: tuple[int, ...]
-    grip: Grip | None
-    axial: AxialGrip | None
 
 
 @dataclass(frozen=True)
@@ -56,16 +36,9 @@ class State:
             scene.pressure,
             scene.load,
             dict(scene.energies),
-            tuple(
-                CableState(
-                    c.nodes, c.positions.copy(), c.fractions.copy(), c.lifted.copy(),
-                    c.material.copy(), c.L0, c.length, c.tension, c.taut, c.blocked,
-                    c.grip, c.axial,
-                )
-                for c in scene.cables
-            ),
+            tuple(cable.state.copy() for cable in scene.cables),
             tuple((crossing, crossing.apart) for crossing in scene.crossings),
-        )  # fmt: skip
+        )
 
     def restore_shape(self, scene: Scene) -> None:
         """Bring the positions of membrane and cables, and the paths, back to this state."""
@@ -75,7 +48,7 @@ class State:
                 was.nodes, was.positions.copy(), was.fractions.copy(), was.lifted.copy()
             )
             cable.material[:] = was.material
-            cable.grip, cable.axial = was.grip, was.axial
+            cable.state.grip, cable.state.axial = was.grip, was.axial
         scene.crossings = [crossing for crossing, _ in self.crossings]
         for crossing, apart in self.crossings:
             crossing.apart = apart
@@ -102,11 +75,10 @@ class State:
     def restore(self, scene: Scene) -> None:
         """Bring the scene back to this state."""
         self.restore_shape(scene)
-        scene.pressure, scene.load = self.pressure, self.load
+        scene._pressure, scene._load = self.pressure, self.load
         scene.energies = dict(self.energies)
         for cable, was in zip(scene.cables, self.cables, strict=True):
-            cable.L0, cable.length, cable.tension = was.L0, was.length, was.tension
-            cable.taut, cable.blocked = was.taut, was.blocked
+            cable.state = was.copy()
 
 
 def _key(nodes: Sequence[CableNode], k: int) -> object:

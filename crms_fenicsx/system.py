@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -33,12 +34,18 @@ if TYPE_CHECKING:
     from crms_fenicsx.cables.tension import CableTension
     from crms_fenicsx.dead_load import DeadLoad
 
+logger = logging.getLogger("crms_fenicsx")
+
 Array = npt.NDArray[np.float64]
+
+UNSMOOTHED = 1e-13
+"""How far the length that a cable's tension comes from may be from that of its polyline, relative
+to its unstressed length."""
 
 
 @dataclass(frozen=True)
 class StepHistory:
-    """What the step-wise laws know of the load steps before.
+    """What the step-wise laws know of the load steps before, this rank's part.
 
     Attributes
     ----------
@@ -87,10 +94,17 @@ class System:
         self.tension: CableTension | None = None
         self.capstan: CapstanTension | None = None
         self.minimizer: Minimizer | None = None
+        self._solved = True
+        """Whether the last solve has converged; if not, the next one does without Newton's method,
+        as it would most often fail in the same way, and slowly."""
         self.objective = 0.0
         """What the last solve has minimised; with friction more than the scene's energy."""
         self._folded_volume, self._folded_energy = np.zeros(1), np.zeros(1)
         self.rebuild()
+        if scene.step_history is not None:
+            self._take_step_history(scene.step_history)
+        self.commits = scene.commits
+        """How many load steps the scene had made when it and this system last agreed."""
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
@@ -126,13 +140,14 @@ class System:
             self.network.hold(self.unknowns)
             self.whereabouts = Whereabouts(self.network, self.unknowns)
         else:
-            self.unknowns = Unknowns(scene.V)
+            self.network, self.unknowns = None, Unknowns(scene.V)
         blocks = self.unknowns.vertex_blocks()
         self.unknowns.held[blocks] = scene.held
         terms: list[Term] = [self.membrane]
         self._set_plain(np.zeros(0, dtype=np.int32))
         if scene.pressure != 0.0 or self.pressure is not None or "pressure" in scene.energies:
             terms.append(self._pressure_term())
+            terms += self._rim_terms()
         self.dead_load: DeadLoad | None = None
         if scene.dead_forces is not None:
             from crms_fenicsx.dead_load import DeadLoad
@@ -141,6 +156,8 @@ class System:
             terms.append(self.dead_load)
         if any(cable.taut for cable in scene.cables):
             terms += self._cable_terms()
+        if all(term.name != "penalty" for term in terms):
+            self._take_folded_history()
         if scene.floor_level is not None:
             lower = np.full_like(self.unknowns.X, -np.inf)
             lower[:, 2] = scene.floor_level - self.unknowns.X[:, 2]
@@ -150,6 +167,18 @@ class System:
         self.potential = Potential(self.unknowns, scene.u, terms, self._damping())
         self.minimizer = Minimizer(self.potential, self.prefix, self.rtol)
         self.built_for = scene.changes
+
+    def _take_folded_history(self) -> None:
+        """Give what folded cells have had in steps before to the plain ones: none is folded."""
+        if self.scene.strain_law == "step":
+            from crms_fenicsx.incremental import StepMembraneEnergy
+
+            assert isinstance(self.membrane, StepMembraneEnergy)
+            self.membrane.energy_n += float(self._folded_energy[0])
+            self._folded_energy[0] = 0.0
+        if isinstance(self.pressure, StepPressure):
+            self.pressure.volume_n += float(self._folded_volume[0])
+            self._folded_volume[0] = 0.0
 
     def _membrane_term(self) -> MembraneEnergy:
         scene = self.scene
@@ -176,6 +205,18 @@ class System:
                 term = StepPressure(u, cells, value)
             self.pressure = term
         return term
+
+    def _rim_terms(self) -> list[Term]:
+        """What closes the volume where the rim of the pressure slides in planes."""
+        scene = self.scene
+        if scene.pressure_law != "total":
+            return []
+        rim = scene.rim()
+        if scene.comm.allreduce(len(rim.sliding), op=MPI.SUM) == 0:
+            return []
+        from crms_fenicsx.rim import RimPressure
+
+        return [RimPressure(rim, self.pressure_value, scene.centre)]
 
     def _cable_terms(self) -> list[Term]:
         """Terms of the cables in tension; the cells that they fold leave the membrane term."""
@@ -270,7 +311,7 @@ class System:
             for cable in self._gripped:
                 align_axial(cable)
             grips = grip_table(network, StripShape.of(self.scene))
-            L0 = np.array([cable.L0 for cable in self._gripped])
+            L0 = np.array([cable.L0 + cable.excess for cable in self._gripped])
             self.capstan = CapstanTension(chain_table(network, tables), grips, L0)
             terms.append(self.capstan)
         return terms
@@ -329,8 +370,9 @@ class System:
         dead = scene.dead_forces
         if scene.pressure != 0.0 or (dead is not None and scene.load * dead.intensity != 0.0):
             return 0.0
-        modulus = max(m.reference_modulus for m in scene.materials.values())
-        return 1e-12 * modulus * scene.size
+        materials = scene.materials.values()
+        section = max(m.reference_modulus + float(m.prestress_vector.max()) for m in materials)
+        return 1e-12 * section * scene.size
 
     def pull(self) -> None:
         """Take state and loads from the scene."""
@@ -348,8 +390,9 @@ class System:
             self.network.place_rails(self.unknowns, potential.x)
             if self.tension is not None:
                 self.tension.L0[:] = [cable.L0 for cable in self._sliding]
+                self.tension.excess[:] = [cable.excess for cable in self._sliding]
             if self.capstan is not None:
-                self.capstan.L0[:] = [cable.L0 for cable in self._gripped]
+                self.capstan.L0[:] = [cable.L0 + cable.excess for cable in self._gripped]
         potential.place()
 
     def push(self) -> None:
@@ -362,13 +405,12 @@ class System:
             return
         self.whereabouts.tell(self.potential.x)
         for cable in scene.cables:
-            cable.length = polyline_length(cable.positions[cable.contacts()])
-            cable.tension = 0.0
+            cable.state.length = polyline_length(cable.positions[cable.contacts()])
+            cable.state.tension = 0.0
         if self.tension is not None:
-            part = self.potential.sums_of(self.tension)
-            forces = self.tension.tensions(part)
-            for cable, length, force in zip(self._sliding, part, forces, strict=True):
-                cable.length, cable.tension = float(length), float(force)
+            forces = self.tension.tensions(self.potential.sums_of(self.tension))
+            for cable, force in zip(self._sliding, forces, strict=True):
+                cable.state.tension = float(force)
         if "friction" in scene.energies:  # the state has what it stores; the rest is heat
             from crms_fenicsx.cables.grip import energies
             from crms_fenicsx.cables.strip import StripShape
@@ -377,6 +419,29 @@ class System:
             scene.energies["friction"] = sum(energies(c, shape)[0] for c in scene.cables)
         if self.capstan is not None:
             self._push_gripped(self.capstan)
+
+    def renew_excess(self) -> bool:
+        """Take from the cables' lengths what smoothing adds to them in the solved state.
+
+        Says whether that has changed.
+        """
+        lengths: list[tuple[LaidCable, float]] = []
+        if self.tension is not None:
+            sums = self.potential.sums_of(self.tension)
+            lengths += [(c, float(length)) for c, length in zip(self._sliding, sums, strict=True)]
+        if self.capstan is not None:
+            sums = self.potential.sums_of(self.capstan)
+            for c, cable in enumerate(self._gripped):
+                spans = sums[self.capstan.spans_of(c)]
+                lengths.append((cable, float(spans.sum()) - cable.excess))
+        changed = False
+        for cable, length in lengths:
+            more = length - cable.length
+            if abs(more) > UNSMOOTHED * cable.L0:
+                logger.debug("%s: smoothing adds %.3g to its length", cable.name, more)
+                cable.state.excess += more
+                changed = True
+        return changed
 
     def _push_gripped(self, capstan: CapstanTension) -> None:
         """Give the state of the cables that friction holds along back to the scene."""
@@ -422,9 +487,12 @@ class System:
         """Minimise the potential from the state pulled; see `Minimizer.solve`."""
         assert self.minimizer is not None
         self.minimizer.atol = self._tiny_force()
+        self.minimizer.newton = self._solved
         self.potential.begin_step()
         try:
-            return self.minimizer.solve(h0_prestress, interrupt)
+            outcome = self.minimizer.solve(h0_prestress, interrupt)
+            self._solved = outcome.converged
+            return outcome
         except PETSc.Error as error:
             if error.__cause__ is not None:  # an error in a callback, or an interrupt
                 raise error.__cause__ from None
@@ -456,21 +524,24 @@ class System:
         )
 
     @property
-    def step_history(self) -> StepHistory:
-        """What the step-wise laws know of the load steps before, this rank's part."""
+    def is_outdated(self) -> bool:
+        """Whether another system has made load steps of the scene since."""
+        return self.commits != self.scene.commits
+
+    def _step_history(self) -> StepHistory:
         cells, energy, pressure = None, 0.0, self.pressure
         if self.scene.strain_law == "step":
             from crms_fenicsx.incremental import StepMembraneEnergy
 
             assert isinstance(self.membrane, StepMembraneEnergy)
-            cells = self.membrane.history.x.array.reshape(-1, 6)
+            cells = self.membrane.history.x.array.reshape(-1, 6).copy()
             energy = self.membrane.energy_n
         volume = pressure.volume_n if isinstance(pressure, StepPressure) else 0.0
         return StepHistory(
             cells, energy, float(self._folded_energy[0]), volume, float(self._folded_volume[0])
         )
 
-    def take_step_history(self, history: StepHistory) -> None:
+    def _take_step_history(self, history: StepHistory) -> None:
         """Go on from the load steps of another system of the same scene."""
         if history.cells is not None:
             from crms_fenicsx.incremental import StepMembraneEnergy
@@ -487,8 +558,12 @@ class System:
     def commit(self) -> None:
         """End a load step."""
         self.potential.commit()
+        self.scene.commits += 1
+        self.commits = self.scene.commits
+        if "step" in (self.scene.strain_law, self.scene.pressure_law):
+            self.scene.step_history = self._step_history()
         for cable in self.scene.cables:
-            cable.ends_before = cable.positions[[0, -1]].copy()
+            cable.state.ends_before = cable.positions[[0, -1]].copy()
         gripped = [cable for cable in self.scene.cables if cable.grip is not None]
         held_along = [cable for cable in self.scene.cables if cable.axial is not None]
         if not gripped and not held_along:

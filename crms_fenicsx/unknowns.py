@@ -32,6 +32,10 @@ def vertex_starts(V: fem.FunctionSpace) -> npt.NDArray[np.int64]:
     return np.array(V.mesh.comm.allgather(V.dofmap.index_map.local_range[0]))
 
 
+EVENLY = "vec_mdot_use_gemv"
+"""PETSc's option for that way, read when a vector is made."""
+
+
 class Unknowns:
     """Numbering, ghosted vectors and held components of the unknowns.
 
@@ -135,7 +139,14 @@ class Unknowns:
         return np.arange(first, self.n_local, dtype=np.int32)
 
     def vector(self) -> tuple[PETSc.Vec, Array]:
-        """A ghosted vector and its local array (n, 3), ghosts included, which share memory."""
+        """A ghosted vector and its local array (n, 3), ghosts included, which share memory.
+
+        By default PETSc's products of one vector with several take another way, with other last
+        digits, where these happen to lie evenly in memory. A run would not be the same twice.
+        """
+        options = PETSc.Options()
+        if not options.hasName(EVENLY):
+            options[EVENLY] = False
         array = np.zeros((self.n_local, 3))
         vector = PETSc.Vec().createGhostWithArray(
             self.ghosts, array.reshape(-1), size=(3 * self.n_owned, 3 * self.n_global), bsize=3,

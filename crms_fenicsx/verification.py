@@ -35,7 +35,7 @@ logger = logging.getLogger("crms_fenicsx")
 
 SHAKE = 1e-5
 """Size of the virtual displacements: the change of the nodal forces that a membrane of stiffness
-E t answers them with, relative to the scene's force.
+E t and its prestress answers them with, relative to the scene's force.
 
 The difference of the energy is of second order in them where the energy is smooth; where it is not,
 as in cells that turn slack there and then, it is wrong by `SHAKE` of the scene's force at most.
@@ -52,6 +52,8 @@ is not smooth makes of it falls with them."""
 VIRTUAL_WORK = 1e-3
 """Largest virtual work, relative to the scene's force; rounding comes on top. A hundred times what
 `SHAKE` explains, as edges near cables' points are stiffer than the membrane."""
+VISIBLE = 0.1
+"""Part of that which rounding may be, unless displacements would become too large."""
 BALANCE = 1e-7
 """Largest difference of forces that must be equal, relative to their size."""
 PLACE = 1e-9
@@ -153,12 +155,10 @@ class Verifier:
     ----------
     scene
         The scene.
-    rtol
-        Relative tolerance of the solver.
     """
 
-    def __init__(self, scene: Scene, rtol: float) -> None:
-        self.scene, self.comm, self.rtol = scene, scene.comm, rtol
+    def __init__(self, scene: Scene) -> None:
+        self.scene, self.comm = scene, scene.comm
         self._random = np.random.default_rng((2026, scene.comm.rank))
         self._prescribed = np.zeros((0, 3)), np.zeros((0, 2, 3))
         self._cables: CableVerifier | None = None
@@ -187,7 +187,7 @@ class Verifier:
             What the solve came to.
         """
         began = time.perf_counter()
-        force = max(outcome.tolerance / self.rtol, NEGLIGIBLE)
+        force = max(outcome.scale, NEGLIGIBLE)
         checks = [self._finite(system)]
         if not checks[0].passed:  # what follows would divide by what is not there
             return Verification(tuple(checks), time.perf_counter() - began)
@@ -227,10 +227,12 @@ class Verifier:
         way: Array = self._shake
         self._random.random(out=way)
         way -= 0.5
-        modulus = max(m.reference_modulus for m in scene.materials.values())
+        materials = scene.materials.values()
+        modulus = max(m.reference_modulus for m in materials)
+        prestress = max(float(np.abs(m.prestress_vector).max()) for m in materials)
         cells = scene.mesh.mesh.topology.index_map(2).size_global
-        step = SHAKE * force / (modulus * np.sqrt(3.0 * unknowns.n_global))
-        step = min(step, LARGEST_SHAKE * scene.size / np.sqrt(cells), SMALLEST_SLIP * self._slip())
+        step = SHAKE * force / ((modulus + prestress) * np.sqrt(3.0 * unknowns.n_global))
+        largest = min(LARGEST_SHAKE * scene.size / np.sqrt(cells), SMALLEST_SLIP * self._slip())
         way *= np.sqrt(12.0)
         shake = way.reshape(n, 3)
         self._spare_small_cells(system, scene.size / np.sqrt(cells), shake)
@@ -238,38 +240,55 @@ class Verifier:
         if unknowns.bounds is not None:
             fixed |= potential.x[:n] <= unknowns.bounds[0][:n]
         shake[fixed] = 0.0
-        # Rounding of places counts with the forces, not with their energies: N A and T L.
-        forces = scene.size * np.sqrt(2 * modulus * abs(scene.energies.get("membrane", 0.0)))
-        forces += sum(abs(cable.tension) * cable.length for cable in scene.cables)
+        rounding = np.finfo(float).eps * np.sqrt(cells) * self._cancelling(modulus, prestress)
+        # Displacements so large that rounding hides nothing; where the energy is not smooth what it
+        # makes of them falls with their size.
+        size = min(max(step, rounding / (VISIBLE * VIRTUAL_WORK * force)), largest)
         found, before = Check("virtual work", np.inf, 0.0), np.inf
-        for size in (step, step / FINER):
-            work, level = self._difference(system, shake, size)
-            rounding = np.finfo(float).eps * np.sqrt(cells) * (level + forces) / size
-            limit = VIRTUAL_WORK + (SPREAD * outcome.residual + rounding) / force
+        while size > 0.9 * min(step, largest) / FINER:
+            work = self._difference(system, shake, size)
+            limit = VIRTUAL_WORK + (SPREAD * outcome.residual + rounding / size) / force
             value = abs(work) / (2 * size * force)
             if value > 0.5 * before:  # a force that is not balanced works along the shortest way
                 break
             found, before = Check("virtual work", value, float(limit)), value
             if found.passed:
                 break
+            size /= FINER
         return found
 
-    def _difference(self, system: System, shake: Array, size: float) -> tuple[float, float]:
-        """Difference of the energy between displacements by +-size, and the size of its parts."""
+    def _cancelling(self, modulus: float, prestress: float) -> float:
+        """What rounding of energies counts with (force x length).
+
+        That of places counts with the forces, not with their energies: N A and T L. Plain cells
+        know displacements only, cells that are folded by cables the places.
+        """
+        scene, energies = self.scene, self.scene.energies
+        reach = 1.0
+        if not scene.cables:
+            largest = float(np.abs(scene.u.x.array).max(initial=0.0))
+            reach = 4 * self.comm.allreduce(largest, op=MPI.MAX) / scene.size
+        forces = prestress * scene.size
+        forces += np.sqrt(2 * modulus * abs(energies.get("membrane", 0.0)))
+        forces *= reach * scene.size
+        forces += sum(abs(cable.tension) * cable.length for cable in scene.cables)
+        return float(forces + sum(abs(energy) for energy in energies.values()))
+
+    def _difference(self, system: System, shake: Array, size: float) -> float:
+        """Difference of the energy between displacements by +-size."""
         potential, unknowns = system.potential, system.unknowns
         n = unknowns.n_owned
         self._saved[:] = potential.x
-        levels, level = np.zeros(len(potential.terms)), 0.0
+        change = np.zeros(len(potential.terms))
         for step in (size, -size):
             potential.x[:n] = self._saved[:n] + step * shake
             potential.place()
             potential.sum_up()
             values = np.array([t.energy(potential.sums_of(t)) for t in potential.terms])
-            levels += np.sign(step) * values
-            level = max(level, float(np.abs(values).sum()))
+            change += np.sign(step) * values
         potential.x[:] = self._saved
         potential.place()
-        return float(levels.sum()), level
+        return float(change.sum())
 
     def _spare_small_cells(self, system: System, size: float, shake: Array) -> None:
         """Shake vertices less where cells are smaller than on the whole, or slivers.

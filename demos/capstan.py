@@ -44,15 +44,14 @@ def wind(length, steps):
 
 def turned(cable):
     """Angle by which a cable turns between its ends."""
-    way = np.diff(cable.positions[cable.contacts()], axis=0)
-    size = np.linalg.norm(way, axis=1)
-    way = way[size > 1e-9] / size[size > 1e-9, None]  # its ends are held where they lie
+    way = np.diff(cable.line, axis=0)
+    way /= np.linalg.norm(way, axis=1)[:, None]
     return np.arccos(np.clip(np.sum(way[1:] * way[:-1], axis=1), -1.0, 1.0)).sum()
 
 
 def profile(cable, places):
     """Tension at distances from the far end, as parts of the length."""
-    size = np.linalg.norm(np.diff(cable.positions[cable.contacts()], axis=0), axis=1)
+    size = np.linalg.norm(np.diff(cable.line, axis=0), axis=1)
     middles = np.cumsum(size) - size / 2
     return np.interp(places * size.sum(), middles, cable.tensions)
 

@@ -51,7 +51,7 @@ def experiment(name):
     places, tensions = [], []
     for way in [(0.0, 0.0, -10.0 / DOWN)] * DOWN + [(0.0, 10.0 / SIDEWAYS, 0.0)] * SIDEWAYS:
         solver.advance(move={cable: way})
-        x, y, z = cable.positions[cable.contacts()].T
+        x, y, z = cable.line.T
         places.append((np.interp(ALONG, x, y) - 50.0, np.interp(ALONG, x, z)))
         tensions.append(cable.tension)
     solver.draw(

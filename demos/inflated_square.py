@@ -43,7 +43,7 @@ cable = scene.lay_cable(Cable(EA=32000.0), path=[(-80.0, 50.0, 0.0), (180.0, 50.
 solver.advance(move={cable: (0.0, 0.0, -15.0)}, steps=5)
 solver.draw(f"{RESULTS}/tightened.png", title="Tightened: cable ends 15 cm lower", **LOOK)
 solver.draw_history(f"{RESULTS}/history.png", unit="cm", force="kgf")
-middle = np.interp(50.0, cable.positions[:, 0], cable.positions[:, 2])
+middle = np.interp(50.0, cable.line[:, 0], cable.line[:, 2])
 
 if scene.comm.rank == 0:
     join_pictures(f"{RESULTS}/both.png", [f"{RESULTS}/inflated.png", f"{RESULTS}/tightened.png"])

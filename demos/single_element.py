@@ -31,10 +31,10 @@ for name, lift in (("up", 12.0), ("down", -12.0)):
     cable = scene.lay_cable(Cable(EA=32000.0), path=PATH, sleeve=True)
     solver = Solver(scene, results=f"{RESULTS}/{name}", resume="--resume" in sys.argv)
 
-    positions = [cable.positions.copy()]
+    positions = [cable.line]
     for _ in range(STEPS):
         solver.advance(move={cable: (0.0, 0.0, lift / STEPS)})
-        positions.append(cable.positions.copy())
+        positions.append(cable.line)
     nodes = np.array(positions)[:, 1:3]
     tracks += [Line(nodes[:, k], name=f"node {k + 2}, {name}") for k in (0, 1)]
     cables.append(Line(positions[-1]))

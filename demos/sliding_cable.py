@@ -27,7 +27,7 @@ scene.fix("boundary")
 x = np.linspace(0.0, 100.0, 21)
 arc = np.column_stack([x, 30.0 + 15.0 * np.sin(np.pi * x / 100.0)])
 cable = scene.lay_cable(Cable(EA=32000.0), path=arc, L0=100.0, name="cable")
-start = Line(cable.positions.copy(), name="as laid")
+start = Line(cable.line, name="as laid")
 solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)
 
 
@@ -40,7 +40,7 @@ def middle(points):
 ways = []
 for pressure in np.linspace(0.0, 0.01, 6):
     step = solver.advance(pressure=pressure)
-    ways.append((middle(cable.positions), middle(cable.material)))
+    ways.append((middle(cable.line), middle(cable.material)))
     if scene.comm.rank == 0:
         took = f"{step.outcome.solves} solves, {step.outcome.evaluations} evaluations"
         print(f"pressure {pressure:.3f}: tension {cable.tension:7.3f} kgf,", end=" ")
@@ -51,7 +51,7 @@ for pressure in np.linspace(0.0, 0.01, 6):
 fabric = cable.material[np.isfinite(cable.material[:, 0])]
 solver.draw_paths(
     f"{RESULTS}/paths.png",
-    [start, Line(cable.positions, name="inflated"), Line(fabric, name="inflated: on the fabric")],
+    [start, Line(cable.line, name="inflated"), Line(fabric, name="inflated: on the fabric")],
     [
         Line([place for place, _ in ways], name="its middle, step by step"),
         Line([place for _, place in ways], name="its middle on the fabric"),

@@ -206,6 +206,12 @@ def scenes(scene: Scene, other: Scene, solver: Solver, cable: LaidCable) -> list
             },
         ),
         Call(
+            "remove",
+            other.remove,
+            {"cable": cable},
+            {"cable": (None, 3, NAN, "", "unknown", Cable(1.0), other, {}, [cable], cable.start)},
+        ),
+        Call(
             "Solver",
             Solver,
             {"scene": scene},

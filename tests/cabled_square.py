@@ -31,7 +31,7 @@ def sheet(comm: MPI.Intracomm, n: int, kind: str = "structured") -> Scene:
 
 def place(cable: LaidCable, at: float, axis: int = 0) -> np.ndarray:
     """Where a cable passes a plane x = at (or another axis), (3,)."""
-    x = cable.positions[cable.contacts()]
+    x = cable.line
     x = x if x[0, axis] < x[-1, axis] else x[::-1]
     return np.array([np.interp(at, x[:, axis], x[:, i]) for i in range(3)])
 

@@ -29,7 +29,7 @@ def friction_square(comm: MPI.Intracomm, friction: Any = 0.4, lift: float = 8.0)
     scene.fix("boundary")
     for path in PATHS:
         scene.lay_cable(Cable(32000.0, friction=friction), path, tension=20.0)
-    scene.pressure = 0.01
+    scene._pressure = 0.01
     shape = StripShape.of(scene)
     for cable in scene.cables:
         begin(cable, shape)

@@ -40,6 +40,8 @@ class Differentiable(Protocol):
 class Points:
     """Free points without a mesh: as much of a layout as the terms of cables need."""
 
+    comm = MPI.COMM_SELF
+
     def __init__(self, X: Array) -> None:
         self.X = X
         self.n_riders = self.n_rails = 0

@@ -59,7 +59,7 @@ def test_friction_along_does_not_hold_sideways(comm) -> None:
     for mu in (0.0, 1.0):
         scene, rope = roped(comm, 20, mu, tension=5.0, jitter=0.25)
         Solver(scene).advance(move={rope.end: (0.1, 0.0, -0.05)})
-        paths.append(rope.positions[rope.contacts()])
+        paths.append(rope.line)
         assert rope.end.reaction[0] > 0.02 * rope.tensions[-1]
     assert rope.tensions[-1] > 5 * rope.tensions[0]
     z = np.linspace(-1.0, 1.0, 9)
@@ -205,7 +205,7 @@ def test_tension_falls_from_the_pulled_end(comm, kind: str, mu: float) -> None:
     """At most as steeply as the law; without friction sideways the mean tension is the same."""
     along = 0.3
     scene, cable, step = inflated(comm, 9, Friction(mu, along=along), kind)
-    T, x = cable.tensions, cable.positions[cable.contacts()]
+    T, x = cable.tensions, cable.line
     assert np.all(np.diff(T) >= -1e-6 * T[-1])
     way = np.diff(x, axis=0) / np.linalg.norm(np.diff(x, axis=0), axis=1)[:, None]
     wrap = np.arccos(np.clip(np.sum(way[1:] * way[:-1], axis=1), -1.0, 1.0)).sum()
@@ -270,7 +270,7 @@ def test_cables_with_and_without_in_one_scene(comm) -> None:
 
     of_plain, of_rough = (np.asarray(line.data["tension"]) for line in cable_lines(scene))
     assert of_plain.shape == ()
-    assert of_rough.shape == (len(rough.nodes) - 1,)
+    assert of_rough.shape == (len(rough.line) - 1,)
     assert (of_rough[0], of_rough[-1]) == (rough.tensions[0], rough.tensions[-1])
     ends = [solver.history[f"tension {rough.name} {end}"][-1] for end in ("start", "end")]
     assert ends == [rough.tensions[0], rough.tensions[-1]]
@@ -296,7 +296,7 @@ def gripped(comm: MPI.Intracomm, bound: float = 3.0, eps: float = 0.05, seed: in
         if cable.axial is not None:
             n = len(cable.axial.supports)
             bounds = bound * rng.uniform(0.5, 1.5, n) * (np.arange(n) % 5 != 2)
-            cable.axial = replace(cable.axial, bounds=bounds, eps=np.full(n, eps))
+            cable.state.axial = replace(cable.axial, bounds=bounds, eps=np.full(n, eps))
     system = System(scene, "crms_test_", 1e-8)
     system.pull()
     return system
@@ -352,6 +352,40 @@ def test_segments_as_short_as_rounding_are_not_stiff(comm) -> None:
     noise = np.random.default_rng(comm.rank).normal(size=(f.unknowns.n_owned, 3))
     exact, rounded = (np.abs(dense(f.assembled(size * noise))).max() for size in (0.0, 1e-13))
     assert rounded < 1e4 * exact
+
+
+def test_a_crossing_inside_a_span_slides_along_it(comm: MPI.Intracomm) -> None:
+    """It divides the span into segments, which share one elongation: only tensions hold it."""
+    scene = Scene(irregular_square(comm), ISOTROPIC)
+    scene.fix("boundary")
+    rough = Friction(0.0, along=0.3)
+    for path in [(0, 31), (100, 52)], [(22, 100), (38, 0)]:
+        cable = scene.lay_cable(Cable(3200.0, friction=rough), path, tension=20.0)
+        n = len(cable.axial.supports)
+        cable.state.axial = replace(cable.axial, bounds=np.full(n, 1e4), eps=np.full(n, 1e-3))
+    system = System(scene, "crms_test_", 1e-8)
+    system.pull()
+    f = on_mesh(system, "CapstanTension")
+    A = f.assembled(displaced(f.unknowns, 0.0))
+    K, block, network = dense(A), 0, system.network
+    (k,) = [k for k, node in enumerate(cable.nodes) if node.kind == "crossing"]
+    if network.is_mine(1, k):
+        block = A.getOwnershipRange()[0] + 3 * network.block(1, k)
+    block = comm.allreduce(block, op=MPI.MAX)
+    own = K[block : block + 3, block : block + 3]
+    way = cable.positions[k + 1] - cable.positions[k - 1]
+    along = way / np.linalg.norm(way)
+    across = along[[1, 0, 2]] * [1.0, -1.0, 1.0]
+    ends = [[c.positions[i] for i in (j - 1, j, j + 1)] for c, j in _at_crossings(scene)]
+    tensions = max(20.0 / np.linalg.norm(np.diff(x, axis=0), axis=1).min() for x in ends)
+    for direction in (along, across):
+        assert direction @ own @ direction < 10 * tensions
+
+
+def _at_crossings(scene: Scene) -> list[tuple[LaidCable, int]]:
+    return [
+        (c, k) for c in scene.cables for k, node in enumerate(c.nodes) if node.kind == "crossing"
+    ]
 
 
 # the chain of slips
@@ -452,7 +486,7 @@ def test_bounds_of_small_angles() -> None:
 def test_free_length_is_the_drums(comm) -> None:
     """What the other tests take for granted: the rope wraps half the drum, tangents beside it."""
     _, rope = roped(comm, 10, 0.3, tension=1.0)
-    x = rope.positions[rope.contacts()]
+    x = rope.line
     np.testing.assert_allclose(x[0] - x[1], (0, 0, -FREE), atol=1e-12)
     np.testing.assert_allclose(x[-1] - x[-2], (0, 0, -FREE), atol=1e-12)
 

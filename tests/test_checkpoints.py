@@ -106,7 +106,10 @@ def test_a_run_goes_on_as_if_it_had_not_ended(folder: Path) -> None:
     assert scene.crossings and scene.cable("tied").lifted.any()
     rough = scene.cable("rough")
     assert rough.grip is not None is not rough.axial
-    rough.grip, rough.blocked = replace(rough.grip, dissipated=0.25), (2,)  # also what is rare
+    rough.state.grip, rough.state.blocked = (
+        replace(rough.grip, dissipated=0.25),
+        (2,),
+    )  # also what is rare
     solver.save(folder / "point")
     again = sheet(COMM)
     again.load(folder / "point")
@@ -125,7 +128,7 @@ def test_a_run_goes_on_as_if_it_had_not_ended(folder: Path) -> None:
     ]
     assert stress[1] == pytest.approx(stress[0], rel=1e-12)
     tried, known = solver.search.paths.tried, again.search.paths.tried
-    assert (known.refused, known.passed) == (tried.refused, tried.passed)
+    assert (known.refused, known.left) == (tried.refused, tried.left)
     assert any(tried.refused.values())
     for name, places in tried.at.items():
         np.testing.assert_array_equal(known.at[name], places)
@@ -205,6 +208,7 @@ def test_results_go_on(folder: Path) -> None:
     solver = inflated(folder / "out")
     solver.save(folder / "out" / "point")
     solver.advance(pressure=0.02, steps=2)  # lost: the run is killed
+    del solver
     again = Solver(sheet(COMM, 3).scene, results=folder / "out")
     again.load(folder / "out" / "point")
     again.advance(pressure=0.015)
@@ -219,10 +223,12 @@ def test_results_go_on(folder: Path) -> None:
         History.read(folder / "out" / "history.csv")["energy"], again.history["energy"]
     )
     COMM.barrier()
+    del again
     other = Solver(sheet(COMM, 3).scene, results=folder / "out")
     other.scene.fix("boundary")
     other.advance(pressure=0.5)
     other.advance(pressure=0.6)
+    del other
     elsewhere = Solver(sheet(COMM, 3).scene, results=folder / "out")  # the files are not its own
     elsewhere.load(folder / "out" / "point")
     elsewhere.advance()

@@ -16,6 +16,7 @@ from crms_fenicsx import Cable
 from crms_fenicsx.cables.cable import (
     COINCIDENT,
     CableNode,
+    CableState,
     Crossing,
     LaidCable,
     polyline_length,
@@ -34,6 +35,7 @@ from crms_fenicsx.cables.contact import (
     released,
     size_at,
     spans,
+    sunk,
     touch,
     under,
 )
@@ -69,10 +71,11 @@ def cable_on(
     fractions = [
         node.point.fraction if isinstance(node.point, EdgePoint) else np.nan for node in all_nodes
     ]
-    return LaidCable(
-        "cable 1", Cable(1000.0), tuple(all_nodes), np.array(places, dtype=float),
-        np.array(fractions), np.zeros(len(all_nodes), dtype=bool), 1.0, 1.0, 10.0, taut=True,
+    state = CableState(
+        tuple(all_nodes), np.array(places, dtype=float), np.array(fractions),
+        np.zeros(len(all_nodes), dtype=bool), 1.0, 1.0, 10.0, taut=True,
     )  # fmt: skip
+    return LaidCable("cable 1", Cable(1000.0), state)
 
 
 def along(shape: StripShape, *anchors: Sequence[float]) -> tuple[LaidCable, dict[float, int]]:
@@ -127,13 +130,13 @@ def test_pulls_are_those_of_a_walk_from_each_node() -> None:
         n = int(rng.integers(3, 15))
         cable, _ = along(roof([0.0] * n))
         m = len(cable.nodes)
-        cable.positions = rng.random((m, 3))
+        cable.state.positions = rng.random((m, 3))
         cable.positions[1] = cable.positions[0] + 1e-12  # on its anchor
         cable.lifted[2:-1] = rng.random(m - 3) < 0.3
         nodes = list(cable.nodes)
         for k in 2 + np.flatnonzero(rng.random(m - 3) < 0.3):
             nodes[k] = CableNode("crossing", CellPoint((0, 1, n), (0.2, 0.3, 0.5)))
-        cable.nodes = tuple(nodes)
+        cable.state.nodes = tuple(nodes)
         inner = cable.contacts()[1:-1]
         normals, reaches = rng.standard_normal((len(inner), 3)), 2 * rng.random(len(inner))
         expected = [slow_pull(cable, *entry) for entry in zip(inner, normals, reaches, strict=True)]
@@ -155,7 +158,9 @@ def test_pull_at_a_fold(h: float) -> None:
 def test_points_close_together_share_a_contact() -> None:
     """What counts is the turn between a distance before and after them."""
     cable, _ = along(roof([0.0, 0.0, 0.0]))
-    cable.positions = np.array([(-2, 0, 0), (-0.1, 0, 0), (0, 0, -0.02), (0.1, 0, 0), (2, 0, 0)])
+    cable.state.positions = np.array(
+        [(-2, 0, 0), (-0.1, 0, 0), (0, 0, -0.02), (0.1, 0, 0), (2, 0, 0)]
+    )
     near = 2 * 0.02 / np.hypot(0.1, 0.02)
     assert pull_at(cable, 2, UP, 0.05) == pytest.approx(near)
     # a distance of 1 along the cable ends this far along the x axis
@@ -167,11 +172,13 @@ def test_points_close_together_share_a_contact() -> None:
 
 def test_pull_is_not_looked_for_beyond_a_crossing() -> None:
     cable, _ = along(roof([0.0, 0.0, 0.0]))
-    cable.positions = np.array([(-2, 0, -3), (-0.5, 0, 0), (0, 0, 0), (0.5, 0, 0), (2, 0, -3)])
+    cable.state.positions = np.array(
+        [(-2, 0, -3), (-0.5, 0, 0), (0, 0, 0), (0.5, 0, 0), (2, 0, -3)]
+    )
     assert pull_at(cable, 2, UP, 1.0) < -0.1
     nodes = list(cable.nodes)
     nodes[1] = nodes[3] = CableNode("crossing", CellPoint((0, 1, 3), (0.2, 0.3, 0.5)))
-    cable.nodes = tuple(nodes)
+    cable.state.nodes = tuple(nodes)
     assert pull_at(cable, 2, UP, 1.0) == pytest.approx(0.0, abs=1e-15)
 
 
@@ -198,7 +205,7 @@ def test_ends_and_crossings_do_not_lift() -> None:
     assert released(cable, shape) == [1, 2, 3]  # all within the cells' size of the valley
     nodes = list(cable.nodes)
     nodes[2] = CableNode("crossing", CellPoint((0, 1, 3), (0.2, 0.3, 0.5)))
-    cable.nodes = tuple(nodes)
+    cable.state.nodes = tuple(nodes)
     assert list(may_lift(cable)) == [1, 3]
     assert released(cable, shape) == []
 
@@ -206,7 +213,7 @@ def test_ends_and_crossings_do_not_lift() -> None:
 def test_a_sleeve_holds_it() -> None:
     shape = roof([0.0, -0.3, 0.0])
     cable, _ = along(shape)
-    cable.sleeve = True
+    cable._sleeve = True
     assert released(cable, shape) == []
 
 
@@ -277,6 +284,20 @@ def test_under_an_edge_that_is_not_passed(start, end, fraction, place, above, ga
     np.testing.assert_allclose(found.above, above, atol=1e-15)
     assert found.gap == pytest.approx(gap)
     assert found.inside == (start[0] == end[0])
+
+
+@pytest.mark.parametrize("y", [0.5, 1.1, 1.6])
+def test_a_span_far_beyond_the_edges_of_its_path_is_sunk(y: float) -> None:
+    """It runs below all of the membrane; where it passes an edge, that stops it."""
+    shape = roof([0.0, 0.5, 0.0])
+    cable = cable_on(
+        shape, [CableNode("fold", EdgePoint((1, 4), 0.9))], [(0.0, y, -0.5), (2.0, y, -0.5)]
+    )
+    cable.state.taut = True
+    set_lifted(cable, [1])
+    assert sunk([cable], shape) == (set() if y < 1 else {0})
+    cable.positions[[0, -1], 2] = 0.6
+    assert sunk([cable], shape) == set()
 
 
 @pytest.mark.parametrize("z", [-0.5, 0.5])

@@ -10,7 +10,7 @@ from mpi4py import MPI
 from rigid_surfaces import SURFACES, band, curve, rigid, sphere
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.cables.cable import CableNode, LaidCable
+from crms_fenicsx.cables.cable import CableNode, CableState, LaidCable
 from crms_fenicsx.cables.contact_force import (
     WIDTH,
     contact_forces,
@@ -38,10 +38,8 @@ def polyline(positions, anchored=False, lifted=()):
     ]
     off = np.isin(np.arange(len(positions)), lifted)
     x = np.array(positions, dtype=float)
-    cable = LaidCable(
-        "c", Cable(1.0), tuple(nodes), x, np.full(len(x), 0.5), off, 1.0, 1.0, T, taut=True
-    )
-    return cable
+    state = CableState(tuple(nodes), x, np.full(len(x), 0.5), off, 1.0, 1.0, T, taut=True)
+    return LaidCable("c", Cable(1.0), state)
 
 
 def turned(theta, **choices):
@@ -79,10 +77,10 @@ def test_paper_formulas_at_the_ends_of_the_range():
 
 def test_a_slack_cable_presses_nowhere():
     cable = turned(1.0)
-    cable.taut = False
+    cable.state.taut = False
     assert not np.any(paper_forces(cable))
     scene, cable = on_cylinder(0.2)[1:]
-    cable.taut = False
+    cable.state.taut = False
     forces = contact_forces(cable, StripShape.of(scene))
     assert not np.any([forces.normal, forces.lateral, forces.bearing])
     assert np.all(np.isnan(forces.line))
@@ -148,7 +146,7 @@ def on_cylinder(h, seed=0, ratio=0.0, kind="jittered"):
     """A cable around the top of a cylinder of radius 1, along a helix if the ratio is zero."""
     way = curve(SURFACES["cylinder"], ratio, 0.8)
     scene, cable = rigid(COMM, way, band(way, h, seed, kind), 0.5)
-    cable.taut, cable.tension = True, T
+    cable.state.taut, cable.state.tension = True, T
     return way, scene, cable
 
 
@@ -202,7 +200,7 @@ def test_geodesic_turn_is_sideways_only_to_its_share():
     ratios = []
     for seed in range(3):
         scene, cable = rigid(COMM, way, band(way, 0.05, seed), 0.5)
-        cable.taut, cable.tension = True, T
+        cable.state.taut, cable.state.tension = True, T
         forces = contact_forces(cable, StripShape.of(scene))
         ratios.append(forces.lateral.sum() / forces.normal.sum() / way.ratio)
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.03)
@@ -255,7 +253,7 @@ def hollow(sleeve):
     scene.fix(lambda x: np.full(x.shape[1], True))
     path = np.column_stack([x, np.full(25, 0.05), np.sin(x)])
     cable = scene.lay_cable(Cable(1.0, friction=0.5), path, sleeve=sleeve)
-    cable.taut, cable.tension = True, T
+    cable.state.taut, cable.state.tension = True, T
     return scene, cable
 
 
@@ -272,7 +270,7 @@ def test_a_sleeve_bears_from_both_sides():
     assert np.all(forces.bearing >= 0)
     assert forces.bearing[valley].sum() > T  # it turns by more than a right angle
     assert forces.line[valley].min() > 0
-    cable.sleeve = False  # on the very same points
+    cable._sleeve = False  # on the very same points
     bare = contact_forces(cable, StripShape.of(scene))
     np.testing.assert_array_equal(bare.normal, forces.normal)
     np.testing.assert_array_equal(bare.bearing[ridge], forces.bearing[ridge])

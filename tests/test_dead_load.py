@@ -89,7 +89,7 @@ def test_gradient_beside_cables(comm):
     """With all the other terms around it and ghosts, riders and fold points among the unknowns."""
     system = cable_square(comm)
     system.scene.put_load(wavy)
-    system.scene.load = 0.01
+    system.scene._load = 0.01
     system.prepare()
     system.pull()
     f = on_mesh(system)

@@ -89,3 +89,27 @@ def test_an_end_that_comes_back_is_held_again(comm) -> None:
     solver.advance(move={cable.start: (4, 0, 0)}, L0={cable: 100.0})
     assert cable.ends == ("held", "held") and cable.nodes[1].kind == "rider"
     assert (scene.energy, cable.tension) == pytest.approx(before, rel=1e-4)
+
+
+@pytest.mark.parametrize("last", [False, True])
+def test_an_anchor_moved_over_the_membrane_and_back(comm, last: bool) -> None:
+    """The path's end follows it from cell to cell; left behind it would lead there and back."""
+    ends = [(-2.5, 76.0, 0.2), (101.6, 7.8, 2.8)]
+    scene, cable, solver = solved(comm, "structured", ends[::-1] if last else ends, 123.0)
+    before = (scene.energy, cable.tension)
+    solver.advance(move={cable.end if last else cable.start: (4.6, 8.0, 0.0)})
+    assert cable.ends == (("off", "held") if last else ("held", "off"))
+    solver.advance(move={cable.end if last else cable.start: (-4.6, -8.0, 0.0)})
+    assert cable.ends == ("off", "off")
+    assert (scene.energy, cable.tension) == pytest.approx(before, rel=1e-7)
+
+
+def test_an_anchor_moved_far_over_the_membrane(comm) -> None:
+    """Over many cells at once, the path's end follows to where it is that of a new cable."""
+    ends = [(-2.5, 76.0, 9.0), (101.6, 7.8, 2.8)]
+    scene, cable, solver = solved(comm, "structured", ends, 126.0)
+    solver.advance(move={cable.start: (12.0, 0.0, 0.0)})
+    solver.advance(move={cable.start: (-2.0, -40.0, 0.0)}, L0={cable: 102.0})
+    fresh, there, _ = solved(comm, "structured", [(7.0, 36.0, 9.0), ends[1]], 102.0)
+    assert scene.energy == pytest.approx(fresh.energy, rel=5e-3)  # as it lifts off earlier
+    assert set(cable.nodes[1].point.support) == set(there.nodes[1].point.support)

@@ -6,13 +6,16 @@ What ends the program is tried in programs of its own.
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
+from reference_meshes import rotated_lattice
 
 from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, checks, errors, meshes
 
@@ -41,10 +44,12 @@ Potential.evaluate = evaluate
 """
 
 
-def run(script: str, *launcher: str) -> subprocess.CompletedProcess[str]:
+def run(
+    script: str, *launcher: str, module: Sequence[str] = ()
+) -> subprocess.CompletedProcess[str]:
     """Run a program, on several ranks after the words that start them."""
     return subprocess.run(
-        [*launcher, sys.executable, "-c", script],
+        [*launcher, sys.executable, *module, "-c", script],
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
@@ -78,6 +83,14 @@ assert len(solver.steps) == 2
     )
     done = run(script)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_an_error_of_the_program_on_one_rank_ends_all() -> None:
+    """Under `-m mpi4py`, where the others wait for it; PETSc's end must not."""
+    script = SCENE.format(failure="pass") + "if comm.rank == 1: scene.pressure = 0.01\n"
+    done = run(script + "solver.advance(pressure=0.01)", *MPIRUN, module=("-m", "mpi4py"))
+    assert done.returncode != 0
+    assert "AttributeError: Scene.pressure = 0.01: it cannot be assigned; call" in done.stderr
 
 
 def test_random_bad_input() -> None:
@@ -136,6 +149,47 @@ def test_values_without_their_addresses(comm) -> None:
     objects = [object() for _ in range(comm.rank + 1)]
     checks.same(comm, "call", function=lambda x: x, thing=objects[-1], number=np.float64(0.1))
     checks.same(comm, "call", array=np.linspace(0, 1, 2000), nan=float("nan"))
+
+
+def test_what_differs_is_shown(comm) -> None:
+    """However far behind the beginning it is."""
+    if comm.size == 1:
+        pytest.skip("needs two ranks")
+    own = comm.rank == comm.size - 1
+    for values in ({k: 0.0 for k in range(999)} | {777: 1.0 * own}, "x" * 500 + "y" * own):
+        with pytest.raises(InputError) as caught:
+            checks.same(comm, "call", values=values)
+        shown = re.fullmatch(
+            r"call: values = (.*) on rank 0, but (.*) on rank.*", str(caught.value)
+        )
+        assert shown is not None and shown[1] != shown[2] and len(shown[2]) < 210
+
+
+def test_the_order_of_keys_does_not_count(comm) -> None:
+    """Dicts that are made from sets have another one on each rank. Loads are applied alike, too."""
+    energies = []
+    for turned in (True, False):  # on the last rank
+        own = turned and comm.rank == comm.size - 1
+        points, cells = rotated_lattice(4)
+        parts = {"a": range(9), "b": range(9, len(cells))}
+        mesh = meshes.from_arrays(comm, points, cells, parts=parts, edges={"rim": [(0, 1)]})
+        foil = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)
+        stiffer = IsotropicMembrane(E=400.0, nu=0.25, thickness=0.08)
+        scene = Scene(mesh, ordered({"a": foil, "b": stiffer}, own))
+        scene.fix("boundary")
+        cables = [
+            scene.lay_cable(Cable(EA=32000.0), [(0.0, y), (100.0, y + 5.0)]) for y in (30.0, 47.0)
+        ]
+        L0 = {cable: 0.99 * cable.L0 for cable in cables}
+        keys = (*cables, cables[1].end, "rim", "boundary")
+        move = {key: (0.0, 0.0, z) for key, z in zip(keys, (1.0, 0.1, 0.7, 0.1, 0.7), strict=True)}
+        Solver(scene).advance(pressure=0.01, move=ordered(move, own), L0=ordered(L0, own))
+        energies.append(scene.energy)
+    assert energies[0] == pytest.approx(energies[1], rel=1e-12)
+
+
+def ordered(values: dict, turned: bool) -> dict:
+    return dict(reversed(values.items())) if turned else values
 
 
 def test_a_rank_that_is_late_with_its_error(scene: Scene, monkeypatch) -> None:

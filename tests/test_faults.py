@@ -126,6 +126,7 @@ def test_a_folder_that_goes_away(folder: Path) -> None:
         assert (folder / "out").read_text() == "something else"
         (folder / "out").unlink()
         shutil.move(folder / "moved", folder / "out")
+    del solver
     COMM.barrier()
     again = Solver(scene_of(COMM), results=folder / "out", resume=True)
     again.advance(pressure=0.01)

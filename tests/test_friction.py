@@ -5,11 +5,13 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from contextlib import nullcontext
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from cabled_square import PRESSURE, place, sheet
+from friction_scene import friction_dome
 from reference_meshes import rotated_lattice
 
 from crms_fenicsx import (
@@ -24,6 +26,8 @@ from crms_fenicsx import (
     equilibrium,
     meshes,
 )
+from crms_fenicsx.cables.give_way import relax
+from crms_fenicsx.cables.retrace import Retracer
 
 MODEL_3 = OrthotropicMembrane(
     E1=1394.0, E2=140.0, G12=12.0, nu21=0.065, thickness=1.0, warp=(0.0, 1.0, 0.0)
@@ -250,6 +254,21 @@ def test_ends_that_move_along_the_boundary_and_off_it(comm) -> None:
     assert np.all(np.diff(np.nan_to_num(solver.history["dissipated"])) >= 0.0)
 
 
+def test_caught_points_are_put_back_once_in_a_load_step() -> None:
+    """In each pass of the friction forces it cost as much as the pass, and was rejected again."""
+    scene, _ = friction_dome()
+    cable = scene.cables[0]
+    assert cable.grip is not None
+    cable.state.grip = replace(cable.grip, known=True)
+    caught = [(0, next(k for k in cable.contacts() if cable.nodes[k].slides))]
+    paths = Retracer(scene)
+    for _ in range(2):
+        paths.begin_step()
+        assert relax(paths, caught)
+        paths.withheld.clear()
+        assert not relax(paths, caught)
+
+
 def test_refused_step_leaves_no_trace(comm, monkeypatch) -> None:
     """After a step that fails, friction knows nothing of it."""
     scene, solver, cable = anchored(comm, 0.2)
@@ -292,7 +311,7 @@ def test_contact_force_per_length(comm) -> None:
     """What presses on the membrane is the cable's tension times its curvature: a flat arc's sum."""
     _, solver, cable = anchored(comm, 0.0, n=17)
     line = solver.contact_forces(cable).line
-    x = cable.positions
+    x = cable.line
     on = np.isfinite(line) & (np.abs(x[:, 0] - 50.0) < 30.0)
     assert np.all(line[on] > 0.0)
     # the pull down of the cable's two ends at x = 20 and 80, by its slopes there

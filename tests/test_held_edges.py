@@ -74,7 +74,7 @@ def ride(scene: Scene, cable: LaidCable, places: dict[int, float]) -> None:
         point = nodes[k].point
         assert isinstance(point, EdgePoint)
         nodes[k] = CableNode("rider", EdgePoint(point.edge, s))
-    cable.nodes = tuple(nodes)
+    cable.state.nodes = tuple(nodes)
     scene.changes += 1
 
 
@@ -221,7 +221,7 @@ def whole(comm: MPI.Intracomm) -> tuple[System, OnMesh]:
     scene.floor(-1.0)
     scene.lay_cable(CABLE, OBLIQUE, tension=20.0)
     scene.lay_cable(Cable(20000.0), [(22, 52, 0), (130, 83, -4)], tension=20.0)
-    scene.pressure = 0.01
+    scene._pressure = 0.01
     system = System(scene, "crms_test_", 1e-8)
     system.pull()
     return system, OnMesh(system.unknowns, scene.u, system.potential.terms)
@@ -290,7 +290,7 @@ def test_a_moved_edge_takes_its_rail_along(comm) -> None:
     seen = 0
     for taut in (True, False):
         if not taut:
-            cable.taut = False
+            cable.state.taut = False
             system.rebuild()
         system.pull()
         unknowns, block = system.unknowns, system.network.blocks[system.network.numbers[0, k]]

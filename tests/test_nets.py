@@ -14,9 +14,11 @@ from cabled_square import CABLE, KINDS, PRESSURE, order, place, sheet
 from mpi4py import MPI
 
 from crms_fenicsx import Scene, Solver
+from crms_fenicsx.cables import vertex_trials
 from crms_fenicsx.cables.cable import LaidCable
-from crms_fenicsx.cables.other_sides import OtherSides
+from crms_fenicsx.cables.held import Run
 from crms_fenicsx.cables.path import EdgePoint
+from crms_fenicsx.cables.vertex_trials import Trial, VertexTrials
 
 T_EXACT, Z_EXACT = (68.176, 33.193), 4.4317
 
@@ -182,34 +184,43 @@ def test_crossed_cables_pass_only_vertices_that_hold_them(comm, monkeypatch) -> 
     assert not only_held and all_told
 
 
-class Paths:
-    """Stands for a `Retracer`: cables 0 ... n - 1 near vertices 10 ... each."""
+class Trials(VertexTrials):
+    """Cables 0 ... n - 1, each held by a vertex of its own."""
 
     def __init__(self, n: int) -> None:
-        self.left = {(c, 10 + c) for c in range(n)}
+        super().__init__(paths=None)  # type: ignore[arg-type]
+        self.runs = [(c, Run((10 + c,), True, (), 1.0)) for c in range(n)]
+        self.known: dict[int, set[tuple[int, ...]]] = {c: set() for c in range(n)}
 
-    def near_vertices(self, near: float) -> list[tuple[int, int]]:
-        return sorted(self.left)
+    def _held(self) -> list[Trial]:
+        return [trial for trial in self.runs if self._key(trial)[1] not in self._tried(trial[0])]
 
-    def pass_vertices(self, group: list[tuple[int, int]]) -> list[tuple[int, int]]:
-        return group
-
-    def note_passed(self, group: list[tuple[int, int]]) -> None:
-        self.left -= set(group)
+    def _tried(self, c: int) -> set[tuple[int, ...]]:
+        return self.known[c]
 
 
-def test_other_sides_are_tried_together_then_by_halves_of_halves() -> None:
-    paths = Paths(8)
-    sides, tried = OtherSides(paths, polish=False), []
-    while group := sides.next(energy=0.0, scale=1.0):
+def test_runs_are_left_together_then_by_halves_of_halves(monkeypatch) -> None:
+    monkeypatch.setattr(vertex_trials, "lead_past", lambda *_: True)
+    trials, tried = Trials(8), []
+    while group := trials.next(energy=0.0, scale=1.0):
         tried.append([c for c, _ in group])
-        sides.halve(group)
+        trials.halve(group)
     whole = [*range(8)]
     assert tried == [whole, whole[:4], [0, 1], [2, 3], whole[4:], [4, 5], [6, 7]]
-    assert not paths.left
+    assert all(trials.known.values())
 
 
-def test_rounds_of_other_sides_end_when_they_gain_little() -> None:
-    sides = OtherSides(Paths(4), polish=False)
-    for energy, goes_on in ((0.0, True), (-1.0, True), (-1.5, True), (-1.5 - 1e-6, False)):
-        assert bool(sides.next(energy, scale=1.0)) == goes_on
+def test_rounds_end_when_they_gain_little(monkeypatch) -> None:
+    monkeypatch.setattr(vertex_trials, "lead_past", lambda *_: True)
+    trials = Trials(4)
+    for energy, goes_on in ((0.0, True), (-1.0, True), (-1.5, True), (-1.5 - 1e-7, False)):
+        assert bool(trials.next(energy, scale=1.0)) == goes_on
+        trials._groups = []
+
+
+def test_runs_without_a_way_are_not_tried_again(monkeypatch) -> None:
+    monkeypatch.setattr(vertex_trials, "lead_past", lambda paths, c, run: c == 2)
+    trials = Trials(3)
+    assert [c for c, _ in trials.next(energy=0.0, scale=1.0)] == [2]
+    trials.halve([trials.runs[2]])
+    assert trials.next(energy=-1.0, scale=1.0) == []

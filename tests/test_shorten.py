@@ -22,7 +22,7 @@ from curved_surfaces import (
 from crms_fenicsx.cables.corridor import flaw, tied, without_detours
 from crms_fenicsx.cables.intrinsic import ArraySurface, MissingStars, Ring, edge_of, ring_of
 from crms_fenicsx.cables.path import CellPoint, EdgePoint, Path, VertexPoint
-from crms_fenicsx.cables.shorten import STRAIGHT, corridor, pass_vertex, shorten
+from crms_fenicsx.cables.shorten import STRAIGHT, corridor, shorten
 from crms_fenicsx.errors import InputError, MeshError, PathError
 
 ROUNDING = 1e-11  # relative; of paths through some 100 cells, and of coordinates near 100
@@ -665,48 +665,6 @@ def test_bad_numbers():
         ArraySurface(cells, points[:, :1])
     with pytest.raises(InputError, match="ids from 0 to 99"):
         ArraySurface([[0, 1, 99]], points)
-
-
-@pytest.mark.parametrize("name", ["structured", "unstructured"])
-def test_passing_a_vertex_and_sliding_back(name):
-    """Led around the other side a straight path is longer; pulled taut it is what it was."""
-    mesh = structured(9) if name == "structured" else unstructured(9, np.random.default_rng(4))
-    cells, points = mesh
-    surface = ArraySurface(cells, points)
-    taut = shorten(bulge(mesh, 15), surface)
-    straight, length = taut.points, taut.length
-    passed = 0
-    for vertex in sorted({v for point in straight[1:-1] for v in point.support}):
-        other = pass_vertex(straight, surface, vertex)
-        if other is None:
-            continue
-        passed += 1
-        assert corridor(other) != corridor(straight)
-        assert {point for point in other if point.support in corridor(straight)} <= {*straight}
-        Path(other).links(cells)
-        back = shorten(other, surface)
-        assert back.before > length * (1 - ROUNDING)
-        assert back.length == pytest.approx(length, rel=ROUNDING)
-        assert pass_vertex(straight, surface, vertex, refused={corridor(other)}) is None
-    assert passed > 3
-
-
-def test_new_places_beside_a_vertex_are_on_a_string_between_those_that_stay():
-    """A straight path that passes close to a vertex stays close to it on its other side."""
-    mesh = structured(9)
-    cells, points = mesh
-    surface = ArraySurface(cells, points)
-    straight = shorten(bulge(mesh, 15), surface).points
-    for vertex in sorted({v for point in straight[1:-1] for v in point.support}):
-        other = pass_vertex(straight, surface, vertex)
-        if other is None:
-            continue
-        new = [i for i, point in enumerate(other) if point not in straight]
-        part = other[new[0] - 1 : new[-1] + 2]
-        string = shorten(part, surface, max_flips=0).points
-        for point, twin in zip(part[1:-1], string[1:-1], strict=True):
-            assert point.edge == twin.edge
-            assert point.fraction == pytest.approx(twin.fraction, abs=1e-12)
 
 
 def test_only_vertices_that_hold_a_path_are_slid_over():

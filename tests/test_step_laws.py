@@ -110,3 +110,33 @@ def test_stresses_of_the_step_law_tend_to_those_of_the_total_law(comm, material)
     for name in ("second_piola", "true_forces"):
         difference = getattr(step, name) - getattr(total, name)
         assert np.abs(difference).max(initial=0.0) < 5e-3 * size
+
+
+TOTAL = {"strain": "total", "pressure": "total", "cable": "total"}
+
+
+@pytest.mark.parametrize("laws", [
+    {}, {"strain": "step"}, {"pressure": "step"}, {"strain": "step", "pressure": "step"},
+    {"cable": "step"}, {"strain": "step", "pressure": "step", "cable": "step"},
+])  # fmt: skip
+def test_solvers_by_turns(comm, laws: dict[str, str]) -> None:
+    """What happened in load steps before belongs to the scene, whichever solver made them."""
+    laws = TOTAL | laws
+    found = []
+    for turns in (1, 2, 9):  # one solver, two by turns, one for each step
+        scene = Scene(square(comm, 4), SHEET, strain=laws["strain"], pressure=laws["pressure"])
+        scene.fix("boundary")
+        solvers = [Solver(scene) for _ in range(turns)]
+        for k, solver in enumerate(solvers):
+            assert k > 1 or solver.results() is not None  # which makes its tables
+        for k in range(6):
+            if k == 2:
+                for path in ([(0, 47), (100, 52)], [(63, 0), (69, 100)]):
+                    scene.lay_cable(Cable(EA=32000.0, law=laws["cable"]), path, tension=20.0)
+            move = {cable: (0.0, 0.0, -0.3) for cable in scene.cables}
+            solvers[k % turns].advance(pressure=0.0025 * (k + 1), move=move)
+        looks = solvers[(k + 1) % turns]
+        square_sum = comm.allreduce(float((looks.results().true_forces ** 2).sum()))
+        tensions = [cable.tension for cable in scene.cables]
+        found.append([scene.energy, scene.volume, square_sum, *tensions])
+    np.testing.assert_allclose(found[1:], [found[0]] * 2, rtol=1e-7)

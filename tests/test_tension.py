@@ -143,6 +143,28 @@ def test_energy_and_tension_of_whole_polylines():
     )
 
 
+def test_what_smoothing_adds_is_taken_off():
+    """With the excess of a state it has the energy of the true lengths there, and its gradient is
+    that of the smoothed ones."""
+    f, X = chain()
+    x = np.zeros_like(X)
+    x[2] = X[1] - X[2] + (0.3 * EPS, 0.0, 0.0)
+    _, before = f.value(x)
+    true = np.zeros(2)
+    np.add.at(
+        true, f.term.cable, np.linalg.norm(np.diff((X + x)[f.term.segments], axis=1), axis=2)[:, 0]
+    )
+    smoothed = f.sums.copy()
+    assert smoothed[0] - true[0] > 0.1 * EPS
+    f.term.excess[:] = smoothed - true
+    energy, g = f.value(x)
+    np.testing.assert_allclose(f.sums, true, rtol=1e-14)
+    strain = true / f.term.L0 - 1
+    assert energy == pytest.approx(np.sum(f.term.EA * f.term.L0 * strain**2) / 2, rel=1e-13)
+    ratio = (true - f.term.L0)[0] / (smoothed - f.term.L0)[0]
+    np.testing.assert_allclose(g[:4], before[:4] * ratio, rtol=1e-12)
+
+
 def test_slack_cable_has_no_energy_and_no_force():
     f, X = chain()
     f.term.L0[0] = 1e3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from trace_surfaces import (
 
 from crms_fenicsx.cables.path import CellPoint, EdgePoint, VertexPoint
 from crms_fenicsx.cables.trace import _direct_way, near_section, trace
+from crms_fenicsx.cables.triangles import longest_sides
 from crms_fenicsx.errors import PathError
 
 
@@ -178,9 +180,21 @@ def test_two_thousand_random_legs_are_valid_and_straight():
     assert refused < 60
 
 
+def passes(way, route, reach):
+    """Say whether a polyline comes within `reach` of all points of a route, in order."""
+    samples = np.vstack([np.linspace(a, b, 200) for a, b in pairwise(way)])
+    k = 0
+    for point in route:
+        near = np.linalg.norm(samples[k:] - point, axis=1) <= reach
+        if not near.any():
+            return False
+        k += int(np.argmax(near))
+    return True
+
+
 def test_random_routes_with_corners_give_valid_paths():
     rng = np.random.default_rng(7)
-    refused = 0
+    refused = cut_off = 0
     for _ in range(250):
         points, cells = grid(5) if rng.random() < 0.5 else scattered(rng, 25, 5)
         ids = numbered(rng, points)
@@ -191,14 +205,54 @@ def test_random_routes_with_corners_give_valid_paths():
         try:
             path = trace(ids, points, cells, route)
         except PathError as error:
-            refused += 1
-            assert "turns back on itself" in str(error)
+            # a random route over five cells has many a way out and back
+            hairpin = "would be cut off" in str(error)
+            refused, cut_off = refused + (not hairpin), cut_off + hairpin
+            assert hairpin or "turns back on itself" in str(error)
             continue
         path.links(ids[cells])
         x = path.positions(ids, points)[:, :2]
         assert np.allclose(x[[0, -1]], route[[0, -1]], atol=1e-2)
         assert length_of(x) <= length_of(route) + 1e-2
-    assert refused < 12
+        assert passes(x, route, longest_sides(points[cells]).max() * 1.01)
+    assert refused < 12 and cut_off < 70
+
+
+HAIRPINS = (
+    [(0.0, 5.0), (7.0, 5.3), (0.0, 5.5)],
+    [(0.0, 3.0), (9.0, 3.0), (9.0, 3.4), (0.0, 3.4)],
+    [(0.0, 5.0), (9.9, 5.0), (5.0, 5.0), (10.0, 5.2)],
+    [(0.0, 5.1), (8.0, 5.2), (4.0, 5.3), (10.0, 5.4)],
+)
+
+
+@pytest.mark.parametrize("route", HAIRPINS)
+def test_a_way_out_and_back_within_a_row_of_cells_is_refused(route):
+    points, cells = grid(8)
+    points *= 1.25
+    ids = np.arange(len(points))
+    with pytest.raises(PathError, match=r"route point [12] at .* cut off.* two cables") as caught:
+        trace(ids, points, cells, route)
+    mask = near_section(points, cells, route)
+    assert_part_is_enough(ids, points, cells, mask, route)
+    with pytest.raises(PathError) as in_space:
+        trace(ids, points, cells, np.pad(route, ((0, 0), (0, 1))))
+    assert str(in_space.value).split("would")[1] == str(caught.value).split("would")[1]
+
+
+def test_routes_that_only_wind_are_laid():
+    points, cells = grid(8)
+    ids = np.arange(len(points))
+    for route in (
+        [(0.0, 4.1), (2.0, 4.4), (4.0, 3.7), (6.0, 4.4), (8.0, 4.0)],  # within a row
+        [(0.0, 0.5), (5.0, 1.3), (0.0, 2.5)],  # out by one row and back by another
+        [(0.0, 4.0), (4.2, 4.1), (4.1, 4.2), (8.0, 4.0)],  # a small step back
+        [(1.5, 1.5), (6.5, 1.5), (6.5, 6.5), (1.5, 6.5), (1.5, 1.5)],  # a ring
+        [(0.5, 0.5), (7.5, 7.5), (7.5, 0.5), (0.5, 7.5)],
+        [(0.0, 3.2), (7.0, 3.2), (7.0, 5.4), (0.0, 5.4)],  # there and back with two rows between
+    ):
+        x = trace(ids, points, cells, route).positions(ids, points)[:, :2]
+        assert passes(x, route, 1.42)
 
 
 def test_corner_inside_a_cell_is_cut_and_a_hairpin_cancels():

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from mpi4py import MPI
+from petsc4py import PETSc
 from taylor import OnMesh, gradient_order, is_semidefinite, noise, stiffness_error
 from term_scene import (
     FABRIC,
@@ -129,6 +130,29 @@ def ridden(comm):
     weights = np.array([(0.2, 0.3, 0.5), (0.6, 0.4, 0.0)])
     unknowns.set_riders(np.array([first, second], dtype=np.int32), masters, weights)
     return scene, unknowns, (first, second, free)
+
+
+def test_products_of_vectors_do_not_depend_on_where_they_lie(comm):
+    """Evenly in memory or not: PETSc's updates of the Hessian have the same bits."""
+    mesh = from_arrays(comm, [(0, 0), (1, 0), (0, 1)], [(0, 1, 2)])
+    unknowns = Unknowns(Scene(mesh, ISOTROPIC).V, 1000)
+    x, array = unknowns.vector()
+    array[:] = noise(array, 1)
+    n, twins = array.size, []
+    for step in (n, 2 * n + 10):
+        places, at, others = np.zeros(40 * n), 0, []
+        for k in range(7):
+            values = places[at : at + n]
+            values[:] = noise(array, 2 + k).ravel()
+            size = (3 * unknowns.n_owned, 3 * unknowns.n_global)
+            others.append(
+                PETSc.Vec().createGhostWithArray(
+                    unknowns.ghosts, values, size=size, bsize=3, comm=comm
+                )
+            )
+            at += n if step == n else step + 100 * k % 300
+        twins.append(x.mDot(others))
+    np.testing.assert_array_equal(*twins)
 
 
 def test_riders_are_at_the_weighted_mean_of_their_vertices(comm):

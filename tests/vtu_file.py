@@ -42,7 +42,7 @@ def read_vtu(path: Path) -> VtuFile:
     (found.points,) = arrays["Points"].values()
     cells = arrays["Cells"]
     assert len(found.points) == n_points and len(cells["types"]) == n_cells
-    corners = int(cells["offsets"][0])
+    corners = int(cells["offsets"][0]) if len(cells["offsets"]) else 1
     np.testing.assert_array_equal(cells["offsets"], corners * np.arange(1, n_cells + 1))
     found.cells, found.types = cells["connectivity"].reshape(n_cells, corners), cells["types"]
     found.point_data, found.cell_data = arrays["PointData"], arrays["CellData"]

@@ -7,15 +7,20 @@ may change back and forth only a few times in a solve, so that it ends.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from crms_fenicsx.cables import contact
 from crms_fenicsx.cables.cable import LaidCable
-from crms_fenicsx.cables.folded_surface import bends
-from crms_fenicsx.cables.path import VertexPoint
+from crms_fenicsx.cables.folded_surface import bends, nodes_on_edges
+from crms_fenicsx.cables.intrinsic import Edge
+from crms_fenicsx.cables.path import EdgePoint, VertexPoint
 from crms_fenicsx.cables.strip import StripShape
 
 if TYPE_CHECKING:
+    from crms_fenicsx.cables.retrace import ContactKey, Retracer
     from crms_fenicsx.scene import Scene
 
 
@@ -30,62 +35,100 @@ class ActiveSet:
     ----------
     scene
         The scene; its cables and crossings are changed.
+    paths
+        What is remembered of the cables' last load step; None where they stay in their cells.
     """
 
-    def __init__(self, scene: Scene) -> None:
-        self.scene = scene
+    def __init__(self, scene: Scene, paths: Retracer | None) -> None:
+        self.scene, self._paths = scene, paths
         self._switches: Counter[str] = Counter()
-        self._released: set[object] = set()
-        self._settled: set[object] = set()
+        self._first_look = True
+        self._released, self._settled = (
+            (set(), set()) if paths is None else (paths.released, paths.settled)
+        )
 
     def tighten(self) -> list[str]:
         """Switch cables between slack and taut for their current lengths; say which. Collective."""
         shape = StripShape.of(self.scene)
-        return [text for cable in self.scene.cables for text in self._switch(cable, shape)]
+        return [text for cable in self.scene.cables for text in self._switch(cable, shape, False)]
 
     def update(self) -> list[str]:
         """Switch what a solved state asks for; say what, in words. Collective."""
+        if self._first_look:
+            self._forget()
         scene, shape = self.scene, StripShape.of(self.scene)
-        changes = [text for cable in scene.cables for text in self._switch(cable, shape)]
+        changes = [text for cable in scene.cables for text in self._switch(cable, shape, True)]
         if not changes:
-            tops = self._tops()
+            tops, on_edges = self._tops(), nodes_on_edges(scene.cables)
             for c, cable in enumerate(scene.cables):
                 if cable.taut and not cable.sleeve:
                     covered = {v for v, top in tops.items() if top > (cable.level, c)}
-                    changes += self._contacts(cable, shape, covered)
+                    changes += self._contacts(cable, shape, covered, on_edges)
         if not changes and scene.crossings:
             changes = self._crossings(shape)
         return changes
+
+    def _forget(self) -> None:
+        """Forget where cables were let go and touched, but not those that have not moved since.
+
+        What has settled in the state that is there would settle again.
+        """
+        self._first_look = False
+        moved = {cable.name for cable in self.scene.cables if not self._rested(cable)}
+        for keys in (self._released, self._settled):
+            keys -= {key for key in keys if not moved.isdisjoint(key)}
+
+    def _rested(self, cable: LaidCable) -> bool:
+        """Whether a cable is as the last load step has found it."""
+        return self._paths is not None and self._paths.has_rested(cable)
 
     def restless(self) -> str:
         """A cable that keeps turning from slack to taut and back; empty if there is none."""
         return next((name for name, n in self._switches.items() if n > MAX_SWITCHES), "")
 
-    def _switch(self, cable: LaidCable, shape: StripShape) -> list[str]:
-        """Tighten a slack cable that has become too short for its path, slacken another."""
+    def _switch(self, cable: LaidCable, shape: StripShape, solved: bool) -> list[str]:
+        """Tighten a slack cable that has become too short for its path, slacken another.
+
+        Near the limit a cable is in equilibrium both slack, on flat cells, and in tension, on cells
+        that it has folded and that bulge. Then it is in tension, however it came there: what it
+        may be in each solve is tried once, and judged in the state that this leads to.
+        """
         if cable.cable.law == "step":
             return []
         if not cable.taut and not cable.sleeve:
             contact.drape(cable, shape)
-        taut = cable.is_tight(cable.ends_before is None and not self._switches[cable.name])
+        judged = (solved and cable.taut) or self._switches[cable.name] > 0
+        taut = cable.is_tight(nearly=not judged and not self._rested(cable))
         if taut == cable.taut:
             return []
-        cable.taut = taut
-        cable.traced &= taut  # it gets its folds back from the straight way
+        cable.state.taut = taut
+        cable.state.traced &= taut  # it gets its folds back from the straight way
         self._switches[cable.name] += 1
         return [f"{cable.name} {'tightens' if taut else 'slackens'}"]
 
-    def _contacts(self, cable: LaidCable, shape: StripShape, covered: set[int]) -> list[str]:
-        def key(k: int) -> object:
-            point = cable.nodes[k].point
-            assert point is not None
-            return cable.name, point.support
+    def _contacts(
+        self,
+        cable: LaidCable,
+        shape: StripShape,
+        covered: set[int],
+        on_edges: Mapping[Edge, Sequence[tuple[int, int]]],
+    ) -> list[str]:
+        def key(k: int) -> ContactKey:
+            return cable.name, cable.nodes[k].support
 
         released = contact.released(cable, shape, covered)
         free = [k for k in released if key(k) not in self._settled]
         places = {}
         if cable.lifted.any():
-            places = contact.captured(cable, shape, bends(self.scene.cables, cable))
+            off = [cable.nodes[k].point for k in np.flatnonzero(cable.lifted)]
+            edges = [point.edge for point in off if isinstance(point, EdgePoint)]
+            near = {edge: on_edges[edge] for edge in edges if edge in on_edges}
+            folds = bends(self.scene.cables, near, but=cable)
+            places = contact.captured(cable, shape, folds)
+            unclear = cable.slides_freely and not self._rested(cable)
+            if unclear and not free and not places:
+                nearly = contact.captured(cable, shape, folds, contact.NEARLY)
+                places = {k: place for k, place in nearly.items() if key(k) not in self._released}
         cable.lifted[free] = True
         contact.touch(cable, places)
         self._settled |= {key(k) for k in places} & self._released
@@ -109,7 +152,7 @@ class ActiveSet:
         scene = self.scene
         parting = {id(k) for k in contact.parting(scene.crossings, scene.cables, shape)}
         for crossing in scene.crossings:
-            names = tuple(scene.cables[c].name for c in (crossing.upper, crossing.lower))
+            names = scene.cables[crossing.upper].name, scene.cables[crossing.lower].name
             # Not by place: a crossing may come back in another cell than that where it was left.
             if id(crossing) in parting and names not in self._settled:
                 crossing.apart = True

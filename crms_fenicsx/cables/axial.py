@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from crms_fenicsx.cables.cable import COINCIDENT, LaidCable
 from crms_fenicsx.cables.contact import is_foot
-from crms_fenicsx.cables.contact_force import edge_direction, turns, wrap_angles
+from crms_fenicsx.cables.contact_force import edge_directions, turns, wrap_angles
 from crms_fenicsx.cables.grip import held_nodes, succession
 from crms_fenicsx.cables.pace import Pace
 from crms_fenicsx.cables.slip import MaterialCurve, Support, material_place
@@ -153,7 +153,7 @@ def align_axial(cable: LaidCable) -> None:
     for gone, new in heirs:
         bounds[new] += grip.bounds[gone].sum() / len(new)
         eps[new] += grip.eps[gone].sum() / len(new)
-    cable.axial = replace(grip, supports=now, bounds=bounds, eps=eps, slips=slips)
+    cable.state.axial = replace(grip, supports=now, bounds=bounds, eps=eps, slips=slips)
 
 
 def rest_places(cable: LaidCable, shape: StripShape) -> RestPlaces:
@@ -177,8 +177,8 @@ def rest_places(cable: LaidCable, shape: StripShape) -> RestPlaces:
         size[i] = shape.stress_free_size(point.support)
         if cable.nodes[k].slides and k in direction:
             at = contacts.index(k)
-            stretch = 1 + cable.tensions[at - 1 : at + 1].mean() / cable.cable.EA
-            edge = edge_direction(cable, k, shape) * _edge_length(cable, k, shape)
+            stretch = 1 + cable.part_tensions[at - 1 : at + 1].mean() / cable.cable.EA
+            edge = edge_directions(cable, [k], shape)[0] * _edge_length(cable, k, shape)
             slope[i] = edge @ np.add(*direction[k]) / (2 * stretch)
     rest = _rest_at(grip, places)
     fractions = np.where(np.isnan(cable.fractions[nodes]), 0.0, cable.fractions[nodes])
@@ -234,7 +234,8 @@ class AxialLag:
         # sticking is much stiffer than the cable on every mesh, however stiff the cable is.
         eps = np.where(wrap > 0, friction.tolerance * places.size * wrap * strain, 1.0)  # type: ignore[union-attr]
         slips, unstressed = grip.slips.copy(), np.zeros(len(grip.spans))
-        find_slips(LAW, grip.spans, places.rest, cable.L0, wrap, eps, slips, unstressed)
+        L0 = cable.L0 + cable.excess
+        find_slips(LAW, grip.spans, places.rest, L0, wrap, eps, slips, unstressed)
         strains = (grip.spans - unstressed) / unstressed
         bounds = EA * capstan_bounds(np.sqrt(strains[1:] * strains[:-1]), wrap, slips / eps)
         total, used = float(bounds.sum()), float(grip.bounds.sum())
@@ -251,7 +252,7 @@ class AxialLag:
                 before = np.where(grip.bounds > 0.0, grip.eps, eps)
                 eps = (1 - part) * before + part * np.where(wrap > 0.0, eps, before)
                 bounds = (1 - part) * grip.bounds + part * bounds
-            cable.axial = replace(grip, bounds=bounds, eps=eps, tensions=tensions)
+            cable.state.axial = replace(grip, bounds=bounds, eps=eps, tensions=tensions)
         return change
 
 
@@ -292,7 +293,7 @@ def found(
     Parameters
     ----------
     cable
-        Its length and tension are set.
+        Its tension is set, from its length.
     spans, unstressed, tensions : (n + 1,)
         Lengths (length) and tensions (force) between the nodes that friction holds.
     slips, loss
@@ -300,9 +301,8 @@ def found(
     """
     grip = cable.axial
     assert grip is not None
-    cable.length = float(spans.sum())
-    cable.tension = cable.cable.EA / cable.L0 * max(cable.length - cable.L0, 0.0)
-    cable.axial = replace(
+    cable.state.tension = cable.cable.EA / cable.L0 * max(cable.length - cable.L0, 0.0)
+    cable.state.axial = replace(
         grip,
         tensions=_by_link(cable, tensions),
         spans=spans.copy(),
@@ -324,11 +324,11 @@ def commit_axial(cable: LaidCable, shape: StripShape) -> None:
     if grip is None:
         return
     if not cable.taut:
-        cable.axial = replace(laid_grip(cable, shape), dissipated=grip.dissipated + grip.loss)
+        cable.state.axial = replace(laid_grip(cable, shape), dissipated=grip.dissipated + grip.loss)
         return
     held = np.where(grip.bounds > 0, np.clip(grip.slips, -grip.eps, grip.eps), 0.0)
     curve, rest = _curve(cable, shape, gripped_nodes(cable), grip.arcs - held)
-    cable.axial = replace(
+    cable.state.axial = replace(
         grip, curve=curve, rest=rest, slips=held, loss=0.0, dissipated=grip.dissipated + grip.loss
     )
 
@@ -349,5 +349,5 @@ def _curve(
     curve = MaterialCurve(points, arc, np.zeros(len(on), dtype=np.int64), none, none)
     way = np.linalg.norm(np.diff(cable.positions, axis=0), axis=1)
     passed = np.concatenate([[0.0], np.cumsum(way)])
-    rest = np.interp(passed, passed[[0, *nodes, last]], [0.0, *arcs, cable.L0])
+    rest = np.interp(passed, passed[[0, *nodes, last]], [0.0, *arcs, cable.L0 + cable.excess])
     return curve, rest[on]

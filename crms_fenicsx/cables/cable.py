@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
@@ -13,6 +14,7 @@ from crms_fenicsx import checks
 from crms_fenicsx.cables.friction import Friction
 from crms_fenicsx.cables.path import EdgePoint, Path, SurfacePoint, VertexPoint
 from crms_fenicsx.errors import InputError
+from crms_fenicsx.readonly import ReadOnly
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.axial import AxialGrip
@@ -26,8 +28,15 @@ LEAST, MOST = float(np.finfo(float).tiny), float(1.0 - np.finfo(float).epsneg)
 COINCIDENT = 1e-9
 """An anchor this near to the cable's next point, relative to its length, lies on it."""
 
+FOUND = "it follows from the loads, call solver.advance(...)"
+RELAY = "lay another cable with scene.lay_cable(...) instead"
+"""What to do instead of assigning attributes of laid cables."""
+
 NEARLY_TAUT = 2e-3
 """Strain by which a cable may be too long for its path and still count as taut at first."""
+BULGE, MOST_BULGE = 1.2, 0.02
+"""The same, where folds bulge: relative to the square of the turns (rad) at a cable's nodes, and at
+most. On cells of 9 a side cables keep some tension up to 1.0."""
 
 
 @dataclass(frozen=True)
@@ -135,6 +144,17 @@ class CableNode:
         """Whether its place on its edge is an unknown."""
         return self.kind in ("fold", "rail")
 
+    @property
+    def support(self) -> tuple[int, ...]:
+        """Ids of the vertices on which it lies, or between which; it is no anchor."""
+        assert self.point is not None, "an anchor has no place on the mesh"
+        return self.point.support
+
+    @property
+    def touches_cable(self) -> bool:
+        """Whether another cable lies over or under it."""
+        return self.kind == "crossing" or self.crossing is not None
+
     def masters(self, fraction: float | None = None) -> tuple[tuple[int, ...], tuple[float, ...]]:
         """Vertices (ids) and weights that give the place on the unfolded mesh."""
         point = self.point
@@ -151,8 +171,11 @@ class CableNode:
 class CableEnd:
     """An end of a laid cable, a key for movements: ``solver.advance(move={cable.start: v})``."""
 
-    cable: LaidCable = field(repr=False)
+    cable: LaidCable
     which: Literal["start", "end"]
+
+    def __repr__(self) -> str:
+        return f"<{self.which} of {self.cable!r}>"
 
     @property
     def reaction(self) -> Array:
@@ -176,7 +199,7 @@ class CableEnd:
         outward = points[0] - points[1:]
         away = np.linalg.norm(outward, axis=1)
         first = int(np.argmax(away > COINCIDENT * cable.length))
-        tension = cable.tensions[0 if self.which == "start" else -1]
+        tension = cable.part_tensions[0 if self.which == "start" else -1]
         return np.asarray(tension * outward[first] / away[first])
 
 
@@ -189,9 +212,47 @@ class StepStart:
     energy: float
 
 
-@dataclass(eq=False)
+@dataclass
+class CableState:
+    """What changes of a laid cable; see the attributes of `LaidCable`."""
+
+    nodes: tuple[CableNode, ...]
+    positions: Array
+    fractions: Array
+    lifted: npt.NDArray[np.bool_]
+    L0: float
+    length: float
+    tension: float
+    step_start: StepStart | None = None
+    taut: bool = False
+    traced: bool = False
+    ends_before: Array | None = None
+    blocked: tuple[int, ...] = ()
+    grip: Grip | None = None
+    axial: AxialGrip | None = None
+    excess: float = 0.0
+    material: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.material = np.full_like(self.positions, np.nan)
+
+    def copy(self) -> CableState:
+        """A state that stays as it is when this one changes."""
+        new = copy.copy(self)
+        for name in ("positions", "fractions", "lifted", "material", "step_start"):
+            setattr(new, name, copy.copy(getattr(self, name)))
+        return new
+
+
 class LaidCable:
-    """A cable on its path over the membrane. Made by `Scene.lay_cable`.
+    """A cable on its path over the membrane. Made by `Scene.lay_cable`, and read-only.
+
+    Parameters
+    ----------
+    name, cable, sleeve, level
+        As the attributes.
+    state
+        What changes of it; the package writes it, and users read its parts as attributes.
 
     Attributes
     ----------
@@ -200,22 +261,25 @@ class LaidCable:
     cable
         Its data.
     nodes
-        Points of the polyline, anchors and crossings included.
+        Internal: points of its way over the mesh, anchors and crossings included, also those that
+        it passes straight above. Its own line is `line`.
     positions : (n, 3)
-        Current positions of the nodes, on all ranks.
+        Internal: current positions of the nodes, on all ranks; those of lifted ones mark the way.
     fractions : (n,)
-        Current places of fold points on their unfolded edges and of rails on their held ones,
-        where one that is pulled beyond an end lies outside 0 ... 1; NaN for nodes off edges.
+        Internal: current places of fold points on their unfolded edges and of rails on their held
+        ones, where one that is pulled beyond an end lies outside 0 ... 1; NaN for nodes off edges.
     lifted : (n,) bool
-        Nodes at which the cable is off the membrane. They take no part: it passes them straight.
+        Internal: nodes at which the cable is off the membrane. They take no part: it passes them
+        straight.
     material : (n, 3)
         Where the nodes are on the stress-free membrane: the cable's material curve. NaN where the
         cable is off the membrane.
     L0
         Unstressed length (length).
     length, tension
-        Current length and tension (force). With friction along the cable this is the mean tension
-        by unstressed length, ``EA (length - L0)/L0`` as without; see `tensions`.
+        Current length, that of `line`, and tension (force), ``EA (length - L0)/L0`` where the cable
+        has the total law and is in tension. With friction along the cable this is the mean tension
+        by unstressed length; see `tensions`.
     step_start
         State at the start of a step, where the cable has the step-wise law.
     taut
@@ -235,29 +299,37 @@ class LaidCable:
         What friction holds it with sideways; None before its first load step, or without.
     axial
         What friction holds it with along its axis; None without.
+    excess
+        Internal: by how much the smoothed lengths of its segments were longer than these in the
+        last equilibrium (length).
     """
 
-    name: str
-    cable: Cable
-    nodes: tuple[CableNode, ...]
-    positions: Array
-    fractions: Array
-    lifted: npt.NDArray[np.bool_]
-    L0: float
-    length: float
-    tension: float
-    step_start: StepStart | None = None
-    taut: bool = False
-    sleeve: bool = False
-    level: int = 0
-    traced: bool = False
-    ends_before: Array | None = None
-    blocked: tuple[int, ...] = ()
-    grip: Grip | None = None
-    axial: AxialGrip | None = None
+    name: ReadOnly[str] = ReadOnly("_name", "scene.lay_cable(..., name=...) gives a name")
+    cable: ReadOnly[Cable] = ReadOnly("_cable", RELAY)
+    sleeve: ReadOnly[bool] = ReadOnly("_sleeve", RELAY)
+    level: ReadOnly[int] = ReadOnly("_level", RELAY)
+    L0: ReadOnly[float] = ReadOnly("state.L0", "call solver.advance(L0={cable: length})")
+    nodes: ReadOnly[tuple[CableNode, ...]] = ReadOnly("state.nodes", FOUND)
+    positions: ReadOnly[Array] = ReadOnly("state.positions", FOUND)
+    fractions: ReadOnly[Array] = ReadOnly("state.fractions", FOUND)
+    lifted: ReadOnly[npt.NDArray[np.bool_]] = ReadOnly("state.lifted", FOUND)
+    material: ReadOnly[Array] = ReadOnly("state.material", FOUND)
+    length: ReadOnly[float] = ReadOnly("state.length", FOUND)
+    tension: ReadOnly[float] = ReadOnly("state.tension", FOUND)
+    step_start: ReadOnly[StepStart | None] = ReadOnly("state.step_start", FOUND)
+    taut: ReadOnly[bool] = ReadOnly("state.taut", FOUND)
+    traced: ReadOnly[bool] = ReadOnly("state.traced", FOUND)
+    ends_before: ReadOnly[Array | None] = ReadOnly("state.ends_before", FOUND)
+    blocked: ReadOnly[tuple[int, ...]] = ReadOnly("state.blocked", FOUND)
+    grip: ReadOnly[Grip | None] = ReadOnly("state.grip", FOUND)
+    axial: ReadOnly[AxialGrip | None] = ReadOnly("state.axial", FOUND)
+    excess: ReadOnly[float] = ReadOnly("state.excess", FOUND)
 
-    def __post_init__(self) -> None:
-        self.material = np.full_like(self.positions, np.nan)
+    def __init__(
+        self, name: str, cable: Cable, state: CableState, sleeve: bool = False, level: int = 0
+    ) -> None:
+        self._name, self._cable, self.state = name, cable, state
+        self._sleeve, self._level = sleeve, level
 
     @property
     def slides_freely(self) -> bool:
@@ -271,8 +343,34 @@ class LaidCable:
         return friction is not None and friction.law == "coulomb"
 
     @property
+    def dissipated(self) -> float:
+        """Energy that its friction has dissipated (force x length)."""
+        return sum(grip.dissipated for grip in (self.grip, self.axial) if grip is not None)
+
+    @property
+    def line(self) -> Array:
+        """Its polyline in space, from end to end, as (n, 3) positions on all ranks (length).
+
+        `length` is its length. As a path of `Scene.lay_cable` it gives a cable that lies the same.
+        """
+        return np.asarray(self.positions[self.line_nodes()])
+
+    @property
+    def free_spans(self) -> npt.NDArray[np.bool_]:
+        """Which of the n - 1 parts of its `line` are off the membrane."""
+        nodes = self.line_nodes()
+        anchors = [self.nodes[k].kind == "anchor" for k in nodes]
+        return (np.diff(nodes) > 1) | np.logical_or(anchors[1:], anchors[:-1])
+
+    @property
     def tensions(self) -> Array:
-        """Tensions of its parts between the nodes that it touches, in order (force)."""
+        """Tensions of the n - 1 parts of its `line` (force)."""
+        first = int(self.line_nodes()[0] != 0)
+        return self.part_tensions[first:][: len(self.line_nodes()) - 1]
+
+    @property
+    def part_tensions(self) -> Array:
+        """Internal: tensions of its parts between `contacts`, in order (force)."""
         parts = int(np.count_nonzero(~self.lifted)) - 1
         if self.axial is not None and self.taut and len(self.axial.tensions) == parts:
             return self.axial.tensions
@@ -291,17 +389,20 @@ class LaidCable:
     @property
     def path(self) -> Path:
         """Its way over the mesh as it is now; where it is lifted, over the cells under it."""
-        points: list[SurfacePoint] = []
-        for node, fraction in zip(self.nodes, self.fractions, strict=True):
-            if node.slides and isinstance(node.point, EdgePoint):
-                points.append(EdgePoint(node.point.edge, min(max(fraction, LEAST), MOST)))
-            elif node.point is not None and node.kind != "crossing":
-                points.append(node.point)
+        points = [self.point(k) for k in self.rim()]
         first, last = (
             tuple(self.positions[k].tolist()) if self.nodes[k].kind == "anchor" else None
             for k in (0, -1)
         )
         return Path(tuple(points), start_anchor=first, end_anchor=last)
+
+    def point(self, k: int) -> SurfacePoint:
+        """Place of node k on the mesh as it is now; it is no anchor."""
+        point = self.nodes[k].point
+        assert point is not None
+        if self.nodes[k].slides and isinstance(point, EdgePoint):
+            return EdgePoint(point.edge, min(max(float(self.fractions[k]), LEAST), MOST))
+        return point
 
     def set_nodes(
         self,
@@ -311,10 +412,10 @@ class LaidCable:
         lifted: npt.NDArray[np.bool_],
     ) -> None:
         """Replace the points of the polyline."""
-        self.nodes, self.positions = tuple(nodes), positions
-        self.fractions, self.lifted = fractions, lifted
-        self.material = np.full_like(positions, np.nan)
-        self.blocked = ()
+        state = self.state
+        state.nodes, state.positions = tuple(nodes), positions
+        state.fractions, state.lifted = fractions, lifted
+        state.material, state.blocked = np.full_like(positions, np.nan), ()
 
     @property
     def ends(self) -> tuple[End, End]:
@@ -346,15 +447,35 @@ class LaidCable:
         """Nodes that the cable touches, its ends included, in order."""
         return [k for k, lifted in enumerate(self.lifted) if not lifted]
 
-    def is_tight(self, new: bool) -> bool:
+    def line_nodes(self) -> list[int]:
+        """Nodes of its line: its contacts, but an anchor that lies on the next one only once."""
+        nodes = self.contacts()
+        for at, beside in ((0, 1), (-1, -2)):
+            away = np.linalg.norm(self.positions[nodes[at]] - self.positions[nodes[beside]])
+            if len(nodes) > 2 and away <= COINCIDENT * self.length:
+                del nodes[at]
+        return nodes
+
+    def is_tight(self, nearly: bool) -> bool:
         """Whether it is short enough for the way on which it lies to be in tension.
 
-        A new cable is where it is nearly so: a membrane that is inflated without its cables goes
-        far beyond the equilibrium with them, and then it is a long way back.
+        Parameters
+        ----------
+        nearly
+            Whether to count it as in tension where it may be once it has folded the membrane: the
+            folds bulge out to a longer way. A new cable is where it is nearly so, too: a membrane
+            that is inflated without its cables goes far beyond the equilibrium with them, and
+            then it is a long way back.
         """
-        length = polyline_length(self.positions[self.contacts()])
-        too_long = NEARLY_TAUT if new else -1e-12
-        return self.cable.law == "step" or length > self.L0 * (1 - too_long)
+        steps = np.diff(self.positions[self.contacts()], axis=0)
+        sizes = np.linalg.norm(steps, axis=1)
+        too_long = -1e-12
+        if nearly:
+            ways = steps[sizes > 0.0] / sizes[sizes > 0.0, None]
+            turns = np.sum(np.diff(ways, axis=0) ** 2, axis=1)
+            bulge = BULGE * float(np.median(turns)) if len(turns) else 0.0
+            too_long = max(NEARLY_TAUT, min(bulge, MOST_BULGE))
+        return self.cable.law == "step" or float(sizes.sum()) > self.L0 * (1 - too_long)
 
     def node_of(self, which: Literal["start", "end"]) -> int:
         """Index of an end among the nodes."""

@@ -118,7 +118,8 @@ class CapstanTension:
     grips
         What holds them.
     L0 : (n_cables,)
-        Unstressed lengths (length). Changed in place between solves.
+        Unstressed lengths (length), and what smoothing adds to the lengths. Changed in place
+        between solves.
     """
 
     name = "cables"
@@ -166,7 +167,8 @@ class CapstanTension:
 
     def _solve(self, sums: Array) -> None:
         """Slips and unstressed lengths for these sums, friction and its forces."""
-        if self._solved is not None and np.array_equal(sums, self._solved):
+        known = np.concatenate([sums, self.L0])
+        if self._solved is not None and np.array_equal(known, self._solved):
             return
         grips = self.grips
         lengths, rest = sums[: self.n_spans], sums[self.n_spans :] + grips.offset
@@ -182,7 +184,7 @@ class CapstanTension:
             )
             if found < 0:  # the line search comes back from there
                 self._friction[c] = np.nan
-        self._solved = sums.copy()
+        self._solved = known
 
     def tensions(self, sums: Array) -> Array:
         """Tension of each span (force)."""
@@ -289,28 +291,29 @@ class CapstanTension:
         self._add_rest(np.where(c.owned, run.stretch * ends, 0.0), g)
 
     def _prepare_links(self) -> None:
-        """Blocks that the elongation of each segment depends on, with those of its ends' edges."""
+        """Blocks that the elongation of each span here depends on, also by its ends' edges."""
         c = self.chains
         cable_of = np.repeat(np.arange(len(c.EA)), np.diff(c.starts))
         row_of = {int(node): row for row, node in enumerate(c.node)}
         pointers = [0]
         blocks: list[int] = []
-        self._ends: list[tuple[int, int]] = []
-        for k, span in enumerate(c.span):
+        self._links: list[tuple[int, list[int], tuple[int, int]]] = []
+        for span in map(int, np.unique(c.span)):
+            own = [int(k) for k in np.flatnonzero(c.span == span)]
             # the nodes before and after span s of cable n have the numbers s - n - 1 and s - n
-            before = int(span) - int(cable_of[span]) - 1
+            before = span - int(cable_of[span]) - 1
             inside = np.isin([span, span + 1], c.starts, invert=True)
             rows = [
                 row_of.get(node, -1) if there else -1
                 for node, there in zip((before, before + 1), inside, strict=True)
             ]
-            own = [int(block) for block in c.segments[k]]
+            blocks += [int(block) for block in c.segments[own].ravel()]
             for row in rows:
                 if row >= 0:
-                    own += [int(block) for block in c.blocks[c.pointers[row] : c.pointers[row + 1]]]
-            blocks += own
+                    edge = c.blocks[c.pointers[row] : c.pointers[row + 1]]
+                    blocks += [int(block) for block in edge]
             pointers.append(len(blocks))
-            self._ends.append((rows[0], rows[1]))
+            self._links.append((span, own, (rows[0], rows[1])))
         self.link_pointers = np.array(pointers, dtype=np.int32)
         self.links = ElementPattern(self.link_pointers, np.array(blocks, dtype=np.int32))
 
@@ -326,25 +329,28 @@ class CapstanTension:
                 stiffness[own] = EA[own] / self.unstressed[own]
                 stretch[own] = run.stretch
         slope, start = self.grips.slope, 0
-        for k, span in enumerate(c.span):
-            n = int(self.link_pointers[k + 1] - self.link_pointers[k])
+        for (span, segments, ends), n in zip(self._links, np.diff(self.link_pointers), strict=True):
             values = self.links.values[start : start + n * n]
             values[:] = 0.0
             start += n * n
             # An anchor on the held place next to it, up to rounding: there is no direction.
-            if stiffness[span] == 0.0 or self._lengths[k] <= -c.smoothing[k]:
+            there = self._lengths[segments] > -c.smoothing[segments]
+            if stiffness[span] == 0.0 or not there.any():
                 continue
-            share = sums[span] / self._lengths[k]  # of a span of several segments
-            column, (a, b) = np.zeros((n, 3)), c.segments[k].tolist()
+            # The parts of a span, as at a crossing inside a cell, share one elongation; those that
+            # other ranks have are coupled by no block.
+            share = float(self._lengths[segments][there].sum() / sums[span])
+            a, b = c.segments[segments].T
             way = X[b] + x[b] - X[a] - x[a]
-            column[1] = way / max(float(np.linalg.norm(way)), abs(float(c.smoothing[k])))
-            column[0] = -column[1]
-            at = 2
-            for row, sign in zip(self._ends[k], (1.0, -1.0), strict=True):
+            least = np.maximum(np.linalg.norm(way, axis=1), np.abs(c.smoothing[segments]))
+            way *= np.divide(1.0, least, out=np.zeros_like(least), where=there)[:, None]
+            column, at = np.zeros((n, 3)), 2 * len(segments)
+            column[:at] = np.stack([-way, way], axis=1).reshape(at, 3)
+            for row, sign in zip(ends, (1.0, -1.0), strict=True):
                 if row >= 0:
                     edge = self._gradients[c.pointers[row] : c.pointers[row + 1]]
-                    column[at : at + len(edge)] = sign * stretch[span] * slope[row] * edge
+                    column[at : at + len(edge)] = sign * share * stretch[span] * slope[row] * edge
                     at += len(edge)
             dyad = np.einsum("ai,bj->abij", column, column).reshape(n * n, 3, 3)
-            values[:] = stiffness[span] * share * dyad
+            values[:] = stiffness[span] / share * dyad
         self.links.add(A, self.unknowns)

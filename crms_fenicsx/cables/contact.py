@@ -31,6 +31,9 @@ PULL = 1e-6
 """Outward force, relative to the tension, from which on a cable is let go."""
 DEPTH = 1e-6
 """Depth below the membrane, relative to the cells' size, from which on a cable touches down."""
+NEARLY = 0.05
+"""Height above the membrane, relative to the cells' size, up to which a cable may touch it once it
+has folded it: folds bulge."""
 INSIDE = 0.02
 """Fractions nearer to an edge's end than this are no places to start from."""
 SUNK = 0.02
@@ -70,7 +73,7 @@ class Under(NamedTuple):
 def may_lift(cable: LaidCable) -> Iterator[int]:
     """Nodes at which a cable may leave the membrane: all but its ends and its crossings."""
     for k in range(1, len(cable.nodes) - 1):
-        if cable.nodes[k].kind != "crossing":
+        if not cable.nodes[k].touches_cable:
             yield k
 
 
@@ -106,7 +109,7 @@ def outward_pulls(cable: LaidCable, nodes: Sequence[int], normals: Array, reache
     contacts = cable.contacts()
     x, i = cable.positions[contacts], np.searchsorted(contacts, nodes)
     arc = np.concatenate([[0.0], np.cumsum(norm(np.diff(x, axis=0)))])
-    crossings = [m for m, k in enumerate(contacts) if cable.nodes[k].kind == "crossing"]
+    crossings = [m for m, k in enumerate(contacts) if cable.nodes[k].touches_cable]
     stops = np.array([0, *crossings, len(contacts) - 1])
     before = stops[np.searchsorted(stops, i) - 1]
     after = stops[np.searchsorted(stops, i, side="right")]
@@ -127,7 +130,11 @@ def size_at(shape: StripShape, support: tuple[int, ...]) -> float:
 
 
 def under(
-    node: CableNode, span: tuple[Array, Array], shape: StripShape, bends: Sequence[Array] = ()
+    node: CableNode,
+    span: tuple[Array, Array],
+    shape: StripShape,
+    bends: Sequence[Array] = (),
+    reach: float = PAST,
 ) -> Under:
     """The place of the membrane on a node's edge or vertex that a free span passes.
 
@@ -141,6 +148,8 @@ def under(
         Positions of the vertices around.
     bends
         Positions of the fold points that other cables have on the edge, in order.
+    reach
+        Part of the edge up to which a span may pass beyond its end for the place to say so.
     """
     assert node.point is not None
     support = node.point.support
@@ -162,8 +171,8 @@ def under(
         other = (s < 0.0 and not first) or (s > 1.0 and not last)  # it passes another part
         past = -1
         if 0.0 < t < 1.0 and not inside:
-            past = support[0] if first and -PAST < s < 0.0 else past
-            past = support[1] if last and 1.0 < s < 1 + PAST else past
+            past = support[0] if first and -reach < s < 0.0 else past
+            past = support[1] if last and 1.0 < s < 1 + reach else past
         s, t = min(max(s, 0.0), 1.0), min(max(t, 0.0), 1.0)
         place, above = a + s * (b - a), start + t * (end - start)
         fraction = (before + s * size) / sum(sizes)
@@ -219,9 +228,14 @@ def released(cable: LaidCable, shape: StripShape, covered: Set[int] = frozenset(
 
 
 def captured(
-    cable: LaidCable, shape: StripShape, bends: Mapping[Edge, Sequence[Array]]
+    cable: LaidCable,
+    shape: StripShape,
+    bends: Mapping[Edge, Sequence[Array]],
+    height: float = -DEPTH,
 ) -> dict[int, Under]:
     """Nodes at which a free span runs below the membrane, with the places where it touches.
+
+    Or, with a height relative to the cells' size, where it runs less than that above it.
 
     Where the path leads around a vertex and the span passes it on the other side, beyond the ends
     of all the edges that the path crosses there, no edge has the span above or below itself: then
@@ -246,10 +260,10 @@ def captured(
             cable.positions[k] = place.above
             if node.slides:  # so that the path stays below the span
                 cable.fractions[k] = min(max(place.fraction, INSIDE), 1 - INSIDE)
-            if place.gap < -DEPTH * size_at(shape, support):
+            if place.gap < height * size_at(shape, support):
                 if place.inside:
                     found[k] = place
-                elif place.past >= 0:
+                elif height < 0.0 and place.past >= 0:
                     passed[k] = place
         found |= {k: place for k, place in passed.items() if _passed_by_all(cable, k, passed)}
     return found
@@ -274,7 +288,8 @@ def _passed_by_all(cable: LaidCable, k: int, passed: Mapping[int, Under]) -> boo
 def sunk(cables: Sequence[LaidCable], shape: StripShape) -> set[int]:
     """Numbers of cables with a span that runs deep below the membrane beside a vertex.
 
-    Beyond the ends of edges, so that no edge of its path can stop it.
+    Beyond the ends of edges, so that no edge of its path can stop it, and maybe far beyond where it
+    ends at another cable, and their crossing has slid out of its cell.
     """
     found = set()
     for c, cable in enumerate(cables):
@@ -287,7 +302,8 @@ def sunk(cables: Sequence[LaidCable], shape: StripShape) -> set[int]:
                 if node.kind == "crossing" or is_foot(cable, k):
                     continue
                 assert node.point is not None
-                place, support = under(node, span, shape), node.point.support
+                place = under(node, span, shape, reach=np.inf)
+                support = node.point.support
                 if place.past >= 0 and place.gap < -SUNK * size_at(shape, support):
                     found.add(c)
     return found

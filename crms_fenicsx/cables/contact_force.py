@@ -14,17 +14,20 @@ to its stretch of cable.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.cables.cable import LaidCable
 from crms_fenicsx.cables.contact import size_at
+from crms_fenicsx.cables.path import EdgePoint, VertexPoint
 from crms_fenicsx.cables.strip import StripShape
-from crms_fenicsx.cables.triangles import cross
+from crms_fenicsx.cables.triangles import cross, dot, norm
 
 Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
 
 WIDTH = 2.0
 """Width of the box filter that is applied twice, in sizes of the cells."""
@@ -52,6 +55,10 @@ class ContactForces:
     bearing: Array
     line: Array
 
+    def at(self, nodes: Sequence[int]) -> ContactForces:
+        """Those at some of the nodes."""
+        return ContactForces(*(getattr(self, field.name)[nodes] for field in fields(self)))
+
 
 def contact_forces(cable: LaidCable, shape: StripShape) -> ContactForces:
     """Contact forces of a cable in its current shape, with its current tension.
@@ -76,13 +83,10 @@ def contact_forces(cable: LaidCable, shape: StripShape) -> ContactForces:
     line = np.full(n, np.nan)
     if not cable.taut:
         return ContactForces(normal, lateral, bearing, line)
-    first, last = _tensions_at(cable)
-    for k, (before, after) in turns(cable).items():
-        if cable.nodes[k].kind == "crossing":
-            continue
-        up, left = directions(cable, k, shape, before, after)
-        pull = last[k] * after - first[k] * before
-        normal[k], lateral[k] = -pull @ up, pull @ left
+    nodes, before, after = _turns_on_membrane(cable)
+    up, left = directions(cable, nodes, shape, before, after)
+    pull = _pulls(cable, nodes, before, after)
+    normal[nodes], lateral[nodes] = -dot(pull, up), dot(pull, left)
     for run in runs(cable):
         _smooth(cable, run, shape, normal, bearing, line)
     if cable.sleeve:  # it bears from below as well
@@ -97,11 +101,9 @@ def wrap_angles(cable: LaidCable, shape: StripShape) -> Array:
     sideways, and smoothed like that force; zero where the membrane would be pulled.
     """
     angles, wrap = np.zeros((2, len(cable.nodes)))
-    for k, (before, after) in turns(cable).items():
-        if cable.nodes[k].kind != "crossing":
-            up, _ = directions(cable, k, shape, before, after)
-            half = np.clip((before - after) @ up / 2, -1.0, 1.0)
-            angles[k] = 2 * np.arcsin(half)
+    nodes, before, after = _turns_on_membrane(cable)
+    up, _ = directions(cable, nodes, shape, before, after)
+    angles[nodes] = 2 * np.arcsin(np.clip(dot(before - after, up) / 2, -1.0, 1.0))
     line = np.zeros_like(angles)
     for run in runs(cable):
         _smooth(cable, run, shape, angles, wrap, line)
@@ -134,61 +136,169 @@ def paper_forces(cable: LaidCable) -> Array:
     return forces
 
 
-def _tensions_at(cable: LaidCable) -> tuple[Array, Array]:
-    """Tensions before and after each node that the cable touches, (n,); zero elsewhere."""
+def forces_at(cable: LaidCable, nodes: Sequence[int], shape: StripShape) -> tuple[Array, Array]:
+    """Forces of a cable on the membrane at some of the nodes that it touches.
+
+    Parameters
+    ----------
+    cable
+        A cable in tension.
+    nodes
+        Nodes, (m,); neither ends of the cable nor crossings.
+    shape
+        Positions of the vertices around.
+
+    Returns
+    -------
+    normal, lateral : (m,)
+        As in `ContactForces` (force).
+    """
+    turned, before, after = _turns(cable)
+    wanted = np.asarray(nodes, dtype=np.int64)
+    at = np.minimum(np.searchsorted(turned, wanted), max(len(turned) - 1, 0))
+    rows = np.flatnonzero(turned[at] == wanted) if len(turned) else np.zeros(0, dtype=np.int64)
+    found, before, after = wanted[rows], before[at[rows]], after[at[rows]]
+    up, left = directions(cable, found, shape, before, after)
+    pull = _pulls(cable, found, before, after)
+    normal, lateral = np.zeros((2, len(nodes)))
+    normal[rows], lateral[rows] = -dot(pull, up), dot(pull, left)
+    return normal, lateral
+
+
+def _turns_on_membrane(cable: LaidCable) -> tuple[Integers, Array, Array]:
+    """Nodes that touch the membrane, but the cable's ends, and its directions around, (m, 3)."""
+    nodes, before, after = _turns(cable)
+    on = np.array([cable.nodes[k].kind != "crossing" for k in nodes], dtype=bool)
+    return nodes[on], before[on], after[on]
+
+
+def _pulls(cable: LaidCable, nodes: Integers, before: Array, after: Array) -> Array:
+    """Forces of the cable at some nodes, with its directions before and after them, (m, 3)."""
     contacts = cable.contacts()
-    first, last = np.zeros((2, len(cable.nodes)))
-    first[contacts[1:]], last[contacts[:-1]] = cable.tensions, cable.tensions
-    return first, last
+    first, last = np.zeros((2, len(cable.nodes), 1))
+    first[contacts[1:], 0], last[contacts[:-1], 0] = cable.part_tensions, cable.part_tensions
+    return np.asarray(last[nodes] * after - first[nodes] * before)
 
 
 def turns(cable: LaidCable) -> dict[int, tuple[Array, Array]]:
     """Directions of the cable before and after each node that it touches but its ends."""
-    contacts = cable.contacts()
+    nodes, before, after = _turns(cable)
+    return {int(k): (before[i], after[i]) for i, k in enumerate(nodes)}
+
+
+def _turns(cable: LaidCable) -> tuple[Integers, Array, Array]:
+    """The nodes of `turns`, ascending, and the directions, (m, 3) and (m, 3)."""
+    contacts = np.array(cable.contacts(), dtype=np.int64)
     steps = np.diff(cable.positions[contacts], axis=0)
-    sizes = np.linalg.norm(steps, axis=1)
-    found = {}
-    for i in range(1, len(contacts) - 1):
-        # Points in one place have no direction between them: the next one has.
-        before = next((m for m in range(i - 1, -1, -1) if sizes[m] > 0.0), None)
-        after = next((m for m in range(i, len(sizes)) if sizes[m] > 0.0), None)
-        if before is not None and after is not None:
-            found[contacts[i]] = steps[before] / sizes[before], steps[after] / sizes[after]
-    return found
+    # Points in one place have no direction between them: the next one has.
+    (long,) = np.nonzero(norm(steps))
+    ways = steps[long] / norm(steps[long])[:, None]
+    inner = np.arange(1, len(contacts) - 1)
+    first = np.searchsorted(long, inner)  # the next long step from there on
+    has = (first > 0) & (first < len(long))
+    return contacts[inner[has]], ways[first[has] - 1], ways[first[has]]
 
 
 def directions(
-    cable: LaidCable, k: int, shape: StripShape, before: Array, after: Array
-) -> tuple[Array, Array]:
-    """Outward normal at a node, square to edge and cable, and the direction to the cable's left."""
-    node = cable.nodes[k]
-    assert node.point is not None
-    outside = shape.normal(node.point.support)
+    cable: LaidCable, nodes: Sequence[int] | Integers, shape: StripShape, before: Array,
+    after: Array,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Outward normals at nodes, square to edge and cable, and directions to the cable's left.
+
+    At a vertex the normal halves the angle between the two sides of the membrane.
+
+    Parameters
+    ----------
+    cable
+        A cable.
+    nodes
+        Nodes on the mesh, (m,).
+    shape
+        Positions of the vertices around.
+    before, after : (m, 3)
+        Directions of the cable before and after them.
+
+    Returns
+    -------
+    (m, 3) unit vectors, and (m, 3).
+    """
+    if len(nodes) == 0:
+        return np.zeros((0, 3)), np.zeros((0, 3))
+    points = [cable.nodes[k].point for k in nodes]
+    outside, _ = shape.normals_and_sizes([point.support for point in points if point is not None])
     along = before + after
-    size = np.linalg.norm(along)
-    along = along / size if size > 0.0 else before
-    up: Array = outside - (outside @ along) * along
-    if node.slides:
-        square = cross(edge_direction(cable, k, shape), along)
-        if np.linalg.norm(square) > ACROSS:
-            up = square if square @ outside > 0 else -square
-    up = np.asarray(up / np.linalg.norm(up), dtype=float)
-    return up, cross(up, along)
+    size = norm(along)[:, None]
+    along = np.where(size > 0.0, along / np.where(size > 0.0, size, 1.0), before)
+    up = outside - dot(outside, along)[:, None] * along
+    slides = np.array([cable.nodes[k].slides for k in nodes])
+    if slides.any():
+        square = cross(edge_directions(cable, np.asarray(nodes)[slides], shape), along[slides])
+        square *= np.where(dot(square, outside[slides]) > 0.0, 1.0, -1.0)[:, None]
+        up[slides] = np.where(norm(square)[:, None] > ACROSS, square, up[slides])
+    up /= norm(up)[:, None]
+    left = cross(up, along)
+    at_vertex = np.array([cable.nodes[k].kind == "vertex" for k in nodes])
+    if at_vertex.any():
+        vertices = [p.vertex for p in points if isinstance(p, VertexPoint)]
+        left[at_vertex] = _left_at_vertices(vertices, shape, along[at_vertex], left[at_vertex])
+        up[at_vertex] = cross(along[at_vertex], left[at_vertex])
+    return up, left
 
 
-def edge_direction(cable: LaidCable, k: int, shape: StripShape) -> Array:
-    """Direction of the edge of a sliding node: the mean of its two halves, (3,)."""
-    point = cable.nodes[k].point
-    assert point is not None
-    a, b = (shape.at(vertex) for vertex in point.support)
-    parts = [cable.positions[k] - a, b - cable.positions[k]]
-    if cable.nodes[k].kind == "rail":  # its edge is straight, and it may lie beyond an end of it
-        parts = [b - a]
-    edge = np.zeros(3)
-    for part in parts:
-        size = float(np.linalg.norm(part))
-        edge += part / size if size > 0.0 else part
-    return np.asarray(edge / np.linalg.norm(edge))
+def _left_at_vertices(
+    vertices: Sequence[int], shape: StripShape, along: Array, left: Array
+) -> Array:
+    """Directions to the left of a cable at vertices, square to it: means of both sides' surface.
+
+    Where the membrane on the two sides pulls equally hard, square to the cable, the sum of the two
+    pulls has no part in this direction, whichever cells are there. At the membrane's boundary the
+    direction given is returned.
+
+    Parameters
+    ----------
+    vertices
+        Ids, (m,).
+    shape
+        Positions of the vertices around.
+    along, left : (m, 3)
+        Directions of the cable, and to its left, square to it.
+    """
+    strip = shape.strip
+    around = [strip.outer_around[(vertex,)] for vertex in vertices]
+    of = np.repeat(np.arange(len(vertices)), [len(rows) for rows in around])
+    cells = strip.cells[list(itertools.chain.from_iterable(around))]
+    centres = np.asarray(vertices)[of, None]
+    others = cells[cells != centres].reshape(-1, 2)
+    row_of = np.searchsorted(strip.vertices, others)
+    sides = shape.current[row_of] - shape.current[np.searchsorted(strip.vertices, centres)]
+    sides /= norm(sides)[..., None]
+    # Where the plane square to the cable cuts a cell.
+    ahead = np.asarray(dot(sides, along[of][:, None]))
+    cut = np.where(ahead[:, 0] * ahead[:, 1] <= 0.0, 1.0, 0.0)[:, None]
+    ways = cut * (sides[:, 0] * np.abs(ahead[:, 1:]) + sides[:, 1] * np.abs(ahead[:, :1]))
+    means = np.zeros((2, len(vertices), 3))
+    np.add.at(means, (np.where(dot(ways, left[of]) > 0.0, 0, 1), of), ways)
+    sizes = norm(means)
+    both = (sizes > 0.0).all(axis=0)
+    means /= np.where(sizes > 0.0, sizes, 1.0)[..., None]
+    mean = means[0] - means[1]
+    size = norm(mean)
+    both &= size > 0.0
+    return np.where(both[:, None], mean / np.where(both, size, 1.0)[:, None], left)
+
+
+def edge_directions(cable: LaidCable, nodes: Sequence[int] | Integers, shape: StripShape) -> Array:
+    """Directions of the edges of sliding nodes: the means of their two halves, (m, 3)."""
+    edges = [point.edge for k in nodes if isinstance(point := cable.nodes[k].point, EdgePoint)]
+    ends = shape.current[np.searchsorted(shape.strip.vertices, np.array(edges))]
+    x = cable.positions[nodes]
+    # The edge of a rail is straight, and the rail may lie beyond an end of it.
+    rails = np.array([cable.nodes[k].kind == "rail" for k in nodes])[:, None]
+    halves = np.stack([np.where(rails, ends[:, 1] - ends[:, 0], x - ends[:, 0]), ends[:, 1] - x])
+    halves[1] = np.where(rails, 0.0, halves[1])
+    sizes = norm(halves)[..., None]
+    edge = (halves / np.where(sizes > 0.0, sizes, 1.0)).sum(axis=0)
+    return np.asarray(edge / norm(edge)[:, None])
 
 
 def runs(cable: LaidCable) -> list[list[int]]:

@@ -82,7 +82,7 @@ def arrange(cables: Sequence[LaidCable], strip: Strip, known: Sequence[Crossing]
         _insert(cable, {k: new for (d, k), new in inserted.items() if d == c})
         points, material, blocked = before[c]
         if _points(cable) == points:
-            cable.material, cable.blocked = material, blocked
+            cable.state.material, cable.state.blocked = material, blocked
     return crossings
 
 
@@ -134,7 +134,7 @@ def _give(
         return False
     nodes = list(cable.nodes)
     nodes[k] = CableNode(node.kind, node.point, crossing)
-    cable.nodes = tuple(nodes)
+    cable.state.nodes = tuple(nodes)
     return True
 
 

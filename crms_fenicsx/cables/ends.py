@@ -3,10 +3,12 @@
 A cable held at its place on a held edge ends there. If its anchor is moved along the boundary, the
 path's end moves with it, from edge to edge; if it is moved off, the cable runs on to it through
 the air and slides along the edge that it passes; if it comes back, the cable ends there again.
+The path of a cable with an anchor over the membrane ends in the cell below, which follows it.
 """
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,9 +18,10 @@ from mpi4py import MPI
 
 from crms_fenicsx.cables.cable import COINCIDENT, CableNode, LaidCable
 from crms_fenicsx.cables.contact import size_at
-from crms_fenicsx.cables.intrinsic import Edge, edge_of
+from crms_fenicsx.cables.intrinsic import Edge, MissingStars, edge_of
 from crms_fenicsx.cables.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
-from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.shadow import shadow
+from crms_fenicsx.cables.strip import StripShape, grow
 from crms_fenicsx.cables.triangles import cross
 from crms_fenicsx.compat import geometry_dofmap
 from crms_fenicsx.errors import PathError
@@ -52,7 +55,7 @@ def renew_ends(paths: Retracer) -> bool:
         if any(led):  # it may lie over other cells now
             changed, shape = True, StripShape.of(paths.scene)
         if cable.taut and any(_moved_aside(cable, k, shape) for k in (0, -1)):
-            cable.traced = False
+            cable.state.traced = False
     return changed
 
 
@@ -79,18 +82,24 @@ def _moved_aside(cable: LaidCable, k: int, shape: StripShape) -> bool:
 def _renew(paths: Retracer, cable: LaidCable, last: bool) -> bool:
     anchor, beside = (-1, -2) if last else (0, 1)
     node = cable.nodes[beside]
-    if cable.nodes[anchor].kind != "anchor" or isinstance(node.point, CellPoint):
+    if cable.nodes[anchor].kind != "anchor":
         return False
+    led = False
+    if isinstance(node.point, CellPoint):
+        led = _follow(paths, cable, last)
+        node = cable.nodes[beside]
+        if isinstance(node.point, CellPoint):
+            return led
     away = float(np.linalg.norm(cable.positions[anchor] - cable.positions[beside]))
     if away <= COINCIDENT * cable.length and node.kind != "rail":
         return False
     found = _edge_at(paths.scene, cable.positions[anchor], COINCIDENT * cable.length)
     if found is None:
         if node.kind != "rider":
-            return False
+            return led
         nodes = list(cable.nodes)  # it has been moved off, and slides along its edge now
         nodes[beside] = CableNode("rail", node.point)
-        cable.nodes = tuple(nodes)
+        cable.state.nodes = tuple(nodes)
         return True
     points = list(cable.path.points)
     points = points[::-1] if last else points
@@ -100,6 +109,35 @@ def _renew(paths: Retracer, cable: LaidCable, last: bool) -> bool:
         paths.lead(cable, way[::-1], (before, "held"))
     else:
         paths.lead(cable, way, ("held", after))
+    return True
+
+
+def _follow(paths: Retracer, cable: LaidCable, last: bool) -> bool:
+    """Lead a path's end to the cell under an anchor that has been moved, or off the membrane.
+
+    Pulled taut to where the anchor was, the path would go there and back.
+    """
+    anchor, beside = (-1, -2) if last else (0, 1)
+    place, before = cable.positions[anchor], cable.ends_before
+    if before is None or np.linalg.norm(place - before[anchor]) <= COINCIDENT * cable.length:
+        return False
+    foot = cable.nodes[beside]
+    ids, weights = foot.masters()
+    for rings in itertools.count(1):
+        shape = paths.surface(ids).shape
+        start = np.dot(weights, [shape.at(i) for i in ids])
+        try:
+            way = shadow(shape, foot, start, cable.nodes[anchor], place)
+            break
+        except MissingStars as missing:
+            grow(paths.scene, missing.vertices, rings)
+    if way is None or set(way[-1].support) == set(ids):
+        return False
+    points = list(cable.path.points)
+    ends = list(cable.ends)
+    ends[anchor] = "held" if isinstance(way[-1], CellPoint) else "off"
+    points = [*points[:-1], *way] if last else [*way[::-1], *points[1:]]
+    paths.lead(cable, points, (ends[0], ends[1]))
     return True
 
 

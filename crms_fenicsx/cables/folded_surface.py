@@ -24,28 +24,42 @@ from crms_fenicsx.cables.triangles import norm
 Array = npt.NDArray[np.float64]
 
 
-def bends(cables: Sequence[LaidCable], but: LaidCable | None = None) -> dict[Edge, list[Array]]:
+def nodes_on_edges(cables: Sequence[LaidCable]) -> dict[Edge, list[tuple[int, int]]]:
+    """Nodes of cables in tension on each edge, lifted ones too: numbers of cables and nodes."""
+    found: dict[Edge, list[tuple[int, int]]] = defaultdict(list)
+    for c, cable in enumerate(cables):
+        for k, node in enumerate(cable.nodes) if cable.taut else ():
+            if isinstance(node.point, EdgePoint) and node.kind != "crossing":
+                found[node.point.edge].append((c, k))
+    return found
+
+
+def bends(
+    cables: Sequence[LaidCable],
+    nodes: Mapping[Edge, Sequence[tuple[int, int]]] | None = None,
+    but: LaidCable | None = None,
+) -> dict[Edge, list[Array]]:
     """Positions of the points of cables in tension on each edge, in order.
 
     Parameters
     ----------
     cables
         All cables.
+    nodes
+        Those to look at, as in `nodes_on_edges`; None: all.
     but
         A cable to leave out.
     """
-    found: dict[Edge, list[tuple[float, int, int]]] = defaultdict(list)
-    for c, cable in enumerate(cables):
-        if not cable.taut or cable is but:
-            continue
-        nodes = zip(cable.nodes, cable.fractions, cable.lifted, strict=True)
-        for k, (node, fraction, lifted) in enumerate(nodes):
-            if isinstance(node.point, EdgePoint) and node.kind != "crossing" and not lifted:
-                found[node.point.edge].append((float(fraction), c, k))
-    return {
-        edge: [cables[c].positions[k] for _, c, k in sorted(points)]
-        for edge, points in found.items()
-    }
+    found: dict[Edge, list[Array]] = {}
+    for edge, members in (nodes_on_edges(cables) if nodes is None else nodes).items():
+        touching = sorted(
+            (float(cables[c].fractions[k]), c, k)
+            for c, k in members
+            if not cables[c].lifted[k] and cables[c] is not but
+        )
+        if touching:
+            found[edge] = [cables[c].positions[k] for _, c, k in touching]
+    return found
 
 
 class FoldedSurface:

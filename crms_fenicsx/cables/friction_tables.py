@@ -52,7 +52,7 @@ def element_table(network: Network, shape: StripShape) -> FrictionElements:
                 continue
             vertex = edge[int(cable.fractions[k] > 0.5)]
             work = grip.at(edge) * grip.moving[grip.row_of[edge]]
-            force = work * directions(cable, k, shape, *direction[k])[1]
+            force = work * directions(cable, [k], shape, *(way[None] for way in direction[k]))[1][0]
             blocks.append((network.vertex(vertex), network.block(c, k)))
             forces.append(force)
             # The work of a node that the path has got in this step begins with its slip.

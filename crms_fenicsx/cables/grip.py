@@ -90,17 +90,18 @@ def begin(cable: LaidCable, shape: StripShape) -> None:
     if cable.cable.sideways is None:
         return
     if cable.grip is None:
-        cable.grip = Grip(material_curve(cable, shape), (), np.zeros(0), np.zeros(0))
+        cable.state.grip = Grip(material_curve(cable, shape), (), np.zeros(0), np.zeros(0))
     align(cable)
-    friction, n = cable.cable.sideways, len(cable.grip.supports)
+    grip, friction = cable.grip, cable.cable.sideways
+    assert grip is not None
     if friction.law == "step":
         bounds = friction.mu * paper_forces(cable)[held_nodes(cable)]
-        ways = _ways(cable, cable.grip, shape)
-        cable.grip = replace(cable.grip, bounds=bounds, moving=ways, known=True)
-    elif not cable.grip.known:
+        ways = _ways(cable, grip, shape)
+        cable.state.grip = replace(grip, bounds=bounds, moving=ways, known=True)
+    elif not grip.known:
         elongation = polyline_length(cable.positions[cable.contacts()]) / cable.L0 - 1
         force = cable.cable.EA * max(elongation, LEAST_STRAIN)
-        cable.grip = replace(cable.grip, bounds=np.full(n, force))
+        cable.state.grip = replace(grip, bounds=np.full(len(grip.supports), force))
 
 
 def _ways(cable: LaidCable, grip: Grip, shape: StripShape) -> Array:
@@ -136,7 +137,7 @@ def align(cable: LaidCable) -> None:
         strongest = int(np.argmax(np.abs(grip.moving[gone])))
         for k in new:
             moving[k] = moving[k] or grip.moving[gone][strongest]
-    cable.grip = replace(grip, supports=now, bounds=bounds, moving=moving)
+    cable.state.grip = replace(grip, supports=now, bounds=bounds, moving=moving)
 
 
 def succession(
@@ -210,7 +211,7 @@ class Lag:
             change = found / total - shares
             part = self._pace.of(grip.supports, change)
             found = np.asarray(self._add_up(used, total) * (shares + part * change))
-        cable.grip = replace(grip, bounds=found, moving=moving, known=True)
+        cable.state.grip = replace(grip, bounds=found, moving=moving, known=True)
         return self.change
 
     def _add_up(self, used: float, found: float) -> float:
@@ -300,19 +301,13 @@ def commit(cable: LaidCable, shape: StripShape) -> None:
         slid = np.sign(slips.slip) * (np.abs(slips.slip) > SLIDES * slips.size)
         moving = dict(zip(slips.nodes, slid, strict=True))
     curve = material_curve(cable, shape, elastic, moving)
-    cable.grip = replace(
+    cable.state.grip = replace(
         grip,
         curve=curve,
         moving=np.zeros_like(grip.moving),
         known=grip.known and cable.taut,
         dissipated=grip.dissipated + dissipated,
     )
-
-
-def _support(cable: LaidCable, k: int) -> Support:
-    point = cable.nodes[k].point
-    assert point is not None
-    return point.support
 
 
 def held_nodes(cable: LaidCable) -> list[int]:
@@ -326,4 +321,4 @@ def held_nodes(cable: LaidCable) -> list[int]:
 
 def supports_of(cable: LaidCable) -> Sequence[Support]:
     """Places of these nodes on the mesh."""
-    return [_support(cable, k) for k in held_nodes(cable)]
+    return [cable.nodes[k].support for k in held_nodes(cable)]

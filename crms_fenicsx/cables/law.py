@@ -79,33 +79,36 @@ def stress(law, p, e, s, orthotropic):  # type: ignore[no-untyped-def]
     0 slack. Where `orthotropic` is None, and not True, the orthotropic tension field is not
     compiled: its iteration takes longer than all the rest.
     """
+    # Taut: without the energy at rest, S^2 / E t, in which small changes would be lost.
+    energy = 0.0
+    for i in range(3):
+        s[i] = p[12 + i]
+        for j in range(3):
+            s[i] += p[3 * i + j] * e[j]
+        energy += 0.5 * e[i] * (p[12 + i] + s[i])
     if law == LINEAR:
-        energy = 0.0
-        for i in range(3):
-            s[i] = p[12 + i]
-            for j in range(3):
-                s[i] += p[3 * i + j] * e[j]
-            energy += 0.5 * e[i] * (p[12 + i] + s[i])
         return energy, 2
     e0, e1, e2 = e[0] + p[9], e[1] + p[10], e[2] + p[11]
-    rest = 0.0
-    for i in range(3):
-        rest += 0.5 * p[9 + i] * p[12 + i]
     if orthotropic is None or law == TENSION_FIELD:
         density, state = _isotropic(p, e0, e1, e2, s)
     else:
         density, state = _orthotropic(p, e0, e1, e2, s)
+    if state == 2:
+        return energy, state
+    rest = 0.0
+    for i in range(3):
+        rest += 0.5 * p[9 + i] * p[12 + i]
     return density - rest, state
 
 
 @numba.njit(cache=True)
 def _isotropic(p, e0, e1, e2, s):  # type: ignore[no-untyped-def]
-    """As `stress`, at the strain from the stress-free state."""
+    """As `stress` where not taut, at the strain from the stress-free state; s that of taut."""
     mean, half, shear = 0.5 * (e0 + e1), 0.5 * (e0 - e1), 0.5 * e2
     radius = math.sqrt(half * half + shear * shear)
     larger, smaller = mean + radius, mean - radius
     if smaller + p[16] * larger >= 0.0:
-        return _taut(p, e0, e1, e2, s), 2
+        return 0.0, 2
     if larger > 0.0:
         t = p[15] * larger
         s[0] = 0.5 * t * (1 + half / radius)
@@ -118,10 +121,9 @@ def _isotropic(p, e0, e1, e2, s):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _orthotropic(p, e0, e1, e2, s):  # type: ignore[no-untyped-def]
-    """As `stress`, at the strain from the stress-free state."""
-    energy = _taut(p, e0, e1, e2, s)
+    """As `_isotropic`."""
     if s[0] >= 0.0 and s[1] >= 0.0 and s[0] * s[1] >= s[2] * s[2]:
-        return energy, 2
+        return 0.0, 2
     if e0 > 0.0 or e1 > 0.0 or 4 * e0 * e1 < e2 * e2:
         cos, sin, N, _ = tension_line(p, e0, e1, e2)
         if N > 0.0:
@@ -133,14 +135,6 @@ def _orthotropic(p, e0, e1, e2, s):  # type: ignore[no-untyped-def]
             return 0.5 * t * N, 1
     s[0] = s[1] = s[2] = 0.0
     return 0.0, 0
-
-
-@numba.njit(cache=True)
-def _taut(p, e0, e1, e2, s):  # type: ignore[no-untyped-def]
-    """Energy per area of the linear law without prestress; section forces into s."""
-    for i in range(3):
-        s[i] = p[3 * i] * e0 + p[3 * i + 1] * e1 + p[3 * i + 2] * e2
-    return 0.5 * (e0 * s[0] + e1 * s[1] + e2 * s[2])
 
 
 @numba.njit(cache=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import count
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,12 +11,22 @@ import numpy.typing as npt
 
 from crms_fenicsx import checks
 from crms_fenicsx.cables.behind import refuse_forks, refuse_places_behind
-from crms_fenicsx.cables.cable import Cable, CableNode, End, LaidCable, StepStart, polyline_length
+from crms_fenicsx.cables.cable import (
+    Cable,
+    CableNode,
+    CableState,
+    End,
+    LaidCable,
+    StepStart,
+    polyline_length,
+)
 from crms_fenicsx.cables.contact import drape
+from crms_fenicsx.cables.follow import unfolded
 from crms_fenicsx.cables.path import CellPoint, EdgePoint, Path, SurfacePoint, VertexPoint
 from crms_fenicsx.cables.strip import Strip, StripShape, cells_at, cells_near
 from crms_fenicsx.cables.trace import trace
 from crms_fenicsx.errors import InputError, PathError
+from crms_fenicsx.scene import Cables
 
 if TYPE_CHECKING:
     from crms_fenicsx.scene import Scene
@@ -42,7 +53,7 @@ def lay(
         raise InputError(f"lay_cable: {cable!r} is no Cable; write Cable(EA=...).")
     taken = {other.name for other in scene.cables}
     if name is None:
-        numbers = range(len(scene.cables) + 1, 2 * len(scene.cables) + 2)
+        numbers = count(scene._laid + 1)  # not that of a cable that has been removed
         name = next(f"cable {n}" for n in numbers if f"cable {n}" not in taken)
     if not isinstance(name, str) or not name or name != name.strip():
         raise InputError(f"lay_cable: name = {name!r}; tables need text without blanks around it.")
@@ -53,22 +64,27 @@ def lay(
     for key, value in (("L0", L0), ("tension", tension)):
         if value is not None:
             checks.positive(f"lay_cable: {name!r} with {key}", value)
-    route = _route(path)
+    route, known, folds = unfolded(scene, _route(path))
     refuse_places_behind(scene, route, name)
     near = cells_near(scene, route)
     shape = StripShape.of(scene, near)
     rows = np.searchsorted(near.vertices, near.cells)
-    traced = trace(near.vertices, shape.current, rows, route)
+    try:
+        traced = trace(near.vertices, shape.current, rows, route, known=known)
+    except PathError as error:
+        raise PathError(f"lay_cable: {name!r}: {error}") from None
     strip = cells_at(scene, [v for point in traced.points for v in point.support])
     shape = StripShape.of(scene, strip)
     refuse_forks(traced, shape, name)
     nodes = nodes_of(traced.points, strip, _ends(scene, strip, traced))
-    laid = LaidCable(
-        name, cable, nodes,
-        np.array([_position(node, k, traced, shape) for k, node in enumerate(nodes)]),
-        fractions_of(nodes), np.zeros(len(nodes), dtype=bool), 1.0, 0.0, 0.0,
-        sleeve=bool(sleeve), level=level,
-    )  # fmt: skip
+    positions = np.array([_position(node, k, traced, shape) for k, node in enumerate(nodes)])
+    off = np.zeros(len(nodes), dtype=bool)
+    state = CableState(nodes, positions, fractions_of(nodes), off, 1.0, 0.0, 0.0)
+    laid = LaidCable(name, cable, state, bool(sleeve), level)
+    in_fold = dict(zip(known.values(), folds, strict=True))
+    for k, node in enumerate(nodes):
+        if node.point in in_fold:
+            laid.positions[k] = in_fold[node.point]
     if not sleeve:
         drape(laid, shape)
     length = polyline_length(laid.positions[laid.contacts()])
@@ -76,19 +92,20 @@ def lay(
         raise PathError(f"lay_cable: the path of {name!r} has no length.")
     if tension is not None:
         L0 = length / (1 + tension / cable.EA)
-    laid.L0 = length if L0 is None else float(L0)
-    laid.length = length
-    laid.tension = cable.EA / laid.L0 * max(length - laid.L0, 0.0)
+    state.L0 = length if L0 is None else float(L0)
+    state.length = length
+    state.tension = cable.EA / state.L0 * max(length - state.L0, 0.0)
     if cable.law == "step":
-        energy = laid.tension * (length - laid.L0) / 2
-        laid.step_start = StepStart(laid.tension, length, energy)
-    laid.taut = cable.law == "step" or laid.tension > 0
+        energy = state.tension * (length - state.L0) / 2
+        state.step_start = StepStart(state.tension, length, energy)
+    state.taut = cable.law == "step" or state.tension > 0
     if cable.along > 0:
         from crms_fenicsx.cables.axial import laid_grip
 
-        laid.axial = laid_grip(laid, shape)
+        state.axial = laid_grip(laid, shape)
     scene.strip = strip if scene.strip is None else scene.strip.merged(strip)
-    scene.cables.append(laid)
+    scene._cables = Cables.of(scene, (*scene.cables, laid))
+    scene._laid += 1
     return laid
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -242,11 +243,19 @@ def touching(points: Floats, cells: Ints, position: Floats, snap: float) -> Ints
     return near[gap <= snap * altitudes(triangles) + 1e-14 * scale]
 
 
-def places_in_space(surface: Surface, course: Floats, snap: float) -> list[Place]:
-    """Return the places of route points given in space; the first and last may be anchors."""
+def places_in_space(
+    surface: Surface, course: Floats, snap: float, known: Mapping[int, SurfacePoint]
+) -> list[Place]:
+    """Return the places of route points given in space; the first and last may be anchors.
+
+    Of those that are known only the normal is found.
+    """
     places = []
     for i, target in enumerate(vectors(course)):
         foot = foot_of(surface.points, surface.cells, target)
+        if i in known:
+            places.append(Place(known[i], target, foot.normal))
+            continue
         rows = touching(surface.points, surface.cells, foot.position, snap)
         triangles = surface.points[surface.cells[rows]]
         point, position = locate(surface, rows, triangles, foot.position, snap)

@@ -18,14 +18,14 @@ import numpy.typing as npt
 
 from crms_fenicsx.cables.cable import CableNode, End, LaidCable
 from crms_fenicsx.cables.contact import INSIDE, drape
-from crms_fenicsx.cables.corridor import flaw
+from crms_fenicsx.cables.corridor import Support, flaw
 from crms_fenicsx.cables.crossings import note_places
 from crms_fenicsx.cables.folded_surface import FoldedSurface, bends
 from crms_fenicsx.cables.intrinsic import MissingStars
 from crms_fenicsx.cables.laying import fractions_of, nodes_of
 from crms_fenicsx.cables.path import EdgePoint, SurfacePoint, VertexPoint, without_backtracking
 from crms_fenicsx.cables.shadow import with_shadows
-from crms_fenicsx.cables.shorten import Corridor, corridor, pass_vertex, shorten
+from crms_fenicsx.cables.shorten import Corridor, corridor, shorten
 from crms_fenicsx.cables.strip import StripShape, grow
 from crms_fenicsx.errors import PathError
 
@@ -48,26 +48,50 @@ PRESSED = 0.01
 """Part of an edge: a point nearer than this to a vertex is held by it."""
 
 
+MISLED, MISLED_AT_CROSSINGS = 2, 1
+"""How often in a load step strings may propose paths of higher energy, before only the forces of
+vertices tell where cables go; and where cables cross, of which strings know little."""
+
+
 STILL = 1e-4
 """Movement, relative to a cable's length, within which rejected paths stay rejected."""
 
 
+ContactKey = tuple[str, Support] | tuple[str, str]
+"""A cable and its place on the mesh, or the upper and the lower one of two cables that cross."""
+
+
 class Tried(NamedTuple):
-    """Paths that were tried in earlier load steps, by cable.
+    """What was tried in earlier load steps, by cable.
 
     Attributes
     ----------
     refused
         Paths that have been given up.
-    passed
-        Vertices of which the other side was tried.
+    left
+        Runs of vertices that were left, and taken again: 1 for those left to the cable's left or
+        -1, and the vertices.
     at : (n, 3)
         Where the cable was then (length).
+    L0
+        Unstressed length then (length).
+    released, settled
+        Where cables were let go, and where they stay however they pull.
     """
 
     refused: dict[str, set[Corridor]]
-    passed: dict[str, set[int]]
+    left: dict[str, set[tuple[int, ...]]]
     at: dict[str, Array]
+    L0: dict[str, float]
+    released: set[ContactKey]
+    settled: set[ContactKey]
+
+    def forget(self, name: str) -> None:
+        """Forget all of a cable."""
+        for table in (self.refused, self.left, self.at, self.L0):
+            table.pop(name, None)
+        for keys in (self.released, self.settled):
+            keys -= {key for key in keys if name in key}
 
 
 class Retracer:
@@ -82,11 +106,17 @@ class Retracer:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.refused: dict[str, set[Corridor]] = {}
-        self._passed: dict[str, set[int]] = {}
+        self.left: dict[str, set[tuple[int, ...]]] = {}
+        """Runs of vertices that cables without friction were led past: 1 for their left or -1, and
+        the vertices."""
         self._tried_at: dict[str, Array] = {}
+        self._L0: dict[str, float] = {}
+        self.released: set[ContactKey] = set()
+        self.settled: set[ContactKey] = set()
+        """Where cables have been let go in the last load step, and where they stay then."""
         self._first_look = True
-        self._strings = True
-        """Whether strings still tell where cables go that others cross."""
+        self._misled = 0
+        """How often strings have told wrong, in this load step, where cables go."""
         self.offered: set[tuple[str, Corridor]] = set()
         self.withheld: set[tuple[str, Corridor]] = set()
         """Ways past a vertex, by cable, that cables with friction are led now, and that they have
@@ -94,21 +124,24 @@ class Retracer:
         self.led: Counter[tuple[str, int, bool]] = Counter()
         """How often cables with friction have been led past a vertex in this step, to its left or
         not."""
+        self.put_back: set[tuple[str, Corridor]] = set()
+        """Where their caught fold points have been put back in place in this step."""
 
     @property
     def tried(self) -> Tried:
         """The paths that were tried in earlier load steps."""
-        return Tried(self.refused, self._passed, self._tried_at)
+        return Tried(self.refused, self.left, self._tried_at, self._L0, self.released, self.settled)
 
     def remember(self, tried: Tried) -> None:
         """Go on from the load steps of another retracer of the same cables."""
-        self.refused, self._passed, self._tried_at = tried
+        self.refused, self.left, self._tried_at, self._L0, self.released, self.settled = tried
 
     def begin_step(self) -> None:
         """Prepare for a load step."""
-        self._first_look = self._strings = True
+        self._first_look, self._misled = True, 0
         self.offered, self.withheld = set(), set()
         self.led.clear()
+        self.put_back.clear()
 
     def _forget(self) -> None:
         """Forget which paths were tried, but not those of cables that have not moved since.
@@ -120,19 +153,26 @@ class Retracer:
             return
         self._first_look = False
         for cable in self.scene.cables:
-            before, x = self._tried_at.get(cable.name), cable.positions
-            if (
-                before is None
-                or before.shape != x.shape
-                or np.abs(before - x).max() > STILL * cable.length
-            ):
+            if self._has_moved(cable):
                 self.refused.pop(cable.name, None)
-                self._passed.pop(cable.name, None)
+                self.left.pop(cable.name, None)
+
+    def _has_moved(self, cable: LaidCable) -> bool:
+        """Whether a cable is somewhere else than at the end of the last load step."""
+        before, x = self._tried_at.get(cable.name), cable.positions
+        if before is None or before.shape != x.shape:
+            return True
+        return bool(np.abs(before - x).max() > STILL * cable.length)
+
+    def has_rested(self, cable: LaidCable) -> bool:
+        """Whether a cable is as the last load step has found it."""
+        return self._L0.get(cable.name) == cable.L0 and not self._has_moved(cable)
 
     def end_step(self) -> None:
-        """Remember where the cables are."""
+        """Remember where the cables are, and how long."""
         for cable in self.scene.cables:
             self._tried_at[cable.name] = cable.positions.copy()
+        self._L0 = {cable.name: cable.L0 for cable in self.scene.cables}
 
     def straighten(self) -> bool:
         """Pull the paths of cables taut that have not been in equilibrium yet. Collective.
@@ -159,29 +199,31 @@ class Retracer:
             if not cable.sleeve:
                 drape(cable, shape)
             # Pulled straight it may turn out to be too long for its path: slack after all.
-            cable.taut = cable.is_tight(cable.ends_before is None)
-            cable.traced = cable.taut
+            cable.state.taut = cable.is_tight(nearly=True)
+            cable.state.traced = cable.taut
         return True
 
     def lay_again(self, numbers: Set[int]) -> None:
         """Forget where the fold points of some cables are, given by number, so that `straighten`
         puts them on straight edges."""
         for c in numbers:
-            self.scene.cables[c].traced = False
+            self.scene.cables[c].state.traced = False
 
     def renew_shadows(self) -> list[str]:
         """Bring the paths of lifted parts under their spans; say which changed. Collective."""
-        changes = []
-        for cable in self.scene.cables:
-            if not cable.taut or not cable.lifted.any():
-                continue
+        changes: list[str] = []
+        off = [cable for cable in self.scene.cables if cable.taut and cable.lifted.any()]
+        if not off:
+            return changes
+        surface = self.surface()
+        for cable in off:
             for rings in itertools.count(1):
-                surface = self.surface()
                 try:
                     found = with_shadows(cable, surface.shape)
                     break
                 except MissingStars as missing:
                     grow(self.scene, missing.vertices, rings)
+                    surface = self.surface()
             # A span that turns over its own touchdown keeps the shadow that it had.
             if found is not None and not flaw(corridor(found[0]), surface.thirds):
                 points, lifted = found
@@ -207,11 +249,7 @@ class Retracer:
             surface = self.surface(sorted(common))
             for vertex in common:
                 if surface.is_boundary((vertex,)):
-                    raise PathError(
-                        f"{cable.name!r} has slid off the membrane's edge at "
-                        f"{surface.shape.at(vertex)}; hold it there by a sleeve or an anchor, or "
-                        "load it less."
-                    )
+                    raise _slid_off(cable, surface.shape.at(vertex))
 
     def retrace(self, max_flips: int | None = None) -> int:
         """Pull the paths of all cables in tension taut on the current surface. Collective.
@@ -229,7 +267,9 @@ class Retracer:
         free = [
             cable
             for cable in self.scene.cables
-            if cable.taut and cable.slides_freely and (self._strings or not _is_crossed(cable))
+            if cable.taut
+            and cable.slides_freely
+            and self._misled < (MISLED_AT_CROSSINGS if _is_crossed(cable) else MISLED)
         ]
         return self._retrace(free, max_flips) if free else 0
 
@@ -237,78 +277,9 @@ class Retracer:
         """A copy of what has been tried."""
         return {name: set(ways) for name, ways in self.refused.items()}
 
-    def give_up_strings(self) -> None:
-        """Let strings no longer tell, in this load step, where cables go that others cross."""
-        self._strings = False
-
-    def near_vertices(self, near: float) -> list[tuple[int, int]]:
-        """Vertices near which cables pass, one for each cable: (cable, vertex), nearest first.
-
-        The string does not tell on which side of a vertex the energy is lower where the fold
-        points are pressed against it.
-
-        Parameters
-        ----------
-        near
-            Distance from the vertex, as a part of the edge, up to which a cable passes near it.
-
-        Returns
-        -------
-        Those that have not been tried before.
-        """
-        found: list[tuple[float, int, int]] = []
-        for c, cable in enumerate(self.scene.cables):
-            if cable.taut and cable.slides_freely:
-                close = _near(cable, max(near, PRESSED) if _is_crossed(cable) else near)
-                for vertex in self._passed.get(cable.name, ()):
-                    close.pop(vertex, None)
-                found += sorted((away, c, vertex) for vertex, away in close.items())[:1]
-        return [(c, vertex) for _, c, vertex in sorted(found)]
-
-    def pass_vertices(self, group: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-        """Lead cables around the other side of vertices. Collective.
-
-        Parameters
-        ----------
-        group
-            Of different cables: (cable, vertex).
-
-        Returns
-        -------
-        Those of the group that have another side. The others will not be tried again.
-        """
-        led = [one for one in group if self._pass_vertex(self.scene.cables[one[0]], one[1])]
-        self.note_passed([one for one in group if one not in led])
-        return led
-
-    def note_passed(self, group: Sequence[tuple[int, int]]) -> None:
-        """Do not try the other side of these vertices, (cable, vertex), again."""
-        for c, vertex in group:
-            self._passed.setdefault(self.scene.cables[c].name, set()).add(vertex)
-
-    def _pass_vertex(self, cable: LaidCable, vertex: int) -> bool:
-        surface = self.surface([vertex])
-        refused = self.refused.setdefault(cable.name, set())
-        points: list[SurfacePoint] = []
-        lifted: list[bool] = []
-        passed = False
-        path = list(cable.path.points)
-        around = {k for k, point in enumerate(path) if vertex in point.support}
-        for is_off, run in _runs(cable, touching=vertex):
-            new = path[run.start : run.stop]
-            # All edges of the vertex that the cable crosses must be in one part that touches.
-            if not is_off and len(run) > 2 and around and around.issubset(run):
-                refused.add(corridor(new))
-                other_side = pass_vertex(new, surface, vertex, refused=refused)
-                if other_side is not None:
-                    new, passed = list(other_side), True
-            points += new
-            lifted += [is_off] * len(new)
-        if not passed:
-            return False
-        grow(self.scene, [v for point in points for v in point.support])
-        self._adopt(cable, points, lifted, self.surface())
-        return True
+    def count_misled(self) -> None:
+        """Count that strings have told wrong where cables go; soon only forces do, in this step."""
+        self._misled += 1
 
     def _retrace(
         self,
@@ -352,7 +323,8 @@ class Retracer:
         held_at = None
         if _is_crossed(cable) and not fresh:
             visited = {p.vertex for p in path if isinstance(p, VertexPoint)}
-            held_at = visited | set(_near(cable, PRESSED)) - self._passed.get(cable.name, set())
+            left = {v for _, *vertices in self.left.get(cable.name, ()) for v in vertices}
+            held_at = visited | _near(cable, PRESSED) - left
         points: list[SurfacePoint] = []
         lifted: list[bool] = []
         passed = 0
@@ -375,6 +347,9 @@ class Retracer:
                     new = list(result.points[len(before) : len(result.points) - len(after)])
             points += new
             lifted += [is_off] * len(new)
+        n = self.scene.V.dofmap.index_map.size_global
+        if len(points) < 2 or any(max(point.support) >= n for point in points):
+            raise _slid_off(cable, cable.positions[cable.rim()[0]])
         return points, lifted, passed
 
     def _beyond(
@@ -386,21 +361,28 @@ class Retracer:
     ) -> tuple[list[SurfacePoint], list[SurfacePoint]]:
         """What a run of contacts is pulled between, before and after it."""
         before, after = path[: run[0]][-1:], path[run[-1] + 1 :][:1]
-        anchors = [VertexPoint(k) for k in self._anchors(cable)]
-        if not before and cable.ends[0] == "off" and surface.is_boundary(path[0].support):
-            before = anchors[:1]
-        if not after and cable.ends[1] == "off" and surface.is_boundary(path[-1].support):
-            after = anchors[-1:]
+        anchors, n = self._anchors(cable, surface), self.scene.V.dofmap.index_map.size_global
+        if not before and n in anchors and surface.is_boundary(path[0].support):
+            before = [VertexPoint(n)]
+        if not after and n + 1 in anchors and surface.is_boundary(path[-1].support):
+            after = [VertexPoint(n + 1)]
         return list(before), list(after)
 
-    def _anchors(self, cable: LaidCable) -> dict[int, Array]:
-        """Positions of a cable's anchors off the membrane, by ids that no vertex has."""
-        n = self.scene.V.dofmap.index_map.size_global
-        places = (cable.positions[0], cable.positions[-1])
-        return {n + k: places[k] for k in (0, 1) if cable.ends[k] == "off"}
+    def _anchors(self, cable: LaidCable, surface: FoldedSurface) -> dict[int, Array]:
+        """Positions of a cable's anchors off the membrane, by ids that no vertex has.
+
+        Not of one that a cable in a sleeve has left at a corner of the membrane, as at a mast that
+        has been moved: pulled straight to it the cable would leave the membrane.
+        """
+        n, path = self.scene.V.dofmap.index_map.size_global, cable.path.points
+        return {
+            n + k: cable.positions[-k]
+            for k in (0, 1)
+            if cable.ends[k] == "off" and not (cable.sleeve and _is_corner(path[-k], surface))
+        }
 
     def with_anchors(self, cable: LaidCable, surface: FoldedSurface) -> FoldedSurface:
-        anchors = self._anchors(cable)
+        anchors = self._anchors(cable, surface)
         if not anchors:
             return surface
         n, path = self.scene.V.dofmap.index_map.size_global, cable.path.points
@@ -420,7 +402,7 @@ class Retracer:
         }
         way = without_backtracking(points, surface.strip.outer_cells)
         self._adopt(cable, way, [point.support in off for point in way], surface, ends)
-        cable.traced = False
+        cable.state.traced = False
 
     def _adopt(
         self,
@@ -476,9 +458,29 @@ class Retracer:
         return EdgePoint(point.edge, min(max(point.fraction, least), 1 - least))
 
 
+def _slid_off(cable: LaidCable, place: Array) -> PathError:
+    """The error of a cable that no membrane is left for, with where it was last (length)."""
+    return PathError(
+        f"{cable.name!r} has slid off the membrane's edge at {place}; hold it there by a "
+        "sleeve or an anchor, or load it less."
+    )
+
+
 def _key(node: CableNode) -> object:
     """What a node is known by while a path changes: its edge if it slides, else its place."""
     return None if node.point is None else node.point.support if node.slides else node.point
+
+
+def _is_corner(point: SurfacePoint, surface: FoldedSurface) -> bool:
+    """Whether a point is a vertex at which the membrane's boundary turns by 60 degrees or more."""
+    if not isinstance(point, VertexPoint) or point.vertex not in surface.strip.complete:
+        return False
+    if not surface.is_boundary(point.support):
+        return False
+    around = surface.membrane_ring(point.vertex).neighbours
+    at = surface.shape.at(point.vertex)
+    a, b = (surface.shape.at(v) - at for v in (around[0], around[-1]))
+    return bool(a @ b > -0.5 * np.linalg.norm(a) * np.linalg.norm(b))
 
 
 def _is_crossed(cable: LaidCable) -> bool:
@@ -491,42 +493,26 @@ def _is_crossed(cable: LaidCable) -> bool:
     return any(node.crossing is not None for node in cable.nodes)
 
 
-def _runs(cable: LaidCable, touching: int | None = None) -> list[tuple[bool, range]]:
-    """The parts of a path that are lifted, and those that are not: indices of their points.
-
-    Where the cable lifts only from edges of the vertex `touching` it counts as touching.
-    """
-    path = cable.path.points
+def _runs(cable: LaidCable) -> list[tuple[bool, range]]:
+    """The parts of a path that are lifted, and those that are not: indices of their points."""
     off = [
         bool(lifted)
         for lifted, node in zip(cable.lifted, cable.nodes, strict=True)
         if node.point is not None and node.kind != "crossing"
     ]
-    runs = _alike(off)
-    if touching is None:
-        return runs
-    for is_off, run in runs:
-        if is_off and all(touching in path[k].support for k in run):
-            off[run.start : run.stop] = [False] * len(run)
-    return _alike(off)
+    starts = [k for k in range(len(off)) if k == 0 or off[k] != off[k - 1]]
+    return [(off[a], range(a, b)) for a, b in itertools.pairwise([*starts, len(off)])]
 
 
-def _alike(flags: Sequence[bool]) -> list[tuple[bool, range]]:
-    """Runs of equal flags, and their indices."""
-    starts = [k for k in range(len(flags)) if k == 0 or flags[k] != flags[k - 1]]
-    return [(flags[a], range(a, b)) for a, b in itertools.pairwise([*starts, len(flags)])]
-
-
-def _near(cable: LaidCable, near: float) -> dict[int, float]:
-    """Vertices near which a cable's points slide, and how near, as a part of the edge."""
-    found: dict[int, float] = {}
+def _near(cable: LaidCable, near: float) -> set[int]:
+    """Vertices near which a cable's points slide, within a part of the edge."""
+    found = set()
     for k in cable.contacts():
         point = cable.nodes[k].point
         if cable.nodes[k].slides and isinstance(point, EdgePoint):
             fraction = float(cable.fractions[k])
-            vertex, away = point.edge[int(fraction > 0.5)], min(fraction, 1 - fraction)
-            if away < near:
-                found[vertex] = min(away, found.get(vertex, 1.0))
+            if min(fraction, 1 - fraction) < near:
+                found.add(point.edge[int(fraction > 0.5)])
     return found
 
 

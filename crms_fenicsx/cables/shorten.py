@@ -19,7 +19,7 @@ import math
 import sys
 from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, field
-from itertools import groupby, pairwise
+from itertools import pairwise
 
 from crms_fenicsx import checks
 from crms_fenicsx.cables.corridor import (
@@ -152,57 +152,6 @@ def shorten(
             break
         flips.extend(done)
     return Shortened(state.points(), tuple(flips), state.length, before)
-
-
-def pass_vertex(
-    points: Sequence[SurfacePoint],
-    surface: Surface,
-    vertex: int,
-    *,
-    refused: Set[Corridor] = frozenset(),
-) -> tuple[SurfacePoint, ...] | None:
-    """Lead a path around the other side of a vertex, whether that is shorter or not.
-
-    Parameters
-    ----------
-    points, surface, refused
-        As for `shorten`.
-    vertex
-        A vertex whose edges the path crosses.
-
-    Returns
-    -------
-    The path, on new edges where a string between the points that it keeps would cross them; None if
-    no cable could follow it, or it is refused.
-
-    Raises
-    ------
-    MissingStars
-        The surface does not know all cells around the vertex.
-    """
-    found = other_side(corridor(points), surface, vertex)
-    if found is None or found.corridor in refused:
-        return None
-    kept = {point.support: point for point in points}
-    first, *_, last = tied(found.corridor, surface.thirds)
-    kept[points[0].support], kept[points[-1].support] = (
-        _in_cell(points[0], first), _in_cell(points[-1], last),
-    )  # fmt: skip
-    new: list[SurfacePoint] = []
-    lengths = _Lengths(surface)
-    for is_kept, group in groupby(found.corridor, key=kept.__contains__):
-        supports = list(group)
-        if is_kept:
-            new += [kept[support] for support in supports]
-            continue
-        edges = [(support[0], support[1]) for support in supports]
-        after = found.corridor[len(new) + len(edges)]
-        string = pull_taut(new[-1], edges, kept[after], lengths)
-        new += [
-            EdgePoint(edge, min(max(fraction, LEAST), MOST))
-            for edge, fraction in zip(edges, string.fractions, strict=True)
-        ]
-    return tuple(new)
 
 
 @dataclass(frozen=True)

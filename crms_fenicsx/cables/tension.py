@@ -29,6 +29,12 @@ class CableTension:
     EA, L0
         Stiffness (force) and unstressed length of each cable, (n_cables,). Changed in place
         between solves.
+
+    Attributes
+    ----------
+    excess : (n_cables,)
+        What smoothing adds to each cable's length (length), and is taken off it again; it is that
+        of the state before. Changed in place between solves.
     """
 
     name = "cables"
@@ -43,6 +49,7 @@ class CableTension:
     ) -> None:
         self.segments, self.eps, self.cable = segments, eps, cable
         self.EA, self.L0 = EA, L0
+        self.excess = np.zeros(len(EA))
         self.n_sums = len(EA)
         self._lengths = np.zeros(len(segments))
         self._forces = np.zeros(len(segments))
@@ -55,7 +62,7 @@ class CableTension:
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of each cable's length."""
         segment_lengths(self.unknowns.X, x, self.segments, self.eps, self._lengths)
-        out[:] = 0.0
+        out[:] = -self.excess if self.unknowns.comm.rank == 0 else 0.0
         np.add.at(out, self.cable, self._lengths)
 
     def tensions(self, lengths: Array) -> Array:

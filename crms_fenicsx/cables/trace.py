@@ -6,9 +6,11 @@ with one plane.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
+from types import MappingProxyType
 from typing import NoReturn
 
 import numpy as np
@@ -39,6 +41,7 @@ from crms_fenicsx.cables.triangles import (
     Bools,
     Floats,
     balls,
+    dot,
     flattened,
     longest_sides,
     norm,
@@ -58,6 +61,7 @@ def trace(
     route: ArrayLike,
     *,
     snap: float = 1e-3,
+    known: Mapping[int, SurfacePoint] = MappingProxyType({}),
 ) -> Path:
     """Return the path that a cable takes over the surface along a route.
 
@@ -81,24 +85,28 @@ def trace(
     snap
         Vertices nearer to a section than this part of the smallest altitude of the cells around
         them count as lying in it; route points as near to a vertex or an edge lie on it.
+    known
+        Places on the surface of points of a route in space, by their numbers; others are found.
 
     Returns
     -------
-    A valid path. Corners of the route that lie inside cells are cut off: the points where it
-    enters and leaves such a cell are linked, or cancel where it leaves as it came.
+    A valid path, which passes every point of the route on the surface, in order. Corners of the
+    route that lie inside cells are cut off: the points where it enters and leaves such a cell are
+    linked, or cancel where it leaves as it came; by no more than a cell's size.
 
     Raises
     ------
     PathError
         The input is no surface or no route, the route leaves the membrane or could only go around
-        its back, an anchor lies inside, or a leg has no section; the message names the place.
+        its back, an anchor lies inside, a leg has no section, or the route comes back through the
+        cells that it went out by; the message names the place.
     """
     surface = Surface.checked(vertices, points, cells)
     course = _checked_route(route, snap)
     if course.shape[1] == 2:
         places = [place_in_plan(surface, xy, i, snap) for i, xy in enumerate(vectors(course))]
     else:
-        places = places_in_space(surface, course, snap)
+        places = places_in_space(surface, course, snap, known)
     found: list[SurfacePoint] = []
     for i, (first, last) in enumerate(pairwise(places)):
         leg = _leg_points(surface, first, last, f"leg {i} of the route", snap)
@@ -118,6 +126,7 @@ def trace(
         end_anchor=places[-1].anchor,
     )
     path.links(surface.ids[surface.cells])
+    _refuse_shortcuts(surface, path, course, places)
     return path
 
 
@@ -191,6 +200,37 @@ def near_section(
                     plane = Plane.of(a, b, feet[i].normal, feet[i + 1].normal)
                     mask |= in_strip(plane, x, rows, snap * size)
     return mask
+
+
+def _refuse_shortcuts(surface: Surface, path: Path, course: Floats, places: list[Place]) -> None:
+    """Refuse a path that does not pass the route's places in order, within the size of their cells.
+
+    A route that comes back through the cells that it went out by cannot be held by their edges:
+    both ways cancel, which is right at a corner inside a cell, but not of a whole part of a route.
+    """
+    x = path.positions(surface.ids, surface.points)
+    start, side = x[:-1], np.diff(x, axis=0)
+    square = np.maximum(dot(side, side), 1e-300)
+    passed = 0.0  # segments of the path that lie behind, with the part of the last one
+    for i, place in enumerate(places):
+        if place.point is None:
+            continue
+        rows = [surface.row_of[vertex] for vertex in place.point.support]
+        around = np.isin(surface.cells, rows).sum(axis=1) == len(rows)
+        reach = float(longest_sides(surface.points[surface.cells[around]]).max())
+        middle = dot(place.position - start, side) / square
+        aside = norm(start + middle[:, None] * side - place.position)
+        half = np.sqrt(np.maximum(reach**2 - aside**2, 0.0) / square)
+        first = np.maximum(middle - half, np.maximum(passed - np.arange(len(side)), 0.0))
+        near = (aside <= reach) & (first <= np.minimum(middle + half, 1.0))
+        if not near.any():
+            raise PathError(
+                f"route point {i} at {as_text(course[i])} would be cut off, as the route comes "
+                "back through the cells that it went out by; lead it around a bend wider than a "
+                "cell, refine the mesh, or lay two cables"
+            )
+        k = int(np.argmax(near))
+        passed = k + float(first[k])
 
 
 def _checked_route(route: ArrayLike, snap: float) -> Floats:

@@ -7,6 +7,7 @@ out again from where its points are in space. See `crms_fenicsx.verification`.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.cables.cable import LaidCable
 from crms_fenicsx.cables.contact import INSIDE, is_foot, may_lift, outward_pulls
+from crms_fenicsx.cables.held import held_runs
 from crms_fenicsx.cables.network import Network
 from crms_fenicsx.cables.path import EdgePoint
 from crms_fenicsx.cables.strip import StripShape
@@ -40,6 +42,8 @@ LIMITS = {
     "pull at the ends": 1e-6,
     "pull on the membrane": 0.2,
     "depth below the membrane": 1e-3,
+    "held by a line of the mesh": 0.03,
+    "held by vertices": 0.05,
     "friction beyond its bound": 0.06,
     "friction along beyond its bound": 3e-3,
     "negative dissipation": 1e-12,
@@ -47,9 +51,17 @@ LIMITS = {
 """What is checked of each cable, and how far it may be from true: places relative to the scene or
 the edge, lengths to the unstressed length, tensions to the axial stiffness, other forces to the
 tension, or to the membrane's own nodal forces where those are larger. A cable pulls where it
-touched down on a point at which it was let go in the same step: there it stays."""
+touched down on a point at which it was let go in the same step: there it stays. What holds a cable
+sideways is relative to the force with which it presses there, or on the whole: it would be 0.1 on a
+line of the mesh half a cell beside its place."""
 
-CRUDE = {"pull on the membrane", "depth below the membrane", "friction beyond its bound"}
+IN_LINE = 3
+"""Vertices in a row from which on they are a line of the mesh."""
+
+CRUDE = {
+    "pull on the membrane", "depth below the membrane", "friction beyond its bound",
+    "held by vertices",
+}  # fmt: skip
 """Checks that depend on how coarse the mesh is: a state that fails them is doubtful."""
 
 
@@ -137,6 +149,7 @@ class CableVerifier:
                 values["pull at the ends"] = pulls[c]
                 if not cable.sleeve:
                     values |= _contacts(cable, nodes, network, shape, nodal)
+                values |= _held(cable, shape, nodal)
                 values |= _friction(cable, shape, nodal)
             elif cable.cable.law == "total":
                 short = np.linalg.norm(np.diff(cable.positions[cable.contacts()], axis=0), axis=1)
@@ -240,7 +253,7 @@ def _places(
 
 def _tensions(cable: LaidCable, parts: Array) -> dict[str, float]:
     """Tensions against the lengths of the cable's parts."""
-    EA, L0, length = cable.cable.EA, cable.L0, float(parts.sum())
+    EA, L0, length = cable.cable.EA, cable.L0, float(parts.sum()) - cable.excess
     spans: Array = np.zeros(0)
     of_part: Integers = np.zeros(0, dtype=np.int64)
     if cable.axial is not None and len(cable.axial.spans):
@@ -255,9 +268,9 @@ def _tensions(cable: LaidCable, parts: Array) -> dict[str, float]:
         return {"tension against length": abs(cable.tension - force) / EA}
     errors = [abs(cable.tension / EA - max(length / L0 - 1, 0.0)), abs(cable.length - length) / L0]
     if cable.axial is not None and len(spans):
-        unstressed = np.diff([0.0, *cable.axial.arcs, L0])
+        unstressed = np.diff([0.0, *cable.axial.arcs, L0 + cable.excess])
         # By elongations, as the strain of a short span is rounded.
-        told = unstressed * np.bincount(of_part, cable.tensions) / np.bincount(of_part) / EA
+        told = unstressed * np.bincount(of_part, cable.part_tensions) / np.bincount(of_part) / EA
         by_law = np.maximum(spans - unstressed, 0.0)
         errors.append(float(np.abs(told - by_law).max()) / L0)
     return {
@@ -296,6 +309,24 @@ def _contacts(
     return {"pull on the membrane": max(pull, 0.0), "depth below the membrane": depth}
 
 
+def _held(cable: LaidCable, shape: StripShape, nodal: float) -> dict[str, float]:
+    """The forces with which the mesh holds a cable sideways, to those with which the cable presses.
+
+    A cable that is at rest because it lies on vertices, or has run into them, is not where it would
+    be on another mesh. At single ones that depends on how coarse the mesh is.
+    """
+    values = {"held by a line of the mesh": 0.0, "held by vertices": 0.0}
+    runs = held_runs(cable, shape)
+    if runs:
+        ways = np.diff(cable.positions[cable.contacts()], axis=0)
+        ways *= (cable.part_tensions / np.maximum(norm(ways), 1e-300))[:, None]
+        press = float(norm(np.diff(ways, axis=0)).sum())
+        values["held by vertices"] = sum(run.excess for run in runs) / max(press, nodal)
+        lines = [run.excess / max(run.press, nodal) for run in runs if len(run.vertices) >= IN_LINE]
+        values["held by a line of the mesh"] = max(lines, default=0.0)
+    return values
+
+
 def _friction(cable: LaidCable, shape: StripShape, nodal: float) -> dict[str, float]:
     """Friction forces, as the cable's way in space says, against contact forces; and heat."""
     values: dict[str, float] = {}
@@ -324,7 +355,7 @@ def _friction(cable: LaidCable, shape: StripShape, nodal: float) -> dict[str, fl
     if cable.axial is not None and len(cable.axial.spans):
         from crms_fenicsx.cables.axial import gripped_nodes
 
-        nodes, tensions = gripped_nodes(cable), cable.tensions
+        nodes, tensions = gripped_nodes(cable), cable.part_tensions
         at = np.searchsorted(cable.contacts(), nodes)
         before, after = tensions[at - 1], tensions[at]
         angles = cable.cable.along * wrap_angles(cable, shape)[nodes]
@@ -337,7 +368,7 @@ def _friction(cable: LaidCable, shape: StripShape, nodal: float) -> dict[str, fl
     return values
 
 
-def _crossings(cables: list[LaidCable]) -> list[list[tuple[LaidCable, int]]]:
+def _crossings(cables: Sequence[LaidCable]) -> list[list[tuple[LaidCable, int]]]:
     """The two nodes of each crossing at which the cables touch each other."""
     nodes: dict[int, list[tuple[LaidCable, int]]] = {}
     for cable in cables:

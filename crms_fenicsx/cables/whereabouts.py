@@ -128,8 +128,10 @@ class Whereabouts:
             if cable.taut:
                 cable.fractions[slides] = part[slides, 3]
             close = (cable.fractions < BLOCKED) | (cable.fractions > 1 - BLOCKED)
-            cable.blocked = tuple(int(k) for k in np.flatnonzero(slides & close) if cable.taut)
-            cable.material = part[:, 4:].copy()
+            cable.state.blocked = tuple(
+                int(k) for k in np.flatnonzero(slides & close) if cable.taut
+            )
+            cable.state.material = part[:, 4:].copy()
 
     def _set_material(self, total: Array) -> None:
         """Find the nodes' places on the stress-free membrane; none where a cable is off it.

@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from crms_fenicsx.cables.cable import Cable, CableNode, Crossing, LaidCable, StepStart
+from crms_fenicsx.cables.cable import (
+    Cable,
+    CableNode,
+    CableState,
+    Crossing,
+    LaidCable,
+    StepStart,
+)
 from crms_fenicsx.cables.friction import Friction
 from crms_fenicsx.cables.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
 from crms_fenicsx.checkpoint.plain import Plain, floats, integers, listed
@@ -74,6 +81,7 @@ def plain_cable(cable: LaidCable, crossings: Sequence[Crossing]) -> Plain:
         "blocked": list(cable.blocked),
         "grip": None if cable.grip is None else _plain_grip(cable.grip),
         "axial": None if cable.axial is None else _plain_grip(cable.axial),
+        "excess": cable.excess,
     }
 
 
@@ -90,9 +98,7 @@ def cable_of(data: Plain, crossings: Sequence[Crossing]) -> LaidCable:
     lifted = np.array(data["lifted"])
     if lifted.shape != (n,) or lifted.dtype != bool:
         raise ValueError(f"lifted: {data['lifted']!r} for {n} nodes")
-    cable = LaidCable(
-        name=str(data["name"]),
-        cable=_data(data["cable"]),
+    state = CableState(
         nodes=nodes,
         positions=floats(data["positions"], n, 3),
         fractions=floats(data["fractions"], n),
@@ -102,16 +108,17 @@ def cable_of(data: Plain, crossings: Sequence[Crossing]) -> LaidCable:
         tension=float(data["tension"]),
         step_start=None if start is None else StepStart(**{k: float(v) for k, v in start.items()}),
         taut=bool(data["taut"]),
-        sleeve=bool(data["sleeve"]),
-        level=int(data["level"]),
         traced=bool(data["traced"]),
         ends_before=None if data["ends_before"] is None else floats(data["ends_before"], 2, 3),
         blocked=integers(data["blocked"]),
         grip=None if data["grip"] is None else _grip(data["grip"]),
         axial=None if data["axial"] is None else _axial(data["axial"]),
+        excess=float(data["excess"]),
     )
-    cable.material[:] = floats(data["material"], n, 3)
-    return cable
+    state.material[:] = floats(data["material"], n, 3)
+    return LaidCable(
+        str(data["name"]), _data(data["cable"]), state, bool(data["sleeve"]), int(data["level"])
+    )
 
 
 def plain_data(cable: Cable) -> Plain:

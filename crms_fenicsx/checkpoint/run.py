@@ -12,7 +12,7 @@ from crms_fenicsx.solver import Step
 from crms_fenicsx.system import StepHistory
 
 if TYPE_CHECKING:
-    from crms_fenicsx.cables.retrace import Tried
+    from crms_fenicsx.cables.retrace import ContactKey, Tried
 
 
 @dataclass(frozen=True)
@@ -55,8 +55,11 @@ def plain_run(run: Run) -> Plain:
         if tried is None
         else {
             "refused": {name: sorted(paths) for name, paths in tried.refused.items()},
-            "passed": {name: sorted(vertices) for name, vertices in tried.passed.items()},
+            "left": {name: sorted(runs) for name, runs in tried.left.items()},
             "at": {name: listed(places) for name, places in tried.at.items()},
+            "L0": tried.L0,
+            "released": sorted(tried.released, key=str),
+            "settled": sorted(tried.settled, key=str),
         },
     }
 
@@ -86,6 +89,13 @@ def _tried(data: Plain) -> Tried:
             name: {tuple(integers(support) for support in path) for path in paths}
             for name, paths in data["refused"].items()
         },
-        {name: set(integers(vertices)) for name, vertices in data["passed"].items()},
+        {name: {integers(run) for run in runs} for name, runs in data["left"].items()},
         {name: floats(places, -1, 3) for name, places in data["at"].items()},
+        {name: float(L0) for name, L0 in data["L0"].items()},
+        *({_contact(key) for key in data[which]} for which in ("released", "settled")),
     )
+
+
+def _contact(key: Plain) -> ContactKey:
+    name, place = key
+    return (str(name), place) if isinstance(place, str) else (str(name), integers(place))

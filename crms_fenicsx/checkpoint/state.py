@@ -24,14 +24,14 @@ from crms_fenicsx.checks import LONGEST
 from crms_fenicsx.errors import InputError, raised_together
 from crms_fenicsx.output.files import explained, read_text, readable
 from crms_fenicsx.output.npy import read_rows, write_rows
-from crms_fenicsx.scene import Scene
+from crms_fenicsx.scene import Cables, Scene
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.cable import Crossing, LaidCable
     from crms_fenicsx.cables.strip import Strip
 
 STATE, CELLS = "state.json", "cells.npy"
-FORMAT = "crms_fenicsx checkpoint 2"
+FORMAT = "crms_fenicsx checkpoint 3"
 """What a checkpoint says it is; the number grows when its content changes."""
 
 
@@ -151,6 +151,8 @@ def give(saved: Saved, scene: Scene) -> Run:
         due, shape = digests.get("cells", ""), (total, 6)
         run = run.with_cells(read_rows(place / CELLS, comm, ids, np.float64, shape, due))
     _give(scene, fields, rest, saved.file)
+    scene.step_history = run.step_history
+    scene.commits += 1
     return run
 
 
@@ -161,6 +163,8 @@ class _Rest:
     pressure: float
     load: float
     floor: float | None
+    laid: int
+    dissipated: float
     energies: dict[str, float]
     intensity: float | None
     cables: list[LaidCable]
@@ -173,6 +177,8 @@ def _plain_rest(scene: Scene) -> Plain:
         "pressure": float(scene.pressure),
         "load": float(scene.load),
         "floor": scene.floor_level,
+        "laid": scene._laid,
+        "dissipated": float(scene._dissipated),
         "energies": {name: float(value) for name, value in scene.energies.items()},
         "intensity": None if scene.dead_forces is None else scene.dead_forces.intensity,
         "strip": [],
@@ -196,12 +202,17 @@ def _rest_of(data: Plain) -> _Rest:
         crossings = [crossing_of(one) for one in data["crossings"]]
         cables = [cable_of(one, crossings) for one in data["cables"]]
     floor, intensity = data["floor"], data["intensity"]
+    (laid,) = integers([data["laid"]])
+    if laid < len(cables):
+        raise ValueError(f"{laid} cables that have been laid, but {len(cables)} that are there")
     if intensity is not None and not intensity >= 0:
         raise ValueError(f"a dead load of the intensity {intensity}")
     return _Rest(
         float(data["pressure"]),
         float(data["load"]),
         None if floor is None else float(floor),
+        laid,
+        float(data["dissipated"]),
         {str(name): float(value) for name, value in data["energies"].items()},
         None if intensity is None else float(intensity),
         cables,
@@ -242,16 +253,17 @@ def _give(scene: Scene, fields: Fields, rest: _Rest, file: Path) -> None:
         scene.strip = strip
     scene.u.x.array[:] = fields.u.ravel()
     scene.held[:] = fields.held
-    scene.floor_level, scene.pressure, scene.load = rest.floor, rest.pressure, rest.load
-    scene.energies = rest.energies
-    scene.dead_forces = None
+    scene._floor_level, scene._pressure, scene._load = rest.floor, rest.pressure, rest.load
+    scene._laid, scene._dissipated, scene.energies = rest.laid, rest.dissipated, rest.energies
+    scene._dead_forces = None
     if fields.dead_forces is not None and rest.intensity is not None:
         from crms_fenicsx.dead_load import DeadForces
 
-        scene.dead_forces = DeadForces(fields.dead_forces, rest.intensity)
+        scene._dead_forces = DeadForces(fields.dead_forces, rest.intensity)
     for own, cable in zip(scene.cables, rest.cables, strict=False):
-        vars(own).update(vars(cable) | {"cable": own.cable})
-    scene.cables, scene.crossings = scene.cables or rest.cables, rest.crossings
+        own.state = cable.state
+    scene._cables = scene.cables or Cables.of(scene, rest.cables)
+    scene.crossings = rest.crossings
     scene.changes += 1
 
 

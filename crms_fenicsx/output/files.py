@@ -9,7 +9,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from crms_fenicsx.errors import InputError
+from mpi4py import MPI
+
+from crms_fenicsx.errors import InputError, raised_together
 
 PARTIAL = ".partial-"
 """Prefix of a file that is still being written; it keeps the suffix, which says the format."""
@@ -18,6 +20,16 @@ PARTIAL = ".partial-"
 def partial_of(path: Path) -> Path:
     """Where a file or folder is written before it takes the place of `path`."""
     return path.with_name(PARTIAL + path.name)
+
+
+def absolute(path: str | Path, comm: MPI.Intracomm) -> Path:
+    """The path from the root, that of rank 0: where it leads now, and wherever the run goes later.
+
+    Collective.
+    """
+    with raised_together(comm), explained(Path(path)):
+        path = Path(path).absolute()
+    return Path(comm.bcast(path))
 
 
 @contextmanager
@@ -32,10 +44,13 @@ def explained(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InputError(
-            f"{path} cannot be written ({error.strerror or error}): free some space or give "
-            "another folder"
-        ) from error
+        remedy = (
+            "something has taken its folder away; put it back or give another folder"
+            if error.errno == errno.ENOENT
+            else "free some space or give another folder"
+        )
+        why = error.strerror or error
+        raise InputError(f"{path} cannot be written ({why}): {remedy}") from error
 
 
 @contextmanager
@@ -143,7 +158,7 @@ def make_writable(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         trial.touch()
-        trial.unlink()
+        trial.unlink(missing_ok=True)  # another process may have tried at the same time
     except OSError as error:
         raise InputError(
             f"the folder {folder} cannot be written ({error.strerror or error}): "

@@ -13,7 +13,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from crms_fenicsx.errors import InputError, raised_together
-from crms_fenicsx.output.files import make_writable, read_text, readable, replaced
+from crms_fenicsx.output.files import absolute, make_writable, read_text, readable, replaced
 
 Value = int | float | str
 
@@ -38,7 +38,7 @@ class History:
     """
 
     def __init__(self, path: str | Path | None, comm: MPI.Intracomm) -> None:
-        self.path = None if path is None else Path(path)
+        self.path = None if path is None else absolute(path, comm)
         self.comm = comm
         self._columns: list[str] = []
         self._rows: list[dict[str, Value]] = []

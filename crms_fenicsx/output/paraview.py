@@ -14,7 +14,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from crms_fenicsx.errors import InputError, raised_together
-from crms_fenicsx.output.files import PARTIAL, make_writable, read_text, replaced
+from crms_fenicsx.output.files import PARTIAL, absolute, make_writable, read_text, replaced
 from crms_fenicsx.output.shapes import Line, Surface
 from crms_fenicsx.output.vtu import write_vtu
 
@@ -48,7 +48,7 @@ class Series:
     """
 
     def __init__(self, folder: str | Path, comm: MPI.Intracomm) -> None:
-        self.folder = Path(folder)
+        self.folder = absolute(folder, comm)
         self.comm = comm
         self.times: list[float] = []
         self._entries: dict[str, list[str]] = {"surface": [], "cables": []}
@@ -70,7 +70,8 @@ class Series:
             in the file once.
         lines : sequence of Line
             All lines, on rank 0; those of other ranks are not looked at. Their data become
-            arrays with NaN where a line has none; the array "line" counts the lines from 0.
+            arrays with NaN where a line has none; the array "line" counts the lines from 0. Where
+            there are none any more the step has an empty file.
 
         Raises
         ------
@@ -102,11 +103,13 @@ class Series:
             {name: np.asarray(values) for name, values in surface.cell_data.items()},
         )
         with raised_together(self.comm):
-            if lines:
-                write_vtu(steps / f"cables_{step:06d}.vtu", MPI.COMM_SELF, *_joined(lines))
             if self.comm.rank == 0:
+                # without a file for no lines the last ones would stay in the picture
+                some = lines or self._entries["cables"]
+                if some:
+                    write_vtu(steps / f"cables_{step:06d}.vtu", MPI.COMM_SELF, *_joined(lines))
                 self._list("surface", time, f"surface_{step:06d}.vtu")
-                if lines:
+                if some:
                     self._list("cables", time, f"cables_{step:06d}.vtu")
         self.times.append(float(time))
 
@@ -211,7 +214,7 @@ Joined = tuple[
 
 def _joined(lines: Sequence[Line]) -> Joined:
     """Return the lines as one mesh of two-point segments."""
-    counts = np.array([len(line.points) for line in lines])  # type: ignore[arg-type]
+    counts = np.array([len(line.points) for line in lines], dtype=np.int64)  # type: ignore[arg-type]
     starts = np.concatenate([[0], np.cumsum(counts)])
     last = np.zeros(starts[-1], dtype=bool)
     last[starts[1:] - 1] = True
@@ -228,5 +231,5 @@ def _joined(lines: Sequence[Line]) -> Joined:
                 name, np.full(starts[-1] if per_point else len(first), np.nan)
             )
             whole[start : start + counts[index] - (not per_point)] = array
-    points: NDArray[np.float64] = np.concatenate([line.points for line in lines])
+    points: NDArray[np.float64] = np.concatenate([np.empty((0, 3)), *(a.points for a in lines)])
     return points, np.column_stack([first, first + 1]), on_points, on_segments

@@ -11,13 +11,13 @@ import numpy.typing as npt
 
 from crms_fenicsx.errors import InputError, raised_together
 from crms_fenicsx.output.history import History, Value
+from crms_fenicsx.output.lock import FolderLock
 from crms_fenicsx.output.shapes import Line, Surface
 from crms_fenicsx.results import gained_volume, membrane_results
 from crms_fenicsx.shape import current_surface
 from crms_fenicsx.unknowns import vertex_starts
 
 if TYPE_CHECKING:
-    from crms_fenicsx.cables.cable import LaidCable
     from crms_fenicsx.output.paraview import Series
     from crms_fenicsx.scene import Scene
     from crms_fenicsx.solver import Step
@@ -57,11 +57,29 @@ class Recorder:
     def __init__(self, scene: Scene, folder: str | Path | None) -> None:
         self.scene = scene
         self.series: Series | None = None
+        self._lock: FolderLock | None = None
         self.history = History(None if folder is None else Path(folder) / "history.csv", scene.comm)
         if folder is not None:
             from crms_fenicsx.output.paraview import Series
 
             self.series = Series(folder, scene.comm)
+            self._lock = FolderLock(self.series.folder, scene.comm)
+
+    def claim(self, going_on: bool = False) -> None:
+        """Keep the folder for this recorder, until it is gone or its process ends. Collective.
+
+        Parameters
+        ----------
+        going_on
+            Whether it goes on with a run that was there, whose processes may still be ending.
+
+        Raises
+        ------
+        InputError
+            On all ranks: another recorder has it, or it cannot be written.
+        """
+        if self._lock is not None:
+            self._lock.take(going_on)
 
     def write(self, step: Step, system: System) -> None:
         """Record a step that the scene has just reached. Collective.
@@ -109,7 +127,8 @@ class Recorder:
             row["load"] = scene.load
         row["energy"] = step.energy
         row |= {f"energy {name}": value for name, value in step.energies.items()}
-        if any(cable.grip is not None or cable.axial is not None for cable in scene.cables):
+        held = any(cable.grip is not None or cable.axial is not None for cable in scene.cables)
+        if held or "dissipated" in self.history.columns:
             row["dissipated"] = scene.dissipated
             row["passes"] = outcome.passes
         if scene.pressure != 0.0 or "volume" in self.history.columns:
@@ -121,7 +140,7 @@ class Recorder:
                 row[f"tension {cable.name} end"] = float(cable.tensions[-1])
             row[f"length {cable.name}"] = cable.length
             row[f"L0 {cable.name}"] = cable.L0
-        if scene.cables:
+        if scene.cables or "blocked points" in self.history.columns:
             row["blocked points"] = sum(len(cable.blocked) for cable in scene.cables)
         row["iterations"] = outcome.iterations
         row["evaluations"] = outcome.evaluations
@@ -189,9 +208,9 @@ def _homes(scene: Scene, points: int) -> npt.NDArray[np.int64]:
 def cable_lines(scene: Scene) -> list[Line]:
     """The scene's cables as lines, the same on all ranks. Collective.
 
-    They know their tension, of each segment where friction along the cable makes it vary, which of
-    their points are lifted off the membrane, and how hard they press on it: "contact force", per
-    length of cable, zero where they do not touch it.
+    They know their tension, of each segment where friction along the cable makes it vary, which
+    segments are "lifted" off the membrane, and how hard they press on it at their points: "contact
+    force", per length of cable, zero where they do not touch it.
     """
     if not scene.cables:
         return []
@@ -201,20 +220,15 @@ def cable_lines(scene: Scene) -> list[Line]:
     shape = StripShape.of(scene)
     return [
         Line(
-            np.array(cable.positions),
+            cable.line,
             {
-                "tension": _tension_of(cable),
-                "lifted": cable.lifted.astype(np.float64),
-                "contact force": np.nan_to_num(contact_forces(cable, shape).line),
+                "tension": cable.tension if cable.axial is None else cable.tensions,
+                "lifted": cable.free_spans,
+                "contact force": np.nan_to_num(
+                    contact_forces(cable, shape).line[cable.line_nodes()]
+                ),
             },
             cable.name,
         )
         for cable in scene.cables
     ]
-
-
-def _tension_of(cable: LaidCable) -> float | npt.NDArray[np.float64]:
-    """One tension, or that of each segment."""
-    if cable.axial is None:
-        return cable.tension
-    return cable.tensions[np.cumsum(~cable.lifted)[:-1] - 1]

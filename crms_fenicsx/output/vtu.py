@@ -111,7 +111,7 @@ def write_vtu(
     }
     own |= {("PointData", name): _plain(values) for name, values in point_data.items()}
     own |= {("CellData", name): _plain(values) for name, values in cell_data.items()}
-    if not len(points) + len(cells):
+    if not len(points) + len(cells) and n_points + n_cells:
         own = {}
     columns = _agreed([_column(*key, values) for key, values in own.items()], comm)
 

@@ -1,0 +1,65 @@
+"""Routes that follow cables that are there already: their points lie in folds, not on the cells."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from crms_fenicsx.cables.cable import COINCIDENT
+from crms_fenicsx.cables.path import SurfacePoint
+from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.triangles import norm, vectors
+
+if TYPE_CHECKING:
+    from crms_fenicsx.scene import Scene
+
+Array = npt.NDArray[np.float64]
+
+
+def unfolded(scene: Scene, route: Array) -> tuple[Array, dict[int, SurfacePoint], list[Array]]:
+    """Bring a route in space from the points of other cables to the unfolded cells. Collective.
+
+    Parameters
+    ----------
+    scene
+        The scene, in its current shape.
+    route
+        Points in plan, (k, 2), or in space, (k, 3).
+
+    Returns
+    -------
+    route : (m, 3)
+        Without points at which a cable crosses another one inside a cell, which no path has; those
+        at the other points of cables are moved to their places on the unfolded cells.
+    known
+        These places, by their rows in the route.
+    folds
+        Where these points are in the folds, in the order of `known`.
+    """
+    if route.shape[1] == 2 or scene.strip is None:
+        return route, {}, []
+    shape = StripShape.of(scene)
+    contacts = [
+        (cable, k)
+        for cable in scene.cables
+        for k in cable.contacts()
+        if cable.nodes[k].point is not None
+    ]
+    x = np.array([cable.positions[k] for cable, k in contacts]).reshape(-1, 3)
+    rows: list[Array] = []
+    known: dict[int, SurfacePoint] = {}
+    folds: list[Array] = []
+    for target in vectors(route):
+        at = np.flatnonzero(norm(x - target) <= COINCIDENT * scene.size)
+        if len(at):
+            cable, k = contacts[at[0]]
+            if cable.nodes[k].kind == "crossing":
+                continue
+            known[len(rows)] = cable.point(k)
+            folds.append(x[at[0]])
+            ids, weights = cable.masters(k)
+            target = np.dot(weights, [shape.at(v) for v in ids])
+        rows.append(target)
+    return np.array(rows), known, folds

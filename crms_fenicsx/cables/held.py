@@ -1,0 +1,268 @@
+"""Vertices of the mesh that hold a cable sideways.
+
+A fold point slides along its edge until the cable's force is square to it. On a vertex that the
+path visits there is no such point, and nearer to a vertex than the smoothing of short lengths
+reaches a fold point does not slide freely. What the cable pulls there sideways, along the surface
+and square to itself, is carried by the mesh. Friction may carry a part of it, and in an equilibrium
+of cable and membrane it carries all: a cable that slides freely is not held anywhere.
+
+A cable along a line of the mesh presses a valley into it, which one vertex alone does not leave, as
+the others hold the valley where it is. So vertices in a row make a run, which is left as a whole.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from crms_fenicsx.cables.cable import CableNode, LaidCable
+from crms_fenicsx.cables.contact_force import forces_at
+from crms_fenicsx.cables.corridor import Support
+from crms_fenicsx.cables.intrinsic import edge_of
+from crms_fenicsx.cables.length import SMOOTHING
+from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.triangles import norm
+
+Array = npt.NDArray[np.float64]
+
+NEAR = 0.025
+"""Part of an edge: a point as near as this to a vertex, to which friction lets it slide, has run
+into it."""
+PRESSED = 2 * SMOOTHING
+"""The same without friction: beyond it lengths are exact, and it slides freely."""
+SLACK, TINY = 0.05, 1e-5
+"""By how much a pull must exceed the friction force, relative to it and to the tension."""
+UNEVEN = 0.02
+"""Part of the normal force that a run without friction may be pulled sideways with: cells that are
+not alike on its two sides make such forces, which vanish with the cells' size, and edges that the
+penalty keeps straight hold fold points a little."""
+ROUNDING = 1e-9
+"""Part of a string's largest displacement that is none."""
+APART = 2
+"""Vertices of which the nodes are as many places of the path apart, or fewer, are in a row."""
+
+
+@dataclass(frozen=True)
+class HeldVertex:
+    """A vertex that a cable visits or has run into.
+
+    Attributes
+    ----------
+    vertex
+        Its id.
+    nodes
+        The cable's nodes there, in order.
+    pull
+        The cable's force sideways, positive to its left seen from outside, that friction does not
+        carry (force).
+    press
+        The cable's force on the membrane there (force).
+    allowed
+        Size up to which the pull is none (force).
+    """
+
+    vertex: int
+    nodes: tuple[int, ...]
+    pull: float
+    press: float
+    allowed: float
+
+    @property
+    def excess(self) -> float:
+        """Part of the pull that is more than what is none (force); negative where it is none."""
+        return abs(self.pull) - self.allowed
+
+
+@dataclass(frozen=True)
+class Run:
+    """Vertices in a row that a cable is to pass on one side.
+
+    Attributes
+    ----------
+    vertices
+        Ids, in the order of the path.
+    to_left
+        Whether it leaves them to its left, seen from outside.
+    excess
+        Force with which they hold it together (force).
+    press
+        The cable's force on the membrane there (force).
+    """
+
+    vertices: tuple[int, ...]
+    to_left: bool
+    excess: float
+    press: float
+
+    @classmethod
+    def of(cls, part: Sequence[HeldVertex]) -> Run:
+        """The run of some vertices in a row."""
+        pull = sum(one.pull for one in part)
+        excess = abs(pull) - sum(one.allowed for one in part)
+        vertices = tuple(one.vertex for one in part)
+        return cls(vertices, pull > 0.0, excess, sum(one.press for one in part))
+
+
+def held_vertices(cable: LaidCable, shape: StripShape) -> list[HeldVertex]:
+    """The vertices that a cable in tension visits or has run into.
+
+    All nodes on edges at a vertex count as one where friction holds them: only their sum means
+    anything. Some of them may have lifted off where the cable bends inward against the vertex.
+
+    Parameters
+    ----------
+    cable
+        A cable in tension.
+    shape
+        Positions of the vertices around.
+
+    Returns
+    -------
+    In the order of the path.
+    """
+    near = _near(cable, shape)
+    if not near:
+        return []
+    at = _at(cable) if cable.grip is not None else near
+    at = {vertex: nodes for vertex, nodes in at.items() if vertex in near}
+    nodes = sorted({k for some in at.values() for k in some if not cable.lifted[k]})
+    press, pull = (dict(zip(nodes, f, strict=True)) for f in forces_at(cable, nodes, shape))
+    bound: dict[int, float] = {}
+    if cable.grip is not None:
+        from crms_fenicsx.cables.grip import friction_forces
+
+        carried = friction_forces(cable, shape)
+        for k in nodes:
+            row = cable.grip.row_of.get(cable.nodes[k].support)
+            if row is not None:
+                pull[k] -= carried[row]
+                bound[k] = float(cable.grip.bounds[row])
+    found = []
+    for vertex, some in at.items():
+        force, down, most = (float(sum(f.get(k, 0.0) for k in some)) for f in (pull, press, bound))
+        allowed = TINY * cable.tension + (
+            UNEVEN * abs(down) if cable.grip is None else SLACK * most
+        )
+        found.append(HeldVertex(vertex, tuple(some), force, down, allowed))
+    return sorted(found, key=lambda held: (held.nodes[0], held.nodes[-1], held.vertex))
+
+
+def held_runs(cable: LaidCable, shape: StripShape) -> list[Run]:
+    """The runs of vertices that hold a cable, and the sides to which it leaves them.
+
+    Without friction the sides are those to which a string between the ends of the run would be
+    moved by the forces: next to its ends a run may be pulled the other way, by the cable's turn
+    there. With friction they are those to which each vertex is pulled.
+
+    Parameters
+    ----------
+    cable
+        A cable in tension.
+    shape
+        Positions of the vertices around.
+
+    Returns
+    -------
+    In the order of the path; vertices next to each other that are left to different sides are in
+    different runs.
+    """
+    held = held_vertices(cable, shape)
+    if cable.grip is not None:  # it sticks to the others
+        held = [one for one in held if one.excess > 0.0]
+    runs = [Run.of(part) for row in _rows(held, cable) for part in _parts(row, cable)]
+    return [run for run in runs if run.excess > 0.0]
+
+
+def _parts(row: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]]:
+    """The parts of a row that are left to one side and to the other."""
+    contacts = cable.contacts()
+    arc = np.concatenate([[0.0], np.cumsum(norm(np.diff(cable.positions[contacts], axis=0)))])
+    at = np.searchsorted(contacts, [one.nodes[0] for one in row])
+    ends = max(int(at[0]) - 1, 0), min(int(at[-1]) + 1, len(arc) - 1)
+    places = np.concatenate([arc[[ends[0]]], arc[at], arc[[ends[1]]]])
+    moved = np.array([one.pull for one in row])
+    if cable.grip is None:
+        moved = _string(places, moved)
+        moved[np.abs(moved) < ROUNDING * np.abs(moved).max()] = 0.0  # the string's own ends
+    starts = [0, *np.flatnonzero(moved[1:] * moved[:-1] <= 0.0) + 1, len(row)]
+    return [list(row[a:b]) for a, b in pairwise(starts)]
+
+
+def _string(places: Array, forces: Array) -> Array:
+    """Displacements, but for a factor, of a string held at its ends by forces in between, (n,).
+
+    Parameters
+    ----------
+    places : (n + 2,)
+        Arc lengths of the one end, of the forces and of the other end (length).
+    forces : (n,)
+        Forces square to it (force).
+    """
+    shear = np.concatenate([[0.0], -np.cumsum(forces)])
+    moved = np.concatenate([[0.0], np.cumsum(shear * np.diff(places))])
+    straight = moved[-1] * (places - places[0]) / max(places[-1] - places[0], 1e-300)
+    return np.asarray((moved - straight)[1:-1])
+
+
+def _rows(held: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]]:
+    """Vertices in a row."""
+    at = {k: i for i, k in enumerate(cable.rim())}
+    rows: list[list[HeldVertex]] = []
+    for one in held:
+        if rows and at[one.nodes[0]] - at[rows[-1][-1].nodes[-1]] <= APART:
+            rows[-1].append(one)
+        else:
+            rows.append([one])
+    return rows
+
+
+def _near(cable: LaidCable, shape: StripShape) -> dict[int, list[int]]:
+    """Vertices that a cable's nodes are on, or so near that they may have run into them.
+
+    Along the membrane's boundary it is a part of that, which it can only slide off.
+    """
+    near = PRESSED if cable.grip is None else NEAR
+    nodes, lifted = cable.nodes, cable.lifted
+    fractions = [float(f) for f in cable.fractions]
+    found: dict[int, list[int]] = defaultdict(list)
+    for k, support in _between_ends(cable):
+        if nodes[k].kind == "vertex":
+            if not lifted[k] and not _follows_boundary(nodes, k, shape):
+                found[support[0]].append(k)
+        elif nodes[k].slides and not near <= fractions[k] <= 1 - near:  # or beyond the edge's end
+            found[support[int(fractions[k] > 0.5)]].append(k)
+    return dict(found)
+
+
+def _at(cable: LaidCable) -> dict[int, list[int]]:
+    """All nodes on edges at each vertex."""
+    found: dict[int, list[int]] = defaultdict(list)
+    for k, support in _between_ends(cable):
+        if cable.nodes[k].kind == "vertex" or cable.nodes[k].slides:
+            for vertex in support:
+                found[vertex].append(k)
+    return dict(found)
+
+
+def _between_ends(cable: LaidCable) -> Iterator[tuple[int, Support]]:
+    """Nodes on the mesh between the cable's ends, and their places."""
+    nodes = cable.nodes
+    for k in cable.rim():
+        if 0 < k < len(nodes) - 1:
+            yield k, nodes[k].support
+
+
+def _follows_boundary(nodes: Sequence[CableNode], k: int, shape: StripShape) -> bool:
+    """Whether a cable runs along the membrane's boundary at a vertex that it visits."""
+    (vertex,) = nodes[k].support
+    around = shape.strip.outer_around
+    for beside in nodes[k - 1], nodes[k + 1]:
+        if beside.kind == "vertex" and (other := beside.support[0]) != vertex:
+            if len(around.get(edge_of(vertex, other), ())) == 1:
+                return True
+    return False

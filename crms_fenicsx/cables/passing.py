@@ -1,0 +1,178 @@
+"""A cable's way past vertices of the mesh: around them on the side where it did not go.
+
+The path crosses the edges on that side, at first next to the vertices, where a string between the
+points that stay crosses them.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from crms_fenicsx.cables.cable import CableNode, LaidCable
+from crms_fenicsx.cables.corridor import Corridor, corridor, flaw
+from crms_fenicsx.cables.folded_surface import FoldedSurface
+from crms_fenicsx.cables.held import Run
+from crms_fenicsx.cables.intrinsic import Edge, MissingStars
+from crms_fenicsx.cables.path import EdgePoint
+from crms_fenicsx.cables.shorten import other_side, shorten
+from crms_fenicsx.cables.strip import grow
+from crms_fenicsx.errors import MeshError
+
+if TYPE_CHECKING:
+    from crms_fenicsx.cables.retrace import Retracer
+
+Array = npt.NDArray[np.float64]
+
+BEYOND = 0.01
+"""Part of an edge: where a path starts on the other side, off the smoothing."""
+
+
+def lead_past(paths: Retracer, number: int, run: Run) -> bool:
+    """Lead a cable past the vertices of a run; say whether any way goes there. Collective.
+
+    Parameters
+    ----------
+    paths
+        The scene's paths.
+    number
+        The cable's.
+    run
+        The vertices and the side.
+    """
+    cable = paths.scene.cables[number]
+    found = way_past(paths, cable, run)
+    if found is None:
+        return False
+    take(paths, cable, found)
+    return True
+
+
+@dataclass(frozen=True)
+class WayPast:
+    """A way past a run of vertices.
+
+    Attributes
+    ----------
+    supports
+        What the path goes through, between the cable's anchors.
+    vertices
+        Those that it passes.
+    replaced
+        What it does not go through any more, and what it does instead.
+    surface
+        The surface, with the anchors.
+    """
+
+    supports: Corridor
+    vertices: frozenset[int]
+    replaced: Corridor
+    surface: FoldedSurface
+
+
+def way_past(paths: Retracer, cable: LaidCable, run: Run) -> WayPast | None:
+    """Find the way of a cable past a run. Collective.
+
+    Parameters
+    ----------
+    paths
+        The scene's paths.
+    cable
+        A cable.
+    run
+        The vertices and the side.
+
+    Returns
+    -------
+    None where there is none for any of the vertices.
+    """
+    string: Corridor = tuple(cable.nodes[k].support for k in cable.rim())
+    joined = paths.with_anchors(cable, paths.surface(run.vertices))
+    n = paths.scene.V.dofmap.index_map.size_global
+    first, last = n in joined.anchors, n + 1 in joined.anchors
+    string = (((n,),) if first else ()) + string + (((n + 1,),) if last else ())
+    replaced: Corridor = ()
+    passed = set()
+    for vertex in run.vertices:
+        found = None
+        for rings in itertools.count(1):
+            try:
+                upward = _counterclockwise(joined, vertex) != run.to_left
+                found = other_side(string, joined, vertex, upward)
+                break
+            except MissingStars as missing:
+                grow(paths.scene, missing.vertices, rings)
+                joined = paths.with_anchors(cable, paths.surface())
+            except MeshError:
+                break  # where several sheets of membrane meet the vertex holds
+        # Beside the membrane, between its boundary and an anchor, no cable lies.
+        if found is None or any(len(s) != 2 or max(s) >= n for s in found.taken):
+            continue
+        string, replaced = found.corridor, (*replaced, *found.left, *found.taken)
+        passed.add(vertex)
+    if not passed:
+        return None
+    kept = string[first : len(string) - last]
+    return WayPast(kept, frozenset(passed), replaced, joined)
+
+
+def take(paths: Retracer, cable: LaidCable, way: WayPast) -> None:
+    """Give a cable a way past vertices; all nodes that it had stay where they are."""
+    supports, rim = way.supports, cable.rim()
+    grow(paths.scene, [v for support in supports for v in support])
+    strip = paths.scene.strip
+    assert strip is not None
+    old = {cable.nodes[k].support: k for k in rim}
+    least = BEYOND * (1 + 0.02 * paths.scene.cables.index(cable))
+
+    def kept(k: int) -> tuple[CableNode, Array, float, bool]:
+        fraction, lifted = float(cable.fractions[k]), bool(cable.lifted[k])
+        return cable.nodes[k], cable.positions[k], fraction, lifted
+
+    def new(edge: Edge) -> tuple[CableNode, Array, float, bool]:
+        fraction = least if edge[0] in way.vertices else 1 - least
+        point = EdgePoint(edge, fraction)
+        node = CableNode("rail" if edge in strip.held_edges else "fold", point)
+        return node, way.surface.place(edge, fraction), fraction, False
+
+    last = len(cable.nodes) - 1
+    rows = [kept(0)] if rim[0] > 0 else []  # an anchor
+    rows += [kept(old[s]) if s in old else new((s[0], s[1])) for s in supports]
+    rows += [kept(last)] if rim[-1] < last else []
+    nodes, positions, fractions, lifted = zip(*rows, strict=True)
+    cable.set_nodes(nodes, np.array(positions), np.array(fractions), np.array(lifted))
+    rim = cable.rim()
+    added = [i for i, k in enumerate(rim) if cable.nodes[k].support not in old]
+    if added:  # along the membrane's boundary there may only be fewer
+        straighten(paths, cable, rim[max(added[0] - 1, 0) : added[-1] + 2])
+
+
+def straighten(paths: Retracer, cable: LaidCable, part: list[int]) -> bool:
+    """Pull a part of a cable, given by nodes, taut between its ends, in the cells that it crosses.
+
+    Collective. Says whether that can be done.
+    """
+    path = dict(zip(cable.rim(), cable.path.points, strict=True))
+    points = [path[k] for k in part]
+    surface = paths.surface([v for point in points for v in point.support])
+    if len(points) < 3 or flaw(corridor(points), surface.thirds):
+        return False
+    string = shorten(points, surface, max_flips=0).points
+    for k, point in zip(part[1:-1], string[1:-1], strict=True):
+        if cable.nodes[k].slides and isinstance(point, EdgePoint):
+            fraction = min(max(point.fraction, BEYOND), 1 - BEYOND)
+            cable.fractions[k] = fraction
+            cable.positions[k] = surface.place(point.edge, fraction)
+    return True
+
+
+def _counterclockwise(surface: FoldedSurface, vertex: int) -> bool:
+    """Whether the ring of a vertex is in the membrane's order, counterclockwise from outside."""
+    ring = surface.membrane_ring(vertex).neighbours
+    row = surface.strip.outer_rows((vertex, ring[0], ring[1]))[0]
+    cell = surface.strip.corners[row]
+    return cell[cell.index(vertex) - 2] == ring[0]

@@ -1,0 +1,40 @@
+"""Taking a cable away: what the others had to do with it goes with it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from crms_fenicsx.cables.cable import LaidCable
+from crms_fenicsx.cables.crossings import arrange
+from crms_fenicsx.cables.strip import cells_at
+from crms_fenicsx.errors import InputError
+from crms_fenicsx.scene import Cables
+
+if TYPE_CHECKING:
+    from crms_fenicsx.scene import Scene
+
+
+def remove(scene: Scene, cable: LaidCable | str) -> None:
+    """Take a cable of a scene away; see `Scene.remove`. Collective."""
+    gone = scene.cable(cable) if isinstance(cable, str) else cable
+    if not isinstance(gone, LaidCable) or gone not in scene.cables:
+        raise InputError(
+            f"remove: {gone!r} is not a cable of this scene; give one of scene.cables, or its name."
+        )
+    number = scene.cables.index(gone)
+    crossings = [
+        crossing
+        for crossing in scene.crossings
+        if number not in (crossing.lower, crossing.upper)
+    ]  # fmt: skip
+    for crossing in crossings:
+        crossing.lower -= crossing.lower > number
+        crossing.upper -= crossing.upper > number
+    scene._dissipated += gone.dissipated
+    scene._cables = Cables.of(scene, (own for own in scene.cables if own is not gone))
+    points = (node.point for own in scene.cables for node in own.nodes)
+    vertices = [vertex for point in points if point is not None for vertex in point.support]
+    scene.strip = cells_at(scene, vertices) if vertices else None
+    if scene.strip is not None:
+        crossings = arrange(scene.cables, scene.strip, crossings)
+    scene.crossings = crossings

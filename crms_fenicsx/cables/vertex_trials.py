@@ -1,0 +1,122 @@
+"""Vertices that hold cables are left in runs, where that lowers the energy.
+
+The string of `retrace` does not tell where a cable goes that is held by vertices: in the valley
+that it presses into a line of the mesh it is the shortest. Its forces do (see `held`), and whether
+it gets free the energy tells. Friction carries its part of the forces; vertices that hold a cable
+beyond that have been left one by one before (see `give_way`), which is not always enough.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from crms_fenicsx.cables.held import Run, held_runs
+from crms_fenicsx.cables.passing import lead_past
+from crms_fenicsx.cables.strip import StripShape
+
+if TYPE_CHECKING:
+    from crms_fenicsx.cables.retrace import Retracer
+
+HALVINGS = 2
+"""How often runs that were left together, and did not lower the energy, are tried by halves."""
+
+GAIN = 1e-6
+"""Energy, relative to the sum of all kinds, by which a round must lower it for another one. Meshes
+of 64 cells a side err by a thousand times as much."""
+
+Trial = tuple[int, Run]
+"""A cable, by number, and the run of vertices that it leaves."""
+
+
+class VertexTrials:
+    """What is tried in one load step, in rounds.
+
+    In a round all runs that hold cables are left at once, and if that is rejected each half of
+    them, and each half of these.
+
+    Parameters
+    ----------
+    paths
+        The paths of the cables.
+    """
+
+    def __init__(self, paths: Retracer) -> None:
+        self.paths = paths
+        self._groups: list[tuple[int, list[Trial]]] = []  # with how often halved
+        self._energy = math.inf
+        self._halved = 0
+
+    def next(self, energy: float, scale: float) -> list[Trial]:
+        """Lead cables past runs of vertices that hold them. Collective.
+
+        Parameters
+        ----------
+        energy
+            That of the state that is there (force x length).
+        scale
+            Sum of the sizes of all kinds of energy.
+
+        Returns
+        -------
+        What was led; none where there is nothing left to try.
+        """
+        paths = self.paths
+        while runs := self._held():
+            if not self._groups:
+                if self._energy - energy < GAIN * scale:
+                    self._note(runs)  # the same load once more shall not begin another round
+                    break
+                self._energy = energy
+                self._groups = [(0, runs)]
+            self._halved, group = self._groups.pop()
+            known = {self._key(trial) for trial in group}
+            group = [trial for trial in runs if self._key(trial) in known]
+            led = [(c, run) for c, run in group if lead_past(paths, c, run)]
+            self._note([trial for trial in group if trial not in led])
+            if led:
+                return led
+        return []
+
+    def halve(self, led: list[Trial]) -> bool:
+        """Try the halves of what was rejected later, or never again; say whether the former."""
+        half = len(led) // 2
+        if half == 0 or self._halved == HALVINGS:
+            self._note(led)
+            return False
+        self._groups += [(self._halved + 1, part) for part in (led[half:], led[:half])]
+        return True
+
+    def _held(self) -> list[Trial]:
+        """Runs that hold cables, and have not been tried."""
+        scene = self.paths.scene
+        shape = StripShape.of(scene)
+        found: list[Trial] = []
+        for c, cable in enumerate(scene.cables):
+            if not cable.taut:
+                continue
+            least = 1
+            if not cable.slides_freely:
+                from crms_fenicsx.cables.grip import align
+
+                if cable.grip is None or not cable.grip.known:
+                    continue
+                align(cable)
+                least = 2  # single vertices have been tried by `give_way`
+            runs = (run for run in held_runs(cable, shape) if len(run.vertices) >= least)
+            found += [(c, run) for run in runs]
+        return [trial for trial in found if self._key(trial)[1] not in self._tried(trial[0])]
+
+    def _tried(self, c: int) -> set[tuple[int, ...]]:
+        return self.paths.left.setdefault(self.paths.scene.cables[c].name, set())
+
+    def _note(self, trials: list[Trial]) -> None:
+        """Do not try these again while the cable stays where it is."""
+        for trial in trials:
+            self._tried(trial[0]).add(self._key(trial)[1])
+
+    @staticmethod
+    def _key(trial: Trial) -> tuple[int, tuple[int, ...]]:
+        """The cable; the side and the vertices."""
+        c, run = trial
+        return c, (1 if run.to_left else -1, *run.vertices)
