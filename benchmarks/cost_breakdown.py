@@ -237,7 +237,7 @@ def flips(n: int, clock: Clock) -> None:
 
 def beyond(scene: Any, cable: Any) -> npt.NDArray[np.bool_]:
     """Which vertices lie beyond the cable in plan."""
-    X, line = scene.positions(), cable.positions
+    X, line = scene.positions(), cable.line
     return np.asarray(X[:, 1] > np.interp(X[:, 0], line[:, 0], line[:, 1]))
 
 

@@ -60,7 +60,7 @@ def row(
     solver, began = Solver(scene), time.perf_counter()
     solver.advance(move={cable: (0.0, 0.0, -10.0)}, steps=steps)
     solver.advance(move={cable: (0.0, 10.0, 0.0)}, steps=steps)
-    x = cable.positions[cable.contacts()]
+    x = cable.line
     work = {key: int(np.nansum(solver.history[key])) for key in ("passes", "evaluations", "flips")}
     least = float(np.diff(np.nan_to_num(solver.history["dissipated"])).min())
     say(

@@ -6,6 +6,9 @@ cables of EA = 32000 kgf. Tables:
 accuracy
     A cable with its ends at (0, 30) and (100, 30), L0 = 100 cm, against the continuum: a mesh
     that follows the cable's unknown material curve, extrapolated.
+lines
+    The same for cables that are laid along lines of the mesh, against meshes without a line there;
+    and how far the ways to lay them lie apart.
 starts
     The same equilibrium from cables laid with detours to either side.
 cost
@@ -15,7 +18,7 @@ anchors
 nets
     Random nets of crossing cables.
 
-    ./run python benchmarks/sliding.py [accuracy] [starts] [cost] [anchors] [nets]
+    ./run python benchmarks/sliding.py [accuracy] [lines] [starts] [cost] [anchors] [nets]
 
 `--anchors` and `--nets` say how many random scenes; `--sizes` which meshes.
 """
@@ -88,7 +91,7 @@ def accuracy(sizes: Sequence[int]) -> None:
             began = time.perf_counter()
             done = Solver(scene).advance(pressure=PRESSURE).outcome
             seconds = time.perf_counter() - began
-            y, z = (float(np.interp(50.0, cable.positions[:, 0], cable.positions[:, i]))
+            y, z = (float(np.interp(50.0, cable.line[:, 0], cable.line[:, i]))
                     for i in (1, 2))  # fmt: skip
             dT, dW = 100 * (cable.tension / T_EXACT - 1), 100 * (1 - scene.energy / W_EXACT)
             errors.append((abs(dT), abs(dW)))
@@ -98,6 +101,38 @@ def accuracy(sizes: Sequence[int]) -> None:
         if len(sizes) > 1:
             slopes = -np.polyfit(np.log(sizes), np.log(errors), 1)[0]
             say(f"{kind:14}{'order':>8}{slopes[0]:10.2f}{slopes[1]:10.2f}")
+
+
+def on_line(n: int, y: float, L0: float, way: str = "straight") -> tuple[float, float, float]:
+    """Tension, energy and place in the middle of a cable laid from (0, y) to (100, y)."""
+    scene = sheet(n, "structured")
+    solver = Solver(scene)
+    if way == "laid after":
+        solver.advance(pressure=PRESSURE)
+    ends = [(0.0, y), (100.0, y)]
+    cable = scene.lay_cable(CABLE, detour(ends, 300.0 / n if way == "detour" else 0.0), L0=L0)
+    solver.advance(pressure=PRESSURE)
+    middle = np.interp(50.0, cable.line[:, 0], cable.line[:, 1])
+    return cable.tension, scene.energy, float(middle)
+
+
+def lines(sizes: Sequence[int] = (10, 20, 40, 50, 80)) -> None:
+    """Cables along lines of the mesh, y = 20, 30 and 40, of two lengths."""
+    say(f"\n{'along y, L0':16}{'n':>5}{'T, %':>10}{'W, %':>10}{'y / h':>10}   apart by way: W, T")
+    for y, L0 in itertools.product((20.0, 30.0, 40.0), (100.0, 100.5)):
+        coarse, fine = (np.array(on_line(n, y, L0)) for n in (43, 87))  # no line at y
+        exact = fine + (fine - coarse) / ((87 / 43) ** 2 - 1)
+        errors = []
+        for n in sizes:
+            found = np.array([on_line(n, y, L0, w) for w in ("straight", "detour", "laid after")])
+            T, W, middle = found[0]
+            errors.append((abs(T / exact[0] - 1), abs(W / exact[1] - 1)))
+            apart = np.ptp(found, axis=0) / np.abs(found[0])
+            say(f"{y:4g}, {L0:7g}    {n:5}{100 * errors[-1][0]:10.4f}{100 * errors[-1][1]:10.4f}"
+                f"{(middle - exact[2]) * n / 100:10.4f}   {apart[1]:.0e} {apart[0]:.0e}"
+                )  # fmt: skip
+        slopes = -np.polyfit(np.log(sizes), np.log(errors), 1)[0]
+        say(f"{'order':>21}{slopes[0]:10.2f}{slopes[1]:10.2f}")
 
 
 def detour(ends: Sequence[tuple[float, float]], aside: float) -> list[tuple[float, float]]:
@@ -249,7 +284,7 @@ def nets(count: int, most: int, n: int = 17) -> None:
 
 def main() -> None:
     """Print the tables asked for."""
-    tables = ("accuracy", "starts", "cost", "anchors", "nets")
+    tables = ("accuracy", "lines", "starts", "cost", "anchors", "nets")
     parser = argparse.ArgumentParser(description="Sliding cables: see the head of this file.")
     parser.add_argument("tables", nargs="*", help=f"which, of {', '.join(tables)}; default all")
     parser.add_argument("--sizes", type=int, nargs="+", default=[9, 17, 33, 65])
@@ -262,6 +297,8 @@ def main() -> None:
         parser.error(f"there are no such tables: {', '.join(set(wanted) - set(tables))}")
     if "accuracy" in wanted:
         accuracy(given.sizes)
+    if "lines" in wanted:
+        lines()
     if "starts" in wanted:
         starts([n for n in given.sizes if n in (17, 33)])
     if "cost" in wanted:

@@ -110,7 +110,7 @@ def clamped(mesh: MembraneMesh, laws: Laws) -> Scene:
 
 def middle(cable: LaidCable) -> np.ndarray:
     """Where a cable on the membrane passes x = 50."""
-    x = cable.positions[cable.contacts()]
+    x = cable.line
     return np.array([np.interp(50.0, x[:, 0], x[:, i]) for i in range(3)])
 
 

@@ -99,7 +99,7 @@ def _below_floor(scene: Scene) -> float:
 def _cables(scene: Scene, lying: bool) -> Iterator[Test]:
     """Tensions that fit the lengths, contacts that only push."""
     for cable in scene.cables:
-        length = polyline_length(cable.positions[cable.contacts()])
+        length = polyline_length(cable.line)
         size = np.sqrt(np.linalg.norm(area_vectors(scene.mesh.mesh), axis=1).max() * 2)
         smoothed = 0.4 * SMOOTHING * size * len(cable.nodes)
         yield "tension is negative", max(-cable.tension, 0.0), 0.0
@@ -126,7 +126,7 @@ def _balance(solver: Solver, system: System, least: float) -> Iterator[Test]:
     supports = solver.reactions(lambda x: np.full(x.shape[1], True))
     add(supports.positions, supports.forces)
     for cable in scene.cables:
-        for end, at in ((cable.start, cable.positions[0]), (cable.end, cable.positions[-1])):
+        for end, at in ((cable.start, cable.line[0]), (cable.end, cable.line[-1])):
             if cable.taut and cable.nodes[cable.node_of(end.which)].kind == "anchor":
                 add(at, end.reaction)
     # A closed surface under uniform pressure is in equilibrium: the roof has that of its plan.
