@@ -24,8 +24,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from bad_calls import ACROSS, FOIL, Call, data, generators, scenes
 from test_bad_input import snapshot
 
-from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, errors, meshes
+from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.equilibrium import EquilibriumSearch
+from crms_fenicsx.runtime import errors
 
 COMM = MPI.COMM_WORLD
 HANG = 60.0

@@ -32,10 +32,10 @@ from mpi4py import MPI
 
 from crms_fenicsx import Cable, Friction, InputError, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.checkpoint.state import signed
-from crms_fenicsx.errors import ConvergenceError
 from crms_fenicsx.meshes import foreign
 from crms_fenicsx.meshes.files import SUFFIXES
 from crms_fenicsx.output import History
+from crms_fenicsx.runtime.errors import ConvergenceError
 
 WAIT = 20
 """Seconds after which reading hangs."""

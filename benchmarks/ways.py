@@ -48,7 +48,8 @@ from fuzzing.runs import HangError, kind_of, limited
 from fuzzing.scenes import WIDTH, Seeded
 from mpi4py import MPI
 
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, errors, meshes
+from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.runtime import errors
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))  # their meshes
 from reference_meshes import rotated_lattice

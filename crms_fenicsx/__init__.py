@@ -8,7 +8,8 @@ A load step runs through the modules in one direction: `scene` (what there is) -
 from crms_fenicsx import meshes
 from crms_fenicsx.cables.cable import Cable, LaidCable
 from crms_fenicsx.cables.friction import Friction
-from crms_fenicsx.errors import (
+from crms_fenicsx.materials import IsotropicMembrane, OrthotropicMembrane
+from crms_fenicsx.runtime.errors import (
     ConvergenceError,
     FrictionWarning,
     InputError,
@@ -18,7 +19,6 @@ from crms_fenicsx.errors import (
     PenaltyWarning,
     PictureWarning,
 )
-from crms_fenicsx.materials import IsotropicMembrane, OrthotropicMembrane
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.solver import Solver, Step
 

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx import checks
-from crms_fenicsx.errors import InputError, raised_together
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.errors import InputError, raised_together
 
 if TYPE_CHECKING:
     from crms_fenicsx.scene import Scene

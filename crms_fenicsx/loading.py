@@ -11,9 +11,9 @@ import numpy.typing as npt
 from dolfinx.fem import locate_dofs_topological
 from mpi4py import MPI
 
-from crms_fenicsx import checks
 from crms_fenicsx.cables.cable import CableEnd, LaidCable
-from crms_fenicsx.errors import InputError, as_text, raised_together
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.errors import InputError, as_text, raised_together
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.state import State
 

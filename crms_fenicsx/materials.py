@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
-from crms_fenicsx import checks
-from crms_fenicsx.errors import InputError
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.errors import InputError
 
 Array = npt.NDArray[np.float64]
 Direction = tuple[float, float, float] | Callable[[Array], Array]

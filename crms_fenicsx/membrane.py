@@ -12,8 +12,6 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from petsc4py import PETSc
 
-from crms_fenicsx.compat import geometry_dofmap
-from crms_fenicsx.errors import InputError, raised_together
 from crms_fenicsx.integral import Integral, one_point
 from crms_fenicsx.materials import (
     LINEAR,
@@ -23,6 +21,8 @@ from crms_fenicsx.materials import (
     law_terms,
 )
 from crms_fenicsx.row_sizes import RowSizes
+from crms_fenicsx.runtime.compat import geometry_dofmap
+from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.unknowns import Unknowns
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.compat import geometry_dofmap
+from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.shape import folded_shape
 
 if TYPE_CHECKING:

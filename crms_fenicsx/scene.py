@@ -13,12 +13,12 @@ import numpy.typing as npt
 from dolfinx import fem
 from dolfinx.mesh import MeshTags, meshtags
 
-from crms_fenicsx import checks
-from crms_fenicsx.errors import InputError, PenaltyWarning, collective, raised_together
 from crms_fenicsx.materials import LINEAR, Membrane
 from crms_fenicsx.membrane import area_vectors
 from crms_fenicsx.meshes import MembraneMesh
-from crms_fenicsx.readonly import ReadOnly
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.errors import InputError, PenaltyWarning, collective, raised_together
+from crms_fenicsx.runtime.readonly import ReadOnly
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.cable import Cable, Crossing, LaidCable

@@ -14,20 +14,20 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from crms_fenicsx import checks
 from crms_fenicsx.equilibrium import EquilibriumSearch
-from crms_fenicsx.errors import (
+from crms_fenicsx.loading import Target, checked_target, has_free_rim
+from crms_fenicsx.minimizer import Outcome
+from crms_fenicsx.output.recorder import Recorder
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.errors import (
     ConvergenceError,
     FrictionWarning,
     InputError,
     PathWarning,
     collective,
 )
-from crms_fenicsx.interrupt import postponed, stop_together
-from crms_fenicsx.loading import Target, checked_target, has_free_rim
-from crms_fenicsx.minimizer import Outcome
-from crms_fenicsx.output.recorder import Recorder
-from crms_fenicsx.readonly import ReadOnly
+from crms_fenicsx.runtime.interrupt import postponed, stop_together
+from crms_fenicsx.runtime.readonly import ReadOnly
 from crms_fenicsx.scene import Marker, Scene
 from crms_fenicsx.state import State
 from crms_fenicsx.system import StepHistory, System
@@ -451,7 +451,7 @@ class Solver:
             of the energy; a second signal ends the process at once. The scene is at the last good
             state, which with `resume` is in a checkpoint.
         """
-        from crms_fenicsx.progress import progress
+        from crms_fenicsx.runtime.progress import progress
 
         scene = self.scene
         checks.same(

@@ -22,7 +22,7 @@ from trace_surfaces import (
 from crms_fenicsx.cables.locate import foot_of
 from crms_fenicsx.cables.path import CellPoint
 from crms_fenicsx.cables.trace import near_section, trace
-from crms_fenicsx.errors import PathError
+from crms_fenicsx.runtime.errors import PathError
 
 SNAP = 1e-3  # the default of `trace`
 

@@ -20,9 +20,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import broken_files
 
 from crms_fenicsx import ConvergenceError, InputError
-from crms_fenicsx.errors import MeshError
 from crms_fenicsx.meshes import foreign
 from crms_fenicsx.output import History
+from crms_fenicsx.runtime.errors import MeshError
 
 
 def tried(read: Callable[[Path], object], path: Path) -> bool:

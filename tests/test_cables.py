@@ -20,7 +20,7 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.compat import geometry_dofmap
+from crms_fenicsx.runtime.compat import geometry_dofmap
 
 Array = npt.NDArray[np.float64]
 

@@ -23,7 +23,7 @@ from crms_fenicsx.cables.strip import Strip, StripShape
 from crms_fenicsx.cables.trace import trace
 from crms_fenicsx.cables.volume import FoldedFollowerPressure, split_polygon
 from crms_fenicsx.cables.whereabouts import Whereabouts
-from crms_fenicsx.errors import PathError
+from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.system import System
 
 Array = npt.NDArray[np.float64]

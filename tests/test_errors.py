@@ -17,7 +17,8 @@ import numpy as np
 import pytest
 from reference_meshes import rotated_lattice
 
-from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, checks, errors, meshes
+from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.runtime import checks, errors
 
 ROOT = Path(__file__).parents[1]
 MPIRUN = ("mpirun", "-n", "3")

@@ -19,7 +19,8 @@ from vtu_file import read_vtu
 from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.checkpoint import folder as checkpoint_folder
 from crms_fenicsx.checkpoint.folder import complete
-from crms_fenicsx.output import History, files, shared_file
+from crms_fenicsx.output import History, shared_file
+from crms_fenicsx.runtime import files
 
 pytestmark = pytest.mark.usefixtures("comm")
 

@@ -30,10 +30,10 @@ from term_scene import (
 from term_twins import area, axes_of, density, strain, unfolded
 
 from crms_fenicsx.cables.fold import FoldedCells, FoldEnergy
-from crms_fenicsx.compat import geometry_dofmap
 from crms_fenicsx.materials import LINEAR, IsotropicMembrane, OrthotropicMembrane
 from crms_fenicsx.membrane import FLOOR, MembraneEnergy
 from crms_fenicsx.meshes import from_arrays
+from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.unknowns import Unknowns
 

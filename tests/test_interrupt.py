@@ -11,7 +11,7 @@ import pytest
 from mpi4py import MPI
 from test_errors import MPIRUN, run
 
-from crms_fenicsx import interrupt
+from crms_fenicsx.runtime import interrupt
 
 SCRIPT = """
 import os, signal, sys, time

@@ -12,7 +12,7 @@ from cabled_square import CABLE, KINDS, PRESSURE, order, place, sheet
 from contact_checks import deepest, strongest_pull
 
 from crms_fenicsx import Solver
-from crms_fenicsx.errors import PathError
+from crms_fenicsx.runtime.errors import PathError
 
 ANCHORS = [(-5.0, 50.0, 8.0), (105.0, 50.0, 8.0)]
 T_EXACT, W_EXACT, Z_EXACT = 148.667, -335.00, 8.6635

@@ -10,7 +10,8 @@ import pytest
 from mpi4py import MPI
 
 from crms_fenicsx import InputError, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.output import History, files
+from crms_fenicsx.output import History
+from crms_fenicsx.runtime import files
 
 HOLDER = """
 import fcntl, os, sys, time

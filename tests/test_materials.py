@@ -11,8 +11,6 @@ from term_twins import density, energy_at_angle, relaxed_energy
 
 from crms_fenicsx import meshes
 from crms_fenicsx.cables import law as compiled
-from crms_fenicsx.compat import interpolation_points
-from crms_fenicsx.errors import InputError
 from crms_fenicsx.materials import (
     LINEAR,
     TENSION_FIELD,
@@ -20,6 +18,8 @@ from crms_fenicsx.materials import (
     OrthotropicMembrane,
     law_terms,
 )
+from crms_fenicsx.runtime.compat import interpolation_points
+from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.scene import Scene
 
 TENSED = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, prestress=0.7)

@@ -14,11 +14,11 @@ from mesh_measures import (
     total_area_vector,
 )
 
-from crms_fenicsx.compat import geometric_dimension, geometry_dofmap, interpolation_points
-from crms_fenicsx.errors import MeshError
 from crms_fenicsx.meshes import AwayFrom, from_arrays
 from crms_fenicsx.meshes.edge_table import EdgeTable
 from crms_fenicsx.meshes.membrane_mesh import vertex_nodes
+from crms_fenicsx.runtime.compat import geometric_dimension, geometry_dofmap, interpolation_points
+from crms_fenicsx.runtime.errors import MeshError
 
 SQUARE = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
 HALVES = np.array([(0, 1, 2), (0, 2, 3)])

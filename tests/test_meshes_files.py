@@ -14,8 +14,8 @@ from mesh_measures import area, edge_ends, length, point_places, total_area_vect
 from scipy.integrate import dblquad
 
 from crms_fenicsx import meshes
-from crms_fenicsx.errors import MeshError
 from crms_fenicsx.meshes import AwayFrom
+from crms_fenicsx.runtime.errors import MeshError
 
 ROOT = Path(__file__).resolve().parent.parent
 

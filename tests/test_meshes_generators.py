@@ -19,9 +19,9 @@ from scipy.integrate import dblquad
 from scipy.special import ellipe
 
 from crms_fenicsx import meshes
-from crms_fenicsx.errors import InputError
 from crms_fenicsx.meshes import Refinement
 from crms_fenicsx.meshes.refinement import TargetSize
+from crms_fenicsx.runtime.errors import InputError
 
 
 def order_of(errors, factor=2.0):

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from crms_fenicsx.errors import InputError
 from crms_fenicsx.output import History
 from crms_fenicsx.output.history import Value
+from crms_fenicsx.runtime.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("comm")
 COMM = MPI.COMM_WORLD

@@ -10,8 +10,8 @@ import pytest
 from mpi4py import MPI
 from vtu_file import read_vtu
 
-from crms_fenicsx.errors import InputError
 from crms_fenicsx.output import Line, Series, Surface, shared_file
+from crms_fenicsx.runtime.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("comm")
 COMM = MPI.COMM_WORLD

@@ -15,7 +15,7 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.errors import MeshError
+from crms_fenicsx.runtime.errors import MeshError
 
 pytestmark = pytest.mark.usefixtures("comm")
 

@@ -14,7 +14,7 @@ from crms_fenicsx.cables.path import (
     VertexPoint,
     without_backtracking,
 )
-from crms_fenicsx.errors import PathError
+from crms_fenicsx.runtime.errors import PathError
 
 # 6 - 7 - 8      squares cut from the lower left to the upper right
 # 3 - 4 - 5

@@ -11,7 +11,6 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.errors import InputError
 from crms_fenicsx.output import (
     History,
     Line,
@@ -25,6 +24,7 @@ from crms_fenicsx.output.paths import _told_apart
 from crms_fenicsx.output.pictures import _among, _outline, _subdivided
 from crms_fenicsx.output.scales import common_value, in_words, limits_of
 from crms_fenicsx.output.scene_pictures import default_panels, units
+from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.shape import current_surface
 
 Array = NDArray[np.float64]
@@ -579,7 +579,7 @@ def test_drawing_works_without_pyplot_and_its_global_state(
 
 def test_importing_loads_no_optional_package() -> None:
     code = (
-        "import sys, crms_fenicsx.output, crms_fenicsx.progress; "
+        "import sys, crms_fenicsx.output, crms_fenicsx.runtime.progress; "
         "print([m for m in ('gmsh', 'matplotlib', 'meshio', 'tqdm') if m in sys.modules])"
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

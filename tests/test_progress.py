@@ -7,8 +7,8 @@ import sys
 import pytest
 from mpi4py import MPI
 
-from crms_fenicsx.errors import InputError
-from crms_fenicsx.progress import progress
+from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.runtime.progress import progress
 
 pytestmark = pytest.mark.usefixtures("comm")
 COMM = MPI.COMM_WORLD

@@ -12,8 +12,8 @@ from mpi4py import MPI
 from reference_meshes import square
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.compat import geometry_dofmap
 from crms_fenicsx.minimizer import REBUILD
+from crms_fenicsx.runtime.compat import geometry_dofmap
 
 PRESSURE = 0.01
 

@@ -23,8 +23,8 @@ from crms_fenicsx.cables.folded_surface import FoldedSurface
 from crms_fenicsx.cables.shadow import shadow
 from crms_fenicsx.cables.slip import material_curve, node_slips
 from crms_fenicsx.cables.strip import StripShape, cells_near, grow
-from crms_fenicsx.compat import geometry_dofmap
-from crms_fenicsx.errors import MeshError
+from crms_fenicsx.runtime.compat import geometry_dofmap
+from crms_fenicsx.runtime.errors import MeshError
 from crms_fenicsx.system import System
 
 KINDS = [

@@ -18,8 +18,8 @@ from term_scene import (
     straight,
 )
 
-from crms_fenicsx.compat import geometry_dofmap
-from crms_fenicsx.errors import InputError
+from crms_fenicsx.runtime.compat import geometry_dofmap
+from crms_fenicsx.runtime.errors import InputError
 
 MATERIALS = pytest.mark.parametrize("material", [STIFF, STIFF_FABRIC], ids=["isotropic", "fabric"])
 TERMS = ("StepMembraneEnergy", "StepFoldEnergy")

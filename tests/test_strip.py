@@ -10,7 +10,7 @@ from term_scene import ISOTROPIC, irregular_square
 
 from crms_fenicsx import Cable, Scene
 from crms_fenicsx.cables.strip import EMPTY, Strip, StripShape, cells_at, grow
-from crms_fenicsx.compat import geometry_dofmap
+from crms_fenicsx.runtime.compat import geometry_dofmap
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]

@@ -26,7 +26,7 @@ from trace_surfaces import (
 from crms_fenicsx.cables.path import CellPoint, EdgePoint, VertexPoint
 from crms_fenicsx.cables.trace import _direct_way, near_section, trace
 from crms_fenicsx.cables.triangles import longest_sides
-from crms_fenicsx.errors import PathError
+from crms_fenicsx.runtime.errors import PathError
 
 
 def sheared(points, a, b):

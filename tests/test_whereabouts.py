@@ -8,7 +8,7 @@ from term_scene import cable_square, displaced
 
 from crms_fenicsx.cables.path import EdgePoint
 from crms_fenicsx.cables.whereabouts import Whereabouts
-from crms_fenicsx.compat import geometry_dofmap
+from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.scene import Scene
 
 

@@ -8,7 +8,7 @@ from scipy.spatial import Delaunay
 
 from crms_fenicsx.cables.path import CellPoint, EdgePoint
 from crms_fenicsx.cables.trace import trace
-from crms_fenicsx.errors import PathError
+from crms_fenicsx.runtime.errors import PathError
 
 
 def grid(n, m=None):

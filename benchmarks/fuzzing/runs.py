@@ -23,10 +23,10 @@ from crms_fenicsx import (
     OrthotropicMembrane,
     Scene,
     Solver,
-    errors,
     meshes,
 )
 from crms_fenicsx.minimizer import Minimizer
+from crms_fenicsx.runtime import errors
 from crms_fenicsx.system import System
 from crms_fenicsx.verification import Verifier
 from fuzzing.scenes import CableData, SceneData

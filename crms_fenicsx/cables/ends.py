@@ -23,8 +23,8 @@ from crms_fenicsx.cables.path import CellPoint, EdgePoint, SurfacePoint, VertexP
 from crms_fenicsx.cables.shadow import shadow
 from crms_fenicsx.cables.strip import StripShape, grow
 from crms_fenicsx.cables.triangles import cross
-from crms_fenicsx.compat import geometry_dofmap
-from crms_fenicsx.errors import PathError
+from crms_fenicsx.runtime.compat import geometry_dofmap
+from crms_fenicsx.runtime.errors import PathError
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.retrace import Retracer

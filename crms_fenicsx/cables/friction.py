@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from crms_fenicsx import checks
-from crms_fenicsx.errors import InputError
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.errors import InputError
 
 MOST_TOLERANCE = 0.1
 """Slip tolerances above this (parts of a cell) are no friction any more."""

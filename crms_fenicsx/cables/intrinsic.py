@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from crms_fenicsx.errors import InputError, MeshError
+from crms_fenicsx.runtime.errors import InputError, MeshError
 
 Edge = tuple[int, int]
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx import checks
 from crms_fenicsx.cables.behind import refuse_forks, refuse_places_behind
 from crms_fenicsx.cables.cable import (
     Cable,
@@ -25,7 +24,8 @@ from crms_fenicsx.cables.follow import unfolded
 from crms_fenicsx.cables.path import CellPoint, EdgePoint, Path, SurfacePoint, VertexPoint
 from crms_fenicsx.cables.strip import Strip, StripShape, cells_at, cells_near
 from crms_fenicsx.cables.trace import trace
-from crms_fenicsx.errors import InputError, PathError
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.errors import InputError, PathError
 from crms_fenicsx.scene import Cables
 
 if TYPE_CHECKING:

@@ -28,7 +28,7 @@ from crms_fenicsx.cables.triangles import (
     norm,
     vectors,
 )
-from crms_fenicsx.errors import PathError, as_text
+from crms_fenicsx.runtime.errors import PathError, as_text
 
 # A point in space counts as lying on the surface up to this part of the local mesh size: a
 # faceted dome of three cells per radius is nowhere farther from the smooth one.

@@ -21,7 +21,7 @@ from crms_fenicsx.cables.intrinsic import Edge, MissingStars
 from crms_fenicsx.cables.path import EdgePoint
 from crms_fenicsx.cables.shorten import other_side, shorten
 from crms_fenicsx.cables.strip import grow
-from crms_fenicsx.errors import MeshError
+from crms_fenicsx.runtime.errors import MeshError
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.retrace import Retracer

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from crms_fenicsx.errors import PathError
+from crms_fenicsx.runtime.errors import PathError
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from crms_fenicsx.cables.path import EdgePoint, SurfacePoint, VertexPoint, witho
 from crms_fenicsx.cables.shadow import with_shadows
 from crms_fenicsx.cables.shorten import Corridor, corridor, shorten
 from crms_fenicsx.cables.strip import StripShape, grow
-from crms_fenicsx.errors import PathError
+from crms_fenicsx.runtime.errors import PathError
 
 if TYPE_CHECKING:
     from crms_fenicsx.scene import Scene

@@ -28,7 +28,7 @@ from crms_fenicsx.cables.triangles import (
     lists,
     norm,
 )
-from crms_fenicsx.errors import PathError, as_text
+from crms_fenicsx.runtime.errors import PathError, as_text
 
 # A fraction that rounding has put on a vertex, where the signs say that it is not, goes here.
 LEAST, MOST = float(np.finfo(float).tiny), float(1.0 - np.finfo(float).epsneg)

@@ -21,7 +21,6 @@ from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-from crms_fenicsx import checks
 from crms_fenicsx.cables.corridor import (
     Corridor,
     Support,
@@ -34,7 +33,8 @@ from crms_fenicsx.cables.corridor import (
 from crms_fenicsx.cables.funnel import TautString, corner_angle, pull_taut
 from crms_fenicsx.cables.intrinsic import Edge, MissingStars, Ring, Surface, edge_of
 from crms_fenicsx.cables.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
-from crms_fenicsx.errors import MeshError, PathError
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.errors import MeshError, PathError
 
 __all__ = ["Corridor", "MissingStars", "Ring", "Shortened", "Surface", "corridor", "shorten"]
 

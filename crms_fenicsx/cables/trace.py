@@ -47,7 +47,7 @@ from crms_fenicsx.cables.triangles import (
     norm,
     vectors,
 )
-from crms_fenicsx.errors import PathError, as_text
+from crms_fenicsx.runtime.errors import PathError, as_text
 
 # The direct way is shorter than one around the back by more than this: two ways around a tube that
 # are about as long are as good as each other.

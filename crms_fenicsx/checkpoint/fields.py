@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.errors import InputError, raised_together
 from crms_fenicsx.meshes.edge_table import edge_keys
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids, vertex_ids
 from crms_fenicsx.output.npy import read_rows, write_rows
 from crms_fenicsx.output.shared_file import first_row
+from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.scene import Scene
 
 Array = npt.NDArray[np.float64]

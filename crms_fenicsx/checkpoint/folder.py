@@ -14,8 +14,8 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from crms_fenicsx.errors import InputError, raised_together
-from crms_fenicsx.output.files import explained, flush, make_writable, partial_of
+from crms_fenicsx.runtime.errors import InputError, raised_together
+from crms_fenicsx.runtime.files import explained, flush, make_writable, partial_of
 
 ASIDE = ".old-"
 """Prefix of a folder that is being replaced."""

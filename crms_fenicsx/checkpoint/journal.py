@@ -22,8 +22,8 @@ from crms_fenicsx.checkpoint.folder import ASIDE, complete
 from crms_fenicsx.checkpoint.plain import Plain
 from crms_fenicsx.checkpoint.run import Run
 from crms_fenicsx.checkpoint.state import STATE, Saved, give, read, save, told
-from crms_fenicsx.errors import InputError, raised_together
-from crms_fenicsx.output.files import PARTIAL, explained, make_writable, partial_of
+from crms_fenicsx.runtime.errors import InputError, raised_together
+from crms_fenicsx.runtime.files import PARTIAL, explained, make_writable, partial_of
 from crms_fenicsx.scene import Scene
 
 logger = logging.getLogger("crms_fenicsx")

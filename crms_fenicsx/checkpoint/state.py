@@ -20,10 +20,10 @@ from crms_fenicsx.checkpoint.fingerprint import check_same, fingerprint
 from crms_fenicsx.checkpoint.folder import complete, replaced_folder
 from crms_fenicsx.checkpoint.plain import Plain, integers
 from crms_fenicsx.checkpoint.run import Run, plain_run, run_of
-from crms_fenicsx.checks import LONGEST
-from crms_fenicsx.errors import InputError, raised_together
-from crms_fenicsx.output.files import explained, read_text, readable
 from crms_fenicsx.output.npy import read_rows, write_rows
+from crms_fenicsx.runtime.checks import LONGEST
+from crms_fenicsx.runtime.errors import InputError, raised_together
+from crms_fenicsx.runtime.files import explained, read_text, readable
 from crms_fenicsx.scene import Cables, Scene
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from crms_fenicsx.errors import InputError, MeshError
+from crms_fenicsx.runtime.errors import InputError, MeshError
 
 _MOST_CELLS = 2e7
 _RANGE = 1e-100, 1e100

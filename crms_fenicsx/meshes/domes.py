@@ -10,8 +10,6 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from crms_fenicsx import checks
-from crms_fenicsx.errors import InputError
 from crms_fenicsx.meshes.arguments import check_point, check_positive, check_size
 from crms_fenicsx.meshes.gmsh_model import mesh_with_sizes, own_model, read_model
 from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, distributed
@@ -19,6 +17,8 @@ from crms_fenicsx.meshes.partition import Ranks
 from crms_fenicsx.meshes.plane import RECTANGLE_CORNERS, RECTANGLE_SIDES, ellipse_arrays
 from crms_fenicsx.meshes.refinement import Refinement, TargetSize
 from crms_fenicsx.meshes.surface import SurfaceArrays
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.errors import InputError
 
 
 def spherical_cap(

@@ -11,15 +11,15 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from crms_fenicsx import checks
-from crms_fenicsx.errors import MeshError
 from crms_fenicsx.meshes.foreign import read_apart
 from crms_fenicsx.meshes.gmsh_model import own_model, read_model, renumbered, surface_of_model
 from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, distributed
 from crms_fenicsx.meshes.orientation import UPWARD, Outside
 from crms_fenicsx.meshes.partition import Ranks
 from crms_fenicsx.meshes.surface import SurfaceArrays
-from crms_fenicsx.output.files import readable
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.errors import MeshError
+from crms_fenicsx.runtime.files import readable
 
 SUFFIXES = (
     ".vtu", ".vtk", ".stl", ".obj", ".ply", ".off", ".xdmf", ".med", ".inp", ".mesh", ".meshb",

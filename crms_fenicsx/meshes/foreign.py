@@ -17,8 +17,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from crms_fenicsx.errors import MeshError
 from crms_fenicsx.meshes import apart
+from crms_fenicsx.runtime.errors import MeshError
 
 SECONDS, SPEED = 30, 1e6
 """Processor time that reading may take: seconds at least, and bytes of the file for each more."""

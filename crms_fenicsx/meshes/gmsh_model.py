@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from crms_fenicsx.errors import MeshError
 from crms_fenicsx.meshes.apart import gmsh_arrays
 from crms_fenicsx.meshes.surface import SurfaceArrays
+from crms_fenicsx.runtime.errors import MeshError
 
 _TRIANGLE = "Triangle 3"  # gmsh's name
 _FRONTAL_DELAUNAY = 6

@@ -11,12 +11,12 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import ArrayLike, NDArray
 
-from crms_fenicsx.compat import create_mesh, geometry_dofmap
-from crms_fenicsx.errors import raised_together
 from crms_fenicsx.meshes.edge_table import edge_keys
 from crms_fenicsx.meshes.orientation import UPWARD, Outside
 from crms_fenicsx.meshes.partition import Ranks, cell_ranks, checked_ranks
 from crms_fenicsx.meshes.surface import EMPTY, SurfaceArrays, checked_surface
+from crms_fenicsx.runtime.compat import create_mesh, geometry_dofmap
+from crms_fenicsx.runtime.errors import raised_together
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from crms_fenicsx.errors import MeshError, as_text
 from crms_fenicsx.meshes.edge_table import EdgeTable
+from crms_fenicsx.runtime.errors import MeshError, as_text
 
 _VANISHING = 1e-6  # share of a piece's area below which `outside` does not tell its sides apart
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from crms_fenicsx.errors import MeshError
+from crms_fenicsx.runtime.errors import MeshError
 
 
 def simple_outline(corners: Sequence[Sequence[float]]) -> NDArray[np.float64]:

@@ -13,10 +13,10 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import ArrayLike, NDArray
 
-from crms_fenicsx.compat import default_ranks
-from crms_fenicsx.errors import MeshError
 from crms_fenicsx.meshes.orientation import connected_labels
 from crms_fenicsx.meshes.surface import Surface
+from crms_fenicsx.runtime.compat import default_ranks
+from crms_fenicsx.runtime.errors import MeshError
 
 Ranks = ArrayLike | Callable[[NDArray[np.float64]], ArrayLike]
 """The rank of each cell, (m,), or a function that gives it from the cells' midpoints, (m, 3)."""

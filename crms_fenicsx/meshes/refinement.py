@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from crms_fenicsx.errors import InputError
 from crms_fenicsx.meshes.arguments import check_positive
+from crms_fenicsx.runtime.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from crms_fenicsx.errors import MeshError, as_text
 from crms_fenicsx.meshes.edge_table import EdgeTable, edge_keys
 from crms_fenicsx.meshes.orientation import Outside, connected_labels, oriented
 from crms_fenicsx.meshes.seams import hidden_cells
+from crms_fenicsx.runtime.errors import MeshError, as_text
 
 BOUNDARY = "boundary"
 """Reserved name of the group of all edges with one cell."""

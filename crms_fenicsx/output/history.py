@@ -12,8 +12,8 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from crms_fenicsx.errors import InputError, raised_together
-from crms_fenicsx.output.files import absolute, make_writable, read_text, readable, replaced
+from crms_fenicsx.runtime.errors import InputError, raised_together
+from crms_fenicsx.runtime.files import absolute, make_writable, read_text, readable, replaced
 
 Value = int | float | str
 

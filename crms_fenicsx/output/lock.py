@@ -12,8 +12,8 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from crms_fenicsx.errors import InputError, raised_together
-from crms_fenicsx.output.files import explained, make_writable
+from crms_fenicsx.runtime.errors import InputError, raised_together
+from crms_fenicsx.runtime.files import explained, make_writable
 
 NAME = ".lock"
 """Name of the file that is locked. It stays, as a file that comes and goes could be locked twice.

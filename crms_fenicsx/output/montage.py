@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from crms_fenicsx.errors import InputError
-from crms_fenicsx.output.files import replaced
 from crms_fenicsx.output.stage import checked_filename
+from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.runtime.files import replaced
 
 
 def join_pictures(

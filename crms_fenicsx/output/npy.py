@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from crms_fenicsx.errors import InputError, raised_together
-from crms_fenicsx.output.files import readable, size_of_file
 from crms_fenicsx.output.shared_file import write_together
+from crms_fenicsx.runtime.errors import InputError, raised_together
+from crms_fenicsx.runtime.files import readable, size_of_file
 
 Integers = npt.NDArray[np.int64]
 Rows = npt.NDArray[Any]

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from crms_fenicsx.errors import InputError
 from crms_fenicsx.output.camera import Camera, brightness, visible
 from crms_fenicsx.output.scales import NO_VALUE, common_value, in_words, mappable
 from crms_fenicsx.output.shapes import Line, Surface, checked_points
@@ -23,6 +22,7 @@ from crms_fenicsx.output.stage import (
     check_view,
     checked_filename,
 )
+from crms_fenicsx.runtime.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.cm import ScalarMappable

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from crms_fenicsx.errors import InputError
 from crms_fenicsx.output.history import History
 from crms_fenicsx.output.stage import APART, INK, checked_filename, new_figure, save
+from crms_fenicsx.runtime.errors import InputError
 
 
 def draw_history(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from crms_fenicsx.errors import InputError
+from crms_fenicsx.runtime.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from crms_fenicsx.errors import raised_together
-from crms_fenicsx.output.files import explained, forget, partial_of
+from crms_fenicsx.runtime.errors import raised_together
+from crms_fenicsx.runtime.files import explained, forget, partial_of
 
 SLAB = 2**30
 """Most bytes that one call writes, as MPI counts them in 32 bits."""

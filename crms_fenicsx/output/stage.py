@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from crms_fenicsx.errors import InputError
 from crms_fenicsx.output.camera import Camera
-from crms_fenicsx.output.files import make_writable, replaced
+from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.runtime.files import make_writable, replaced
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -15,8 +15,8 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from crms_fenicsx.errors import InputError
 from crms_fenicsx.output.shared_file import Part, first_row, write_together
+from crms_fenicsx.runtime.errors import InputError
 
 CELL_TYPES = {2: 3, 3: 5}
 """VTK's number of a cell by its corners: line and triangle."""

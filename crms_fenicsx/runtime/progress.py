@@ -10,7 +10,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from crms_fenicsx.errors import InputError
+from crms_fenicsx.runtime.errors import InputError
 
 _log = logging.getLogger("crms_fenicsx")
 _BAR_FORMAT = "{l_bar}{bar}| {n:g}/{total:g} [{elapsed}<{remaining}{postfix}]"

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from crms_fenicsx.errors import InputError, raised_together
+from crms_fenicsx.runtime.errors import InputError, raised_together
 
 PARTIAL = ".partial-"
 """Prefix of a file that is still being written; it keeps the suffix, which says the format."""

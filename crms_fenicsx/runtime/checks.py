@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from crms_fenicsx.errors import InputError
+from crms_fenicsx.runtime.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
