@@ -71,9 +71,9 @@ def watched(now: Callable[[], float] = time.perf_counter) -> Clock:
         minimizer,
         potential,
         system,
-        unknowns,
     )
     from crms_fenicsx.cables import fold, penalty, tension, volume
+    from crms_fenicsx.dofs import layout as unknowns
 
     clock = Clock(now)
     plain = [membrane.MembraneEnergy, loads.FollowerPressure, dead_load.DeadLoad]

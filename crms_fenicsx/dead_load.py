@@ -19,8 +19,8 @@ from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, raised_together
 
 if TYPE_CHECKING:
+    from crms_fenicsx.dofs.layout import Unknowns
     from crms_fenicsx.scene import Scene
-    from crms_fenicsx.unknowns import Unknowns
 
 Array = npt.NDArray[np.float64]
 Traction = Sequence[float] | Array | Callable[[Array, Array], Array]

@@ -10,10 +10,10 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 
+from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.integral import Integral, one_point
 from crms_fenicsx.membrane import Kinematics, tangent_basis
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
-from crms_fenicsx.unknowns import Unknowns
 
 Array = npt.NDArray[np.float64]
 

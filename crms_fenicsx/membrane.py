@@ -12,6 +12,8 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from petsc4py import PETSc
 
+from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.integral import Integral, one_point
 from crms_fenicsx.materials import (
     LINEAR,
@@ -20,10 +22,8 @@ from crms_fenicsx.materials import (
     Membrane,
     law_terms,
 )
-from crms_fenicsx.row_sizes import RowSizes
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.runtime.errors import InputError, raised_together
-from crms_fenicsx.unknowns import Unknowns
 
 if TYPE_CHECKING:
     from crms_fenicsx.tension_field import TensionField

@@ -16,10 +16,10 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.integral import OnePass
-from crms_fenicsx.row_sizes import RowSizes
 from crms_fenicsx.runtime import interrupt
-from crms_fenicsx.unknowns import Unknowns
 
 Array = npt.NDArray[np.float64]
 

@@ -24,8 +24,8 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem, la
 
+from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.loads import OpenEdges
-from crms_fenicsx.unknowns import Unknowns
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]

@@ -14,12 +14,12 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.cables.cable import polyline_length
+from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.loads import FollowerPressure, StepPressure
 from crms_fenicsx.membrane import MembraneEnergy
 from crms_fenicsx.minimizer import Minimizer, Outcome
 from crms_fenicsx.potential import Potential, Term
 from crms_fenicsx.scene import Scene
-from crms_fenicsx.unknowns import Unknowns
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.cable import LaidCable

@@ -8,7 +8,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from term_scene import cable_square
 
-from crms_fenicsx.cables.blocks import BlockPattern, SegmentPattern
+from crms_fenicsx.dofs.block_patterns import BlockPattern, SegmentPattern
 
 
 def empty_matrix(unknowns) -> PETSc.Mat:

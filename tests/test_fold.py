@@ -30,12 +30,12 @@ from term_scene import (
 from term_twins import area, axes_of, density, strain, unfolded
 
 from crms_fenicsx.cables.fold import FoldedCells, FoldEnergy
+from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.materials import LINEAR, IsotropicMembrane, OrthotropicMembrane
 from crms_fenicsx.membrane import FLOOR, MembraneEnergy
 from crms_fenicsx.meshes import from_arrays
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.scene import Scene
-from crms_fenicsx.unknowns import Unknowns
 
 TENSED = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, prestress=0.7)
 TENSED_FABRIC = OrthotropicMembrane(

@@ -23,9 +23,9 @@ from crms_fenicsx.cables.volume import (
     fan_facets,
     split_polygon,
 )
+from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.loads import FollowerPressure, StepPressure
 from crms_fenicsx.scene import Scene
-from crms_fenicsx.unknowns import Unknowns
 
 P = 0.01
 

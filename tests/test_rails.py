@@ -12,10 +12,10 @@ from taylor import OnMesh, dense, gradient_order, is_semidefinite, noise, stiffn
 from term_scene import ISOTROPIC, irregular_square
 
 from crms_fenicsx.cables.tension import CableTension
+from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.hessian import SHIFT, InitialHessian
 from crms_fenicsx.minimizer import Minimizer
 from crms_fenicsx.scene import Scene
-from crms_fenicsx.unknowns import Unknowns
 
 Array = npt.NDArray[np.float64]
 

@@ -23,7 +23,6 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from crms_fenicsx.cables.blocks import ElementPattern, SegmentPattern
 from crms_fenicsx.cables.length import add_segment_forces, segment_lengths, segment_stiffness
 from crms_fenicsx.cables.slip_chain import ENERGY, find_slips
 from crms_fenicsx.cables.stick_slip import (
@@ -32,8 +31,9 @@ from crms_fenicsx.cables.stick_slip import (
     friction_energy,
     secant_stiffness,
 )
-from crms_fenicsx.row_sizes import RowSizes
-from crms_fenicsx.unknowns import Unknowns
+from crms_fenicsx.dofs.block_patterns import ElementPattern, SegmentPattern
+from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.preallocation import RowSizes
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]

@@ -17,7 +17,6 @@ import numpy.typing as npt
 from petsc4py import PETSc
 
 from crms_fenicsx.cables import law as laws
-from crms_fenicsx.cables.blocks import ElementPattern, SegmentPattern
 from crms_fenicsx.cables.length import (
     add_segment_forces,
     difference,
@@ -25,9 +24,10 @@ from crms_fenicsx.cables.length import (
     segment_stiffness,
     slope_over_distance,
 )
+from crms_fenicsx.dofs.block_patterns import ElementPattern, SegmentPattern
+from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.membrane import Stiffening
-from crms_fenicsx.row_sizes import RowSizes
-from crms_fenicsx.unknowns import Unknowns
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]

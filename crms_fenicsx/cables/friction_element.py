@@ -18,7 +18,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.unknowns import Unknowns
+from crms_fenicsx.dofs.layout import Unknowns
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]

@@ -22,7 +22,7 @@ from crms_fenicsx.cables.length import SMOOTHING
 from crms_fenicsx.cables.path import EdgePoint, SurfacePoint
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.cables.volume import split_polygon
-from crms_fenicsx.unknowns import Unknowns
+from crms_fenicsx.dofs.layout import Unknowns
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]

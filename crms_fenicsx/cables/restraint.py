@@ -19,10 +19,10 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from crms_fenicsx.cables.blocks import ElementPattern, SegmentPattern
 from crms_fenicsx.cables.network import Network
-from crms_fenicsx.row_sizes import RowSizes
-from crms_fenicsx.unknowns import Unknowns
+from crms_fenicsx.dofs.block_patterns import ElementPattern, SegmentPattern
+from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.preallocation import RowSizes
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from crms_fenicsx.cables.network import BLOCKED, Network
 from crms_fenicsx.cables.triangles import norm
-from crms_fenicsx.unknowns import Unknowns
+from crms_fenicsx.dofs.layout import Unknowns
 
 Array = npt.NDArray[np.float64]
 

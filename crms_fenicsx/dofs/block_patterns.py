@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from crms_fenicsx.row_sizes import RowSizes
-from crms_fenicsx.unknowns import Unknowns
+from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.preallocation import RowSizes
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]

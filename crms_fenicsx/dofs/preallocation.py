@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from crms_fenicsx.unknowns import Unknowns
+from crms_fenicsx.dofs.layout import Unknowns
 
 Indices = npt.NDArray[np.int32]
 
