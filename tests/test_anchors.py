@@ -19,10 +19,10 @@ from trace_surfaces import (
     scattered,
 )
 
-from crms_fenicsx.cables.locate import foot_of
-from crms_fenicsx.cables.path import CellPoint
-from crms_fenicsx.cables.trace import near_section, trace
 from crms_fenicsx.runtime.errors import PathError
+from crms_fenicsx.surface.closest_point import foot_of
+from crms_fenicsx.surface.path import CellPoint
+from crms_fenicsx.surface.trace import near_section, trace
 
 SNAP = 1e-3  # the default of `trace`
 

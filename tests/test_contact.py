@@ -39,8 +39,8 @@ from crms_fenicsx.cables.contact import (
     touch,
     under,
 )
-from crms_fenicsx.cables.path import CellPoint, EdgePoint, VertexPoint
 from crms_fenicsx.cables.strip import Strip, StripShape
+from crms_fenicsx.surface.path import CellPoint, EdgePoint, VertexPoint
 
 Array = npt.NDArray[np.float64]
 UP = np.array([0.0, 0.0, 1.0])

@@ -20,8 +20,8 @@ from crms_fenicsx.cables.contact_force import (
     stretches,
     turns,
 )
-from crms_fenicsx.cables.path import EdgePoint
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.surface.path import EdgePoint
 
 COMM = MPI.COMM_SELF
 T = 3.0

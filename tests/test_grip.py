@@ -15,9 +15,9 @@ from crms_fenicsx.cables.contact_force import contact_forces
 from crms_fenicsx.cables.friction import Friction
 from crms_fenicsx.cables.grip import Grip, Lag, align, begin, commit, energies
 from crms_fenicsx.cables.pace import Pace
-from crms_fenicsx.cables.path import EdgePoint, VertexPoint
 from crms_fenicsx.cables.slip import MaterialCurve, node_slips
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.surface.path import EdgePoint, VertexPoint
 
 NOWHERE = MaterialCurve(
     np.zeros((1, 3)), np.zeros(1), np.zeros(1, dtype=np.int64), np.zeros(1), np.zeros(1)

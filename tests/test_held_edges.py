@@ -14,9 +14,9 @@ from term_scene import ISOTROPIC, directions, displaced, irregular_square
 
 from crms_fenicsx import Cable, LaidCable, PathWarning, Scene, Solver, meshes
 from crms_fenicsx.cables.cable import CableNode
-from crms_fenicsx.cables.path import EdgePoint
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.shape import current_surface
+from crms_fenicsx.surface.path import EdgePoint
 from crms_fenicsx.system import System
 
 Array = npt.NDArray[np.float64]

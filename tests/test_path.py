@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crms_fenicsx.cables.path import (
+from crms_fenicsx.runtime.errors import PathError
+from crms_fenicsx.surface.path import (
     AcrossCell,
     AlongEdge,
     CellPoint,
@@ -14,7 +15,6 @@ from crms_fenicsx.cables.path import (
     VertexPoint,
     without_backtracking,
 )
-from crms_fenicsx.runtime.errors import PathError
 
 # 6 - 7 - 8      squares cut from the lower left to the upper right
 # 3 - 4 - 5

@@ -10,11 +10,11 @@ from reference_meshes import square
 from crms_fenicsx import Scene
 from crms_fenicsx.cables.cable import CableNode
 from crms_fenicsx.cables.folded_surface import FoldedSurface
-from crms_fenicsx.cables.intrinsic import MissingStars
-from crms_fenicsx.cables.path import CellPoint, EdgePoint
 from crms_fenicsx.cables.shadow import shadow
 from crms_fenicsx.cables.strip import StripShape, cells_near, grow
-from crms_fenicsx.cables.trace import trace
+from crms_fenicsx.surface.intrinsic import MissingStars
+from crms_fenicsx.surface.path import CellPoint, EdgePoint
+from crms_fenicsx.surface.trace import trace
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -23,10 +23,10 @@ from trace_surfaces import (
     scattered,
 )
 
-from crms_fenicsx.cables.path import CellPoint, EdgePoint, VertexPoint
-from crms_fenicsx.cables.trace import _direct_way, near_section, trace
-from crms_fenicsx.cables.triangles import longest_sides
 from crms_fenicsx.runtime.errors import PathError
+from crms_fenicsx.surface.path import CellPoint, EdgePoint, VertexPoint
+from crms_fenicsx.surface.trace import _direct_way, near_section, trace
+from crms_fenicsx.surface.triangles import longest_sides
 
 
 def sheared(points, a, b):
@@ -471,10 +471,10 @@ def test_what_is_around_a_leg_gives_the_same_way_as_all_of_the_section(monkeypat
         taken.append(_direct_way(*arguments))
         return taken[-1]
 
-    monkeypatch.setattr("crms_fenicsx.cables.trace._direct_way", direct)
+    monkeypatch.setattr("crms_fenicsx.surface.trace._direct_way", direct)
     found = [outcome(case) for case in cases]
     assert sum(way is not None for way in taken) > 20 < len(found)
-    monkeypatch.setattr("crms_fenicsx.cables.trace._direct_way", lambda *_: None)
+    monkeypatch.setattr("crms_fenicsx.surface.trace._direct_way", lambda *_: None)
     assert found == [outcome(case) for case in cases]
     assert len({type(one) for one in found}) == 2
 

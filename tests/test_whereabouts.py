@@ -6,10 +6,10 @@ import numpy as np
 from mpi4py import MPI
 from term_scene import cable_square, displaced
 
-from crms_fenicsx.cables.path import EdgePoint
 from crms_fenicsx.cables.whereabouts import Whereabouts
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.scene import Scene
+from crms_fenicsx.surface.path import EdgePoint
 
 
 def vertices(scene: Scene) -> dict[int, np.ndarray]:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
-from crms_fenicsx.cables.path import CellPoint, EdgePoint
-from crms_fenicsx.cables.trace import trace
 from crms_fenicsx.runtime.errors import PathError
+from crms_fenicsx.surface.path import CellPoint, EdgePoint
+from crms_fenicsx.surface.trace import trace
 
 
 def grid(n, m=None):

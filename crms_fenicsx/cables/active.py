@@ -15,9 +15,9 @@ import numpy as np
 from crms_fenicsx.cables import contact
 from crms_fenicsx.cables.cable import LaidCable
 from crms_fenicsx.cables.folded_surface import bends, nodes_on_edges
-from crms_fenicsx.cables.intrinsic import Edge
-from crms_fenicsx.cables.path import EdgePoint, VertexPoint
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.surface.intrinsic import Edge
+from crms_fenicsx.surface.path import EdgePoint, VertexPoint
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.retrace import ContactKey, Retracer

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.locate import ON_SURFACE, foot_of
-from crms_fenicsx.cables.path import Path
 from crms_fenicsx.cables.strip import StripShape, own_surface
-from crms_fenicsx.cables.triangles import vectors
 from crms_fenicsx.runtime.errors import PathError, as_text
+from crms_fenicsx.surface.closest_point import ON_SURFACE, foot_of
+from crms_fenicsx.surface.path import Path
+from crms_fenicsx.surface.triangles import vectors
 
 if TYPE_CHECKING:
     from crms_fenicsx.scene import Scene

@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.cables.friction import Friction
-from crms_fenicsx.cables.path import EdgePoint, Path, SurfacePoint, VertexPoint
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.runtime.readonly import ReadOnly
+from crms_fenicsx.surface.path import EdgePoint, Path, SurfacePoint, VertexPoint
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.axial import AxialGrip

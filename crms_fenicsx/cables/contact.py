@@ -20,9 +20,9 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.cables.cable import COINCIDENT, CableNode, Crossing, LaidCable
-from crms_fenicsx.cables.path import CellPoint, EdgePoint
 from crms_fenicsx.cables.strip import StripShape
-from crms_fenicsx.cables.triangles import cross, dot, norm
+from crms_fenicsx.surface.path import CellPoint, EdgePoint
+from crms_fenicsx.surface.triangles import cross, dot, norm
 
 Array = npt.NDArray[np.float64]
 Edge = tuple[int, int]

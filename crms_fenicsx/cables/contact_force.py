@@ -22,9 +22,9 @@ import numpy.typing as npt
 
 from crms_fenicsx.cables.cable import LaidCable
 from crms_fenicsx.cables.contact import size_at
-from crms_fenicsx.cables.path import EdgePoint, VertexPoint
 from crms_fenicsx.cables.strip import StripShape
-from crms_fenicsx.cables.triangles import cross, dot, norm
+from crms_fenicsx.surface.path import EdgePoint, VertexPoint
+from crms_fenicsx.surface.triangles import cross, dot, norm
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]

@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.cables.cable import CableNode, Crossing, LaidCable
-from crms_fenicsx.cables.path import CellPoint, EdgePoint
 from crms_fenicsx.cables.strip import Strip
+from crms_fenicsx.surface.path import CellPoint, EdgePoint
 
 Array = npt.NDArray[np.float64]
 Edge = tuple[int, int]

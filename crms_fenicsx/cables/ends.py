@@ -18,13 +18,13 @@ from mpi4py import MPI
 
 from crms_fenicsx.cables.cable import COINCIDENT, CableNode, LaidCable
 from crms_fenicsx.cables.contact import size_at
-from crms_fenicsx.cables.intrinsic import Edge, MissingStars, edge_of
-from crms_fenicsx.cables.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
 from crms_fenicsx.cables.shadow import shadow
 from crms_fenicsx.cables.strip import StripShape, grow
-from crms_fenicsx.cables.triangles import cross
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.runtime.errors import PathError
+from crms_fenicsx.surface.intrinsic import Edge, MissingStars, edge_of
+from crms_fenicsx.surface.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
+from crms_fenicsx.surface.triangles import cross
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.retrace import Retracer

@@ -16,10 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.cables.cable import LaidCable
-from crms_fenicsx.cables.intrinsic import Edge, MissingStars, Ring, ring_of
-from crms_fenicsx.cables.path import EdgePoint
 from crms_fenicsx.cables.strip import StripShape
-from crms_fenicsx.cables.triangles import norm
+from crms_fenicsx.surface.intrinsic import Edge, MissingStars, Ring, ring_of
+from crms_fenicsx.surface.path import EdgePoint
+from crms_fenicsx.surface.triangles import norm
 
 Array = npt.NDArray[np.float64]
 

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.cables.cable import COINCIDENT
-from crms_fenicsx.cables.path import SurfacePoint
 from crms_fenicsx.cables.strip import StripShape
-from crms_fenicsx.cables.triangles import norm, vectors
+from crms_fenicsx.surface.path import SurfacePoint
+from crms_fenicsx.surface.triangles import norm, vectors
 
 if TYPE_CHECKING:
     from crms_fenicsx.scene import Scene

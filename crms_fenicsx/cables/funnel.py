@@ -13,8 +13,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-from crms_fenicsx.cables.intrinsic import Edge, edge_of
-from crms_fenicsx.cables.path import CellPoint, EdgePoint, SurfacePoint
+from crms_fenicsx.surface.intrinsic import Edge, edge_of
+from crms_fenicsx.surface.path import CellPoint, EdgePoint, SurfacePoint
 
 Lengths = Mapping[Edge, float]
 

@@ -23,10 +23,10 @@ import numpy.typing as npt
 from crms_fenicsx.cables.cable import CableNode, LaidCable
 from crms_fenicsx.cables.contact_force import forces_at
 from crms_fenicsx.cables.corridor import Support
-from crms_fenicsx.cables.intrinsic import edge_of
 from crms_fenicsx.cables.length import SMOOTHING
 from crms_fenicsx.cables.strip import StripShape
-from crms_fenicsx.cables.triangles import norm
+from crms_fenicsx.surface.intrinsic import edge_of
+from crms_fenicsx.surface.triangles import norm
 
 Array = npt.NDArray[np.float64]
 

@@ -21,12 +21,12 @@ from crms_fenicsx.cables.cable import (
 )
 from crms_fenicsx.cables.contact import drape
 from crms_fenicsx.cables.follow import unfolded
-from crms_fenicsx.cables.path import CellPoint, EdgePoint, Path, SurfacePoint, VertexPoint
 from crms_fenicsx.cables.strip import Strip, StripShape, cells_at, cells_near
-from crms_fenicsx.cables.trace import trace
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, PathError
 from crms_fenicsx.scene import Cables
+from crms_fenicsx.surface.path import CellPoint, EdgePoint, Path, SurfacePoint, VertexPoint
+from crms_fenicsx.surface.trace import trace
 
 if TYPE_CHECKING:
     from crms_fenicsx.scene import Scene

@@ -19,10 +19,10 @@ from dolfinx import fem
 
 from crms_fenicsx.cables.cable import CableNode, LaidCable
 from crms_fenicsx.cables.length import SMOOTHING
-from crms_fenicsx.cables.path import EdgePoint, SurfacePoint
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.cables.volume import split_polygon
 from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.surface.path import EdgePoint, SurfacePoint
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]

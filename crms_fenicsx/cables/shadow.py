@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.cables.cable import CableNode, LaidCable
-from crms_fenicsx.cables.intrinsic import Edge, MissingStars, edge_of
-from crms_fenicsx.cables.path import CellPoint, EdgePoint, SurfacePoint
 from crms_fenicsx.cables.strip import StripShape
-from crms_fenicsx.cables.triangles import cross
+from crms_fenicsx.surface.intrinsic import Edge, MissingStars, edge_of
+from crms_fenicsx.surface.path import CellPoint, EdgePoint, SurfacePoint
+from crms_fenicsx.surface.triangles import cross
 
 Array = npt.NDArray[np.float64]
 

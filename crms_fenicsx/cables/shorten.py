@@ -31,10 +31,10 @@ from crms_fenicsx.cables.corridor import (
     without_detours,
 )
 from crms_fenicsx.cables.funnel import TautString, corner_angle, pull_taut
-from crms_fenicsx.cables.intrinsic import Edge, MissingStars, Ring, Surface, edge_of
-from crms_fenicsx.cables.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import MeshError, PathError
+from crms_fenicsx.surface.intrinsic import Edge, MissingStars, Ring, Surface, edge_of
+from crms_fenicsx.surface.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
 
 __all__ = ["Corridor", "MissingStars", "Ring", "Shortened", "Surface", "corridor", "shorten"]
 

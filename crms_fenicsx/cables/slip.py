@@ -17,7 +17,7 @@ import numpy.typing as npt
 from crms_fenicsx.cables.cable import LaidCable
 from crms_fenicsx.cables.contact_force import runs
 from crms_fenicsx.cables.strip import StripShape
-from crms_fenicsx.cables.triangles import cross
+from crms_fenicsx.surface.triangles import cross
 
 Array = npt.NDArray[np.float64]
 Support = tuple[int, ...]

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.trace import near_section
-from crms_fenicsx.cables.triangles import cross, norm
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.runtime.compat import geometry_dofmap
+from crms_fenicsx.surface.trace import near_section
+from crms_fenicsx.surface.triangles import cross, norm
 
 if TYPE_CHECKING:
     from crms_fenicsx.scene import Scene

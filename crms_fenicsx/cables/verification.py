@@ -19,9 +19,9 @@ from crms_fenicsx.cables.cable import LaidCable
 from crms_fenicsx.cables.contact import INSIDE, is_foot, may_lift, outward_pulls
 from crms_fenicsx.cables.held import held_runs
 from crms_fenicsx.cables.network import Network
-from crms_fenicsx.cables.path import EdgePoint
 from crms_fenicsx.cables.strip import StripShape
-from crms_fenicsx.cables.triangles import norm
+from crms_fenicsx.surface.path import EdgePoint
+from crms_fenicsx.surface.triangles import norm
 from crms_fenicsx.verification import Check
 
 if TYPE_CHECKING:

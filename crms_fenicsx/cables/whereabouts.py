@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.cables.network import BLOCKED, Network
-from crms_fenicsx.cables.triangles import norm
 from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.surface.triangles import norm
 
 Array = npt.NDArray[np.float64]
 

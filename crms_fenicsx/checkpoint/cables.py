@@ -17,8 +17,8 @@ from crms_fenicsx.cables.cable import (
     StepStart,
 )
 from crms_fenicsx.cables.friction import Friction
-from crms_fenicsx.cables.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
 from crms_fenicsx.checkpoint.plain import Plain, floats, integers, listed
+from crms_fenicsx.surface.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.axial import AxialGrip

@@ -14,9 +14,10 @@ from itertools import combinations
 
 import numpy as np
 
-from crms_fenicsx.cables.locate import Node, Place, Surface, edge_count
-from crms_fenicsx.cables.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
-from crms_fenicsx.cables.triangles import (
+from crms_fenicsx.runtime.errors import PathError, as_text
+from crms_fenicsx.surface.closest_point import Node, Place, Surface, edge_count
+from crms_fenicsx.surface.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
+from crms_fenicsx.surface.triangles import (
     WALL,
     Bools,
     Floats,
@@ -28,7 +29,6 @@ from crms_fenicsx.cables.triangles import (
     lists,
     norm,
 )
-from crms_fenicsx.runtime.errors import PathError, as_text
 
 # A fraction that rounding has put on a vertex, where the signs say that it is not, goes here.
 LEAST, MOST = float(np.finfo(float).tiny), float(1.0 - np.finfo(float).epsneg)

@@ -11,8 +11,9 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import ArrayLike
 
-from crms_fenicsx.cables.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
-from crms_fenicsx.cables.triangles import (
+from crms_fenicsx.runtime.errors import PathError, as_text
+from crms_fenicsx.surface.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
+from crms_fenicsx.surface.triangles import (
     WALL,
     Floats,
     Ints,
@@ -28,7 +29,6 @@ from crms_fenicsx.cables.triangles import (
     norm,
     vectors,
 )
-from crms_fenicsx.runtime.errors import PathError, as_text
 
 # A point in space counts as lying on the surface up to this part of the local mesh size: a
 # faceted dome of three cells per radius is nowhere farther from the smooth one.

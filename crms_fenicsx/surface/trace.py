@@ -17,7 +17,8 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import ArrayLike
 
-from crms_fenicsx.cables.locate import (
+from crms_fenicsx.runtime.errors import PathError, as_text
+from crms_fenicsx.surface.closest_point import (
     RIM,
     Node,
     Place,
@@ -26,8 +27,8 @@ from crms_fenicsx.cables.locate import (
     place_in_plan,
     places_in_space,
 )
-from crms_fenicsx.cables.path import CellPoint, Path, SurfacePoint, without_backtracking
-from crms_fenicsx.cables.section import (
+from crms_fenicsx.surface.path import CellPoint, Path, SurfacePoint, without_backtracking
+from crms_fenicsx.surface.plane_section import (
     END,
     START,
     Plane,
@@ -37,7 +38,7 @@ from crms_fenicsx.cables.section import (
     shortest,
     way_back,
 )
-from crms_fenicsx.cables.triangles import (
+from crms_fenicsx.surface.triangles import (
     Bools,
     Floats,
     balls,
@@ -47,7 +48,6 @@ from crms_fenicsx.cables.triangles import (
     norm,
     vectors,
 )
-from crms_fenicsx.runtime.errors import PathError, as_text
 
 # The direct way is shorter than one around the back by more than this: two ways around a tube that
 # are about as long are as good as each other.

@@ -1,0 +1,1 @@
+"""Geometry on a triangulated surface: places, paths, sections, closest points."""
