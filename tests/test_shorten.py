@@ -19,8 +19,8 @@ from curved_surfaces import (
     unstructured,
 )
 
-from crms_fenicsx.cables.corridor import flaw, tied, without_detours
-from crms_fenicsx.cables.shorten import STRAIGHT, corridor, shorten
+from crms_fenicsx.geodesics.corridor import flaw, tied, without_detours
+from crms_fenicsx.geodesics.flip_geodesic import STRAIGHT, corridor, shorten
 from crms_fenicsx.runtime.errors import InputError, MeshError, PathError
 from crms_fenicsx.surface.intrinsic import ArraySurface, MissingStars, Ring, edge_of, ring_of
 from crms_fenicsx.surface.path import CellPoint, EdgePoint, Path, VertexPoint

@@ -21,7 +21,7 @@ from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-from crms_fenicsx.cables.corridor import (
+from crms_fenicsx.geodesics.corridor import (
     Corridor,
     Support,
     cell_between,
@@ -30,7 +30,7 @@ from crms_fenicsx.cables.corridor import (
     tied,
     without_detours,
 )
-from crms_fenicsx.cables.funnel import TautString, corner_angle, pull_taut
+from crms_fenicsx.geodesics.funnel import TautString, corner_angle, pull_taut
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import MeshError, PathError
 from crms_fenicsx.surface.intrinsic import Edge, MissingStars, Ring, Surface, edge_of
