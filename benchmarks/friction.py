@@ -26,9 +26,9 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import ConvergenceError, Solver
-from crms_fenicsx.cables.cable import LaidCable
-from crms_fenicsx.cables.friction import Friction
 from crms_fenicsx.minimizer import Outcome
+from crms_fenicsx.model.friction import Friction
+from crms_fenicsx.model.laid_cable import LaidCable
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))  # their surfaces
 from rigid_surfaces import SURFACES, Curve, Mesh, band, curve, rigid, sphere

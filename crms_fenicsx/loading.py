@@ -11,7 +11,7 @@ import numpy.typing as npt
 from dolfinx.fem import locate_dofs_topological
 from mpi4py import MPI
 
-from crms_fenicsx.cables.cable import CableEnd, LaidCable
+from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, as_text, raised_together
 from crms_fenicsx.scene import Scene

@@ -15,7 +15,7 @@ from petsc4py import PETSc
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.integral import Integral, one_point
-from crms_fenicsx.materials import (
+from crms_fenicsx.model.materials import (
     LINEAR,
     ORTHOTROPIC_TENSION_FIELD,
     LawTerms,

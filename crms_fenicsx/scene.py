@@ -13,18 +13,18 @@ import numpy.typing as npt
 from dolfinx import fem
 from dolfinx.mesh import MeshTags, meshtags
 
-from crms_fenicsx.materials import LINEAR, Membrane
 from crms_fenicsx.membrane import area_vectors
 from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.model.materials import LINEAR, Membrane
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, PenaltyWarning, collective, raised_together
 from crms_fenicsx.runtime.readonly import ReadOnly
 
 if TYPE_CHECKING:
-    from crms_fenicsx.cables.cable import Cable, Crossing, LaidCable
     from crms_fenicsx.cables.strip import Strip
     from crms_fenicsx.dead_load import DeadForces, Traction
     from crms_fenicsx.loads import OpenEdges
+    from crms_fenicsx.model.laid_cable import Cable, Crossing, LaidCable
     from crms_fenicsx.rim import Rim
     from crms_fenicsx.system import StepHistory
 

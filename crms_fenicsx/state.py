@@ -12,7 +12,7 @@ import numpy.typing as npt
 from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
-    from crms_fenicsx.cables.cable import CableNode, CableState, Crossing
+    from crms_fenicsx.model.laid_cable import CableNode, CableState, Crossing
 
 Array = npt.NDArray[np.float64]
 

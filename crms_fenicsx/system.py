@@ -13,16 +13,15 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from crms_fenicsx.cables.cable import polyline_length
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.loads import FollowerPressure, StepPressure
 from crms_fenicsx.membrane import MembraneEnergy
 from crms_fenicsx.minimizer import Minimizer, Outcome
+from crms_fenicsx.model.laid_cable import polyline_length
 from crms_fenicsx.potential import Potential, Term
 from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
-    from crms_fenicsx.cables.cable import LaidCable
     from crms_fenicsx.cables.capstan import CapstanTension
     from crms_fenicsx.cables.fold import FoldedCells, FoldEnergy
     from crms_fenicsx.cables.friction_element import FrictionElementEnergy
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
     from crms_fenicsx.cables.tables import CableTables
     from crms_fenicsx.cables.tension import CableTension
     from crms_fenicsx.dead_load import DeadLoad
+    from crms_fenicsx.model.laid_cable import LaidCable
 
 logger = logging.getLogger("crms_fenicsx")
 

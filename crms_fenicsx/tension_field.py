@@ -17,7 +17,7 @@ import ufl
 from dolfinx import fem
 
 from crms_fenicsx.cables import law as laws
-from crms_fenicsx.materials import ORTHOTROPIC_TENSION_FIELD, LawTerms, symmetric, voigt
+from crms_fenicsx.model.materials import ORTHOTROPIC_TENSION_FIELD, LawTerms, symmetric, voigt
 from crms_fenicsx.runtime.compat import geometry_dofmap
 
 Array = npt.NDArray[np.float64]

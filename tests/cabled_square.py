@@ -9,8 +9,8 @@ from mpi4py import MPI
 from reference_meshes import square
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene
-from crms_fenicsx.cables.cable import LaidCable
 from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.model.laid_cable import LaidCable
 
 CABLE = Cable(EA=32000.0)
 PRESSURE = 0.01

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crms_fenicsx import Scene
-from crms_fenicsx.cables.cable import LaidCable
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.surface.path import EdgePoint
 

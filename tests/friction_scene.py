@@ -9,10 +9,10 @@ import numpy as np
 from mpi4py import MPI
 from term_scene import ISOTROPIC, SIDE, irregular_square
 
-from crms_fenicsx.cables.cable import Cable
-from crms_fenicsx.cables.friction import Friction
 from crms_fenicsx.cables.grip import begin
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.model.friction import Friction
+from crms_fenicsx.model.laid_cable import Cable
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.system import System
 

@@ -19,8 +19,8 @@ from scipy.optimize import root
 from scipy.spatial import Delaunay, cKDTree
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, meshes
-from crms_fenicsx.cables.cable import LaidCable
-from crms_fenicsx.cables.friction import Friction
+from crms_fenicsx.model.friction import Friction
+from crms_fenicsx.model.laid_cable import LaidCable
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -14,8 +14,8 @@ from mpi4py import MPI
 from scipy.optimize import brentq
 
 from crms_fenicsx import Cable, Friction, IsotropicMembrane, Scene, meshes
-from crms_fenicsx.cables.cable import LaidCable
 from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.model.laid_cable import LaidCable
 
 Array = npt.NDArray[np.float64]
 

@@ -10,10 +10,10 @@ import numpy.typing as npt
 from mpi4py import MPI
 from taylor import OnMesh, noise
 
-from crms_fenicsx.cables.cable import Cable
 from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.materials import IsotropicMembrane, Membrane, OrthotropicMembrane
 from crms_fenicsx.meshes import MembraneMesh, from_arrays
+from crms_fenicsx.model.laid_cable import Cable
+from crms_fenicsx.model.materials import IsotropicMembrane, Membrane, OrthotropicMembrane
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.system import System
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.materials import LINEAR, Membrane
+from crms_fenicsx.model.materials import LINEAR, Membrane
 
 Array = npt.NDArray[Any]
 

@@ -20,8 +20,8 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.cables.friction import Friction
 from crms_fenicsx.equilibrium import EquilibriumSearch
+from crms_fenicsx.model.friction import Friction
 
 NAN = float("nan")
 MATERIAL = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)

@@ -13,14 +13,6 @@ import numpy.typing as npt
 import pytest
 
 from crms_fenicsx import Cable
-from crms_fenicsx.cables.cable import (
-    COINCIDENT,
-    CableNode,
-    CableState,
-    Crossing,
-    LaidCable,
-    polyline_length,
-)
 from crms_fenicsx.cables.contact import (
     DEPTH,
     INSIDE,
@@ -40,6 +32,14 @@ from crms_fenicsx.cables.contact import (
     under,
 )
 from crms_fenicsx.cables.strip import Strip, StripShape
+from crms_fenicsx.model.laid_cable import (
+    COINCIDENT,
+    CableNode,
+    CableState,
+    Crossing,
+    LaidCable,
+    polyline_length,
+)
 from crms_fenicsx.surface.path import CellPoint, EdgePoint, VertexPoint
 
 Array = npt.NDArray[np.float64]

@@ -10,7 +10,6 @@ from mpi4py import MPI
 from rigid_surfaces import SURFACES, band, curve, rigid, sphere
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.cables.cable import CableNode, CableState, LaidCable
 from crms_fenicsx.cables.contact_force import (
     WIDTH,
     contact_forces,
@@ -21,6 +20,7 @@ from crms_fenicsx.cables.contact_force import (
     turns,
 )
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.model.laid_cable import CableNode, CableState, LaidCable
 from crms_fenicsx.surface.path import EdgePoint
 
 COMM = MPI.COMM_SELF

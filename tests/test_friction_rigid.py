@@ -20,7 +20,7 @@ import pytest
 from rigid_surfaces import KINDS, STIFF, SURFACES, Curve, band, curve, rigid, sphere
 
 from crms_fenicsx import Cable, Scene, Solver, meshes
-from crms_fenicsx.cables.friction import Friction
+from crms_fenicsx.model.friction import Friction
 
 ROOT = Path(__file__).parents[1]
 H = 0.1
@@ -298,7 +298,7 @@ sys.path.insert(0, {str(ROOT / "tests")!r})
 import numpy as np
 from mpi4py import MPI
 from crms_fenicsx import Cable, Solver
-from crms_fenicsx.cables.friction import Friction
+from crms_fenicsx.model.friction import Friction
 from cabled_square import sheet
 found = []
 for choice in ({{}}, dict(friction=0), dict(friction=Friction(0.0))):

@@ -13,7 +13,7 @@ from taylor import OnMesh, gradient_order, is_semidefinite
 from term_scene import ISOTROPIC, directions, displaced, irregular_square
 
 from crms_fenicsx import Cable, LaidCable, PathWarning, Scene, Solver, meshes
-from crms_fenicsx.cables.cable import CableNode
+from crms_fenicsx.model.laid_cable import CableNode
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.shape import current_surface
 from crms_fenicsx.surface.path import EdgePoint

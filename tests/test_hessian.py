@@ -11,9 +11,9 @@ from term_scene import cable_square, displaced
 from test_held_edges import OBLIQUE, ridged
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.cables.cable import polyline_length
 from crms_fenicsx.cables.whereabouts import Whereabouts
 from crms_fenicsx.hessian import SHIFT, WORKSPACE, InitialHessian
+from crms_fenicsx.model.laid_cable import polyline_length
 
 
 def at_some_state(comm):

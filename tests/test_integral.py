@@ -8,7 +8,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from term_scene import FABRIC, ISOTROPIC, cable_square, displaced, on_mesh
 
-from crms_fenicsx.materials import Membrane
+from crms_fenicsx.model.materials import Membrane
 
 BOTH = "MembraneEnergy", "FollowerPressure"
 

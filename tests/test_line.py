@@ -9,8 +9,8 @@ from mpi4py import MPI
 from term_scene import ISOTROPIC
 
 from crms_fenicsx import Cable, Scene, Solver, meshes
-from crms_fenicsx.cables.cable import LaidCable, polyline_length
-from crms_fenicsx.cables.friction import Friction
+from crms_fenicsx.model.friction import Friction
+from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 
 Array = npt.NDArray[np.float64]
 EA = 32000.0

@@ -11,7 +11,7 @@ from term_twins import density, energy_at_angle, relaxed_energy
 
 from crms_fenicsx import meshes
 from crms_fenicsx.cables import law as compiled
-from crms_fenicsx.materials import (
+from crms_fenicsx.model.materials import (
     LINEAR,
     TENSION_FIELD,
     IsotropicMembrane,

@@ -15,9 +15,9 @@ from mpi4py import MPI
 
 from crms_fenicsx import Scene, Solver
 from crms_fenicsx.cables import vertex_trials
-from crms_fenicsx.cables.cable import LaidCable
 from crms_fenicsx.cables.held import Run
 from crms_fenicsx.cables.vertex_trials import Trial, VertexTrials
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.surface.path import EdgePoint
 
 T_EXACT, Z_EXACT = (68.176, 33.193), 4.4317

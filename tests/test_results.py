@@ -16,7 +16,7 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.materials import Membrane
+from crms_fenicsx.model.materials import Membrane
 from crms_fenicsx.results import gained_volume
 from crms_fenicsx.shape import best_fan, current_surface
 

@@ -13,7 +13,7 @@ from cabled_square import CABLE, KINDS, PRESSURE, clamped, order, place, sheet
 from reference_meshes import rotated_lattice, square
 
 from crms_fenicsx import Cable, IsotropicMembrane, PathWarning, Scene, Solver, meshes
-from crms_fenicsx.cables.cable import LaidCable
+from crms_fenicsx.model.laid_cable import LaidCable
 
 ENDS = [(0.0, 30.0), (100.0, 30.0)]
 T_EXACT, W_EXACT = 103.0532, -298.76483

@@ -25,10 +25,10 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.cables.cable import polyline_length
 from crms_fenicsx.equilibrium import EquilibriumSearch
 from crms_fenicsx.loading import checked_target
 from crms_fenicsx.minimizer import Minimizer, Outcome
+from crms_fenicsx.model.laid_cable import polyline_length
 from crms_fenicsx.potential import Potential
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.system import System

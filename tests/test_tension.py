@@ -11,7 +11,6 @@ from taylor import (
 )
 from term_scene import cable_square, directions, displaced, moved, on_mesh
 
-from crms_fenicsx.cables.cable import StepStart
 from crms_fenicsx.cables.length import (
     add_segment_forces,
     segment_lengths,
@@ -21,6 +20,7 @@ from crms_fenicsx.cables.length import (
     turn_coefficient,
 )
 from crms_fenicsx.cables.tension import CableTension, StepCableTension
+from crms_fenicsx.model.laid_cable import StepStart
 
 EPS = 0.3
 

@@ -17,8 +17,8 @@ from twisted_annulus import radial, reference, small_twist_torque, twisted
 
 from crms_fenicsx import Cable, IsotropicMembrane, OrthotropicMembrane, Scene, Solver
 from crms_fenicsx.cables import law as compiled
-from crms_fenicsx.materials import UNSTRAINED, Membrane
 from crms_fenicsx.minimizer import REBUILD
+from crms_fenicsx.model.materials import UNSTRAINED, Membrane
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.solver import Step

@@ -19,8 +19,8 @@ from scipy.optimize import minimize_scalar, root
 from term_twins import best_angle
 
 from crms_fenicsx import Scene, Solver
-from crms_fenicsx.materials import Membrane
 from crms_fenicsx.meshes import MembraneMesh, from_arrays
+from crms_fenicsx.model.materials import Membrane
 from crms_fenicsx.solver import Step
 
 Array = npt.NDArray[Any]

@@ -9,8 +9,8 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, OrthotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.cables.cable import LaidCable
 from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.model.laid_cable import LaidCable
 
 COMM = MPI.COMM_SELF
 PRESSURE = 0.01

@@ -9,7 +9,7 @@ import numpy as np
 from roped_drum import EA, exact_tensions, places, roped
 
 from crms_fenicsx import Cable, Solver
-from crms_fenicsx.cables.cable import LaidCable
+from crms_fenicsx.model.laid_cable import LaidCable
 from sweeps.judge import Judge, Point
 from sweeps.scenes import COMM, MODULUS, PRESSURE, ROPE, SIDE, across, clamped, crossed, square
 

@@ -12,9 +12,9 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.cables.cable import LaidCable
-from crms_fenicsx.materials import Membrane
 from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.materials import Membrane
 
 Array = npt.NDArray[np.float64]
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from crms_fenicsx import Cable, Friction, IsotropicMembrane, PenaltyWarning, Scene, Solver, meshes
 from crms_fenicsx.cables import length
-from crms_fenicsx.cables.cable import LaidCable
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.scene import STABLE_PENALTY
 from sweeps.judge import Judge, Point
 from sweeps.scenes import (

@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.cable import COINCIDENT, CableNode, Crossing, LaidCable
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.model.laid_cable import COINCIDENT, CableNode, Crossing, LaidCable
 from crms_fenicsx.surface.path import CellPoint, EdgePoint
 from crms_fenicsx.surface.triangles import cross, dot, norm
 

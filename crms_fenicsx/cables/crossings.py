@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.cable import CableNode, Crossing, LaidCable
 from crms_fenicsx.cables.strip import Strip
+from crms_fenicsx.model.laid_cable import CableNode, Crossing, LaidCable
 from crms_fenicsx.surface.path import CellPoint, EdgePoint
 
 Array = npt.NDArray[np.float64]

@@ -16,10 +16,10 @@ import numpy.typing as npt
 from dolfinx.mesh import entities_to_geometry
 from mpi4py import MPI
 
-from crms_fenicsx.cables.cable import COINCIDENT, CableNode, LaidCable
 from crms_fenicsx.cables.contact import size_at
 from crms_fenicsx.cables.shadow import shadow
 from crms_fenicsx.cables.strip import StripShape, grow
+from crms_fenicsx.model.laid_cable import COINCIDENT, CableNode, LaidCable
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.surface.intrinsic import Edge, MissingStars, edge_of

@@ -15,8 +15,8 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.cable import LaidCable
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.surface.intrinsic import Edge, MissingStars, Ring, ring_of
 from crms_fenicsx.surface.path import EdgePoint
 from crms_fenicsx.surface.triangles import norm

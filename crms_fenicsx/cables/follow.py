@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.cable import COINCIDENT
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.model.laid_cable import COINCIDENT
 from crms_fenicsx.surface.path import SurfacePoint
 from crms_fenicsx.surface.triangles import norm, vectors
 

@@ -1,4 +1,4 @@
-"""The stress laws of `crms_fenicsx.materials`, compiled: for folded cells, orthotropic also plain.
+"""The stress laws of `crms_fenicsx.model.materials`, compiled: for folded cells, orthotropic also plain.
 
 Orthotropic tension field. A membrane that cannot carry compression has the energy of the best
 tensile stress, ``max sigma : E - 1/2 sigma : C : sigma``. Where D E is tensile that is D E (taut);
@@ -24,7 +24,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.materials import (
+from crms_fenicsx.model.materials import (
     LINEAR,
     ORTHOTROPIC_TENSION_FIELD,
     TENSION_FIELD,

@@ -10,7 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.cables.behind import refuse_forks, refuse_places_behind
-from crms_fenicsx.cables.cable import (
+from crms_fenicsx.cables.contact import drape
+from crms_fenicsx.cables.follow import unfolded
+from crms_fenicsx.cables.strip import Strip, StripShape, cells_at, cells_near
+from crms_fenicsx.model.laid_cable import (
     Cable,
     CableNode,
     CableState,
@@ -19,9 +22,6 @@ from crms_fenicsx.cables.cable import (
     StepStart,
     polyline_length,
 )
-from crms_fenicsx.cables.contact import drape
-from crms_fenicsx.cables.follow import unfolded
-from crms_fenicsx.cables.strip import Strip, StripShape, cells_at, cells_near
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, PathError
 from crms_fenicsx.scene import Cables

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.cable import CableNode, End, LaidCable
 from crms_fenicsx.cables.contact import INSIDE, drape
 from crms_fenicsx.cables.crossings import note_places
 from crms_fenicsx.cables.folded_surface import FoldedSurface, bends
@@ -25,6 +24,7 @@ from crms_fenicsx.cables.shadow import with_shadows
 from crms_fenicsx.cables.strip import StripShape, grow
 from crms_fenicsx.geodesics.corridor import Support, flaw
 from crms_fenicsx.geodesics.flip_geodesic import Corridor, corridor, shorten
+from crms_fenicsx.model.laid_cable import CableNode, End, LaidCable
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.surface.intrinsic import MissingStars
 from crms_fenicsx.surface.path import EdgePoint, SurfacePoint, VertexPoint, without_backtracking

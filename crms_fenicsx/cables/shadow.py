@@ -12,8 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.cable import CableNode, LaidCable
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.model.laid_cable import CableNode, LaidCable
 from crms_fenicsx.surface.intrinsic import Edge, MissingStars, edge_of
 from crms_fenicsx.surface.path import CellPoint, EdgePoint, SurfacePoint
 from crms_fenicsx.surface.triangles import cross

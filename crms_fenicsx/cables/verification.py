@@ -15,11 +15,11 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from crms_fenicsx.cables.cable import LaidCable
 from crms_fenicsx.cables.contact import INSIDE, is_foot, may_lift, outward_pulls
 from crms_fenicsx.cables.held import held_runs
 from crms_fenicsx.cables.network import Network
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.surface.path import EdgePoint
 from crms_fenicsx.surface.triangles import norm
 from crms_fenicsx.verification import Check

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from crms_fenicsx.cables.cable import (
+from crms_fenicsx.checkpoint.plain import Plain, floats, integers, listed
+from crms_fenicsx.model.friction import Friction
+from crms_fenicsx.model.laid_cable import (
     Cable,
     CableNode,
     CableState,
@@ -16,8 +18,6 @@ from crms_fenicsx.cables.cable import (
     LaidCable,
     StepStart,
 )
-from crms_fenicsx.cables.friction import Friction
-from crms_fenicsx.checkpoint.plain import Plain, floats, integers, listed
 from crms_fenicsx.surface.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
 
 if TYPE_CHECKING:

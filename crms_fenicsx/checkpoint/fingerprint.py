@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.materials import Membrane
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
+from crms_fenicsx.model.materials import Membrane
 from crms_fenicsx.output.npy import digest
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.scene import Scene

@@ -27,8 +27,8 @@ from crms_fenicsx.runtime.files import explained, read_text, readable
 from crms_fenicsx.scene import Cables, Scene
 
 if TYPE_CHECKING:
-    from crms_fenicsx.cables.cable import Crossing, LaidCable
     from crms_fenicsx.cables.strip import Strip
+    from crms_fenicsx.model.laid_cable import Crossing, LaidCable
 
 STATE, CELLS = "state.json", "cells.npy"
 FORMAT = "crms_fenicsx checkpoint 3"

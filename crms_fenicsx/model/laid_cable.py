@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.friction import Friction
+from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.runtime.readonly import ReadOnly
