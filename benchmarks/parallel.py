@@ -61,19 +61,14 @@ class Clock:
 
 def watched(now: Callable[[], float] = time.perf_counter) -> Clock:
     """A clock on the parts of a load step, which reads the time from `now`."""
-    from crms_fenicsx import (
-        dead_load,
-        equilibrium,
-        hessian,
-        integral,
-        loads,
-        membrane,
-        minimizer,
-        potential,
-        system,
-    )
-    from crms_fenicsx.cables import fold, penalty, tension, volume
+    from crms_fenicsx import equilibrium, hessian, minimizer, potential, system
     from crms_fenicsx.dofs import layout as unknowns
+    from crms_fenicsx.energies import cable_tension as tension
+    from crms_fenicsx.energies import dead_load, integral, membrane
+    from crms_fenicsx.energies import fold_penalty as penalty
+    from crms_fenicsx.energies import folded_membrane as fold
+    from crms_fenicsx.energies import folded_pressure as volume
+    from crms_fenicsx.energies import pressure as loads
 
     clock = Clock(now)
     plain = [membrane.MembraneEnergy, loads.FollowerPressure, dead_load.DeadLoad]

@@ -21,7 +21,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from crms_fenicsx.membrane import MembraneEnergy
+from crms_fenicsx.energies.membrane import MembraneEnergy
 from crms_fenicsx.model.materials import LINEAR, Membrane
 from crms_fenicsx.runtime.compat import geometry_dofmap, interpolation_points
 from crms_fenicsx.runtime.errors import InputError

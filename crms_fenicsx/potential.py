@@ -18,7 +18,7 @@ from petsc4py import PETSc
 
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
-from crms_fenicsx.integral import OnePass
+from crms_fenicsx.energies.integral import OnePass
 from crms_fenicsx.runtime import interrupt
 
 Array = npt.NDArray[np.float64]

@@ -283,7 +283,7 @@ def gained_volume(scene: Scene) -> float:
     it is that between the two surfaces and the planes; if it moves else, what its way sweeps out as
     seen from the stress-free membrane's centre counts too.
     """
-    from crms_fenicsx.rim import gain
+    from crms_fenicsx.energies.pressure_rim import gain
 
     V, mesh = scene.V, scene.mesh.mesh
     shape = folded_shape(scene)
@@ -295,7 +295,7 @@ def gained_volume(scene: Scene) -> float:
     local = _volume_change(X, u, cells[plain]).sum()
     pieces = [corners for cell, corners in shape.pieces if scene.pressed[cell]]
     if pieces:
-        from crms_fenicsx.cables.volume import fan_facets
+        from crms_fenicsx.energies.folded_pressure import fan_facets
 
         corners, weights = fan_facets(pieces)
         # Pieces of a folded cell together are, stress-free, the cell: their changes add up.

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from dolfinx.mesh import MeshTags, meshtags
 
-from crms_fenicsx.membrane import area_vectors
+from crms_fenicsx.energies.membrane import area_vectors
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.model.materials import LINEAR, Membrane
 from crms_fenicsx.runtime import checks
@@ -22,10 +22,10 @@ from crms_fenicsx.runtime.readonly import ReadOnly
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.strip import Strip
-    from crms_fenicsx.dead_load import DeadForces, Traction
-    from crms_fenicsx.loads import OpenEdges
+    from crms_fenicsx.energies.dead_load import DeadForces, Traction
+    from crms_fenicsx.energies.pressure import OpenEdges
+    from crms_fenicsx.energies.pressure_rim import Rim
     from crms_fenicsx.model.laid_cable import Cable, Crossing, LaidCable
-    from crms_fenicsx.rim import Rim
     from crms_fenicsx.system import StepHistory
 
 Array = npt.NDArray[np.float64]
@@ -209,13 +209,13 @@ class Scene:
     @cached_property
     def open_edges(self) -> OpenEdges:
         """Edges that pressure needs to be held; see `loads.open_edges`. Collective."""
-        from crms_fenicsx.loads import open_edges
+        from crms_fenicsx.energies.pressure import open_edges
 
         return open_edges(self.V, self.pressed)
 
     def rim(self) -> Rim:
         """How the `open_edges` are held in the current state. Collective."""
-        from crms_fenicsx.rim import rim_of
+        from crms_fenicsx.energies.pressure_rim import rim_of
 
         return rim_of(self.open_edges, self.V, self.held, self.positions(), self.size)
 
@@ -419,7 +419,7 @@ class Scene:
         InputError
             On all ranks: a force that is not finite or of another shape.
         """
-        from crms_fenicsx.dead_load import dead_forces
+        from crms_fenicsx.energies.dead_load import dead_forces
 
         checks.same(self.comm, "put_load", force=force)
         self.check_finite("put_load")

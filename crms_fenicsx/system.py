@@ -14,24 +14,24 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.loads import FollowerPressure, StepPressure
-from crms_fenicsx.membrane import MembraneEnergy
+from crms_fenicsx.energies.membrane import MembraneEnergy
+from crms_fenicsx.energies.pressure import FollowerPressure, StepPressure
 from crms_fenicsx.minimizer import Minimizer, Outcome
 from crms_fenicsx.model.laid_cable import polyline_length
 from crms_fenicsx.potential import Potential, Term
 from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
-    from crms_fenicsx.cables.capstan import CapstanTension
-    from crms_fenicsx.cables.fold import FoldedCells, FoldEnergy
     from crms_fenicsx.cables.friction_element import FrictionElementEnergy
     from crms_fenicsx.cables.network import Member, Network
-    from crms_fenicsx.cables.penalty import KinkPenalty
     from crms_fenicsx.cables.restraint import Restraint
-    from crms_fenicsx.cables.stick_slip import StickSlip
     from crms_fenicsx.cables.tables import CableTables
-    from crms_fenicsx.cables.tension import CableTension
-    from crms_fenicsx.dead_load import DeadLoad
+    from crms_fenicsx.energies.axial_friction import CapstanTension
+    from crms_fenicsx.energies.cable_tension import CableTension
+    from crms_fenicsx.energies.dead_load import DeadLoad
+    from crms_fenicsx.energies.fold_penalty import KinkPenalty
+    from crms_fenicsx.energies.folded_membrane import FoldedCells, FoldEnergy
+    from crms_fenicsx.energies.lateral_friction import StickSlip
     from crms_fenicsx.model.laid_cable import LaidCable
 
 logger = logging.getLogger("crms_fenicsx")
@@ -150,7 +150,7 @@ class System:
             terms += self._rim_terms()
         self.dead_load: DeadLoad | None = None
         if scene.dead_forces is not None:
-            from crms_fenicsx.dead_load import DeadLoad
+            from crms_fenicsx.energies.dead_load import DeadLoad
 
             self.dead_load = DeadLoad(scene.dead_forces)
             terms.append(self.dead_load)
@@ -214,7 +214,7 @@ class System:
         rim = scene.rim()
         if scene.comm.allreduce(len(rim.sliding), op=MPI.SUM) == 0:
             return []
-        from crms_fenicsx.rim import RimPressure
+        from crms_fenicsx.energies.pressure_rim import RimPressure
 
         return [RimPressure(rim, self.pressure_value, scene.centre)]
 
@@ -260,7 +260,7 @@ class System:
         terms: list[Term] = []
         if "coulomb" in laws:
             from crms_fenicsx.cables.friction_tables import slip_table
-            from crms_fenicsx.cables.stick_slip import StickSlip
+            from crms_fenicsx.energies.lateral_friction import StickSlip
 
             self.stick_slip = StickSlip(slip_table(network, shape))
             terms.append(self.stick_slip)
@@ -304,9 +304,9 @@ class System:
             terms.append(self.tension)
         if self._gripped:
             from crms_fenicsx.cables.axial import align_axial
-            from crms_fenicsx.cables.capstan import CapstanTension
             from crms_fenicsx.cables.capstan_tables import chain_table, grip_table
             from crms_fenicsx.cables.strip import StripShape
+            from crms_fenicsx.energies.axial_friction import CapstanTension
 
             for cable in self._gripped:
                 align_axial(cable)
@@ -317,7 +317,7 @@ class System:
         return terms
 
     def _tension_term(self, tables: CableTables, taut: list[LaidCable]) -> CableTension:
-        from crms_fenicsx.cables.tension import CableTension, StepCableTension
+        from crms_fenicsx.energies.cable_tension import CableTension, StepCableTension
 
         own = self._sliding
         EA, L0 = np.array([c.cable.EA for c in own]), np.array([c.L0 for c in own])
@@ -332,7 +332,7 @@ class System:
         )
 
     def _fold_term(self, folded: FoldedCells) -> FoldEnergy:
-        from crms_fenicsx.cables.fold import FoldEnergy
+        from crms_fenicsx.energies.folded_membrane import FoldEnergy
 
         membrane = self.membrane
         if self.scene.strain_law == "total":
@@ -346,7 +346,7 @@ class System:
         return self.folds
 
     def _penalty_term(self, tables: CableTables) -> KinkPenalty:
-        from crms_fenicsx.cables.penalty import KinkPenalty
+        from crms_fenicsx.energies.fold_penalty import KinkPenalty
 
         if self.scene.literal_penalty is not None:
             self.kinks = KinkPenalty(tables.literal_penalty(self.scene.literal_penalty))
@@ -358,7 +358,7 @@ class System:
         return self.kinks
 
     def _folded_pressure_term(self, tables: CableTables) -> Term:
-        from crms_fenicsx.cables.volume import FoldedFollowerPressure, FoldedStepPressure
+        from crms_fenicsx.energies.folded_pressure import FoldedFollowerPressure, FoldedStepPressure
 
         if self.scene.pressure_law == "total":
             return FoldedFollowerPressure(tables.facets, self.pressure_value, self.scene.centre)

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from crms_fenicsx.membrane import area_vectors
+from crms_fenicsx.energies.membrane import area_vectors
 from crms_fenicsx.results import pressed_facets
 
 if TYPE_CHECKING:

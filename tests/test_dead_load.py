@@ -18,8 +18,8 @@ from term_scene import (
 from test_membrane import corners
 
 from crms_fenicsx import Cable, ConvergenceError, InputError, Scene, Solver
-from crms_fenicsx.dead_load import DeadLoad, dead_forces
 from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.energies.dead_load import DeadLoad, dead_forces
 from crms_fenicsx.minimizer import Minimizer, Outcome
 
 

@@ -5,7 +5,7 @@ import pytest
 from taylor import TermOnPoints, gradient_order, is_semidefinite, stiffness_error, stiffness_order
 from term_scene import cable_square, directions, displaced, moved, on_mesh
 
-from crms_fenicsx.cables.penalty import KinkPenalty, Kinks
+from crms_fenicsx.energies.fold_penalty import KinkPenalty, Kinks
 
 KINDS = pytest.mark.parametrize("weighted", [True, False], ids=["weighted", "literal"])
 

@@ -17,14 +17,14 @@ from term_scene import (
 )
 from test_membrane import corners
 
-from crms_fenicsx.cables.volume import (
+from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.energies.folded_pressure import (
     Facets,
     FoldedFollowerPressure,
     fan_facets,
     split_polygon,
 )
-from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.loads import FollowerPressure, StepPressure
+from crms_fenicsx.energies.pressure import FollowerPressure, StepPressure
 from crms_fenicsx.scene import Scene
 
 P = 0.01

@@ -11,8 +11,8 @@ from mpi4py import MPI
 from taylor import OnMesh, dense, gradient_order, is_semidefinite, noise, stiffness_error
 from term_scene import ISOTROPIC, irregular_square
 
-from crms_fenicsx.cables.tension import CableTension
 from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.energies.cable_tension import CableTension
 from crms_fenicsx.hessian import SHIFT, InitialHessian
 from crms_fenicsx.minimizer import Minimizer
 from crms_fenicsx.scene import Scene

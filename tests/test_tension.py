@@ -11,7 +11,8 @@ from taylor import (
 )
 from term_scene import cable_square, directions, displaced, moved, on_mesh
 
-from crms_fenicsx.cables.length import (
+from crms_fenicsx.energies.cable_tension import CableTension, StepCableTension
+from crms_fenicsx.energies.segments import (
     add_segment_forces,
     segment_lengths,
     segment_stiffness,
@@ -19,7 +20,6 @@ from crms_fenicsx.cables.length import (
     smoothed_length,
     turn_coefficient,
 )
-from crms_fenicsx.cables.tension import CableTension, StepCableTension
 from crms_fenicsx.model.laid_cable import StepStart
 
 EPS = 0.3

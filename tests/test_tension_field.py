@@ -16,7 +16,7 @@ from term_twins import axes_of, best_angle, relaxed_energy, strain
 from twisted_annulus import radial, reference, small_twist_torque, twisted
 
 from crms_fenicsx import Cable, IsotropicMembrane, OrthotropicMembrane, Scene, Solver
-from crms_fenicsx.cables import law as compiled
+from crms_fenicsx.energies import stress_laws as compiled
 from crms_fenicsx.minimizer import REBUILD
 from crms_fenicsx.model.materials import UNSTRAINED, Membrane
 from crms_fenicsx.runtime.compat import geometry_dofmap

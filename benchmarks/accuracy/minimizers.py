@@ -14,10 +14,10 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from petsc4py import PETSc
 
+from crms_fenicsx.energies.integral import one_point
+from crms_fenicsx.energies.membrane import Kinematics, MembraneEnergy, tangent_basis
+from crms_fenicsx.energies.pressure import FollowerPressure
 from crms_fenicsx.hessian import InitialHessian
-from crms_fenicsx.integral import one_point
-from crms_fenicsx.loads import FollowerPressure
-from crms_fenicsx.membrane import Kinematics, MembraneEnergy, tangent_basis
 from crms_fenicsx.minimizer import COARSE, Minimizer, Outcome
 from crms_fenicsx.potential import Potential
 

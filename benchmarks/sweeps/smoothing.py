@@ -10,7 +10,7 @@ from unittest.mock import patch
 import numpy as np
 
 from crms_fenicsx import Cable, Friction, IsotropicMembrane, PenaltyWarning, Scene, Solver, meshes
-from crms_fenicsx.cables import length
+from crms_fenicsx.energies import segments as length
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.scene import STABLE_PENALTY
 from sweeps.judge import Judge, Point

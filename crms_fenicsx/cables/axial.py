@@ -7,7 +7,7 @@ to its own. So nothing is lost when the cable also slides sideways, and over ver
 
 The friction bound of a node follows from the angle of wrap and the tension there, which the
 minimisation does not know yet: it is held while the potential is minimised. Then the law
-``T2/T1 = exp(mu theta)`` itself is solved for the lengths found (`crms_fenicsx.cables.slip_chain`),
+``T2/T1 = exp(mu theta)`` itself is solved for the lengths found (`crms_fenicsx.energies.capstan_chain`),
 and gives the bounds for the next pass. Only lengths and angles change from pass to pass, little.
 A cable of which no bounds are known yet begins without friction: its lengths then are near to
 those sought, whereas one that sticks would have those that the movement of its ends tears it to.
@@ -220,7 +220,7 @@ class AxialLag:
         -------
         Change of the tension that follows from them, relative to their sum.
         """
-        from crms_fenicsx.cables.slip_chain import LAW, find_slips
+        from crms_fenicsx.energies.capstan_chain import LAW, find_slips
 
         cable, grip = self.cable, self.cable.axial
         assert grip is not None

@@ -7,7 +7,7 @@ cable's movement over the node in this load step (3.3-1, 2):
 
 The force acts at the node and not at the true contact point; by Saint-Venant's principle the error
 stays local. As its direction does not depend on the movement, a cable that should stay is pushed
-back: this potential has no stick. See `crms_fenicsx.cables.stick_slip` for one that has.
+back: this potential has no stick. See `crms_fenicsx.energies.lateral_friction` for one that has.
 """
 
 from __future__ import annotations

@@ -21,8 +21,8 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.cables.contact_force import forces_at
-from crms_fenicsx.cables.length import SMOOTHING
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.energies.segments import SMOOTHING
 from crms_fenicsx.geodesics.corridor import Support
 from crms_fenicsx.model.laid_cable import CableNode, LaidCable
 from crms_fenicsx.surface.intrinsic import edge_of

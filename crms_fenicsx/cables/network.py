@@ -17,10 +17,10 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from crms_fenicsx.cables.length import SMOOTHING
 from crms_fenicsx.cables.strip import Strip
-from crms_fenicsx.cables.volume import split_polygon
 from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.energies.folded_pressure import split_polygon
+from crms_fenicsx.energies.segments import SMOOTHING
 from crms_fenicsx.model.laid_cable import CableNode, LaidCable
 from crms_fenicsx.surface.path import EdgePoint, SurfacePoint
 

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from crms_fenicsx.cables.fold import FoldedCells, FoldEnergy
-from crms_fenicsx.cables.length import segment_lengths
+from crms_fenicsx.energies.folded_membrane import FoldedCells, FoldEnergy
+from crms_fenicsx.energies.segments import segment_lengths
 from crms_fenicsx.incremental import (
     StepMembraneEnergy,
     rotated_stiffness,

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.fold import FoldedCells
-from crms_fenicsx.cables.length import COINCIDENT, SMOOTHING
 from crms_fenicsx.cables.network import Edge, Link, Member, Network
-from crms_fenicsx.cables.penalty import Kinks
-from crms_fenicsx.cables.volume import Facets, fan_facets
-from crms_fenicsx.membrane import MembraneEnergy, area_vectors
+from crms_fenicsx.energies.fold_penalty import Kinks
+from crms_fenicsx.energies.folded_membrane import FoldedCells
+from crms_fenicsx.energies.folded_pressure import Facets, fan_facets
+from crms_fenicsx.energies.membrane import MembraneEnergy, area_vectors
+from crms_fenicsx.energies.segments import COINCIDENT, SMOOTHING
 from crms_fenicsx.model.materials import N_PARAMETERS
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.surface.path import EdgePoint

@@ -257,7 +257,7 @@ def _give(scene: Scene, fields: Fields, rest: _Rest, file: Path) -> None:
     scene._laid, scene._dissipated, scene.energies = rest.laid, rest.dissipated, rest.energies
     scene._dead_forces = None
     if fields.dead_forces is not None and rest.intensity is not None:
-        from crms_fenicsx.dead_load import DeadForces
+        from crms_fenicsx.energies.dead_load import DeadForces
 
         scene._dead_forces = DeadForces(fields.dead_forces, rest.intensity)
     for own, cable in zip(scene.cables, rest.cables, strict=False):

@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 Direction = tuple[float, float, float] | Callable[[Array], Array]
 
 LINEAR, TENSION_FIELD, ORTHOTROPIC_TENSION_FIELD = 0, 1, 2
-"""Codes of the stress laws, shared with the compiled kernels of `crms_fenicsx.cables.law`."""
+"""Codes of the stress laws, shared with the compiled kernels of `crms_fenicsx.energies.stress_laws`."""
 
 N_PARAMETERS = 18
 """Length of `Membrane.parameters`."""
@@ -266,7 +266,7 @@ def law_terms(law: int, E: Any, p: Any) -> LawTerms:
     ----------
     law
         `LINEAR` or `TENSION_FIELD`. `ORTHOTROPIC_TENSION_FIELD` has no closed form: see
-        `crms_fenicsx.tension_field`.
+        `crms_fenicsx.energies.tension_field`.
     E
         Green-Lagrange strain in the material axes, UFL, (2, 2).
     p

@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from crms_fenicsx.cables.length import add_segment_forces, segment_lengths, segment_stiffness
 from crms_fenicsx.dofs.block_patterns import SegmentPattern
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
+from crms_fenicsx.energies.segments import add_segment_forces, segment_lengths, segment_stiffness
 from crms_fenicsx.model.laid_cable import NEARLY_TAUT, StepStart
 
 Array = npt.NDArray[np.float64]

@@ -21,10 +21,10 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from crms_fenicsx.cables.length import difference
 from crms_fenicsx.dofs.block_patterns import ElementPattern
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
+from crms_fenicsx.energies.segments import difference
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]

@@ -25,7 +25,7 @@ import numpy.typing as npt
 from dolfinx import fem, la
 
 from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.loads import OpenEdges
+from crms_fenicsx.energies.pressure import OpenEdges
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]

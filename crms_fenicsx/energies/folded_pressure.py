@@ -160,7 +160,7 @@ def _add_area_forces(X, x, corners, weights, factor, g):  # type: ignore[no-unty
 
 
 class FoldedFollowerPressure:
-    """Potential ``-p (V - V0)`` of the folded cells; see `crms_fenicsx.loads.FollowerPressure`."""
+    """Potential ``-p (V - V0)`` of the folded cells; see `crms_fenicsx.energies.pressure.FollowerPressure`."""
 
     name = "pressure"
     n_sums = 1

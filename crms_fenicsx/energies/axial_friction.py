@@ -8,7 +8,7 @@ holds it. Its energy is
 l_k the current length of a span, d_k the unstressed length that it has at the moment, s_k the slip
 of the cable along itself at a node, counted on the unstressed cable. The slips are no unknowns of
 the solver: for the lengths of the spans, which every rank knows from the one reduction, they are
-those that minimise this energy (`crms_fenicsx.cables.slip_chain`). So the derivative by l_k is T_k.
+those that minimise this energy (`crms_fenicsx.energies.capstan_chain`). So the derivative by l_k is T_k.
 
 The unstressed arc that rests at a fold point depends on its place on its edge, as an edge is not
 square to the cable: ``rest = slope * fraction + offset``. Without that the cable's friction along
@@ -23,17 +23,17 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from crms_fenicsx.cables.length import add_segment_forces, segment_lengths, segment_stiffness
-from crms_fenicsx.cables.slip_chain import ENERGY, find_slips
-from crms_fenicsx.cables.stick_slip import (
+from crms_fenicsx.dofs.block_patterns import ElementPattern, SegmentPattern
+from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.preallocation import RowSizes
+from crms_fenicsx.energies.capstan_chain import ENERGY, find_slips
+from crms_fenicsx.energies.lateral_friction import (
     add_slip_forces,
     edge_fractions,
     friction_energy,
     secant_stiffness,
 )
-from crms_fenicsx.dofs.block_patterns import ElementPattern, SegmentPattern
-from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.dofs.preallocation import RowSizes
+from crms_fenicsx.energies.segments import add_segment_forces, segment_lengths, segment_stiffness
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
@@ -80,7 +80,7 @@ class Chains:
         This rank's segments, the smoothing of their lengths, and their spans.
     pointers, blocks, place : CSR
         Blocks along the edges of the fold points near to this rank's cells, and which of them the
-        fold point is; see `crms_fenicsx.cables.stick_slip.Slips`.
+        fold point is; see `crms_fenicsx.energies.lateral_friction.Slips`.
     node, owned
         Number of each such fold point among all nodes, and whether this rank owns its edge.
     """

@@ -14,7 +14,7 @@ from petsc4py import PETSc
 
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
-from crms_fenicsx.integral import Integral, one_point
+from crms_fenicsx.energies.integral import Integral, one_point
 from crms_fenicsx.model.materials import (
     LINEAR,
     ORTHOTROPIC_TENSION_FIELD,
@@ -26,7 +26,7 @@ from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.runtime.errors import InputError, raised_together
 
 if TYPE_CHECKING:
-    from crms_fenicsx.tension_field import TensionField
+    from crms_fenicsx.energies.tension_field import TensionField
 
 Array = npt.NDArray[np.float64]
 
@@ -269,7 +269,7 @@ class MembraneEnergy:
         )
         if not wanted:
             return None
-        from crms_fenicsx.tension_field import TensionField
+        from crms_fenicsx.energies.tension_field import TensionField
 
         tags = self.material_tags(cells)
         own = np.isin(tags, wanted)

@@ -11,8 +11,8 @@ import ufl
 from dolfinx import fem, la
 
 from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.integral import Integral, one_point
-from crms_fenicsx.membrane import Kinematics, tangent_basis
+from crms_fenicsx.energies.integral import Integral, one_point
+from crms_fenicsx.energies.membrane import Kinematics, tangent_basis
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
 
 Array = npt.NDArray[np.float64]
@@ -78,7 +78,7 @@ class FollowerPressure:
     """Potential ``-p (V - V0)`` of a uniform pressure, V the volume under the membrane.
 
     Its gradient is the pressure's exact nodal forces, normal to the current surface, as long as
-    the `open_edges` are held; where they slide in planes `crms_fenicsx.rim` has what is missing. V
+    the `open_edges` are held; where they slide in planes `crms_fenicsx.energies.pressure_rim` has what is missing. V
     is counted from `origin`; V0 is that of the stress-free surface, so that the energy is the work
     done since and does not depend on the origin.
 

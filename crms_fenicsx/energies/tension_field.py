@@ -16,7 +16,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from crms_fenicsx.cables import law as laws
+from crms_fenicsx.energies import stress_laws as laws
 from crms_fenicsx.model.materials import ORTHOTROPIC_TENSION_FIELD, LawTerms, symmetric, voigt
 from crms_fenicsx.runtime.compat import geometry_dofmap
 

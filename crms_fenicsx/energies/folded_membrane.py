@@ -16,18 +16,18 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from crms_fenicsx.cables import law as laws
-from crms_fenicsx.cables.length import (
+from crms_fenicsx.dofs.block_patterns import ElementPattern, SegmentPattern
+from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.preallocation import RowSizes
+from crms_fenicsx.energies import stress_laws as laws
+from crms_fenicsx.energies.membrane import Stiffening
+from crms_fenicsx.energies.segments import (
     add_segment_forces,
     difference,
     segment_lengths,
     segment_stiffness,
     slope_over_distance,
 )
-from crms_fenicsx.dofs.block_patterns import ElementPattern, SegmentPattern
-from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.dofs.preallocation import RowSizes
-from crms_fenicsx.membrane import Stiffening
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
@@ -104,7 +104,7 @@ def cell_forces(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Energy of the cells; forces in the segments (m,); strain, stress, state into `out` (n, 7).
 
-    `orthotropic` as in `crms_fenicsx.cables.law.stress`.
+    `orthotropic` as in `crms_fenicsx.energies.stress_laws.stress`.
     """
     forces[:] = 0.0
     energy = 0.0
