@@ -22,7 +22,6 @@ from crms_fenicsx.potential import Potential, Term
 from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
-    from crms_fenicsx.cables.friction_element import FrictionElementEnergy
     from crms_fenicsx.cables.network import Member, Network
     from crms_fenicsx.cables.restraint import Restraint
     from crms_fenicsx.cables.tables import CableTables
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
     from crms_fenicsx.energies.fold_penalty import KinkPenalty
     from crms_fenicsx.energies.folded_membrane import FoldedCells, FoldEnergy
     from crms_fenicsx.energies.lateral_friction import StickSlip
+    from crms_fenicsx.energies.paper.friction_element import FrictionElementEnergy
     from crms_fenicsx.model.laid_cable import LaidCable
 
 logger = logging.getLogger("crms_fenicsx")
@@ -171,7 +171,7 @@ class System:
     def _take_folded_history(self) -> None:
         """Give what folded cells have had in steps before to the plain ones: none is folded."""
         if self.scene.strain_law == "step":
-            from crms_fenicsx.incremental import StepMembraneEnergy
+            from crms_fenicsx.energies.paper.step_membrane import StepMembraneEnergy
 
             assert isinstance(self.membrane, StepMembraneEnergy)
             self.membrane.energy_n += float(self._folded_energy[0])
@@ -184,7 +184,7 @@ class System:
         scene = self.scene
         if scene.strain_law == "total":
             return MembraneEnergy(scene.u, scene.materials, scene.cell_tags)
-        from crms_fenicsx.incremental import StepMembraneEnergy
+        from crms_fenicsx.energies.paper.step_membrane import StepMembraneEnergy
 
         return StepMembraneEnergy(scene.u, scene.materials, scene.cell_tags)
 
@@ -265,8 +265,8 @@ class System:
             self.stick_slip = StickSlip(slip_table(network, shape))
             terms.append(self.stick_slip)
         if "step" in laws:
-            from crms_fenicsx.cables.friction_element import FrictionElementEnergy
             from crms_fenicsx.cables.friction_tables import element_table
+            from crms_fenicsx.energies.paper.friction_element import FrictionElementEnergy
 
             self.friction_elements = FrictionElementEnergy(element_table(network, shape))
             terms.append(self.friction_elements)
@@ -338,8 +338,8 @@ class System:
         if self.scene.strain_law == "total":
             self.folds = FoldEnergy(folded, membrane.stiffening)
         else:
-            from crms_fenicsx.cables.step_fold import StepFoldEnergy
-            from crms_fenicsx.incremental import StepMembraneEnergy
+            from crms_fenicsx.energies.paper.step_folded_membrane import StepFoldEnergy
+            from crms_fenicsx.energies.paper.step_membrane import StepMembraneEnergy
 
             assert isinstance(membrane, StepMembraneEnergy)
             self.folds = StepFoldEnergy(folded, membrane, self._folded_energy)
@@ -531,7 +531,7 @@ class System:
     def _step_history(self) -> StepHistory:
         cells, energy, pressure = None, 0.0, self.pressure
         if self.scene.strain_law == "step":
-            from crms_fenicsx.incremental import StepMembraneEnergy
+            from crms_fenicsx.energies.paper.step_membrane import StepMembraneEnergy
 
             assert isinstance(self.membrane, StepMembraneEnergy)
             cells = self.membrane.history.x.array.reshape(-1, 6).copy()
@@ -544,7 +544,7 @@ class System:
     def _take_step_history(self, history: StepHistory) -> None:
         """Go on from the load steps of another system of the same scene."""
         if history.cells is not None:
-            from crms_fenicsx.incremental import StepMembraneEnergy
+            from crms_fenicsx.energies.paper.step_membrane import StepMembraneEnergy
 
             assert isinstance(self.membrane, StepMembraneEnergy)
             self.membrane.history.x.array[:] = history.cells.ravel()

@@ -19,7 +19,10 @@ KERNELS = tuple(
     f"crms_fenicsx.cables.{name}"
     for name in ("fold", "law", "length", "network", "penalty", "step_fold", "tension", "volume")
 )
-KERNELS += ("crms_fenicsx.cables.friction_element", "crms_fenicsx.energies.lateral_friction")
+KERNELS += (
+    "crms_fenicsx.energies.paper.friction_element",
+    "crms_fenicsx.energies.lateral_friction",
+)
 KERNELS += ("crms_fenicsx.energies.tension_field",)
 OPTIONAL = ("gmsh", "meshio", "matplotlib", "tqdm", "pyvista", *KERNELS)
 

@@ -10,13 +10,13 @@ import numpy.typing as npt
 from petsc4py import PETSc
 
 from crms_fenicsx.energies.folded_membrane import FoldedCells, FoldEnergy
-from crms_fenicsx.energies.segments import segment_lengths
-from crms_fenicsx.incremental import (
+from crms_fenicsx.energies.paper.step_membrane import (
     StepMembraneEnergy,
     rotated_stiffness,
     rotated_stress,
     second_piola,
 )
+from crms_fenicsx.energies.segments import segment_lengths
 
 Array = npt.NDArray[np.float64]
 

@@ -1,0 +1,1 @@
+"""The step-wise laws of the paper, as alternatives to the total ones."""
