@@ -24,8 +24,8 @@ from mpi4py import MPI
 from crms_fenicsx import IsotropicMembrane, OrthotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.membrane import MembraneEnergy
+from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.model.materials import Membrane
-from crms_fenicsx.potential import Potential
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))  # their meshes and references
 from reference_meshes import square

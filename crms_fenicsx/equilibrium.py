@@ -19,7 +19,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from crms_fenicsx.minimizer import Outcome
+from crms_fenicsx.minimization.minimizer import Outcome
 from crms_fenicsx.state import State
 from crms_fenicsx.system import System
 

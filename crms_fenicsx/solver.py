@@ -16,7 +16,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.equilibrium import EquilibriumSearch
 from crms_fenicsx.loading import Target, checked_target, has_free_rim
-from crms_fenicsx.minimizer import Outcome
+from crms_fenicsx.minimization.minimizer import Outcome
 from crms_fenicsx.output.recorder import Recorder
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import (

@@ -16,14 +16,13 @@ from petsc4py import PETSc
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.membrane import MembraneEnergy
 from crms_fenicsx.energies.pressure import FollowerPressure, StepPressure
-from crms_fenicsx.minimizer import Minimizer, Outcome
+from crms_fenicsx.minimization.minimizer import Minimizer, Outcome
+from crms_fenicsx.minimization.potential import Potential, Term
 from crms_fenicsx.model.laid_cable import polyline_length
-from crms_fenicsx.potential import Potential, Term
 from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.network import Member, Network
-    from crms_fenicsx.cables.restraint import Restraint
     from crms_fenicsx.cables.tables import CableTables
     from crms_fenicsx.energies.axial_friction import CapstanTension
     from crms_fenicsx.energies.cable_tension import CableTension
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
     from crms_fenicsx.energies.folded_membrane import FoldedCells, FoldEnergy
     from crms_fenicsx.energies.lateral_friction import StickSlip
     from crms_fenicsx.energies.paper.friction_element import FrictionElementEnergy
+    from crms_fenicsx.minimization.damping import Restraint
     from crms_fenicsx.model.laid_cable import LaidCable
 
 logger = logging.getLogger("crms_fenicsx")
@@ -237,7 +237,7 @@ class System:
     def _damping(self) -> Restraint | None:
         if self.network is None or self.tables is None:
             return None
-        from crms_fenicsx.cables.restraint import Restraint
+        from crms_fenicsx.minimization.damping import Restraint
 
         return Restraint.of(self.network, self.tables.segments)
 

@@ -26,7 +26,7 @@ from crms_fenicsx.results import pressed_facets
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.verification import CableVerifier
-    from crms_fenicsx.minimizer import Outcome
+    from crms_fenicsx.minimization.minimizer import Outcome
     from crms_fenicsx.scene import Scene
     from crms_fenicsx.system import System
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from crms_fenicsx.potential import Potential, Term
+from crms_fenicsx.minimization.potential import Potential, Term
 
 Array = npt.NDArray[Any]
 

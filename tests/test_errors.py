@@ -25,7 +25,7 @@ MPIRUN = ("mpirun", "-n", "3")
 SCENE = """
 from mpi4py import MPI
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, errors, meshes
-from crms_fenicsx.potential import Potential
+from crms_fenicsx.minimization.potential import Potential
 
 errors.PATIENCE = 0.5
 comm = MPI.COMM_WORLD

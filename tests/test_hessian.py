@@ -12,7 +12,7 @@ from test_held_edges import OBLIQUE, ridged
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.cables.whereabouts import Whereabouts
-from crms_fenicsx.hessian import SHIFT, WORKSPACE, InitialHessian
+from crms_fenicsx.minimization.initial_hessian import SHIFT, WORKSPACE, InitialHessian
 from crms_fenicsx.model.laid_cable import polyline_length
 
 
@@ -144,7 +144,7 @@ def multigrid():
 
 
 def test_multigrid_is_for_many_unknowns_without_cables(comm, monkeypatch) -> None:
-    monkeypatch.setattr("crms_fenicsx.hessian.DIRECT", 0)
+    monkeypatch.setattr("crms_fenicsx.minimization.initial_hessian.DIRECT", 0)
     scene = ridged(comm)
     solver = Solver(scene)
     solver.advance(pressure=0.01)
@@ -157,7 +157,7 @@ def test_multigrid_is_for_many_unknowns_without_cables(comm, monkeypatch) -> Non
 @pytest.mark.usefixtures("multigrid")
 def test_multigrid_solves_too_and_leaves_alone_what_is_held(comm, monkeypatch) -> None:
     """Held components and those across rails are no business of its coarse levels."""
-    monkeypatch.setattr("crms_fenicsx.hessian.ACCURACY", 1e-10)
+    monkeypatch.setattr("crms_fenicsx.minimization.initial_hessian.ACCURACY", 1e-10)
     solver, _ = cabled(comm)
     solver.advance(pressure=0.01)
     h0, potential = solver.system.minimizer.h0, solver.system.potential

@@ -17,7 +17,7 @@ SCRIPT = """
 import os, signal, sys, time
 from mpi4py import MPI
 from crms_fenicsx import IsotropicMembrane, Scene, Solver, errors, interrupt, meshes
-from crms_fenicsx.potential import Potential
+from crms_fenicsx.minimization.potential import Potential
 
 errors.PATIENCE = 5.0
 comm, evaluations, whole = MPI.COMM_WORLD, 0, Potential.evaluate

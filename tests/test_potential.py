@@ -6,7 +6,7 @@ import numpy as np
 from mpi4py import MPI
 from term_scene import cable_square, displaced
 
-from crms_fenicsx.potential import Potential
+from crms_fenicsx.minimization.potential import Potential
 
 
 def shaken(comm: MPI.Intracomm) -> tuple[Potential, list]:

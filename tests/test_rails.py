@@ -13,8 +13,8 @@ from term_scene import ISOTROPIC, irregular_square
 
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.cable_tension import CableTension
-from crms_fenicsx.hessian import SHIFT, InitialHessian
-from crms_fenicsx.minimizer import Minimizer
+from crms_fenicsx.minimization.initial_hessian import SHIFT, InitialHessian
+from crms_fenicsx.minimization.minimizer import Minimizer
 from crms_fenicsx.scene import Scene
 
 Array = npt.NDArray[np.float64]

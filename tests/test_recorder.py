@@ -18,7 +18,7 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.minimizer import Minimizer, Outcome
+from crms_fenicsx.minimization.minimizer import Minimizer, Outcome
 from crms_fenicsx.output import History, Line, scene_pictures
 from crms_fenicsx.shape import current_surface
 

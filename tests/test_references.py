@@ -12,7 +12,7 @@ from mpi4py import MPI
 from reference_meshes import square
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.minimizer import REBUILD
+from crms_fenicsx.minimization.minimizer import REBUILD
 from crms_fenicsx.runtime.compat import geometry_dofmap
 
 PRESSURE = 0.01

@@ -27,9 +27,9 @@ from crms_fenicsx import (
 )
 from crms_fenicsx.equilibrium import EquilibriumSearch
 from crms_fenicsx.loading import checked_target
-from crms_fenicsx.minimizer import Minimizer, Outcome
+from crms_fenicsx.minimization.minimizer import Minimizer, Outcome
+from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.model.laid_cable import polyline_length
-from crms_fenicsx.potential import Potential
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.system import System
 

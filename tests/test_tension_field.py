@@ -17,7 +17,7 @@ from twisted_annulus import radial, reference, small_twist_torque, twisted
 
 from crms_fenicsx import Cable, IsotropicMembrane, OrthotropicMembrane, Scene, Solver
 from crms_fenicsx.energies import stress_laws as compiled
-from crms_fenicsx.minimizer import REBUILD
+from crms_fenicsx.minimization.minimizer import REBUILD
 from crms_fenicsx.model.materials import UNSTRAINED, Membrane
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.runtime.errors import InputError

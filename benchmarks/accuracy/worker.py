@@ -14,7 +14,7 @@ import numpy as np
 from accuracy.cases import CASES, Laws
 from accuracy.methods import METHODS
 from crms_fenicsx import ConvergenceError, FrictionWarning, system
-from crms_fenicsx.potential import Potential
+from crms_fenicsx.minimization.potential import Potential
 
 RUNS, ENOUGH = 5, 0.1
 """Repetitions, and part of the time limit after which there are no more."""

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from crms_fenicsx import Scene, Solver
 from crms_fenicsx.energies.membrane import area_vectors
 from crms_fenicsx.energies.segments import SMOOTHING
-from crms_fenicsx.hessian import at_bounds
+from crms_fenicsx.minimization.initial_hessian import at_bounds
 from crms_fenicsx.model.laid_cable import polyline_length
 from crms_fenicsx.system import System
 

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
 from crms_fenicsx.checkpoint.plain import Array, Plain, floats, integers, listed
-from crms_fenicsx.minimizer import Outcome
+from crms_fenicsx.minimization.minimizer import Outcome
 from crms_fenicsx.solver import Step
 from crms_fenicsx.system import StepHistory
 

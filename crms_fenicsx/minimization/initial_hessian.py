@@ -22,7 +22,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from crms_fenicsx.potential import Potential
+from crms_fenicsx.minimization.potential import Potential
 
 Array = npt.NDArray[np.float64]
 

@@ -32,8 +32,8 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from crms_fenicsx.hessian import InitialHessian, at_bounds
-from crms_fenicsx.potential import Potential
+from crms_fenicsx.minimization.initial_hessian import InitialHessian, at_bounds
+from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.runtime.errors import InputError
 
 Array = npt.NDArray[np.float64]
