@@ -19,8 +19,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from crms_fenicsx.cables.state import State
 from crms_fenicsx.minimization.minimizer import Outcome
-from crms_fenicsx.state import State
 from crms_fenicsx.system import System
 
 if TYPE_CHECKING:

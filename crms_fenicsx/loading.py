@@ -11,11 +11,11 @@ import numpy.typing as npt
 from dolfinx.fem import locate_dofs_topological
 from mpi4py import MPI
 
+from crms_fenicsx.cables.state import State
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, as_text, raised_together
 from crms_fenicsx.scene import Scene
-from crms_fenicsx.state import State
 
 Array = npt.NDArray[np.float64]
 Value = TypeVar("Value")

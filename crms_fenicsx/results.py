@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from crms_fenicsx.cables.deformed_surface import folded_shape
 from crms_fenicsx.runtime.compat import geometry_dofmap
-from crms_fenicsx.shape import folded_shape
 
 if TYPE_CHECKING:
     from crms_fenicsx.scene import Marker, Scene

@@ -22,8 +22,8 @@ from crms_fenicsx.model.laid_cable import polyline_length
 from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
-    from crms_fenicsx.cables.network import Member, Network
-    from crms_fenicsx.cables.tables import CableTables
+    from crms_fenicsx.cables.element_tables import CableTables
+    from crms_fenicsx.cables.numbering import Member, Network
     from crms_fenicsx.energies.axial_friction import CapstanTension
     from crms_fenicsx.energies.cable_tension import CableTension
     from crms_fenicsx.energies.dead_load import DeadLoad
@@ -130,8 +130,8 @@ class System:
         self.stick_slip = self.friction_elements = None
         if scene.cables:
             from crms_fenicsx.cables.crossings import arrange
-            from crms_fenicsx.cables.network import Network
-            from crms_fenicsx.cables.whereabouts import Whereabouts
+            from crms_fenicsx.cables.node_positions import Whereabouts
+            from crms_fenicsx.cables.numbering import Network
 
             assert scene.strip is not None
             scene.crossings = arrange(scene.cables, scene.strip, scene.crossings)
@@ -220,7 +220,7 @@ class System:
 
     def _cable_terms(self) -> list[Term]:
         """Terms of the cables in tension; the cells that they fold leave the membrane term."""
-        from crms_fenicsx.cables.tables import cable_tables
+        from crms_fenicsx.cables.element_tables import cable_tables
 
         assert self.network is not None
         self.tables = cable_tables(self.network, self.membrane, self.scene.pressed)

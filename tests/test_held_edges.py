@@ -13,9 +13,9 @@ from taylor import OnMesh, gradient_order, is_semidefinite
 from term_scene import ISOTROPIC, directions, displaced, irregular_square
 
 from crms_fenicsx import Cable, LaidCable, PathWarning, Scene, Solver, meshes
+from crms_fenicsx.cables.deformed_surface import current_surface
 from crms_fenicsx.model.laid_cable import CableNode
 from crms_fenicsx.runtime.compat import geometry_dofmap
-from crms_fenicsx.shape import current_surface
 from crms_fenicsx.surface.path import EdgePoint
 from crms_fenicsx.system import System
 

@@ -11,7 +11,7 @@ from term_scene import cable_square, displaced
 from test_held_edges import OBLIQUE, ridged
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.cables.whereabouts import Whereabouts
+from crms_fenicsx.cables.node_positions import Whereabouts
 from crms_fenicsx.minimization.initial_hessian import SHIFT, WORKSPACE, InitialHessian
 from crms_fenicsx.model.laid_cable import polyline_length
 

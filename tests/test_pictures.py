@@ -11,6 +11,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.cables.deformed_surface import current_surface
 from crms_fenicsx.output import (
     History,
     Line,
@@ -25,7 +26,6 @@ from crms_fenicsx.output.pictures import _among, _outline, _subdivided
 from crms_fenicsx.output.scales import common_value, in_words, limits_of
 from crms_fenicsx.output.scene_pictures import default_panels, units
 from crms_fenicsx.runtime.errors import InputError
-from crms_fenicsx.shape import current_surface
 
 Array = NDArray[np.float64]
 

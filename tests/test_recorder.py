@@ -18,9 +18,9 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
+from crms_fenicsx.cables.deformed_surface import current_surface
 from crms_fenicsx.minimization.minimizer import Minimizer, Outcome
 from crms_fenicsx.output import History, Line, scene_pictures
-from crms_fenicsx.shape import current_surface
 
 pytestmark = pytest.mark.usefixtures("comm")
 COMM = MPI.COMM_WORLD

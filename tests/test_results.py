@@ -16,9 +16,9 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
+from crms_fenicsx.cables.deformed_surface import best_fan, current_surface
 from crms_fenicsx.model.materials import Membrane
 from crms_fenicsx.results import gained_volume
-from crms_fenicsx.shape import best_fan, current_surface
 
 Array = npt.NDArray[np.float64]
 

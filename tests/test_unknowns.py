@@ -15,7 +15,7 @@ from term_scene import (
     on_mesh,
 )
 
-from crms_fenicsx.cables.whereabouts import Whereabouts
+from crms_fenicsx.cables.node_positions import Whereabouts
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.meshes import from_arrays
 from crms_fenicsx.model.laid_cable import Cable, polyline_length

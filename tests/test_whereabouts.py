@@ -6,7 +6,7 @@ import numpy as np
 from mpi4py import MPI
 from term_scene import cable_square, displaced
 
-from crms_fenicsx.cables.whereabouts import Whereabouts
+from crms_fenicsx.cables.node_positions import Whereabouts
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.surface.path import EdgePoint

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from crms_fenicsx.cables.contact_force import directions, turns
 from crms_fenicsx.cables.grip import Grip
-from crms_fenicsx.cables.network import Network
+from crms_fenicsx.cables.numbering import Network
 from crms_fenicsx.cables.slip import NodeSlips, node_slips
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.energies.lateral_friction import Slips

@@ -17,7 +17,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.cables.contact import INSIDE, is_foot, may_lift, outward_pulls
 from crms_fenicsx.cables.held import held_runs
-from crms_fenicsx.cables.network import Network
+from crms_fenicsx.cables.numbering import Network
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.surface.path import EdgePoint

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from crms_fenicsx.cables.deformed_surface import current_surface
 from crms_fenicsx.dofs.layout import vertex_starts
 from crms_fenicsx.output.history import History, Value
 from crms_fenicsx.output.lock import FolderLock
 from crms_fenicsx.output.shapes import Line, Surface
 from crms_fenicsx.results import gained_volume, membrane_results
 from crms_fenicsx.runtime.errors import InputError, raised_together
-from crms_fenicsx.shape import current_surface
 
 if TYPE_CHECKING:
     from crms_fenicsx.output.paraview import Series

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from crms_fenicsx.cables.deformed_surface import CurrentSurface, current_surface
 from crms_fenicsx.output.history import History
 from crms_fenicsx.output.paths import draw_path
 from crms_fenicsx.output.pictures import draw_shape
@@ -19,7 +20,6 @@ from crms_fenicsx.output.recorder import cable_lines
 from crms_fenicsx.output.shapes import Line
 from crms_fenicsx.results import MembraneResults, membrane_results
 from crms_fenicsx.runtime.errors import InputError, PictureWarning, raised_together
-from crms_fenicsx.shape import CurrentSurface, current_surface
 
 if TYPE_CHECKING:
     from crms_fenicsx.scene import Scene

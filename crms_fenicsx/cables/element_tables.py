@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.network import Edge, Link, Member, Network
+from crms_fenicsx.cables.numbering import Edge, Link, Member, Network
 from crms_fenicsx.energies.fold_penalty import Kinks
 from crms_fenicsx.energies.folded_membrane import FoldedCells
 from crms_fenicsx.energies.folded_pressure import Facets, fan_facets

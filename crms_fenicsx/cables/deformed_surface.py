@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
-    from crms_fenicsx.cables.network import Corner
+    from crms_fenicsx.cables.numbering import Corner
     from crms_fenicsx.scene import Scene
 
 Array = npt.NDArray[np.float64]
@@ -68,7 +68,7 @@ def folded_shape(scene: Scene) -> FoldedShape:
     places, stress_free = scene.positions(), scene.stress_free
     if scene.strip is None or not any(cable.taut for cable in scene.cables):
         return FoldedShape(places, stress_free, [])
-    from crms_fenicsx.cables.network import Network
+    from crms_fenicsx.cables.numbering import Network
 
     network = Network(scene.cables, scene.strip, scene.u)
     added: dict[tuple[int, int], int] = {}

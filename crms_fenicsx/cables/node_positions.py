@@ -9,7 +9,7 @@ from itertools import accumulate, pairwise
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.network import BLOCKED, Network
+from crms_fenicsx.cables.numbering import BLOCKED, Network
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.surface.triangles import norm
 
