@@ -24,10 +24,10 @@ from crms_fenicsx.minimization.minimizer import Outcome
 from crms_fenicsx.system import System
 
 if TYPE_CHECKING:
-    from crms_fenicsx.cables.active import ActiveSet
     from crms_fenicsx.cables.axial import AxialLag
     from crms_fenicsx.cables.grip import Lag
     from crms_fenicsx.cables.retrace import Retracer, Tried
+    from crms_fenicsx.contact.active_set import ActiveSet
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -107,7 +107,7 @@ class EquilibriumSearch:
             outcome = self.system.minimize(h0_prestress)
             self.system.push()
             return outcome
-        from crms_fenicsx.cables.active import ActiveSet
+        from crms_fenicsx.contact.active_set import ActiveSet
 
         if not self.slide:
             self.active: ActiveSet = ActiveSet(self.scene, None)
@@ -298,8 +298,8 @@ class EquilibriumSearch:
         cables = self.scene.cables
         if not any(cable.lifted.any() for cable in cables):
             return set()
-        from crms_fenicsx.cables.contact import sunk
         from crms_fenicsx.cables.strip import StripShape
+        from crms_fenicsx.contact.lift_off import sunk
 
         return sunk(cables, StripShape.of(self.scene))
 

@@ -34,10 +34,10 @@ from crms_fenicsx.system import StepHistory, System
 from crms_fenicsx.verification import Verification, Verifier
 
 if TYPE_CHECKING:
-    from crms_fenicsx.cables.contact_force import ContactForces
     from crms_fenicsx.cables.retrace import Tried
     from crms_fenicsx.checkpoint import Run
     from crms_fenicsx.checkpoint.journal import Journal
+    from crms_fenicsx.contact.contact_force import ContactForces
     from crms_fenicsx.model.laid_cable import LaidCable
     from crms_fenicsx.output import History, Line
     from crms_fenicsx.results import MembraneResults, Reactions
@@ -291,8 +291,8 @@ class Solver:
         InputError
             It is no cable of this scene.
         """
-        from crms_fenicsx.cables.contact_force import contact_forces
         from crms_fenicsx.cables.strip import StripShape
+        from crms_fenicsx.contact.contact_force import contact_forces
 
         checks.same(self.comm, "contact_forces", cable=cable)
         if not any(cable is own for own in self.scene.cables):

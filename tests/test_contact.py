@@ -13,7 +13,8 @@ import numpy.typing as npt
 import pytest
 
 from crms_fenicsx import Cable
-from crms_fenicsx.cables.contact import (
+from crms_fenicsx.cables.strip import Strip, StripShape
+from crms_fenicsx.contact.lift_off import (
     DEPTH,
     INSIDE,
     captured,
@@ -31,7 +32,6 @@ from crms_fenicsx.cables.contact import (
     touch,
     under,
 )
-from crms_fenicsx.cables.strip import Strip, StripShape
 from crms_fenicsx.model.laid_cable import (
     COINCIDENT,
     CableNode,

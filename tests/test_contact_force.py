@@ -10,7 +10,8 @@ from mpi4py import MPI
 from rigid_surfaces import SURFACES, band, curve, rigid, sphere
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.cables.contact_force import (
+from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.contact.contact_force import (
     WIDTH,
     contact_forces,
     paper_forces,
@@ -19,7 +20,6 @@ from crms_fenicsx.cables.contact_force import (
     stretches,
     turns,
 )
-from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.model.laid_cable import CableNode, CableState, LaidCable
 from crms_fenicsx.surface.path import EdgePoint
 

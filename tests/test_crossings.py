@@ -15,10 +15,10 @@ from scipy.spatial import Delaunay
 from term_scene import ISOTROPIC
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.cables.contact import sunk
 from crms_fenicsx.cables.crossings import arrange
 from crms_fenicsx.cables.node_positions import Whereabouts
 from crms_fenicsx.cables.strip import Strip, StripShape
+from crms_fenicsx.contact.lift_off import sunk
 from crms_fenicsx.energies.folded_pressure import FoldedFollowerPressure, split_polygon
 from crms_fenicsx.model.laid_cable import CableNode, CableState, LaidCable, polyline_length
 from crms_fenicsx.runtime.errors import PathError

@@ -9,8 +9,8 @@ from reference_meshes import square
 
 from crms_fenicsx import Scene
 from crms_fenicsx.cables.folded_surface import FoldedSurface
-from crms_fenicsx.cables.shadow import shadow
 from crms_fenicsx.cables.strip import StripShape, cells_near, grow
+from crms_fenicsx.contact.span_projection import shadow
 from crms_fenicsx.model.laid_cable import CableNode
 from crms_fenicsx.surface.intrinsic import MissingStars
 from crms_fenicsx.surface.path import CellPoint, EdgePoint

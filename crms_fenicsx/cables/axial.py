@@ -20,12 +20,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.contact import is_foot
-from crms_fenicsx.cables.contact_force import edge_directions, turns, wrap_angles
 from crms_fenicsx.cables.grip import held_nodes, succession
 from crms_fenicsx.cables.pace import Pace
 from crms_fenicsx.cables.slip import MaterialCurve, Support, material_place
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.contact.contact_force import edge_directions, turns, wrap_angles
+from crms_fenicsx.contact.lift_off import is_foot
 from crms_fenicsx.model.laid_cable import COINCIDENT, LaidCable
 
 Array = npt.NDArray[np.float64]

@@ -16,9 +16,9 @@ import numpy.typing as npt
 from dolfinx.mesh import entities_to_geometry
 from mpi4py import MPI
 
-from crms_fenicsx.cables.contact import size_at
-from crms_fenicsx.cables.shadow import shadow
 from crms_fenicsx.cables.strip import StripShape, grow
+from crms_fenicsx.contact.lift_off import size_at
+from crms_fenicsx.contact.span_projection import shadow
 from crms_fenicsx.model.laid_cable import COINCIDENT, CableNode, LaidCable
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.runtime.errors import PathError

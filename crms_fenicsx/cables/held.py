@@ -20,8 +20,8 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.contact_force import forces_at
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.contact.contact_force import forces_at
 from crms_fenicsx.energies.segments import SMOOTHING
 from crms_fenicsx.geodesics.corridor import Support
 from crms_fenicsx.model.laid_cable import CableNode, LaidCable

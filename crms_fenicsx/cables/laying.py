@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.cables.behind import refuse_forks, refuse_places_behind
-from crms_fenicsx.cables.contact import drape
 from crms_fenicsx.cables.follow import unfolded
 from crms_fenicsx.cables.strip import Strip, StripShape, cells_at, cells_near
+from crms_fenicsx.contact.lift_off import drape
 from crms_fenicsx.model.laid_cable import (
     Cable,
     CableNode,

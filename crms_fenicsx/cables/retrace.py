@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.contact import INSIDE, drape
 from crms_fenicsx.cables.crossings import note_places
 from crms_fenicsx.cables.folded_surface import FoldedSurface, bends
 from crms_fenicsx.cables.laying import fractions_of, nodes_of
-from crms_fenicsx.cables.shadow import with_shadows
 from crms_fenicsx.cables.strip import StripShape, grow
+from crms_fenicsx.contact.lift_off import INSIDE, drape
+from crms_fenicsx.contact.span_projection import with_shadows
 from crms_fenicsx.geodesics.corridor import Support, flaw
 from crms_fenicsx.geodesics.flip_geodesic import Corridor, corridor, shorten
 from crms_fenicsx.model.laid_cable import CableNode, End, LaidCable

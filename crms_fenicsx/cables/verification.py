@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from crms_fenicsx.cables.contact import INSIDE, is_foot, may_lift, outward_pulls
 from crms_fenicsx.cables.held import held_runs
 from crms_fenicsx.cables.numbering import Network
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.contact.lift_off import INSIDE, is_foot, may_lift, outward_pulls
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.surface.path import EdgePoint
 from crms_fenicsx.surface.triangles import norm
@@ -333,8 +333,8 @@ def _friction(cable: LaidCable, shape: StripShape, nodal: float) -> dict[str, fl
     friction = cable.cable.sideways
     if friction is None and cable.axial is None:
         return values
-    from crms_fenicsx.cables.contact_force import contact_forces, wrap_angles
     from crms_fenicsx.cables.grip import energies, held_nodes
+    from crms_fenicsx.contact.contact_force import contact_forces, wrap_angles
 
     if friction is not None and cable.has_coulomb and cable.grip is not None:
         forces = contact_forces(cable, shape)

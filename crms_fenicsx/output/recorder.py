@@ -214,8 +214,8 @@ def cable_lines(scene: Scene) -> list[Line]:
     """
     if not scene.cables:
         return []
-    from crms_fenicsx.cables.contact_force import contact_forces
     from crms_fenicsx.cables.strip import StripShape
+    from crms_fenicsx.contact.contact_force import contact_forces
 
     shape = StripShape.of(scene)
     return [

@@ -20,8 +20,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.contact import size_at
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.contact.lift_off import size_at
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.surface.path import EdgePoint, VertexPoint
 from crms_fenicsx.surface.triangles import cross, dot, norm

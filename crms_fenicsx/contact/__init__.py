@@ -1,0 +1,1 @@
+"""Contact of cables with the membrane and with each other."""
