@@ -24,10 +24,10 @@ from crms_fenicsx.minimization.minimizer import Outcome
 from crms_fenicsx.system import System
 
 if TYPE_CHECKING:
-    from crms_fenicsx.cables.axial import AxialLag
-    from crms_fenicsx.cables.grip import Lag
     from crms_fenicsx.cables.retrace import Retracer, Tried
     from crms_fenicsx.contact.active_set import ActiveSet
+    from crms_fenicsx.friction.axial import AxialLag
+    from crms_fenicsx.friction.lateral import Lag
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -151,8 +151,8 @@ class EquilibriumSearch:
         """Let a load step begin for the cables with friction."""
         if not self._has_friction:
             return  # friction along a cable begins with its grip from before
-        from crms_fenicsx.cables.grip import begin
         from crms_fenicsx.cables.strip import StripShape
+        from crms_fenicsx.friction.lateral import begin
 
         shape, cables = StripShape.of(self.scene), self.scene.cables
         known = all(cable.slides_freely or cable.grip is not None for cable in cables)
@@ -170,8 +170,8 @@ class EquilibriumSearch:
         outcome = solve(h0_prestress, bool(lags))
         if not lags:
             return outcome
-        from crms_fenicsx.cables.grip import NEARLY
         from crms_fenicsx.cables.strip import StripShape
+        from crms_fenicsx.friction.lateral import NEARLY
 
         rough = True
         change, least, waited = 0.0, math.inf, 0
@@ -209,11 +209,11 @@ class EquilibriumSearch:
         lags: list[Lag | AxialLag] = []
         for cable in self.scene.cables:
             if cable.has_coulomb:
-                from crms_fenicsx.cables.grip import Lag
+                from crms_fenicsx.friction.lateral import Lag
 
                 lags.append(Lag(cable))
             if cable.axial is not None:
-                from crms_fenicsx.cables.axial import AxialLag
+                from crms_fenicsx.friction.axial import AxialLag
 
                 lags.append(AxialLag(cable))
         return lags

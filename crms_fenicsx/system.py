@@ -250,8 +250,8 @@ class System:
         }
         if not laws:
             return []
-        from crms_fenicsx.cables.grip import align
         from crms_fenicsx.cables.strip import StripShape
+        from crms_fenicsx.friction.lateral import align
 
         for cable in self.scene.cables:
             if cable.taut:
@@ -259,14 +259,14 @@ class System:
         shape = StripShape.of(self.scene)
         terms: list[Term] = []
         if "coulomb" in laws:
-            from crms_fenicsx.cables.friction_tables import slip_table
             from crms_fenicsx.energies.lateral_friction import StickSlip
+            from crms_fenicsx.friction.lateral_tables import slip_table
 
             self.stick_slip = StickSlip(slip_table(network, shape))
             terms.append(self.stick_slip)
         if "step" in laws:
-            from crms_fenicsx.cables.friction_tables import element_table
             from crms_fenicsx.energies.paper.friction_element import FrictionElementEnergy
+            from crms_fenicsx.friction.lateral_tables import element_table
 
             self.friction_elements = FrictionElementEnergy(element_table(network, shape))
             terms.append(self.friction_elements)
@@ -281,15 +281,15 @@ class System:
         assert self.network is not None
         shape = StripShape.of(self.scene)
         if self.stick_slip is not None:
-            from crms_fenicsx.cables.friction_tables import slip_table
+            from crms_fenicsx.friction.lateral_tables import slip_table
 
             self.stick_slip.renew(slip_table(self.network, shape))
         if self.friction_elements is not None:
-            from crms_fenicsx.cables.friction_tables import element_table
+            from crms_fenicsx.friction.lateral_tables import element_table
 
             self.friction_elements.renew(element_table(self.network, shape))
         if self.capstan is not None:
-            from crms_fenicsx.cables.capstan_tables import grip_table
+            from crms_fenicsx.friction.axial_tables import grip_table
 
             self.capstan.renew(grip_table(self.network, shape))
 
@@ -303,10 +303,10 @@ class System:
             self.tension = self._tension_term(tables, taut)
             terms.append(self.tension)
         if self._gripped:
-            from crms_fenicsx.cables.axial import align_axial
-            from crms_fenicsx.cables.capstan_tables import chain_table, grip_table
             from crms_fenicsx.cables.strip import StripShape
             from crms_fenicsx.energies.axial_friction import CapstanTension
+            from crms_fenicsx.friction.axial import align_axial
+            from crms_fenicsx.friction.axial_tables import chain_table, grip_table
 
             for cable in self._gripped:
                 align_axial(cable)
@@ -412,8 +412,8 @@ class System:
             for cable, force in zip(self._sliding, forces, strict=True):
                 cable.state.tension = float(force)
         if "friction" in scene.energies:  # the state has what it stores; the rest is heat
-            from crms_fenicsx.cables.grip import energies
             from crms_fenicsx.cables.strip import StripShape
+            from crms_fenicsx.friction.lateral import energies
 
             shape = StripShape.of(scene)
             scene.energies["friction"] = sum(energies(c, shape)[0] for c in scene.cables)
@@ -445,7 +445,7 @@ class System:
 
     def _push_gripped(self, capstan: CapstanTension) -> None:
         """Give the state of the cables that friction holds along back to the scene."""
-        from crms_fenicsx.cables.axial import found
+        from crms_fenicsx.friction.axial import found
 
         energies, sums = self.scene.energies, self.potential.sums_of(capstan)
         tensions, (stored, lost) = capstan.tensions(sums), capstan.friction(sums)
@@ -472,7 +472,7 @@ class System:
         held = [cable for cable in self.scene.cables if cable.axial is not None]
         if not held:
             return False
-        from crms_fenicsx.cables.axial import is_aligned
+        from crms_fenicsx.friction.axial import is_aligned
 
         return not all(is_aligned(cable) for cable in held)
 
@@ -572,12 +572,12 @@ class System:
 
         shape = StripShape.of(self.scene)
         if gripped:
-            from crms_fenicsx.cables.grip import commit
+            from crms_fenicsx.friction.lateral import commit
 
             for cable in gripped:
                 commit(cable, shape)
         if held_along:
-            from crms_fenicsx.cables.axial import commit_axial
+            from crms_fenicsx.friction.axial import commit_axial
 
             for cable in held_along:
                 commit_axial(cable, shape)

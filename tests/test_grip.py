@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from friction_scene import friction_dome, shaken_fractions
 
-from crms_fenicsx.cables import grip as grips
-from crms_fenicsx.cables.grip import Grip, Lag, align, begin, commit, energies
-from crms_fenicsx.cables.pace import Pace
-from crms_fenicsx.cables.slip import MaterialCurve, node_slips
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces
+from crms_fenicsx.friction import lateral as grips
+from crms_fenicsx.friction.aitken import Pace
+from crms_fenicsx.friction.lateral import Grip, Lag, align, begin, commit, energies
+from crms_fenicsx.friction.slip import MaterialCurve, node_slips
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import Cable, CableNode, CableState, LaidCable
 from crms_fenicsx.surface.path import EdgePoint, VertexPoint

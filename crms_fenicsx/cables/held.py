@@ -134,7 +134,7 @@ def held_vertices(cable: LaidCable, shape: StripShape) -> list[HeldVertex]:
     press, pull = (dict(zip(nodes, f, strict=True)) for f in forces_at(cable, nodes, shape))
     bound: dict[int, float] = {}
     if cable.grip is not None:
-        from crms_fenicsx.cables.grip import friction_forces
+        from crms_fenicsx.friction.lateral import friction_forces
 
         carried = friction_forces(cable, shape)
         for k in nodes:

@@ -100,7 +100,7 @@ def lay(
         state.step_start = StepStart(state.tension, length, energy)
     state.taut = cable.law == "step" or state.tension > 0
     if cable.along > 0:
-        from crms_fenicsx.cables.axial import laid_grip
+        from crms_fenicsx.friction.axial import laid_grip
 
         state.axial = laid_grip(laid, shape)
     scene.strip = strip if scene.strip is None else scene.strip.merged(strip)

@@ -257,7 +257,7 @@ def _tensions(cable: LaidCable, parts: Array) -> dict[str, float]:
     spans: Array = np.zeros(0)
     of_part: Integers = np.zeros(0, dtype=np.int64)
     if cable.axial is not None and len(cable.axial.spans):
-        from crms_fenicsx.cables.axial import gripped_nodes
+        from crms_fenicsx.friction.axial import gripped_nodes
 
         passed = np.searchsorted(gripped_nodes(cable), cable.contacts()[:-1], side="right")
         of_part = passed.astype(np.int64)
@@ -333,8 +333,8 @@ def _friction(cable: LaidCable, shape: StripShape, nodal: float) -> dict[str, fl
     friction = cable.cable.sideways
     if friction is None and cable.axial is None:
         return values
-    from crms_fenicsx.cables.grip import energies, held_nodes
     from crms_fenicsx.contact.contact_force import contact_forces, wrap_angles
+    from crms_fenicsx.friction.lateral import energies, held_nodes
 
     if friction is not None and cable.has_coulomb and cable.grip is not None:
         forces = contact_forces(cable, shape)
@@ -353,7 +353,7 @@ def _friction(cable: LaidCable, shape: StripShape, nodal: float) -> dict[str, fl
         heat = energies(cable, shape)[1]
         values["negative dissipation"] = -heat / max(cable.tension * cable.length, 1e-300)
     if cable.axial is not None and len(cable.axial.spans):
-        from crms_fenicsx.cables.axial import gripped_nodes
+        from crms_fenicsx.friction.axial import gripped_nodes
 
         nodes, tensions = gripped_nodes(cable), cable.part_tensions
         at = np.searchsorted(cable.contacts(), nodes)

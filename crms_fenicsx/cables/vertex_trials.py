@@ -97,7 +97,7 @@ class VertexTrials:
                 continue
             least = 1
             if not cable.slides_freely:
-                from crms_fenicsx.cables.grip import align
+                from crms_fenicsx.friction.lateral import align
 
                 if cable.grip is None or not cable.grip.known:
                     continue

@@ -21,9 +21,9 @@ from crms_fenicsx.model.laid_cable import (
 from crms_fenicsx.surface.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
 
 if TYPE_CHECKING:
-    from crms_fenicsx.cables.axial import AxialGrip
-    from crms_fenicsx.cables.grip import Grip
-    from crms_fenicsx.cables.slip import MaterialCurve
+    from crms_fenicsx.friction.axial import AxialGrip
+    from crms_fenicsx.friction.lateral import Grip
+    from crms_fenicsx.friction.slip import MaterialCurve
 
 KINDS = ("vertex", "fold", "rail", "rider", "anchor", "crossing")
 
@@ -176,7 +176,7 @@ def _plain_grip(grip: Grip | AxialGrip) -> Plain:
 
 
 def _plain_field(value: Any) -> Any:
-    from crms_fenicsx.cables.slip import MaterialCurve
+    from crms_fenicsx.friction.slip import MaterialCurve
 
     if isinstance(value, MaterialCurve):
         return {name: listed(array) for name, array in vars(value).items()}
@@ -190,7 +190,7 @@ def _supports(data: Plain) -> tuple[tuple[int, ...], ...]:
 
 
 def _grip(data: Plain) -> Grip:
-    from crms_fenicsx.cables.grip import Grip
+    from crms_fenicsx.friction.lateral import Grip
 
     supports = _supports(data)
     bounds, moving = (floats(data[name], len(supports)) for name in ("bounds", "moving"))
@@ -201,7 +201,7 @@ def _grip(data: Plain) -> Grip:
 
 
 def _axial(data: Plain) -> AxialGrip:
-    from crms_fenicsx.cables.axial import AxialGrip
+    from crms_fenicsx.friction.axial import AxialGrip
 
     curve, supports = _curve(data["curve"]), _supports(data)
     bounds, eps = (floats(data[name], len(supports)) for name in ("bounds", "eps"))
@@ -215,7 +215,7 @@ def _axial(data: Plain) -> AxialGrip:
 
 
 def _curve(data: Plain) -> MaterialCurve:
-    from crms_fenicsx.cables.slip import MaterialCurve
+    from crms_fenicsx.friction.slip import MaterialCurve
 
     points = floats(data["points"], -1, 3)
     n = len(points)

@@ -8,7 +8,7 @@ the potential is minimised:
 The force F f'(y) is reached at the slip eps exactly and does not grow any more, so that what slides
 feels Coulomb's force and what is idle does not creep (the mollifier of M. Li et al., Incremental
 potential contact, ACM Trans. Graph. 39, 2020). The slip is linear in the node's place on its edge,
-``s = slope * fraction + offset``, see `crms_fenicsx.cables.slip`.
+``s = slope * fraction + offset``, see `crms_fenicsx.friction.slip`.
 """
 
 from __future__ import annotations

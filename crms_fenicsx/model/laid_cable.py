@@ -17,8 +17,8 @@ from crms_fenicsx.runtime.readonly import ReadOnly
 from crms_fenicsx.surface.path import EdgePoint, Path, SurfacePoint, VertexPoint
 
 if TYPE_CHECKING:
-    from crms_fenicsx.cables.axial import AxialGrip
-    from crms_fenicsx.cables.grip import Grip
+    from crms_fenicsx.friction.axial import AxialGrip
+    from crms_fenicsx.friction.lateral import Grip
 
 Array = npt.NDArray[np.float64]
 

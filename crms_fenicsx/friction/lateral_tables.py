@@ -7,13 +7,13 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.grip import Grip
 from crms_fenicsx.cables.numbering import Network
-from crms_fenicsx.cables.slip import NodeSlips, node_slips
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.contact_force import directions, turns
 from crms_fenicsx.energies.lateral_friction import Slips
 from crms_fenicsx.energies.paper.friction_element import FrictionElements
+from crms_fenicsx.friction.lateral import Grip
+from crms_fenicsx.friction.slip import NodeSlips, node_slips
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable
 

@@ -1,7 +1,7 @@
 """Grip of the membrane on a cable along its axis: history, friction bounds, dissipation.
 
 The history is the cable's place on the stress-free membrane when the last load step ended, as for
-friction sideways (`crms_fenicsx.cables.slip`), and there the unstressed arc of the cable that would
+friction sideways (`crms_fenicsx.friction.slip`), and there the unstressed arc of the cable that would
 rest at each place: the arc that sat there, less the elastic slip. A node looks up the place nearest
 to its own. So nothing is lost when the cable also slides sideways, and over vertices.
 
@@ -20,12 +20,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.grip import held_nodes, succession
-from crms_fenicsx.cables.pace import Pace
-from crms_fenicsx.cables.slip import MaterialCurve, Support, material_place
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.contact_force import edge_directions, turns, wrap_angles
 from crms_fenicsx.contact.lift_off import is_foot
+from crms_fenicsx.friction.aitken import Pace
+from crms_fenicsx.friction.lateral import held_nodes, succession
+from crms_fenicsx.friction.slip import MaterialCurve, Support, material_place
 from crms_fenicsx.model.laid_cable import COINCIDENT, LaidCable
 
 Array = npt.NDArray[np.float64]
