@@ -24,10 +24,10 @@ from crms_fenicsx.minimization.minimizer import Outcome
 from crms_fenicsx.system import System
 
 if TYPE_CHECKING:
-    from crms_fenicsx.cables.retrace import Retracer, Tried
     from crms_fenicsx.contact.active_set import ActiveSet
     from crms_fenicsx.friction.axial import AxialLag
     from crms_fenicsx.friction.lateral import Lag
+    from crms_fenicsx.paths.retrace import Retracer, Tried
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -86,7 +86,7 @@ class EquilibriumSearch:
     def remember(self, tried: Tried) -> None:
         """Go on from another search's load steps with the same cables."""
         if self.slide:
-            from crms_fenicsx.cables.retrace import Retracer
+            from crms_fenicsx.paths.retrace import Retracer
 
             self.paths = Retracer(self.scene)
             self.paths.remember(tried)
@@ -113,8 +113,8 @@ class EquilibriumSearch:
             self.active: ActiveSet = ActiveSet(self.scene, None)
             outcome = self._with_friction(self._solve_in_cells, h0_prestress)
             return self._unsmoothed(outcome)
-        from crms_fenicsx.cables.ends import renew_ends
-        from crms_fenicsx.cables.retrace import Retracer
+        from crms_fenicsx.paths.boundary_ends import renew_ends
+        from crms_fenicsx.paths.retrace import Retracer
 
         if self.paths is None:
             self.paths = Retracer(self.scene)
@@ -225,7 +225,7 @@ class EquilibriumSearch:
         last digits come at the end, unless all shall be `rough`.
         """
         from crms_fenicsx.cables.crossings import tangled
-        from crms_fenicsx.cables.vertex_trials import Trial, VertexTrials
+        from crms_fenicsx.paths.vertex_trials import Trial, VertexTrials
 
         paths, best = self.paths, self._try(h0_prestress, rough)
         assert paths is not None
@@ -336,7 +336,7 @@ class EquilibriumSearch:
         """Lead cables with friction over the vertices that they have run into."""
         if not self._has_friction:
             return 0
-        from crms_fenicsx.cables.give_way import give_way
+        from crms_fenicsx.paths.friction_release import give_way
 
         assert self.paths is not None
         return give_way(self.paths, most)
@@ -345,7 +345,7 @@ class EquilibriumSearch:
         """Put caught fold points of cables with friction back on straight edges."""
         if not self._has_friction:
             return False
-        from crms_fenicsx.cables.give_way import relax
+        from crms_fenicsx.paths.friction_release import relax
 
         assert self.paths is not None
         return relax(self.paths, self.system.caught_nodes(TENSE))

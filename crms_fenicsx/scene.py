@@ -497,7 +497,7 @@ class Scene:
         InputError
             L0 or tension that is not positive, or both, or a name that is taken.
         """
-        from crms_fenicsx.cables.laying import lay
+        from crms_fenicsx.paths.laying import lay
 
         given = {"L0": L0, "tension": tension, "sleeve": sleeve, "level": level, "name": name}
         checks.same(self.comm, "lay_cable", cable=cable, path=path, **given)
@@ -525,7 +525,7 @@ class Scene:
         InputError
             On all ranks: there is no such cable.
         """
-        from crms_fenicsx.cables.removing import remove
+        from crms_fenicsx.paths.removing import remove
 
         checks.same(self.comm, "remove", cable=cable)
         remove(self, cable)

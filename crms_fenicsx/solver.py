@@ -34,12 +34,12 @@ from crms_fenicsx.system import StepHistory, System
 from crms_fenicsx.verification import Verification, Verifier
 
 if TYPE_CHECKING:
-    from crms_fenicsx.cables.retrace import Tried
     from crms_fenicsx.checkpoint import Run
     from crms_fenicsx.checkpoint.journal import Journal
     from crms_fenicsx.contact.contact_force import ContactForces
     from crms_fenicsx.model.laid_cable import LaidCable
     from crms_fenicsx.output import History, Line
+    from crms_fenicsx.paths.retrace import Tried
     from crms_fenicsx.results import MembraneResults, Reactions
 
 Array = npt.NDArray[np.float64]

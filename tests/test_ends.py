@@ -7,9 +7,9 @@ import pytest
 from cabled_square import CABLE, KINDS, PRESSURE, place, sheet
 
 from crms_fenicsx import Scene, Solver
-from crms_fenicsx.cables.ends import renew_ends
-from crms_fenicsx.cables.retrace import Retracer
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.paths.boundary_ends import renew_ends
+from crms_fenicsx.paths.retrace import Retracer
 
 N = 9
 

@@ -26,8 +26,8 @@ from crms_fenicsx import (
     equilibrium,
     meshes,
 )
-from crms_fenicsx.cables.give_way import relax
-from crms_fenicsx.cables.retrace import Retracer
+from crms_fenicsx.paths.friction_release import relax
+from crms_fenicsx.paths.retrace import Retracer
 
 MODEL_3 = OrthotropicMembrane(
     E1=1394.0, E2=140.0, G12=12.0, nu21=0.065, thickness=1.0, warp=(0.0, 1.0, 0.0)

@@ -14,11 +14,11 @@ import pytest
 from cabled_square import CABLE, PRESSURE, order, place, sheet
 
 from crms_fenicsx import Cable, ConvergenceError, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.cables import held
-from crms_fenicsx.cables.held import held_runs, held_vertices
 from crms_fenicsx.cables.strip import StripShape
-from crms_fenicsx.cables.vertex_trials import VertexTrials
 from crms_fenicsx.contact.contact_force import contact_forces, directions, turns
+from crms_fenicsx.paths import held_vertices as held
+from crms_fenicsx.paths.held_vertices import held_runs, held_vertices
+from crms_fenicsx.paths.vertex_trials import VertexTrials
 
 REFERENCE = {"T": 103.0532, "y": 29.60632, "W": -298.76483}
 """Of a cable from (0, 30) to (100, 30) with L0 = 100, as in `test_sliding`."""

@@ -14,10 +14,10 @@ from cabled_square import CABLE, KINDS, PRESSURE, order, place, sheet
 from mpi4py import MPI
 
 from crms_fenicsx import Scene, Solver
-from crms_fenicsx.cables import vertex_trials
-from crms_fenicsx.cables.held import Run
-from crms_fenicsx.cables.vertex_trials import Trial, VertexTrials
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.paths import vertex_trials
+from crms_fenicsx.paths.held_vertices import Run
+from crms_fenicsx.paths.vertex_trials import Trial, VertexTrials
 from crms_fenicsx.surface.path import EdgePoint
 
 T_EXACT, Z_EXACT = (68.176, 33.193), 4.4317
@@ -159,7 +159,7 @@ def test_nets_do_not_depend_on_the_ranks(comm) -> None:
 
 def test_crossed_cables_pass_only_vertices_that_hold_them(comm, monkeypatch) -> None:
     """Strings do not know where crossings are pressed in, and say more: see `_is_crossed`."""
-    from crms_fenicsx.cables import retrace
+    from crms_fenicsx.paths import retrace
 
     passed: list[tuple[set[int], set[int]]] = []
     pull = retrace.shorten

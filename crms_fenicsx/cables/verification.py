@@ -15,11 +15,11 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from crms_fenicsx.cables.held import held_runs
 from crms_fenicsx.cables.numbering import Network
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.lift_off import INSIDE, is_foot, may_lift, outward_pulls
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.paths.held_vertices import held_runs
 from crms_fenicsx.surface.path import EdgePoint
 from crms_fenicsx.surface.triangles import norm
 from crms_fenicsx.verification import Check

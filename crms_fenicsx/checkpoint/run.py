@@ -12,7 +12,7 @@ from crms_fenicsx.solver import Step
 from crms_fenicsx.system import StepHistory
 
 if TYPE_CHECKING:
-    from crms_fenicsx.cables.retrace import ContactKey, Tried
+    from crms_fenicsx.paths.retrace import ContactKey, Tried
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def run_of(data: Plain) -> Run:
 
 
 def _tried(data: Plain) -> Tried:
-    from crms_fenicsx.cables.retrace import Tried
+    from crms_fenicsx.paths.retrace import Tried
 
     return Tried(
         {

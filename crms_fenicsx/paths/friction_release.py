@@ -14,11 +14,11 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.held import HeldVertex, Run, held_vertices
-from crms_fenicsx.cables.passing import straighten, take, way_past
-from crms_fenicsx.cables.retrace import Retracer
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.paths.held_vertices import HeldVertex, Run, held_vertices
+from crms_fenicsx.paths.retrace import Retracer
+from crms_fenicsx.paths.vertex_passing import straighten, take, way_past
 
 Array = npt.NDArray[np.float64]
 

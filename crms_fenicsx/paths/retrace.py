@@ -17,14 +17,14 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.cables.crossings import note_places
-from crms_fenicsx.cables.folded_surface import FoldedSurface, bends
-from crms_fenicsx.cables.laying import fractions_of, nodes_of
 from crms_fenicsx.cables.strip import StripShape, grow
 from crms_fenicsx.contact.lift_off import INSIDE, drape
 from crms_fenicsx.contact.span_projection import with_shadows
 from crms_fenicsx.geodesics.corridor import Support, flaw
 from crms_fenicsx.geodesics.flip_geodesic import Corridor, corridor, shorten
 from crms_fenicsx.model.laid_cable import CableNode, End, LaidCable
+from crms_fenicsx.paths.creased_surface import FoldedSurface, bends
+from crms_fenicsx.paths.laying import fractions_of, nodes_of
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.surface.intrinsic import MissingStars
 from crms_fenicsx.surface.path import EdgePoint, SurfacePoint, VertexPoint, without_backtracking

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.behind import refuse_forks, refuse_places_behind
-from crms_fenicsx.cables.follow import unfolded
 from crms_fenicsx.cables.strip import Strip, StripShape, cells_at, cells_near
 from crms_fenicsx.contact.lift_off import drape
 from crms_fenicsx.model.laid_cable import (
@@ -22,6 +20,8 @@ from crms_fenicsx.model.laid_cable import (
     StepStart,
     polyline_length,
 )
+from crms_fenicsx.paths.follow import unfolded
+from crms_fenicsx.paths.seam_checks import refuse_forks, refuse_places_behind
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, PathError
 from crms_fenicsx.scene import Cables

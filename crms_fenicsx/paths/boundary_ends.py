@@ -27,7 +27,7 @@ from crms_fenicsx.surface.path import CellPoint, EdgePoint, SurfacePoint, Vertex
 from crms_fenicsx.surface.triangles import cross
 
 if TYPE_CHECKING:
-    from crms_fenicsx.cables.retrace import Retracer
+    from crms_fenicsx.paths.retrace import Retracer
     from crms_fenicsx.scene import Scene
 
 Array = npt.NDArray[np.float64]

@@ -11,12 +11,12 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from crms_fenicsx.cables.held import Run, held_runs
-from crms_fenicsx.cables.passing import lead_past
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.paths.held_vertices import Run, held_runs
+from crms_fenicsx.paths.vertex_passing import lead_past
 
 if TYPE_CHECKING:
-    from crms_fenicsx.cables.retrace import Retracer
+    from crms_fenicsx.paths.retrace import Retracer
 
 HALVINGS = 2
 """How often runs that were left together, and did not lower the energy, are tried by halves."""
