@@ -25,7 +25,7 @@ from bad_calls import ACROSS, FOIL, Call, data, generators, scenes
 from test_bad_input import snapshot
 
 from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.equilibrium import EquilibriumSearch
+from crms_fenicsx.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.runtime import errors
 
 COMM = MPI.COMM_WORLD

@@ -95,7 +95,7 @@ def scene_of(comm: MPI.Intracomm) -> Scene:
 def run(folder: Path, resume: bool) -> None:
     """The run, in a process of its own; its result is a line of numbers."""
     from crms_fenicsx.checkpoint.journal import Journal
-    from crms_fenicsx.equilibrium import EquilibriumSearch
+    from crms_fenicsx.equilibrium.search import EquilibriumSearch
     from crms_fenicsx.output.recorder import Recorder
 
     comm = MPI.COMM_WORLD

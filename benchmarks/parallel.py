@@ -61,7 +61,6 @@ class Clock:
 
 def watched(now: Callable[[], float] = time.perf_counter) -> Clock:
     """A clock on the parts of a load step, which reads the time from `now`."""
-    from crms_fenicsx import equilibrium, system
     from crms_fenicsx.dofs import layout as unknowns
     from crms_fenicsx.energies import cable_tension as tension
     from crms_fenicsx.energies import dead_load, integral, membrane
@@ -69,6 +68,8 @@ def watched(now: Callable[[], float] = time.perf_counter) -> Clock:
     from crms_fenicsx.energies import folded_membrane as fold
     from crms_fenicsx.energies import folded_pressure as volume
     from crms_fenicsx.energies import pressure as loads
+    from crms_fenicsx.equilibrium.search import search as equilibrium
+    from crms_fenicsx.equilibrium.search import system
     from crms_fenicsx.minimization import initial_hessian as hessian
     from crms_fenicsx.minimization import minimizer, potential
 

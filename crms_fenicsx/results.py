@@ -12,8 +12,8 @@ from crms_fenicsx.cables.deformed_surface import folded_shape
 from crms_fenicsx.runtime.compat import geometry_dofmap
 
 if TYPE_CHECKING:
+    from crms_fenicsx.equilibrium.system import System
     from crms_fenicsx.scene import Marker, Scene
-    from crms_fenicsx.system import System
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]

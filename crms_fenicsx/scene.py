@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from crms_fenicsx.energies.dead_load import DeadForces, Traction
     from crms_fenicsx.energies.pressure import OpenEdges
     from crms_fenicsx.energies.pressure_rim import Rim
+    from crms_fenicsx.equilibrium.system import StepHistory
     from crms_fenicsx.model.laid_cable import Cable, Crossing, LaidCable
-    from crms_fenicsx.system import StepHistory
 
 Array = npt.NDArray[np.float64]
 Marker = Callable[[Array], npt.NDArray[np.bool_]]

@@ -26,9 +26,9 @@ from crms_fenicsx.results import pressed_facets
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.verification import CableVerifier
+    from crms_fenicsx.equilibrium.system import System
     from crms_fenicsx.minimization.minimizer import Outcome
     from crms_fenicsx.scene import Scene
-    from crms_fenicsx.system import System
 
 Array = npt.NDArray[np.float64]
 logger = logging.getLogger("crms_fenicsx")

@@ -10,11 +10,11 @@ from mpi4py import MPI
 from term_scene import ISOTROPIC, SIDE, irregular_square
 
 from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.friction.lateral import begin
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import Cable
 from crms_fenicsx.scene import Scene
-from crms_fenicsx.system import System
 
 PATHS = (
     [(0, 31), (SIDE, 52)],

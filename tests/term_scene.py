@@ -11,11 +11,11 @@ from mpi4py import MPI
 from taylor import OnMesh, noise
 
 from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes import MembraneMesh, from_arrays
 from crms_fenicsx.model.laid_cable import Cable
 from crms_fenicsx.model.materials import IsotropicMembrane, Membrane, OrthotropicMembrane
 from crms_fenicsx.scene import Scene
-from crms_fenicsx.system import System
 
 Array = npt.NDArray[Any]
 

@@ -20,7 +20,7 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.equilibrium import EquilibriumSearch
+from crms_fenicsx.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.model.friction import Friction
 
 NAN = float("nan")

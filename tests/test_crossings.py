@@ -20,11 +20,11 @@ from crms_fenicsx.cables.node_positions import Whereabouts
 from crms_fenicsx.cables.strip import Strip, StripShape
 from crms_fenicsx.contact.lift_off import sunk
 from crms_fenicsx.energies.folded_pressure import FoldedFollowerPressure, split_polygon
+from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.model.laid_cable import CableNode, CableState, LaidCable, polyline_length
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.surface.path import CellPoint, EdgePoint, Path, SurfacePoint, VertexPoint
 from crms_fenicsx.surface.trace import trace
-from crms_fenicsx.system import System
 
 Array = npt.NDArray[np.float64]
 

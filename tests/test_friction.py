@@ -23,9 +23,9 @@ from crms_fenicsx import (
     OrthotropicMembrane,
     Scene,
     Solver,
-    equilibrium,
     meshes,
 )
+from crms_fenicsx.equilibrium.search import search as equilibrium
 from crms_fenicsx.paths.friction_release import relax
 from crms_fenicsx.paths.retrace import Retracer
 

@@ -14,10 +14,10 @@ from term_scene import ISOTROPIC, directions, displaced, irregular_square
 
 from crms_fenicsx import Cable, LaidCable, PathWarning, Scene, Solver, meshes
 from crms_fenicsx.cables.deformed_surface import current_surface
+from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.model.laid_cable import CableNode
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.surface.path import EdgePoint
-from crms_fenicsx.system import System
 
 Array = npt.NDArray[np.float64]
 

@@ -22,7 +22,7 @@ from crms_fenicsx import (
     meshes,
 )
 from crms_fenicsx.checkpoint.journal import Journal
-from crms_fenicsx.equilibrium import EquilibriumSearch
+from crms_fenicsx.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.output import History
 
 pytestmark = pytest.mark.usefixtures("comm")

@@ -20,12 +20,12 @@ from crms_fenicsx import (
 from crms_fenicsx.cables.strip import StripShape, cells_near, grow
 from crms_fenicsx.contact.lift_off import size_at
 from crms_fenicsx.contact.span_projection import shadow
+from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.friction.slip import material_curve, node_slips
 from crms_fenicsx.paths.boundary_ends import _edge_at
 from crms_fenicsx.paths.creased_surface import FoldedSurface
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.runtime.errors import MeshError
-from crms_fenicsx.system import System
 
 KINDS = [
     {"n": 4},

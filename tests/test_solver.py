@@ -25,13 +25,13 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.equilibrium import EquilibriumSearch
+from crms_fenicsx.equilibrium.search import EquilibriumSearch
+from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.loading import checked_target
 from crms_fenicsx.minimization.minimizer import Minimizer, Outcome
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.model.laid_cable import polyline_length
 from crms_fenicsx.runtime.compat import geometry_dofmap
-from crms_fenicsx.system import System
 
 MATERIAL = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)
 CABLE = Cable(EA=32000.0)

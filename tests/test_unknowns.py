@@ -17,10 +17,10 @@ from term_scene import (
 
 from crms_fenicsx.cables.node_positions import Whereabouts
 from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes import from_arrays
 from crms_fenicsx.model.laid_cable import Cable, polyline_length
 from crms_fenicsx.scene import Scene
-from crms_fenicsx.system import System
 
 
 class Springs:

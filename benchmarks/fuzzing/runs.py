@@ -25,9 +25,9 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
+from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.minimizer import Minimizer
 from crms_fenicsx.runtime import errors
-from crms_fenicsx.system import System
 from crms_fenicsx.verification import Verifier
 from fuzzing.scenes import CableData, SceneData
 

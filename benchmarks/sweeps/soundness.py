@@ -15,9 +15,9 @@ import numpy.typing as npt
 from crms_fenicsx import Scene, Solver
 from crms_fenicsx.energies.membrane import area_vectors
 from crms_fenicsx.energies.segments import SMOOTHING
+from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.initial_hessian import at_bounds
 from crms_fenicsx.model.laid_cable import polyline_length
-from crms_fenicsx.system import System
 
 sys.path.append(str(Path(__file__).parents[2] / "tests"))  # its checks of contact
 from contact_checks import deepest, strongest_pull

@@ -25,7 +25,7 @@ from crms_fenicsx.surface.triangles import norm
 from crms_fenicsx.verification import Check
 
 if TYPE_CHECKING:
-    from crms_fenicsx.system import System
+    from crms_fenicsx.equilibrium.system import System
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]

@@ -7,9 +7,9 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
 from crms_fenicsx.checkpoint.plain import Array, Plain, floats, integers, listed
+from crms_fenicsx.equilibrium.system import StepHistory
 from crms_fenicsx.minimization.minimizer import Outcome
 from crms_fenicsx.solver import Step
-from crms_fenicsx.system import StepHistory
 
 if TYPE_CHECKING:
     from crms_fenicsx.paths.retrace import ContactKey, Tried

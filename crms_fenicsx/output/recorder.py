@@ -18,10 +18,10 @@ from crms_fenicsx.results import gained_volume, membrane_results
 from crms_fenicsx.runtime.errors import InputError, raised_together
 
 if TYPE_CHECKING:
+    from crms_fenicsx.equilibrium.system import System
     from crms_fenicsx.output.paraview import Series
     from crms_fenicsx.scene import Scene
     from crms_fenicsx.solver import Step
-    from crms_fenicsx.system import System
 
 
 class Recorder:

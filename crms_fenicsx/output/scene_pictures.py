@@ -22,8 +22,8 @@ from crms_fenicsx.results import MembraneResults, membrane_results
 from crms_fenicsx.runtime.errors import InputError, PictureWarning, raised_together
 
 if TYPE_CHECKING:
+    from crms_fenicsx.equilibrium.system import System
     from crms_fenicsx.scene import Scene
-    from crms_fenicsx.system import System
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]

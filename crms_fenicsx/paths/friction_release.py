@@ -4,7 +4,7 @@ A cable with friction does not lie along a geodesic, and pulling it taut would l
 it sticks. It changes its path only where friction gives way: a fold point that slides and has run
 into a vertex is led around its other side, a node on a vertex leaves it when the cable pulls it
 sideways by more than friction holds. The new path is kept if the energy falls, with the work of
-friction in it; see `crms_fenicsx.equilibrium`.
+friction in it; see `crms_fenicsx.equilibrium.search`.
 """
 
 from __future__ import annotations

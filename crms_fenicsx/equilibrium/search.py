@@ -20,8 +20,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from crms_fenicsx.cables.state import State
+from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.minimizer import Outcome
-from crms_fenicsx.system import System
 
 if TYPE_CHECKING:
     from crms_fenicsx.contact.active_set import ActiveSet
