@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from crms_fenicsx.model.laid_cable import LaidCable
     from crms_fenicsx.output import History, Line
     from crms_fenicsx.paths.retrace import Tried
-    from crms_fenicsx.results import MembraneResults, Reactions
+    from crms_fenicsx.results.membrane_results import MembraneResults, Reactions
 
 Array = npt.NDArray[np.float64]
 logger = logging.getLogger("crms_fenicsx")
@@ -242,7 +242,7 @@ class Solver:
         MembraneResults
             Values in this rank's cells.
         """
-        from crms_fenicsx.results import membrane_results
+        from crms_fenicsx.results.membrane_results import membrane_results
 
         return membrane_results(self.system)
 
@@ -267,7 +267,7 @@ class Solver:
         InputError
             As `Scene.vertices`.
         """
-        from crms_fenicsx.results import reactions
+        from crms_fenicsx.results.membrane_results import reactions
 
         return reactions(self.system, where)
 

@@ -18,7 +18,7 @@ from crms_fenicsx import (
 )
 from crms_fenicsx.cables.deformed_surface import best_fan, current_surface
 from crms_fenicsx.model.materials import Membrane
-from crms_fenicsx.results import gained_volume
+from crms_fenicsx.results.membrane_results import gained_volume
 
 Array = npt.NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from crms_fenicsx.dofs.layout import vertex_starts
 from crms_fenicsx.output.history import History, Value
 from crms_fenicsx.output.lock import FolderLock
 from crms_fenicsx.output.shapes import Line, Surface
-from crms_fenicsx.results import gained_volume, membrane_results
+from crms_fenicsx.results.membrane_results import gained_volume, membrane_results
 from crms_fenicsx.runtime.errors import InputError, raised_together
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from crms_fenicsx.output.pictures import draw_shape
 from crms_fenicsx.output.plots import draw_history
 from crms_fenicsx.output.recorder import cable_lines
 from crms_fenicsx.output.shapes import Line
-from crms_fenicsx.results import MembraneResults, membrane_results
+from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.runtime.errors import InputError, PictureWarning, raised_together
 
 if TYPE_CHECKING:
