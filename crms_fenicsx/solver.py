@@ -31,7 +31,7 @@ from crms_fenicsx.runtime.errors import (
 from crms_fenicsx.runtime.interrupt import postponed, stop_together
 from crms_fenicsx.runtime.readonly import ReadOnly
 from crms_fenicsx.scene import Marker, Scene
-from crms_fenicsx.verification import Verification, Verifier
+from crms_fenicsx.verification.verifier import Verification, Verifier
 
 if TYPE_CHECKING:
     from crms_fenicsx.checkpoint import Run

@@ -18,7 +18,7 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.verification import Verification, Verifier
+from crms_fenicsx.verification.verifier import Verification, Verifier
 
 pytestmark = pytest.mark.usefixtures("comm")
 

@@ -28,7 +28,7 @@ from crms_fenicsx import (
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.minimizer import Minimizer
 from crms_fenicsx.runtime import errors
-from crms_fenicsx.verification import Verifier
+from crms_fenicsx.verification.verifier import Verifier
 from fuzzing.scenes import CableData, SceneData
 
 Array = npt.NDArray[np.float64]

@@ -1,7 +1,7 @@
 """What must be true of the cables in an equilibrium, checked on their positions in plain numpy.
 
 What a cable's state says of itself (length, tensions, places on edges, where it touches) is worked
-out again from where its points are in space. See `crms_fenicsx.verification`.
+out again from where its points are in space. See `crms_fenicsx.verification.verifier`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.paths.held_vertices import held_runs
 from crms_fenicsx.surface.path import EdgePoint
 from crms_fenicsx.surface.triangles import norm
-from crms_fenicsx.verification import Check
+from crms_fenicsx.verification.verifier import Check
 
 if TYPE_CHECKING:
     from crms_fenicsx.equilibrium.system import System

@@ -4,7 +4,7 @@ The solver brings the gradient of the energy to zero. What is checked here is wh
 must be however it was found: virtual work by differences of the energy, without the gradient;
 loads from areas and normals of the current triangles, without the forms; the balance of supports
 and loads in forces and moments; supports and anchors where they were told to be. What is checked of
-cables is in `crms_fenicsx.cables.verification`.
+cables is in `crms_fenicsx.verification.cable_checks`.
 
 A state that fails is no result: `Solver.advance` goes back and halves the increment, as when the
 solve had not converged, and in the end raises a `ConvergenceError` that names what failed.
@@ -25,10 +25,10 @@ from crms_fenicsx.energies.membrane import area_vectors
 from crms_fenicsx.results.membrane_results import pressed_facets
 
 if TYPE_CHECKING:
-    from crms_fenicsx.cables.verification import CableVerifier
     from crms_fenicsx.equilibrium.system import System
     from crms_fenicsx.minimization.minimizer import Outcome
     from crms_fenicsx.scene import Scene
+    from crms_fenicsx.verification.cable_checks import CableVerifier
 
 Array = npt.NDArray[np.float64]
 logger = logging.getLogger("crms_fenicsx")
@@ -194,7 +194,7 @@ class Verifier:
         checks += self._balance(system, outcome, force)
         if self.scene.cables:
             if self._cables is None:
-                from crms_fenicsx.cables.verification import CableVerifier
+                from crms_fenicsx.verification.cable_checks import CableVerifier
 
                 self._cables = CableVerifier()
             checks += self._cables.check(system, self._prescribed[1], force)

@@ -1,0 +1,1 @@
+"""Checks of an equilibrium by means of their own."""
