@@ -17,7 +17,6 @@ from mpi4py import MPI
 from crms_fenicsx.cables.state import State
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.equilibrium.system import StepHistory, System
-from crms_fenicsx.loading import Target, checked_target, has_free_rim
 from crms_fenicsx.minimization.minimizer import Outcome
 from crms_fenicsx.output.recorder import Recorder
 from crms_fenicsx.runtime import checks
@@ -31,6 +30,7 @@ from crms_fenicsx.runtime.errors import (
 from crms_fenicsx.runtime.interrupt import postponed, stop_together
 from crms_fenicsx.runtime.readonly import ReadOnly
 from crms_fenicsx.scene import Marker, Scene
+from crms_fenicsx.steps.loading import Target, checked_target, has_free_rim
 from crms_fenicsx.verification.verifier import Verification, Verifier
 
 if TYPE_CHECKING:

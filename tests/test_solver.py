@@ -27,11 +27,11 @@ from crms_fenicsx import (
 )
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.loading import checked_target
 from crms_fenicsx.minimization.minimizer import Minimizer, Outcome
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.model.laid_cable import polyline_length
 from crms_fenicsx.runtime.compat import geometry_dofmap
+from crms_fenicsx.steps.loading import checked_target
 
 MATERIAL = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)
 CABLE = Cable(EA=32000.0)
