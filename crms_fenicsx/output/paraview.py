@@ -13,7 +13,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from crms_fenicsx.output.shapes import Line, Surface
+from crms_fenicsx.output.data import Line, Surface
 from crms_fenicsx.output.vtu import write_vtu
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import PARTIAL, absolute, make_writable, read_text, replaced

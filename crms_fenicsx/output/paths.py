@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from crms_fenicsx.output.camera import Camera
-from crms_fenicsx.output.shapes import Line, Surface
+from crms_fenicsx.output.data import Line, Surface
 from crms_fenicsx.output.stage import APART, INK, Stage, bounds, check_view, checked_filename
 from crms_fenicsx.runtime.errors import InputError
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from crms_fenicsx.output.camera import Camera, brightness, visible
+from crms_fenicsx.output.data import Line, Surface, checked_points
 from crms_fenicsx.output.scales import NO_VALUE, common_value, in_words, mappable
-from crms_fenicsx.output.shapes import Line, Surface, checked_points
 from crms_fenicsx.output.stage import (
     INK,
     RIM,

@@ -11,9 +11,9 @@ import numpy.typing as npt
 
 from crms_fenicsx.cables.deformed_surface import current_surface
 from crms_fenicsx.dofs.layout import vertex_starts
+from crms_fenicsx.output.data import Line, Surface
 from crms_fenicsx.output.history import History, Value
 from crms_fenicsx.output.lock import FolderLock
-from crms_fenicsx.output.shapes import Line, Surface
 from crms_fenicsx.results.membrane_results import gained_volume, membrane_results
 from crms_fenicsx.runtime.errors import InputError, raised_together
 
