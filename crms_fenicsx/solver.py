@@ -326,7 +326,7 @@ class Solver:
         PictureWarning
             The mesh is too large for a picture (500 000 cells); nothing is drawn.
         """
-        from crms_fenicsx.output.scene_pictures import draw_scene
+        from crms_fenicsx.output.figures.scene import draw_scene
 
         checks.same(self.comm, "draw", filename=filename, colour=colour, **options)
         filename = checks.file("draw: filename", filename)
@@ -364,7 +364,7 @@ class Solver:
         PictureWarning
             The mesh is too large for a picture (500 000 cells), and left out.
         """
-        from crms_fenicsx.output.scene_pictures import draw_scene_paths
+        from crms_fenicsx.output.figures.scene import draw_scene_paths
 
         checks.same(self.comm, "draw_paths", filename=filename, **options)
         filename = checks.file("draw_paths: filename", filename)
@@ -394,7 +394,7 @@ class Solver:
         InputError
             No step yet, an unknown column, or a file that cannot be written.
         """
-        from crms_fenicsx.output.scene_pictures import draw_scene_history
+        from crms_fenicsx.output.figures.scene import draw_scene_history
 
         checks.same(self.comm, "draw_history", filename=filename, panels=panels, **options)
         filename = checks.file("draw_history: filename", filename)

@@ -20,11 +20,11 @@ from crms_fenicsx.output import (
     draw_shape,
     join_pictures,
 )
-from crms_fenicsx.output.camera import Camera, brightness, visible
-from crms_fenicsx.output.paths import _told_apart
-from crms_fenicsx.output.pictures import _among, _outline, _subdivided
-from crms_fenicsx.output.scales import common_value, in_words, limits_of
-from crms_fenicsx.output.scene_pictures import default_panels, units
+from crms_fenicsx.output.figures.camera import Camera, brightness, visible
+from crms_fenicsx.output.figures.paths import _told_apart
+from crms_fenicsx.output.figures.scales import common_value, in_words, limits_of
+from crms_fenicsx.output.figures.scene import default_panels, units
+from crms_fenicsx.output.figures.surface import _among, _outline, _subdivided
 from crms_fenicsx.runtime.errors import InputError
 
 Array = NDArray[np.float64]
@@ -434,7 +434,7 @@ def test_history_plots(tmp_path: Path) -> None:
 
 
 def test_which_columns_share_a_panel_and_what_they_are_called() -> None:
-    from crms_fenicsx.output.plots import _grouped, _with_unit
+    from crms_fenicsx.output.figures.history import _grouped, _with_unit
 
     assert _grouped(a_history(), "step") == [["energy"], ["tension cable 1", "tension cable 2"]]
     assert _grouped(a_history(), "energy") == [["tension cable 1", "tension cable 2"]]

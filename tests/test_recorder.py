@@ -20,7 +20,8 @@ from crms_fenicsx import (
 )
 from crms_fenicsx.cables.deformed_surface import current_surface
 from crms_fenicsx.minimization.minimizer import Minimizer, Outcome
-from crms_fenicsx.output import History, Line, scene_pictures
+from crms_fenicsx.output import History, Line
+from crms_fenicsx.output.figures import scene as scene_pictures
 
 pytestmark = pytest.mark.usefixtures("comm")
 COMM = MPI.COMM_WORLD

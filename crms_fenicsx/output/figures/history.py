@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from crms_fenicsx.output.figures.axes3d import APART, INK, checked_filename, new_figure, save
 from crms_fenicsx.output.history import History
-from crms_fenicsx.output.stage import APART, INK, checked_filename, new_figure, save
 from crms_fenicsx.runtime.errors import InputError
 
 

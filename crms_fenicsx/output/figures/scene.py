@@ -13,10 +13,10 @@ import numpy.typing as npt
 
 from crms_fenicsx.cables.deformed_surface import CurrentSurface, current_surface
 from crms_fenicsx.output.data import Line
+from crms_fenicsx.output.figures.history import draw_history
+from crms_fenicsx.output.figures.paths import draw_path
+from crms_fenicsx.output.figures.surface import draw_shape
 from crms_fenicsx.output.history import History
-from crms_fenicsx.output.paths import draw_path
-from crms_fenicsx.output.pictures import draw_shape
-from crms_fenicsx.output.plots import draw_history
 from crms_fenicsx.output.recorder import cable_lines
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.runtime.errors import InputError, PictureWarning, raised_together

@@ -9,9 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from crms_fenicsx.output.camera import Camera
 from crms_fenicsx.output.data import Line, Surface
-from crms_fenicsx.output.stage import APART, INK, Stage, bounds, check_view, checked_filename
+from crms_fenicsx.output.figures.axes3d import (
+    APART,
+    INK,
+    Stage,
+    bounds,
+    check_view,
+    checked_filename,
+)
+from crms_fenicsx.output.figures.camera import Camera
 from crms_fenicsx.runtime.errors import InputError
 
 Floats = NDArray[np.float64]

@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from crms_fenicsx.output.camera import Camera, brightness, visible
 from crms_fenicsx.output.data import Line, Surface, checked_points
-from crms_fenicsx.output.scales import NO_VALUE, common_value, in_words, mappable
-from crms_fenicsx.output.stage import (
+from crms_fenicsx.output.figures.axes3d import (
     INK,
     RIM,
     STRIPES,
@@ -22,6 +20,8 @@ from crms_fenicsx.output.stage import (
     check_view,
     checked_filename,
 )
+from crms_fenicsx.output.figures.camera import Camera, brightness, visible
+from crms_fenicsx.output.figures.scales import NO_VALUE, common_value, in_words, mappable
 from crms_fenicsx.runtime.errors import InputError
 
 if TYPE_CHECKING:

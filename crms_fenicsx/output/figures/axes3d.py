@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from crms_fenicsx.output.camera import Camera
+from crms_fenicsx.output.figures.camera import Camera
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.runtime.files import make_writable, replaced
 

@@ -1,0 +1,1 @@
+"""Pictures of scenes, paths and histories."""
