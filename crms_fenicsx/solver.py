@@ -533,7 +533,7 @@ class Solver:
         """
         if self._journal is None:
             return 0.0, 1.0
-        from crms_fenicsx.checkpoint.beginning import plain_loads
+        from crms_fenicsx.checkpoint.call_record import plain_loads
 
         loads = plain_loads(pressure, move, L0, load, steps)
         come, run = self._journal.begin(self.scene, loads, steps)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from crms_fenicsx.checkpoint.plain import Plain, floats, integers, listed
+from crms_fenicsx.checkpoint.json_data import Plain, floats, integers, listed
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import (
     Cable,

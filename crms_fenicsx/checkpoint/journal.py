@@ -17,9 +17,9 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from crms_fenicsx.checkpoint.beginning import beginning, difference
+from crms_fenicsx.checkpoint.call_record import beginning, difference
 from crms_fenicsx.checkpoint.folder import ASIDE, complete
-from crms_fenicsx.checkpoint.plain import Plain
+from crms_fenicsx.checkpoint.json_data import Plain
 from crms_fenicsx.checkpoint.run import Run
 from crms_fenicsx.checkpoint.state import STATE, Saved, give, read, save, told
 from crms_fenicsx.runtime.errors import InputError, raised_together

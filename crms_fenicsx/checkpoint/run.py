@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
-from crms_fenicsx.checkpoint.plain import Array, Plain, floats, integers, listed
+from crms_fenicsx.checkpoint.json_data import Array, Plain, floats, integers, listed
 from crms_fenicsx.equilibrium.system import StepHistory
 from crms_fenicsx.minimization.minimizer import Outcome
 from crms_fenicsx.solver import Step

@@ -18,7 +18,7 @@ from mpi4py import MPI
 from crms_fenicsx.checkpoint.fields import Fields, read_fields, write_fields
 from crms_fenicsx.checkpoint.fingerprint import check_same, fingerprint
 from crms_fenicsx.checkpoint.folder import complete, replaced_folder
-from crms_fenicsx.checkpoint.plain import Plain, integers
+from crms_fenicsx.checkpoint.json_data import Plain, integers
 from crms_fenicsx.checkpoint.run import Run, plain_run, run_of
 from crms_fenicsx.output.npy import read_rows, write_rows
 from crms_fenicsx.runtime.checks import LONGEST

@@ -12,7 +12,7 @@ from mpi4py import MPI
 from crms_fenicsx.checkpoint.cables import plain_data
 from crms_fenicsx.checkpoint.fields import dof_vertex_ids, edge_vertices
 from crms_fenicsx.checkpoint.fingerprint import fingerprint, mixed
-from crms_fenicsx.checkpoint.plain import Plain
+from crms_fenicsx.checkpoint.json_data import Plain
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
 from crms_fenicsx.scene import Scene
 
