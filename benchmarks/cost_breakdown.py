@@ -35,7 +35,8 @@ from mpi4py import MPI
 from parallel import Clock, watched
 from skip import FEATURES, PRESSURE, square
 
-Array = npt.NDArray[np.float64]
+from crms_fenicsx.runtime.arrays import Array
+
 GEOMETRY = ("paths", "contacts", "paths and contacts", "tables of the cables", "state of the scene")
 """Parts of the clock that a cable's way over the mesh costs."""
 UP = (1.0, 1.2, 1.4, 1.6)

@@ -68,7 +68,7 @@ def watched(now: Callable[[], float] = time.perf_counter) -> Clock:
     from crms_fenicsx.energies import folded_membrane as fold
     from crms_fenicsx.energies import folded_pressure as volume
     from crms_fenicsx.energies import pressure as loads
-    from crms_fenicsx.equilibrium.search import search as equilibrium
+    from crms_fenicsx.equilibrium import search as equilibrium
     from crms_fenicsx.equilibrium.search import system
     from crms_fenicsx.minimization import initial_hessian as hessian
     from crms_fenicsx.minimization import minimizer, potential

@@ -50,11 +50,10 @@ from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.runtime import errors
+from crms_fenicsx.runtime.arrays import Array
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))  # their meshes
 from reference_meshes import rotated_lattice
-
-Array = npt.NDArray[np.float64]
 
 HALF = WIDTH / 2
 WAYS = ("direct", "steps", "after", "beyond", "out", "detour")

@@ -17,6 +17,7 @@ from crms_fenicsx.energies.membrane import area_vectors
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.model.materials import LINEAR, Membrane
 from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, PenaltyWarning, collective, raised_together
 from crms_fenicsx.runtime.readonly import ReadOnly
 
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from crms_fenicsx.equilibrium.system import StepHistory
     from crms_fenicsx.model.laid_cable import Cable, Crossing, LaidCable
 
-Array = npt.NDArray[np.float64]
 Marker = Callable[[Array], npt.NDArray[np.bool_]]
 Law = Literal["total", "step"]
 

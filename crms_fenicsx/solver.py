@@ -11,7 +11,6 @@ from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 from mpi4py import MPI
 
 from crms_fenicsx.cables.state import State
@@ -42,7 +41,6 @@ if TYPE_CHECKING:
     from crms_fenicsx.paths.retrace import Tried
     from crms_fenicsx.results.membrane_results import MembraneResults, Reactions
 
-Array = npt.NDArray[np.float64]
 logger = logging.getLogger("crms_fenicsx")
 
 ANOTHER = "make another Solver(scene, ...), which goes on from the scene as it is"

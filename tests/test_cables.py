@@ -20,9 +20,8 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.compat import geometry_dofmap
-
-Array = npt.NDArray[np.float64]
 
 FREE = "free"
 """A mesh whose cells the cable crosses anywhere."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from crms_fenicsx import Cable
@@ -40,9 +39,9 @@ from crms_fenicsx.model.laid_cable import (
     LaidCable,
     polyline_length,
 )
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.path import CellPoint, EdgePoint, VertexPoint
 
-Array = npt.NDArray[np.float64]
 UP = np.array([0.0, 0.0, 1.0])
 
 

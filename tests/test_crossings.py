@@ -22,11 +22,10 @@ from crms_fenicsx.contact.lift_off import sunk
 from crms_fenicsx.energies.folded_pressure import FoldedFollowerPressure, split_polygon
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.model.laid_cable import CableNode, CableState, LaidCable, polyline_length
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.surface.path import CellPoint, EdgePoint, Path, SurfacePoint, VertexPoint
 from crms_fenicsx.surface.trace import trace
-
-Array = npt.NDArray[np.float64]
 
 PLACES = np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 1.0, 0.0)])
 CELLS = [(0, 1, 2), (1, 3, 2)]

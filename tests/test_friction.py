@@ -25,7 +25,7 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.equilibrium.search import search as equilibrium
+from crms_fenicsx.equilibrium import search as equilibrium
 from crms_fenicsx.paths.friction_release import relax
 from crms_fenicsx.paths.retrace import Retracer
 

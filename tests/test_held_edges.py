@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from mpi4py import MPI
 from scipy.optimize import minimize_scalar
@@ -16,10 +15,9 @@ from crms_fenicsx import Cable, LaidCable, PathWarning, Scene, Solver, meshes
 from crms_fenicsx.cables.deformed_surface import current_surface
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.model.laid_cable import CableNode
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.surface.path import EdgePoint
-
-Array = npt.NDArray[np.float64]
 
 CABLE = Cable(EA=32000.0)
 OBLIQUE = [(-40.0, 15.0, -25.0), (140.0, 71.0, -25.0)]

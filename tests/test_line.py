@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from mpi4py import MPI
 from term_scene import ISOTROPIC
@@ -12,7 +11,6 @@ from crms_fenicsx import Cable, Scene, Solver, meshes
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 
-Array = npt.NDArray[np.float64]
 EA = 32000.0
 PATHS = {
     "held": [(0.0, 47.0), (100.0, 52.0)],

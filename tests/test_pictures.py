@@ -25,9 +25,8 @@ from crms_fenicsx.output.figures.paths import _told_apart
 from crms_fenicsx.output.figures.scales import common_value, in_words, limits_of
 from crms_fenicsx.output.figures.scene import default_panels, units
 from crms_fenicsx.output.figures.surface import _among, _outline, _subdivided
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
-
-Array = NDArray[np.float64]
 
 
 def grid(n: int, height: float = 0.0) -> tuple[Array, NDArray[np.int64]]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import tracemalloc
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from mpi4py import MPI
 from taylor import OnMesh, dense, gradient_order, is_semidefinite, noise, stiffness_error
@@ -15,9 +14,8 @@ from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.cable_tension import CableTension
 from crms_fenicsx.minimization.initial_hessian import SHIFT, InitialHessian
 from crms_fenicsx.minimization.minimizer import Minimizer
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
-
-Array = npt.NDArray[np.float64]
 
 POINTS = 4
 """Cable points of each rank: a rider, two rails and a free one; the first rail is a ghost on all

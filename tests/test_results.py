@@ -3,7 +3,6 @@
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from mpi4py import MPI
 
@@ -19,8 +18,7 @@ from crms_fenicsx import (
 from crms_fenicsx.cables.deformed_surface import best_fan, current_surface
 from crms_fenicsx.model.materials import Membrane
 from crms_fenicsx.results.membrane_results import gained_volume
-
-Array = npt.NDArray[np.float64]
+from crms_fenicsx.runtime.arrays import Array
 
 pytestmark = pytest.mark.usefixtures("comm")
 COMM = MPI.COMM_WORLD

@@ -9,14 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from mpi4py import MPI
 from scipy.optimize import minimize, root
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-
-Array = npt.NDArray[np.float64]
+from crms_fenicsx.runtime.arrays import Array
 
 P_I, P_J, P_K = np.array([0.0, 0.0, 0.0]), np.array([25.0, 60.0, 0.0]), np.array([70.0, 0.0, 0.0])
 A, B = np.array([-20.0, 30.0, 0.0]), np.array([90.0, 24.0, 0.0])

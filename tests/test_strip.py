@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from mpi4py import MPI
 from term_scene import ISOTROPIC, irregular_square
 
 from crms_fenicsx import Cable, Scene
 from crms_fenicsx.cables.strip import EMPTY, Strip, StripShape, cells_at, grow
+from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.compat import geometry_dofmap
-
-Array = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 
 def scene_of(comm: MPI.Intracomm) -> Scene:

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from mpi4py import MPI
 
 from crms_fenicsx import (
@@ -28,10 +27,9 @@ from crms_fenicsx import (
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.minimizer import Minimizer
 from crms_fenicsx.runtime import errors
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.verification.verifier import Verifier
 from fuzzing.scenes import CableData, SceneData
-
-Array = npt.NDArray[np.float64]
 
 SECONDS = 30
 """Time of the processor after which a scene counts as hanging."""

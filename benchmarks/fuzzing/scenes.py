@@ -10,10 +10,9 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
+from crms_fenicsx.runtime.arrays import Array, Integers
+
 Choice = TypeVar("Choice")
 
 WIDTH = 100.0

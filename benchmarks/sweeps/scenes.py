@@ -8,15 +8,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import Membrane
-
-Array = npt.NDArray[np.float64]
+from crms_fenicsx.runtime.arrays import Array
 
 COMM = MPI.COMM_SELF
 SIDE, MODULUS, PRESSURE, ROPE = 100.0, 24.0, 0.01, 32000.0

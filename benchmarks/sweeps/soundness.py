@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx import Scene, Solver
 from crms_fenicsx.energies.membrane import area_vectors
@@ -18,11 +17,11 @@ from crms_fenicsx.energies.segments import SMOOTHING
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.initial_hessian import at_bounds
 from crms_fenicsx.model.laid_cable import polyline_length
+from crms_fenicsx.runtime.arrays import Array
 
 sys.path.append(str(Path(__file__).parents[2] / "tests"))  # its checks of contact
 from contact_checks import deepest, strongest_pull
 
-Array = npt.NDArray[np.float64]
 Test = tuple[str, float, float]
 """What is looked at, its value, and how large it may be."""
 

@@ -14,13 +14,12 @@ from itertools import combinations, pairwise
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.model.laid_cable import CableNode, Crossing, LaidCable
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.path import CellPoint, EdgePoint
 
-Array = npt.NDArray[np.float64]
 Edge = tuple[int, int]
 Member = tuple[int, int]
 """A node of a cable, crossings not counted: the cable's number, the node's number."""

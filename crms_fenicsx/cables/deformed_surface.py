@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
+
+from crms_fenicsx.runtime.arrays import Array, Integers
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.numbering import Corner
     from crms_fenicsx.scene import Scene
-
-Array = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)

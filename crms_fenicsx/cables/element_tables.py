@@ -19,12 +19,9 @@ from crms_fenicsx.energies.folded_pressure import Facets, fan_facets
 from crms_fenicsx.energies.membrane import MembraneEnergy, area_vectors
 from crms_fenicsx.energies.segments import COINCIDENT, SMOOTHING
 from crms_fenicsx.model.materials import N_PARAMETERS
+from crms_fenicsx.runtime.arrays import Array, Indices
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.surface.path import EdgePoint
-
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
-
 
 NEAR_ANCHOR = 1e-3
 """Smoothing of a length to an anchor, relative to that of others."""

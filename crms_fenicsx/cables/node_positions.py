@@ -7,13 +7,11 @@ from collections.abc import Sequence
 from itertools import accumulate, pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.cables.numbering import BLOCKED, Network
 from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.triangles import norm
-
-Array = npt.NDArray[np.float64]
 
 
 class Whereabouts:

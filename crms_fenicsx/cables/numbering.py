@@ -14,7 +14,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 
 from crms_fenicsx.cables.strip import Strip
@@ -22,10 +21,9 @@ from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.folded_pressure import split_polygon
 from crms_fenicsx.energies.segments import SMOOTHING
 from crms_fenicsx.model.laid_cable import CableNode, LaidCable
+from crms_fenicsx.runtime.arrays import Array, Indices
 from crms_fenicsx.surface.path import EdgePoint, SurfacePoint
 
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
 Edge = tuple[int, int]
 Corner = int | tuple[int, int]
 """A corner of a piece of a folded cell: a vertex by its id, or a cable's point (cable, node)."""

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
     from crms_fenicsx.model.laid_cable import CableNode, CableState, Crossing
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
+from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.surface.trace import near_section
 from crms_fenicsx.surface.triangles import cross, norm
@@ -24,8 +25,6 @@ from crms_fenicsx.surface.triangles import cross, norm
 if TYPE_CHECKING:
     from crms_fenicsx.scene import Scene
 
-Array = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 Edge = tuple[int, int]
 
 

@@ -14,9 +14,9 @@ from crms_fenicsx.checkpoint.fields import dof_vertex_ids, edge_vertices
 from crms_fenicsx.checkpoint.fingerprint import fingerprint, mixed
 from crms_fenicsx.checkpoint.json_data import Plain
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
 
-Array = npt.NDArray[np.float64]
 Vector = Sequence[float]
 
 ROUNDING = 1e-7

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from crms_fenicsx.runtime.arrays import Array
+
 Plain = dict[str, Any]
 
 

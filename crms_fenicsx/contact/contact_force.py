@@ -18,16 +18,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.lift_off import size_at
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.surface.path import EdgePoint, VertexPoint
 from crms_fenicsx.surface.triangles import cross, dot, norm
-
-Array = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 WIDTH = 2.0
 """Width of the box filter that is applied twice, in sizes of the cells."""

@@ -17,14 +17,13 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.model.laid_cable import COINCIDENT, CableNode, Crossing, LaidCable
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.path import CellPoint, EdgePoint
 from crms_fenicsx.surface.triangles import cross, dot, norm
 
-Array = npt.NDArray[np.float64]
 Edge = tuple[int, int]
 
 PULL = 1e-6

@@ -10,15 +10,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.model.laid_cable import CableNode, LaidCable
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.intrinsic import Edge, MissingStars, edge_of
 from crms_fenicsx.surface.path import CellPoint, EdgePoint, SurfacePoint
 from crms_fenicsx.surface.triangles import cross
-
-Array = npt.NDArray[np.float64]
 
 FARTHEST = 10000
 """How many cells a span may pass."""

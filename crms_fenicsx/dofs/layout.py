@@ -23,8 +23,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from petsc4py import PETSc
 
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
+from crms_fenicsx.runtime.arrays import Array, Indices
 
 
 def vertex_starts(V: fem.FunctionSpace) -> npt.NDArray[np.int64]:

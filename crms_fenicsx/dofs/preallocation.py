@@ -7,12 +7,10 @@ long as an assembly.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.layout import Unknowns
-
-Indices = npt.NDArray[np.int32]
+from crms_fenicsx.runtime.arrays import Indices
 
 
 class RowSizes:

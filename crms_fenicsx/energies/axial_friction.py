@@ -34,9 +34,7 @@ from crms_fenicsx.energies.lateral_friction import (
     secant_stiffness,
 )
 from crms_fenicsx.energies.segments import add_segment_forces, segment_lengths, segment_stiffness
-
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
+from crms_fenicsx.runtime.arrays import Array, Indices
 
 MOST_DYADS = 8
 """Columns of H0 for one cable. Each costs a solve; parts of the cable beyond are taken stiffer."""

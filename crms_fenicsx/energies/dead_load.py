@@ -13,16 +13,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, raised_together
 
 if TYPE_CHECKING:
     from crms_fenicsx.dofs.layout import Unknowns
     from crms_fenicsx.scene import Scene
 
-Array = npt.NDArray[np.float64]
 Traction = Sequence[float] | Array | Callable[[Array, Array], Array]
 """Force per area, (3,), or a function of points and unit normals, both (3, n), giving (3, n)."""
 

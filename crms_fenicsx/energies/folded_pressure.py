@@ -19,9 +19,7 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from crms_fenicsx.dofs.layout import Unknowns
-
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
+from crms_fenicsx.runtime.arrays import Array, Indices
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,10 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-Array = npt.NDArray[np.float64]
+from crms_fenicsx.runtime.arrays import Array
 
 
 def one_point(mesh: Any, **options: Any) -> ufl.Measure:

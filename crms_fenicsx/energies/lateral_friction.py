@@ -18,16 +18,13 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-import numpy.typing as npt
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.block_patterns import ElementPattern
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.segments import difference
-
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
+from crms_fenicsx.runtime.arrays import Array, Indices
 
 
 @dataclass(frozen=True)

@@ -22,13 +22,13 @@ from crms_fenicsx.model.materials import (
     Membrane,
     law_terms,
 )
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.runtime.errors import InputError, raised_together
 
 if TYPE_CHECKING:
     from crms_fenicsx.energies.tension_field import TensionField
 
-Array = npt.NDArray[np.float64]
 
 EPSILON = float(np.finfo(float).eps)
 

@@ -14,8 +14,7 @@ from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.integral import Integral, one_point
 from crms_fenicsx.energies.membrane import Kinematics, tangent_basis
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
-
-Array = npt.NDArray[np.float64]
+from crms_fenicsx.runtime.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -26,9 +26,7 @@ from dolfinx import fem, la
 
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.pressure import OpenEdges
-
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
+from crms_fenicsx.runtime.arrays import Array, Indices
 
 PLANE = 1e-9
 """Largest distance of a plane edge's vertices from their plane, relative to the scene's size."""

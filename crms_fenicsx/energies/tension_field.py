@@ -12,16 +12,13 @@ from typing import Any
 
 import numba
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
 from crms_fenicsx.energies import stress_laws as laws
 from crms_fenicsx.model.materials import ORTHOTROPIC_TENSION_FIELD, LawTerms, symmetric, voigt
+from crms_fenicsx.runtime.arrays import Array, Indices
 from crms_fenicsx.runtime.compat import geometry_dofmap
-
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
 
 
 @numba.njit(cache=True)

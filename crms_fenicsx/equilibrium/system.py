@@ -19,6 +19,7 @@ from crms_fenicsx.energies.pressure import FollowerPressure, StepPressure
 from crms_fenicsx.minimization.minimizer import Minimizer, Outcome
 from crms_fenicsx.minimization.potential import Potential, Term
 from crms_fenicsx.model.laid_cable import polyline_length
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger("crms_fenicsx")
 
-Array = npt.NDArray[np.float64]
 
 UNSMOOTHED = 1e-13
 """How far the length that a cable's tension comes from may be from that of its polyline, relative

@@ -9,10 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 
-import numpy as np
-import numpy.typing as npt
-
-Array = npt.NDArray[np.float64]
+from crms_fenicsx.runtime.arrays import Array
 
 
 class Pace:

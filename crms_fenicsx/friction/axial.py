@@ -18,7 +18,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.contact_force import edge_directions, turns, wrap_angles
@@ -27,8 +26,7 @@ from crms_fenicsx.friction.aitken import Pace
 from crms_fenicsx.friction.lateral import held_nodes, succession
 from crms_fenicsx.friction.slip import MaterialCurve, Support, material_place
 from crms_fenicsx.model.laid_cable import COINCIDENT, LaidCable
-
-Array = npt.NDArray[np.float64]
+from crms_fenicsx.runtime.arrays import Array
 
 SETTLED = 1e-4
 """Change of the tensions, relative to the sum of the bounds, below which these have settled. What

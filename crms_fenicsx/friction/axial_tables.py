@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.cables.element_tables import CableTables
 from crms_fenicsx.cables.numbering import Network
@@ -11,8 +10,7 @@ from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.energies.axial_friction import Chains, Grips
 from crms_fenicsx.friction.axial import gripped_nodes, rest_places
 from crms_fenicsx.model.laid_cable import LaidCable
-
-Array = npt.NDArray[np.float64]
+from crms_fenicsx.runtime.arrays import Array
 
 
 def held_along(cable: LaidCable) -> bool:

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces, paper_forces
@@ -23,8 +22,7 @@ from crms_fenicsx.energies.lateral_friction import friction_energy
 from crms_fenicsx.friction.aitken import Pace
 from crms_fenicsx.friction.slip import MaterialCurve, Support, material_curve, node_slips
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
-
-Array = npt.NDArray[np.float64]
+from crms_fenicsx.runtime.arrays import Array
 
 SLIDES = 0.05
 """Slip in a load step, relative to the cells' size, from which on a node slides: with less, noise

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.cables.numbering import Network
 from crms_fenicsx.cables.strip import StripShape
@@ -16,8 +15,6 @@ from crms_fenicsx.friction.lateral import Grip
 from crms_fenicsx.friction.slip import NodeSlips, node_slips
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable
-
-Array = npt.NDArray[np.float64]
 
 
 def slip_table(network: Network, shape: StripShape) -> Slips:

@@ -17,9 +17,9 @@ import numpy.typing as npt
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.contact_force import runs
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.triangles import cross
 
-Array = npt.NDArray[np.float64]
 Support = tuple[int, ...]
 
 

@@ -18,6 +18,7 @@ from crms_fenicsx.meshes.orientation import UPWARD, Outside
 from crms_fenicsx.meshes.partition import Ranks
 from crms_fenicsx.meshes.surface import SurfaceArrays
 from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Integers
 from crms_fenicsx.runtime.errors import MeshError
 from crms_fenicsx.runtime.files import readable
 
@@ -28,8 +29,6 @@ SUFFIXES = (
 
 SIZES = {"vertex": 1, "line": 2, "triangle": 3}
 """Corners of the cells that are read."""
-
-Integers = NDArray[np.int64]
 
 
 def from_gmsh(

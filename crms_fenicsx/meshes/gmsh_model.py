@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from crms_fenicsx.meshes.apart import gmsh_arrays
 from crms_fenicsx.meshes.surface import SurfaceArrays
+from crms_fenicsx.runtime.arrays import Integers
 from crms_fenicsx.runtime.errors import MeshError
 
 _TRIANGLE = "Triangle 3"  # gmsh's name
 _FRONTAL_DELAUNAY = 6
 
-Integers = NDArray[np.int64]
 Groups = dict[str, list[Integers]]
 _OPTIONS = {
     "General.Terminal": 0,

@@ -16,16 +16,13 @@ Levenberg's damping in proportion to the residual.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from petsc4py import PETSc
 
 from crms_fenicsx.cables.numbering import Network
 from crms_fenicsx.dofs.block_patterns import ElementPattern, SegmentPattern
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
-
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
+from crms_fenicsx.runtime.arrays import Array, Indices
 
 SLIDE = 0.1
 """Part of its edge by which the unbalanced force on a sliding point alone moves it. Between 0.02

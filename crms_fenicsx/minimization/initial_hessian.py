@@ -23,8 +23,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.minimization.potential import Potential
-
-Array = npt.NDArray[np.float64]
+from crms_fenicsx.runtime.arrays import Array
 
 SHIFT = 1e-9
 """Added to the diagonal of K, relative to its largest block's trace."""

@@ -28,15 +28,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.minimization.initial_hessian import InitialHessian, at_bounds
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.runtime.errors import InputError
-
-Array = npt.NDArray[np.float64]
 
 STAGE_LENGTHS = (3, 6, 10, 20)
 """Iterations after which H0 is rebuilt; the last value repeats."""

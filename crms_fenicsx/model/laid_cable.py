@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.runtime.readonly import ReadOnly
 from crms_fenicsx.surface.path import EdgePoint, Path, SurfacePoint, VertexPoint
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from crms_fenicsx.friction.axial import AxialGrip
     from crms_fenicsx.friction.lateral import Grip
 
-Array = npt.NDArray[np.float64]
 
 LEAST, MOST = float(np.finfo(float).tiny), float(1.0 - np.finfo(float).epsneg)
 """Places on an edge of points that run into its ends."""

@@ -15,10 +15,10 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from crms_fenicsx.output.shared_file import write_together
+from crms_fenicsx.runtime.arrays import Integers
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import readable, size_of_file
 
-Integers = npt.NDArray[np.int64]
 Rows = npt.NDArray[Any]
 
 HEADER = 128

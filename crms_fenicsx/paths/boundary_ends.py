@@ -12,7 +12,6 @@ import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx.mesh import entities_to_geometry
 from mpi4py import MPI
 
@@ -20,6 +19,7 @@ from crms_fenicsx.cables.strip import StripShape, grow
 from crms_fenicsx.contact.lift_off import size_at
 from crms_fenicsx.contact.span_projection import shadow
 from crms_fenicsx.model.laid_cable import COINCIDENT, CableNode, LaidCable
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.surface.intrinsic import Edge, MissingStars, edge_of
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from crms_fenicsx.paths.retrace import Retracer
     from crms_fenicsx.scene import Scene
 
-Array = npt.NDArray[np.float64]
 
 ASIDE = 0.1
 """Sideways movement of an anchor in a load step, relative to the cells' size, from which on the

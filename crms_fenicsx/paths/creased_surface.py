@@ -13,15 +13,13 @@ from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.intrinsic import Edge, MissingStars, Ring, ring_of
 from crms_fenicsx.surface.path import EdgePoint
 from crms_fenicsx.surface.triangles import norm
-
-Array = npt.NDArray[np.float64]
 
 
 def nodes_on_edges(cables: Sequence[LaidCable]) -> dict[Edge, list[tuple[int, int]]]:

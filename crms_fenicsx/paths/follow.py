@@ -5,17 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.model.laid_cable import COINCIDENT
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.path import SurfacePoint
 from crms_fenicsx.surface.triangles import norm, vectors
 
 if TYPE_CHECKING:
     from crms_fenicsx.scene import Scene
-
-Array = npt.NDArray[np.float64]
 
 
 def unfolded(scene: Scene, route: Array) -> tuple[Array, dict[int, SurfacePoint], list[Array]]:

@@ -11,16 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-import numpy as np
-import numpy.typing as npt
-
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.paths.held_vertices import HeldVertex, Run, held_vertices
 from crms_fenicsx.paths.retrace import Retracer
 from crms_fenicsx.paths.vertex_passing import straighten, take, way_past
-
-Array = npt.NDArray[np.float64]
 
 THERE_AND_BACK = 3
 """How often in a load step a cable is led around a vertex to either side: on each side friction may

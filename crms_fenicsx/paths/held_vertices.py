@@ -18,17 +18,15 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.contact_force import forces_at
 from crms_fenicsx.energies.segments import SMOOTHING
 from crms_fenicsx.geodesics.corridor import Support
 from crms_fenicsx.model.laid_cable import CableNode, LaidCable
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.intrinsic import edge_of
 from crms_fenicsx.surface.triangles import norm
-
-Array = npt.NDArray[np.float64]
 
 NEAR = 0.025
 """Part of an edge: a point as near as this to a vertex, to which friction lets it slide, has run

@@ -7,7 +7,6 @@ from itertools import count
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.cables.strip import Strip, StripShape, cells_at, cells_near
 from crms_fenicsx.contact.lift_off import drape
@@ -23,6 +22,7 @@ from crms_fenicsx.model.laid_cable import (
 from crms_fenicsx.paths.follow import unfolded
 from crms_fenicsx.paths.seam_checks import refuse_forks, refuse_places_behind
 from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, PathError
 from crms_fenicsx.scene import Cables
 from crms_fenicsx.surface.path import CellPoint, EdgePoint, Path, SurfacePoint, VertexPoint
@@ -30,8 +30,6 @@ from crms_fenicsx.surface.trace import trace
 
 if TYPE_CHECKING:
     from crms_fenicsx.scene import Scene
-
-Array = npt.NDArray[np.float64]
 
 
 def lay(

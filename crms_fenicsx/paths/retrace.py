@@ -14,7 +14,6 @@ from collections.abc import Sequence, Set
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.cables.crossings import note_places
 from crms_fenicsx.cables.strip import StripShape, grow
@@ -25,6 +24,7 @@ from crms_fenicsx.geodesics.flip_geodesic import Corridor, corridor, shorten
 from crms_fenicsx.model.laid_cable import CableNode, End, LaidCable
 from crms_fenicsx.paths.creased_surface import FoldedSurface, bends
 from crms_fenicsx.paths.laying import fractions_of, nodes_of
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.surface.intrinsic import MissingStars
 from crms_fenicsx.surface.path import EdgePoint, SurfacePoint, VertexPoint, without_backtracking
@@ -32,7 +32,6 @@ from crms_fenicsx.surface.path import EdgePoint, SurfacePoint, VertexPoint, with
 if TYPE_CHECKING:
     from crms_fenicsx.scene import Scene
 
-Array = npt.NDArray[np.float64]
 
 GRIP = 0.05
 """Angle (rad) by which a path along mesh lines must bend at a vertex to leave it before the cable

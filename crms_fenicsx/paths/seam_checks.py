@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.cables.strip import StripShape, own_surface
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError, as_text
 from crms_fenicsx.surface.closest_point import ON_SURFACE, foot_of
 from crms_fenicsx.surface.path import Path
@@ -15,8 +15,6 @@ from crms_fenicsx.surface.triangles import vectors
 
 if TYPE_CHECKING:
     from crms_fenicsx.scene import Scene
-
-Array = npt.NDArray[np.float64]
 
 
 def refuse_places_behind(scene: Scene, route: Array, name: str) -> None:

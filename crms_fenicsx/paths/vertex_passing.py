@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.cables.strip import grow
 from crms_fenicsx.geodesics.corridor import Corridor, corridor, flaw
@@ -19,6 +18,7 @@ from crms_fenicsx.geodesics.flip_geodesic import other_side, shorten
 from crms_fenicsx.model.laid_cable import CableNode, LaidCable
 from crms_fenicsx.paths.creased_surface import FoldedSurface
 from crms_fenicsx.paths.held_vertices import Run
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import MeshError
 from crms_fenicsx.surface.intrinsic import Edge, MissingStars
 from crms_fenicsx.surface.path import EdgePoint
@@ -26,7 +26,6 @@ from crms_fenicsx.surface.path import EdgePoint
 if TYPE_CHECKING:
     from crms_fenicsx.paths.retrace import Retracer
 
-Array = npt.NDArray[np.float64]
 
 BEYOND = 0.01
 """Part of an edge: where a path starts on the other side, off the smoothing."""

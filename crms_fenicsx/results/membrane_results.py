@@ -9,14 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.cables.deformed_surface import folded_shape
+from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.compat import geometry_dofmap
 
 if TYPE_CHECKING:
     from crms_fenicsx.equilibrium.system import System
     from crms_fenicsx.scene import Marker, Scene
 
-Array = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 FLAT = 1e-12
 """Smallest squared stretch that a cell is taken to have, so that a collapsed one has directions."""

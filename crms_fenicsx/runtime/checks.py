@@ -12,12 +12,10 @@ from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from mpi4py import MPI
 
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
-
-Array = npt.NDArray[np.float64]
 
 LONGEST = 200
 """Letters of a value that a message quotes."""

@@ -14,10 +14,10 @@ from mpi4py import MPI
 from crms_fenicsx.cables.state import State
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
 from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, as_text, raised_together
 from crms_fenicsx.scene import Scene
 
-Array = npt.NDArray[np.float64]
 Value = TypeVar("Value")
 
 TYPE_OF_MOVE = "a laid cable, one of its ends, or the name of a group of held vertices"

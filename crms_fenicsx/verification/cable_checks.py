@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 from mpi4py import MPI
 
 from crms_fenicsx.cables.numbering import Network
@@ -20,6 +19,7 @@ from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.lift_off import INSIDE, is_foot, may_lift, outward_pulls
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.paths.held_vertices import held_runs
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.surface.path import EdgePoint
 from crms_fenicsx.surface.triangles import norm
 from crms_fenicsx.verification.verifier import Check
@@ -27,9 +27,6 @@ from crms_fenicsx.verification.verifier import Check
 if TYPE_CHECKING:
     from crms_fenicsx.equilibrium.system import System
 
-Array = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
-Booleans = npt.NDArray[np.bool_]
 
 LIMITS = {
     "ends of cable off their place": 1e-9,

@@ -23,6 +23,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.energies.membrane import area_vectors
 from crms_fenicsx.results.membrane_results import pressed_facets
+from crms_fenicsx.runtime.arrays import Array
 
 if TYPE_CHECKING:
     from crms_fenicsx.equilibrium.system import System
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     from crms_fenicsx.scene import Scene
     from crms_fenicsx.verification.cable_checks import CableVerifier
 
-Array = npt.NDArray[np.float64]
 logger = logging.getLogger("crms_fenicsx")
 
 SHAKE = 1e-5

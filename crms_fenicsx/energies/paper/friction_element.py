@@ -15,13 +15,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numba
-import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.dofs.layout import Unknowns
-
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
+from crms_fenicsx.runtime.arrays import Array, Indices
 
 
 @dataclass(frozen=True)

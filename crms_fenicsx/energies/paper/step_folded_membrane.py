@@ -17,8 +17,7 @@ from crms_fenicsx.energies.paper.step_membrane import (
     second_piola,
 )
 from crms_fenicsx.energies.segments import segment_lengths
-
-Array = npt.NDArray[np.float64]
+from crms_fenicsx.runtime.arrays import Array
 
 
 @numba.njit(cache=True)

@@ -17,16 +17,14 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
 from crms_fenicsx.energies.membrane import MembraneEnergy
 from crms_fenicsx.model.materials import LINEAR, Membrane
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.compat import geometry_dofmap, interpolation_points
 from crms_fenicsx.runtime.errors import InputError
-
-Array = npt.NDArray[np.float64]
 
 
 def shape_of(a_side: Any, b_side: Any) -> tuple[Any, Any, Any]:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.cables.deformed_surface import CurrentSurface, current_surface
 from crms_fenicsx.output.data import Line
@@ -19,14 +18,13 @@ from crms_fenicsx.output.figures.surface import draw_shape
 from crms_fenicsx.output.history import History
 from crms_fenicsx.output.recorder import cable_lines
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
+from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.errors import InputError, PictureWarning, raised_together
 
 if TYPE_CHECKING:
     from crms_fenicsx.equilibrium.system import System
     from crms_fenicsx.scene import Scene
 
-Array = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 MOST_CELLS = 500_000
 """Most cells of a mesh that is drawn. The first process gathers and draws all of them, which takes
