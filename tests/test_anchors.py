@@ -21,7 +21,7 @@ from trace_surfaces import (
 
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.surface.closest_point import foot_of
-from crms_fenicsx.surface.path import CellPoint
+from crms_fenicsx.surface.points import CellPoint
 from crms_fenicsx.surface.trace import near_section, trace
 
 SNAP = 1e-3  # the default of `trace`

@@ -40,7 +40,7 @@ from crms_fenicsx.model.laid_cable import (
     polyline_length,
 )
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.surface.path import CellPoint, EdgePoint, VertexPoint
+from crms_fenicsx.surface.points import CellPoint, EdgePoint, VertexPoint
 
 UP = np.array([0.0, 0.0, 1.0])
 

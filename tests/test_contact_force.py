@@ -21,7 +21,7 @@ from crms_fenicsx.contact.contact_force import (
     turns,
 )
 from crms_fenicsx.model.laid_cable import CableNode, CableState, LaidCable
-from crms_fenicsx.surface.path import EdgePoint
+from crms_fenicsx.surface.points import EdgePoint
 
 COMM = MPI.COMM_SELF
 T = 3.0

@@ -19,12 +19,14 @@ from crms_fenicsx.cables.crossings import arrange
 from crms_fenicsx.cables.node_positions import Whereabouts
 from crms_fenicsx.cables.strip import Strip, StripShape
 from crms_fenicsx.contact.lift_off import sunk
-from crms_fenicsx.energies.folded_pressure import FoldedFollowerPressure, split_polygon
+from crms_fenicsx.energies.folded_pressure import FoldedFollowerPressure
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.model.laid_cable import CableNode, CableState, LaidCable, polyline_length
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError
-from crms_fenicsx.surface.path import CellPoint, EdgePoint, Path, SurfacePoint, VertexPoint
+from crms_fenicsx.surface.path import Path
+from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint
+from crms_fenicsx.surface.polygons import split_polygon
 from crms_fenicsx.surface.trace import trace
 
 PLACES = np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 1.0, 0.0)])

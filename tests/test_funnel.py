@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from crms_fenicsx.geodesics.funnel import corner_angle, pull_taut
-from crms_fenicsx.surface.path import CellPoint, EdgePoint, VertexPoint
+from crms_fenicsx.surface.points import CellPoint, EdgePoint, VertexPoint
 
 ROUNDING = 1e-12  # relative; strips of 30 cells lose some 1e-15 for each
 

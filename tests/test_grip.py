@@ -17,7 +17,7 @@ from crms_fenicsx.friction.lateral import Grip, Lag, align, begin, commit, energ
 from crms_fenicsx.friction.slip import MaterialCurve, node_slips
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import Cable, CableNode, CableState, LaidCable
-from crms_fenicsx.surface.path import EdgePoint, VertexPoint
+from crms_fenicsx.surface.points import EdgePoint, VertexPoint
 
 NOWHERE = MaterialCurve(
     np.zeros((1, 3)), np.zeros(1), np.zeros(1, dtype=np.int64), np.zeros(1), np.zeros(1)

@@ -17,7 +17,7 @@ from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.model.laid_cable import CableNode
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.compat import geometry_dofmap
-from crms_fenicsx.surface.path import EdgePoint
+from crms_fenicsx.surface.points import EdgePoint
 
 CABLE = Cable(EA=32000.0)
 OBLIQUE = [(-40.0, 15.0, -25.0), (140.0, 71.0, -25.0)]

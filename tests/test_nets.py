@@ -18,7 +18,7 @@ from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.paths import vertex_trials
 from crms_fenicsx.paths.held_vertices import Run
 from crms_fenicsx.paths.vertex_trials import Trial, VertexTrials
-from crms_fenicsx.surface.path import EdgePoint
+from crms_fenicsx.surface.points import EdgePoint
 
 T_EXACT, Z_EXACT = (68.176, 33.193), 4.4317
 

@@ -6,15 +6,8 @@ import numpy as np
 import pytest
 
 from crms_fenicsx.runtime.errors import PathError
-from crms_fenicsx.surface.path import (
-    AcrossCell,
-    AlongEdge,
-    CellPoint,
-    EdgePoint,
-    Path,
-    VertexPoint,
-    without_backtracking,
-)
+from crms_fenicsx.surface.path import AcrossCell, AlongEdge, Path, without_backtracking
+from crms_fenicsx.surface.points import CellPoint, EdgePoint, VertexPoint
 
 # 6 - 7 - 8      squares cut from the lower left to the upper right
 # 3 - 4 - 5

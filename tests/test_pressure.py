@@ -18,14 +18,10 @@ from term_scene import (
 from test_membrane import corners
 
 from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.energies.folded_pressure import (
-    Facets,
-    FoldedFollowerPressure,
-    fan_facets,
-    split_polygon,
-)
+from crms_fenicsx.energies.folded_pressure import Facets, FoldedFollowerPressure
 from crms_fenicsx.energies.pressure import FollowerPressure, StepPressure
 from crms_fenicsx.scene import Scene
+from crms_fenicsx.surface.polygons import fan_facets, split_polygon
 
 P = 0.01
 

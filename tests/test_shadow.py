@@ -13,7 +13,7 @@ from crms_fenicsx.contact.span_projection import shadow
 from crms_fenicsx.model.laid_cable import CableNode
 from crms_fenicsx.paths.creased_surface import FoldedSurface
 from crms_fenicsx.surface.intrinsic import MissingStars
-from crms_fenicsx.surface.path import CellPoint, EdgePoint
+from crms_fenicsx.surface.points import CellPoint, EdgePoint
 from crms_fenicsx.surface.trace import trace
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -22,8 +22,9 @@ from curved_surfaces import (
 from crms_fenicsx.geodesics.corridor import flaw, tied, without_detours
 from crms_fenicsx.geodesics.flip_geodesic import STRAIGHT, corridor, shorten
 from crms_fenicsx.runtime.errors import InputError, MeshError, PathError
-from crms_fenicsx.surface.intrinsic import ArraySurface, MissingStars, Ring, edge_of, ring_of
-from crms_fenicsx.surface.path import CellPoint, EdgePoint, Path, VertexPoint
+from crms_fenicsx.surface.intrinsic import ArraySurface, MissingStars, Ring, ring_of
+from crms_fenicsx.surface.path import Path
+from crms_fenicsx.surface.points import CellPoint, EdgePoint, VertexPoint, edge_of
 
 ROUNDING = 1e-11  # relative; of paths through some 100 cells, and of coordinates near 100
 V = VertexPoint

@@ -24,7 +24,7 @@ from trace_surfaces import (
 )
 
 from crms_fenicsx.runtime.errors import PathError
-from crms_fenicsx.surface.path import CellPoint, EdgePoint, VertexPoint
+from crms_fenicsx.surface.points import CellPoint, EdgePoint, VertexPoint
 from crms_fenicsx.surface.trace import _direct_way, near_section, trace
 from crms_fenicsx.surface.triangles import longest_sides
 

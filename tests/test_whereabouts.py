@@ -9,7 +9,7 @@ from term_scene import cable_square, displaced
 from crms_fenicsx.cables.node_positions import Whereabouts
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.scene import Scene
-from crms_fenicsx.surface.path import EdgePoint
+from crms_fenicsx.surface.points import EdgePoint
 
 
 def vertices(scene: Scene) -> dict[int, np.ndarray]:

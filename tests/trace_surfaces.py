@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import Delaunay
 
 from crms_fenicsx.runtime.errors import PathError
-from crms_fenicsx.surface.path import CellPoint, EdgePoint
+from crms_fenicsx.surface.points import CellPoint, EdgePoint
 from crms_fenicsx.surface.trace import trace
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.model.laid_cable import CableNode, Crossing, LaidCable
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.surface.path import CellPoint, EdgePoint
+from crms_fenicsx.surface.points import CellPoint, EdgePoint
 
 Edge = tuple[int, int]
 Member = tuple[int, int]

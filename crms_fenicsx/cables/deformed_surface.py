@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from crms_fenicsx.runtime.arrays import Array, Integers
+from crms_fenicsx.surface.polygons import best_fan
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.numbering import Corner
@@ -113,18 +114,3 @@ def current_surface(scene: Scene) -> CurrentSurface:
         np.concatenate(parents),
         np.concatenate(inner),
     )
-
-
-def best_fan(points: Array, corners: list[int]) -> Integers:
-    """Triangles of a polygon, all from the corner whose smallest triangle is largest, (n, 3).
-
-    A fan from a corner whose neighbour lies on a straight side has a triangle without area.
-    """
-    rings = [corners[k:] + corners[:k] for k in range(len(corners))]
-    fans = np.array(
-        [[(r[0], r[i], r[i + 1]) for i in range(1, len(r) - 1)] for r in rings], dtype=np.int64
-    )
-    sides = points[fans[..., 1:]] - points[fans[..., :1]]
-    areas = np.linalg.norm(np.cross(sides[..., 0, :], sides[..., 1, :]), axis=-1)
-    best: Integers = fans[np.argmax(areas.min(axis=1))]
-    return best

@@ -15,13 +15,14 @@ import numpy.typing as npt
 from crms_fenicsx.cables.numbering import Edge, Link, Member, Network
 from crms_fenicsx.energies.fold_penalty import Kinks
 from crms_fenicsx.energies.folded_membrane import FoldedCells
-from crms_fenicsx.energies.folded_pressure import Facets, fan_facets
+from crms_fenicsx.energies.folded_pressure import Facets
 from crms_fenicsx.energies.membrane import MembraneEnergy, area_vectors
 from crms_fenicsx.energies.segments import COINCIDENT, SMOOTHING
 from crms_fenicsx.model.materials import N_PARAMETERS
 from crms_fenicsx.runtime.arrays import Array, Indices
 from crms_fenicsx.runtime.compat import geometry_dofmap
-from crms_fenicsx.surface.path import EdgePoint
+from crms_fenicsx.surface.points import EdgePoint
+from crms_fenicsx.surface.polygons import fan_facets
 
 NEAR_ANCHOR = 1e-3
 """Smoothing of a length to an anchor, relative to that of others."""

@@ -18,11 +18,11 @@ from dolfinx import fem
 
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.energies.folded_pressure import split_polygon
 from crms_fenicsx.energies.segments import SMOOTHING
 from crms_fenicsx.model.laid_cable import CableNode, LaidCable
 from crms_fenicsx.runtime.arrays import Array, Indices
-from crms_fenicsx.surface.path import EdgePoint, SurfacePoint
+from crms_fenicsx.surface.points import EdgePoint, SurfacePoint
+from crms_fenicsx.surface.polygons import split_polygon
 
 Edge = tuple[int, int]
 Corner = int | tuple[int, int]

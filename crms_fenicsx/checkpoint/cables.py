@@ -18,7 +18,7 @@ from crms_fenicsx.model.laid_cable import (
     LaidCable,
     StepStart,
 )
-from crms_fenicsx.surface.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
+from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint
 
 if TYPE_CHECKING:
     from crms_fenicsx.friction.axial import AxialGrip

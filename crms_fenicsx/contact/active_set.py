@@ -16,8 +16,7 @@ from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact import lift_off as contact
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.paths.creased_surface import bends, nodes_on_edges
-from crms_fenicsx.surface.intrinsic import Edge
-from crms_fenicsx.surface.path import EdgePoint, VertexPoint
+from crms_fenicsx.surface.points import Edge, EdgePoint, VertexPoint
 
 if TYPE_CHECKING:
     from crms_fenicsx.paths.retrace import ContactKey, Retracer

@@ -23,7 +23,7 @@ from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.lift_off import size_at
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array, Integers
-from crms_fenicsx.surface.path import EdgePoint, VertexPoint
+from crms_fenicsx.surface.points import EdgePoint, VertexPoint
 from crms_fenicsx.surface.triangles import cross, dot, norm
 
 WIDTH = 2.0

@@ -21,7 +21,7 @@ import numpy as np
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.model.laid_cable import COINCIDENT, CableNode, Crossing, LaidCable
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.surface.path import CellPoint, EdgePoint
+from crms_fenicsx.surface.points import CellPoint, EdgePoint
 from crms_fenicsx.surface.triangles import cross, dot, norm
 
 Edge = tuple[int, int]

@@ -14,8 +14,8 @@ import numpy as np
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.model.laid_cable import CableNode, LaidCable
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.surface.intrinsic import Edge, MissingStars, edge_of
-from crms_fenicsx.surface.path import CellPoint, EdgePoint, SurfacePoint
+from crms_fenicsx.surface.intrinsic import MissingStars
+from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint, SurfacePoint, edge_of
 from crms_fenicsx.surface.triangles import cross
 
 FARTHEST = 10000

@@ -11,10 +11,8 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 
-from crms_fenicsx.surface.intrinsic import Edge
-from crms_fenicsx.surface.path import SurfacePoint
+from crms_fenicsx.surface.points import Edge, Support, SurfacePoint
 
-Support = tuple[int, ...]
 Corridor = tuple[Support, ...]
 
 

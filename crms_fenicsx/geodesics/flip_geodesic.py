@@ -23,7 +23,6 @@ from itertools import pairwise
 
 from crms_fenicsx.geodesics.corridor import (
     Corridor,
-    Support,
     cell_between,
     corridor,
     flaw,
@@ -33,8 +32,16 @@ from crms_fenicsx.geodesics.corridor import (
 from crms_fenicsx.geodesics.funnel import TautString, corner_angle, pull_taut
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import MeshError, PathError
-from crms_fenicsx.surface.intrinsic import Edge, MissingStars, Ring, Surface, edge_of
-from crms_fenicsx.surface.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
+from crms_fenicsx.surface.intrinsic import MissingStars, Ring, Surface
+from crms_fenicsx.surface.points import (
+    CellPoint,
+    Edge,
+    EdgePoint,
+    Support,
+    SurfacePoint,
+    VertexPoint,
+    edge_of,
+)
 
 __all__ = ["Corridor", "MissingStars", "Ring", "Shortened", "Surface", "corridor", "shorten"]
 

@@ -13,8 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-from crms_fenicsx.surface.intrinsic import Edge, edge_of
-from crms_fenicsx.surface.path import CellPoint, EdgePoint, SurfacePoint
+from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint, SurfacePoint, edge_of
 
 Lengths = Mapping[Edge, float]
 

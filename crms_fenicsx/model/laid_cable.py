@@ -15,7 +15,8 @@ from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.runtime.readonly import ReadOnly
-from crms_fenicsx.surface.path import EdgePoint, Path, SurfacePoint, VertexPoint
+from crms_fenicsx.surface.path import Path
+from crms_fenicsx.surface.points import EdgePoint, SurfacePoint, VertexPoint
 
 if TYPE_CHECKING:
     from crms_fenicsx.friction.axial import AxialGrip

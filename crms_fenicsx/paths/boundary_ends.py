@@ -22,8 +22,15 @@ from crms_fenicsx.model.laid_cable import COINCIDENT, CableNode, LaidCable
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.runtime.errors import PathError
-from crms_fenicsx.surface.intrinsic import Edge, MissingStars, edge_of
-from crms_fenicsx.surface.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
+from crms_fenicsx.surface.intrinsic import MissingStars
+from crms_fenicsx.surface.points import (
+    CellPoint,
+    Edge,
+    EdgePoint,
+    SurfacePoint,
+    VertexPoint,
+    edge_of,
+)
 from crms_fenicsx.surface.triangles import cross
 
 if TYPE_CHECKING:

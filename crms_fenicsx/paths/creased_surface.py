@@ -17,8 +17,8 @@ import numpy as np
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.surface.intrinsic import Edge, MissingStars, Ring, ring_of
-from crms_fenicsx.surface.path import EdgePoint
+from crms_fenicsx.surface.intrinsic import MissingStars, Ring, ring_of
+from crms_fenicsx.surface.points import Edge, EdgePoint
 from crms_fenicsx.surface.triangles import norm
 
 

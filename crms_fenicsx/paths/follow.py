@@ -9,7 +9,7 @@ import numpy as np
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.model.laid_cable import COINCIDENT
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.surface.path import SurfacePoint
+from crms_fenicsx.surface.points import SurfacePoint
 from crms_fenicsx.surface.triangles import norm, vectors
 
 if TYPE_CHECKING:

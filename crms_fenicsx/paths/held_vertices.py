@@ -22,10 +22,9 @@ import numpy as np
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.contact_force import forces_at
 from crms_fenicsx.energies.segments import SMOOTHING
-from crms_fenicsx.geodesics.corridor import Support
 from crms_fenicsx.model.laid_cable import CableNode, LaidCable
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.surface.intrinsic import edge_of
+from crms_fenicsx.surface.points import Support, edge_of
 from crms_fenicsx.surface.triangles import norm
 
 NEAR = 0.025

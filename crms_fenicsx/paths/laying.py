@@ -25,7 +25,8 @@ from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, PathError
 from crms_fenicsx.scene import Cables
-from crms_fenicsx.surface.path import CellPoint, EdgePoint, Path, SurfacePoint, VertexPoint
+from crms_fenicsx.surface.path import Path
+from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint
 from crms_fenicsx.surface.trace import trace
 
 if TYPE_CHECKING:

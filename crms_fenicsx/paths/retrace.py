@@ -19,7 +19,7 @@ from crms_fenicsx.cables.crossings import note_places
 from crms_fenicsx.cables.strip import StripShape, grow
 from crms_fenicsx.contact.lift_off import INSIDE, drape
 from crms_fenicsx.contact.span_projection import with_shadows
-from crms_fenicsx.geodesics.corridor import Support, flaw
+from crms_fenicsx.geodesics.corridor import flaw
 from crms_fenicsx.geodesics.flip_geodesic import Corridor, corridor, shorten
 from crms_fenicsx.model.laid_cable import CableNode, End, LaidCable
 from crms_fenicsx.paths.creased_surface import FoldedSurface, bends
@@ -27,7 +27,8 @@ from crms_fenicsx.paths.laying import fractions_of, nodes_of
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.surface.intrinsic import MissingStars
-from crms_fenicsx.surface.path import EdgePoint, SurfacePoint, VertexPoint, without_backtracking
+from crms_fenicsx.surface.path import without_backtracking
+from crms_fenicsx.surface.points import EdgePoint, Support, SurfacePoint, VertexPoint
 
 if TYPE_CHECKING:
     from crms_fenicsx.scene import Scene

@@ -20,8 +20,8 @@ from crms_fenicsx.paths.creased_surface import FoldedSurface
 from crms_fenicsx.paths.held_vertices import Run
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import MeshError
-from crms_fenicsx.surface.intrinsic import Edge, MissingStars
-from crms_fenicsx.surface.path import EdgePoint
+from crms_fenicsx.surface.intrinsic import MissingStars
+from crms_fenicsx.surface.points import Edge, EdgePoint
 
 if TYPE_CHECKING:
     from crms_fenicsx.paths.retrace import Retracer

@@ -294,7 +294,7 @@ def gained_volume(scene: Scene) -> float:
     local = _volume_change(X, u, cells[plain]).sum()
     pieces = [corners for cell, corners in shape.pieces if scene.pressed[cell]]
     if pieces:
-        from crms_fenicsx.energies.folded_pressure import fan_facets
+        from crms_fenicsx.surface.polygons import fan_facets
 
         corners, weights = fan_facets(pieces)
         # Pieces of a folded cell together are, stress-free, the cell: their changes add up.

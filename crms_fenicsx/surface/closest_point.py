@@ -12,7 +12,7 @@ from mpi4py import MPI
 from numpy.typing import ArrayLike
 
 from crms_fenicsx.runtime.errors import PathError, as_text
-from crms_fenicsx.surface.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
+from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint
 from crms_fenicsx.surface.triangles import (
     WALL,
     Floats,

@@ -14,13 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from crms_fenicsx.runtime.errors import InputError, MeshError
-
-Edge = tuple[int, int]
-
-
-def edge_of(a: int, b: int) -> Edge:
-    """Return the edge of two vertices, the smaller one first."""
-    return (a, b) if a < b else (b, a)
+from crms_fenicsx.surface.points import Edge
 
 
 @dataclass(frozen=True)

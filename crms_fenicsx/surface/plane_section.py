@@ -16,7 +16,7 @@ import numpy as np
 
 from crms_fenicsx.runtime.errors import PathError, as_text
 from crms_fenicsx.surface.closest_point import Node, Place, Surface, edge_count
-from crms_fenicsx.surface.path import CellPoint, EdgePoint, SurfacePoint, VertexPoint
+from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint
 from crms_fenicsx.surface.triangles import (
     WALL,
     Bools,

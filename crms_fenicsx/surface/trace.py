@@ -27,7 +27,7 @@ from crms_fenicsx.surface.closest_point import (
     place_in_plan,
     places_in_space,
 )
-from crms_fenicsx.surface.path import CellPoint, Path, SurfacePoint, without_backtracking
+from crms_fenicsx.surface.path import Path, without_backtracking
 from crms_fenicsx.surface.plane_section import (
     END,
     START,
@@ -38,6 +38,7 @@ from crms_fenicsx.surface.plane_section import (
     shortest,
     way_back,
 )
+from crms_fenicsx.surface.points import CellPoint, SurfacePoint
 from crms_fenicsx.surface.triangles import (
     Bools,
     Floats,

@@ -20,7 +20,7 @@ from crms_fenicsx.contact.lift_off import INSIDE, is_foot, may_lift, outward_pul
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.paths.held_vertices import held_runs
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
-from crms_fenicsx.surface.path import EdgePoint
+from crms_fenicsx.surface.points import EdgePoint
 from crms_fenicsx.surface.triangles import norm
 from crms_fenicsx.verification.verifier import Check
 
