@@ -202,7 +202,7 @@ class Scene:
         It is the volume between the two shapes while the rim of these cells is held, or slides in
         planes that are held in their normal direction.
         """
-        from crms_fenicsx.results.membrane_results import gained_volume
+        from crms_fenicsx.cables.enclosed_volume import gained_volume
 
         return gained_volume(self)
 

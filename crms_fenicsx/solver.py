@@ -39,7 +39,8 @@ if TYPE_CHECKING:
     from crms_fenicsx.model.laid_cable import LaidCable
     from crms_fenicsx.output import History, Line
     from crms_fenicsx.paths.retrace import Tried
-    from crms_fenicsx.results.membrane_results import MembraneResults, Reactions
+    from crms_fenicsx.results.membrane_results import MembraneResults
+    from crms_fenicsx.results.reactions import Reactions
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -265,7 +266,7 @@ class Solver:
         InputError
             As `Scene.vertices`.
         """
-        from crms_fenicsx.results.membrane_results import reactions
+        from crms_fenicsx.results.reactions import reactions
 
         return reactions(self.system, where)
 
@@ -289,7 +290,7 @@ class Solver:
         InputError
             It is no cable of this scene.
         """
-        from crms_fenicsx.cables.strip import StripShape
+        from crms_fenicsx.cables.strip_positions import StripShape
         from crms_fenicsx.contact.contact_force import contact_forces
 
         checks.same(self.comm, "contact_forces", cable=cable)

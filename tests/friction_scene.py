@@ -9,7 +9,7 @@ import numpy as np
 from mpi4py import MPI
 from term_scene import ISOTROPIC, SIDE, irregular_square
 
-from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.friction.lateral import begin
 from crms_fenicsx.model.friction import Friction

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from crms_fenicsx import Cable
-from crms_fenicsx.cables.strip import Strip, StripShape
+from crms_fenicsx.cables.strip import Strip
+from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.lift_off import (
     DEPTH,
     INSIDE,

@@ -10,7 +10,7 @@ from mpi4py import MPI
 from rigid_surfaces import SURFACES, band, curve, rigid, sphere
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import (
     WIDTH,
     contact_forces,

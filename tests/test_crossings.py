@@ -17,7 +17,8 @@ from term_scene import ISOTROPIC
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.cables.crossings import arrange
 from crms_fenicsx.cables.node_positions import Whereabouts
-from crms_fenicsx.cables.strip import Strip, StripShape
+from crms_fenicsx.cables.strip import Strip
+from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.lift_off import sunk
 from crms_fenicsx.energies.folded_pressure import FoldedFollowerPressure
 from crms_fenicsx.equilibrium.system import System

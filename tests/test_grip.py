@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from friction_scene import friction_dome, shaken_fractions
 
-from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces
 from crms_fenicsx.friction import lateral as grips
 from crms_fenicsx.friction.aitken import Pace

@@ -14,7 +14,7 @@ import pytest
 from cabled_square import CABLE, PRESSURE, order, place, sheet
 
 from crms_fenicsx import Cable, ConvergenceError, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces, directions, turns
 from crms_fenicsx.paths import held_vertices as held
 from crms_fenicsx.paths.held_vertices import held_runs, held_vertices

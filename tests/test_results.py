@@ -16,8 +16,8 @@ from crms_fenicsx import (
     meshes,
 )
 from crms_fenicsx.cables.deformed_surface import current_surface
+from crms_fenicsx.cables.enclosed_volume import gained_volume
 from crms_fenicsx.model.materials import Membrane
-from crms_fenicsx.results.membrane_results import gained_volume
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.polygons import best_fan
 

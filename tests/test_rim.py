@@ -11,7 +11,7 @@ from mpi4py import MPI
 from scipy.optimize import brentq
 
 from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.results.membrane_results import pressed_facets
+from crms_fenicsx.results.reactions import pressed_facets
 
 FOIL = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)
 Place = Callable[[np.ndarray], bool]

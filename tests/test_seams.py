@@ -17,7 +17,8 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.cables.strip import StripShape, cells_near, grow
+from crms_fenicsx.cables.strip_gather import cells_near, grow
+from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.lift_off import size_at
 from crms_fenicsx.contact.span_projection import shadow
 from crms_fenicsx.equilibrium.system import System

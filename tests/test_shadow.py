@@ -8,7 +8,8 @@ from cabled_square import clamped
 from reference_meshes import square
 
 from crms_fenicsx import Scene
-from crms_fenicsx.cables.strip import StripShape, cells_near, grow
+from crms_fenicsx.cables.strip_gather import cells_near, grow
+from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.span_projection import shadow
 from crms_fenicsx.model.laid_cable import CableNode
 from crms_fenicsx.paths.creased_surface import FoldedSurface

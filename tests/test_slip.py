@@ -8,7 +8,7 @@ from friction_scene import friction_dome, shaken_fractions
 from mpi4py import MPI
 from rigid_surfaces import band, curve, rigid, sphere
 
-from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.friction.lateral import begin
 from crms_fenicsx.friction.slip import MaterialCurve, material_curve, node_slips
 from crms_fenicsx.model.friction import Friction

@@ -9,7 +9,7 @@ from taylor import TermOnPoints, gradient_order, is_semidefinite, noise, stiffne
 from term_scene import on_mesh
 
 from crms_fenicsx.cables.node_positions import Whereabouts
-from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.energies.lateral_friction import Slips, StickSlip, edge_fractions, friction_energy
 from crms_fenicsx.energies.paper.friction_element import FrictionElementEnergy, FrictionElements
 from crms_fenicsx.friction.slip import node_slips

@@ -56,7 +56,7 @@ class State:
 
         Points that the paths had are where they were; others lie on the membrane of then.
         """
-        from crms_fenicsx.cables.strip import StripShape
+        from crms_fenicsx.cables.strip_positions import StripShape
 
         scene.u.x.array[:] = self.u
         shape = StripShape.of(scene)

@@ -269,7 +269,7 @@ def _give(scene: Scene, fields: Fields, rest: _Rest, file: Path) -> None:
 
 def _strip(scene: Scene, rest: _Rest) -> Strip | None:
     """The cells around the cables; None if one lies on none of them. Collective."""
-    from crms_fenicsx.cables.strip import cells_at
+    from crms_fenicsx.cables.strip_gather import cells_at
 
     strip = cells_at(scene, rest.complete)
     points = (node.point for cable in rest.cables for node in cable.nodes)

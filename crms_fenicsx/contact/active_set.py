@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact import lift_off as contact
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.paths.creased_surface import bends, nodes_on_edges

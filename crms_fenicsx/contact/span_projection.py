@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.model.laid_cable import CableNode, LaidCable
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.intrinsic import MissingStars

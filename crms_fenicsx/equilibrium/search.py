@@ -151,7 +151,7 @@ class EquilibriumSearch:
         """Let a load step begin for the cables with friction."""
         if not self._has_friction:
             return  # friction along a cable begins with its grip from before
-        from crms_fenicsx.cables.strip import StripShape
+        from crms_fenicsx.cables.strip_positions import StripShape
         from crms_fenicsx.friction.lateral import begin
 
         shape, cables = StripShape.of(self.scene), self.scene.cables
@@ -170,7 +170,7 @@ class EquilibriumSearch:
         outcome = solve(h0_prestress, bool(lags))
         if not lags:
             return outcome
-        from crms_fenicsx.cables.strip import StripShape
+        from crms_fenicsx.cables.strip_positions import StripShape
         from crms_fenicsx.friction.lateral import NEARLY
 
         rough = True
@@ -298,7 +298,7 @@ class EquilibriumSearch:
         cables = self.scene.cables
         if not any(cable.lifted.any() for cable in cables):
             return set()
-        from crms_fenicsx.cables.strip import StripShape
+        from crms_fenicsx.cables.strip_positions import StripShape
         from crms_fenicsx.contact.lift_off import sunk
 
         return sunk(cables, StripShape.of(self.scene))

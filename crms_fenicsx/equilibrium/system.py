@@ -250,7 +250,7 @@ class System:
         }
         if not laws:
             return []
-        from crms_fenicsx.cables.strip import StripShape
+        from crms_fenicsx.cables.strip_positions import StripShape
         from crms_fenicsx.friction.lateral import align
 
         for cable in self.scene.cables:
@@ -276,7 +276,7 @@ class System:
         """Bring the friction forces of the potential to those that the cables have. Collective."""
         if self.stick_slip is None is self.friction_elements and self.capstan is None:
             return
-        from crms_fenicsx.cables.strip import StripShape
+        from crms_fenicsx.cables.strip_positions import StripShape
 
         assert self.network is not None
         shape = StripShape.of(self.scene)
@@ -303,7 +303,7 @@ class System:
             self.tension = self._tension_term(tables, taut)
             terms.append(self.tension)
         if self._gripped:
-            from crms_fenicsx.cables.strip import StripShape
+            from crms_fenicsx.cables.strip_positions import StripShape
             from crms_fenicsx.energies.axial_friction import CapstanTension
             from crms_fenicsx.friction.axial import align_axial
             from crms_fenicsx.friction.axial_tables import chain_table, grip_table
@@ -412,7 +412,7 @@ class System:
             for cable, force in zip(self._sliding, forces, strict=True):
                 cable.state.tension = float(force)
         if "friction" in scene.energies:  # the state has what it stores; the rest is heat
-            from crms_fenicsx.cables.strip import StripShape
+            from crms_fenicsx.cables.strip_positions import StripShape
             from crms_fenicsx.friction.lateral import energies
 
             shape = StripShape.of(scene)
@@ -568,7 +568,7 @@ class System:
         held_along = [cable for cable in self.scene.cables if cable.axial is not None]
         if not gripped and not held_along:
             return
-        from crms_fenicsx.cables.strip import StripShape
+        from crms_fenicsx.cables.strip_positions import StripShape
 
         shape = StripShape.of(self.scene)
         if gripped:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import edge_directions, turns, wrap_angles
 from crms_fenicsx.contact.lift_off import is_foot
 from crms_fenicsx.friction.aitken import Pace

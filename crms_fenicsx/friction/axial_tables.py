@@ -6,7 +6,7 @@ import numpy as np
 
 from crms_fenicsx.cables.element_tables import CableTables
 from crms_fenicsx.cables.numbering import Network
-from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.energies.axial_friction import Chains, Grips
 from crms_fenicsx.friction.axial import gripped_nodes, rest_places
 from crms_fenicsx.model.laid_cable import LaidCable

@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces, paper_forces
 from crms_fenicsx.energies.lateral_friction import friction_energy
 from crms_fenicsx.friction.aitken import Pace

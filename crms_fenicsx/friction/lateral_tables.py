@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from crms_fenicsx.cables.numbering import Network
-from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import directions, turns
 from crms_fenicsx.energies.lateral_friction import Slips
 from crms_fenicsx.energies.paper.friction_element import FrictionElements

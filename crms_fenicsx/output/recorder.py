@@ -10,11 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.cables.deformed_surface import current_surface
+from crms_fenicsx.cables.enclosed_volume import gained_volume
 from crms_fenicsx.dofs.layout import vertex_starts
 from crms_fenicsx.output.data import Line, Surface
 from crms_fenicsx.output.history import History, Value
 from crms_fenicsx.output.lock import FolderLock
-from crms_fenicsx.results.membrane_results import gained_volume, membrane_results
+from crms_fenicsx.results.membrane_results import membrane_results
 from crms_fenicsx.runtime.errors import InputError, raised_together
 
 if TYPE_CHECKING:
@@ -214,7 +215,7 @@ def cable_lines(scene: Scene) -> list[Line]:
     """
     if not scene.cables:
         return []
-    from crms_fenicsx.cables.strip import StripShape
+    from crms_fenicsx.cables.strip_positions import StripShape
     from crms_fenicsx.contact.contact_force import contact_forces
 
     shape = StripShape.of(scene)

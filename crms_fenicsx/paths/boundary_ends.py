@@ -15,7 +15,8 @@ import numpy as np
 from dolfinx.mesh import entities_to_geometry
 from mpi4py import MPI
 
-from crms_fenicsx.cables.strip import StripShape, grow
+from crms_fenicsx.cables.strip_gather import grow
+from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.lift_off import size_at
 from crms_fenicsx.contact.span_projection import shadow
 from crms_fenicsx.model.laid_cable import COINCIDENT, CableNode, LaidCable

@@ -14,7 +14,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.intrinsic import MissingStars, Ring, ring_of

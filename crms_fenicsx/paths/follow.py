@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.model.laid_cable import COINCIDENT
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import SurfacePoint

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from crms_fenicsx.cables.crossings import arrange
-from crms_fenicsx.cables.strip import cells_at
+from crms_fenicsx.cables.strip_gather import cells_at
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.scene import Cables

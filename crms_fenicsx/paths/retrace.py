@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from crms_fenicsx.cables.crossings import note_places
-from crms_fenicsx.cables.strip import StripShape, grow
+from crms_fenicsx.cables.strip_gather import grow
+from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.lift_off import INSIDE, drape
 from crms_fenicsx.contact.span_projection import with_shadows
 from crms_fenicsx.geodesics.corridor import flaw

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from crms_fenicsx.cables.strip import StripShape, own_surface
+from crms_fenicsx.cables.strip_gather import own_surface
+from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError, as_text
 from crms_fenicsx.surface.closest_point import ON_SURFACE, foot_of

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from crms_fenicsx.cables.strip import grow
+from crms_fenicsx.cables.strip_gather import grow
 from crms_fenicsx.geodesics.corridor import Corridor, corridor, flaw
 from crms_fenicsx.geodesics.flip_geodesic import other_side, shorten
 from crms_fenicsx.model.laid_cable import CableNode, LaidCable

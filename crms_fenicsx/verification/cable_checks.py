@@ -15,7 +15,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.cables.numbering import Network
-from crms_fenicsx.cables.strip import StripShape
+from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.lift_off import INSIDE, is_foot, may_lift, outward_pulls
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.paths.held_vertices import held_runs

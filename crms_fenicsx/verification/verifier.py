@@ -22,7 +22,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from crms_fenicsx.energies.membrane import area_vectors
-from crms_fenicsx.results.membrane_results import pressed_facets
+from crms_fenicsx.results.reactions import pressed_facets
 from crms_fenicsx.runtime.arrays import Array
 
 if TYPE_CHECKING:

@@ -1,0 +1,57 @@
+"""The volume between two shapes of a membrane."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from crms_fenicsx.cables.deformed_surface import folded_shape
+from crms_fenicsx.runtime.arrays import Array
+
+if TYPE_CHECKING:
+    from crms_fenicsx.scene import Scene
+
+
+def gained_volume(scene: Scene) -> float:
+    """Volume between the stress-free and the current cells under pressure (length cubed).
+
+    Collective. A pressure p does the work p V on it. While their rim is held, or slides in planes,
+    it is that between the two surfaces and the planes; if it moves else, what its way sweeps out as
+    seen from the stress-free membrane's centre counts too.
+    """
+    from crms_fenicsx.energies.pressure_rim import gain
+
+    V, mesh = scene.V, scene.mesh.mesh
+    shape = folded_shape(scene)
+    owned = mesh.topology.index_map(2).size_local
+    plain = scene.pressed[:owned].copy()
+    plain[shape.cells] = False
+    cells = V.dofmap.list[:owned]
+    X, u = shape.stress_free - scene.centre, shape.points - shape.stress_free
+    local = _volume_change(X, u, cells[plain]).sum()
+    pieces = [corners for cell, corners in shape.pieces if scene.pressed[cell]]
+    if pieces:
+        from crms_fenicsx.surface.polygons import fan_facets
+
+        corners, weights = fan_facets(pieces)
+        # Pieces of a folded cell together are, stress-free, the cell: their changes add up.
+        local += np.sum(weights * _volume_change(X, u, corners))
+    rim = scene.rim()
+    local += rim.factors @ gain(*(places.reshape(-1)[rim.components] for places in (X, u)))
+    return float(scene.comm.allreduce(float(local)))
+
+
+def _volume_change(X: Array, u: Array, triangles: npt.NDArray[np.integer]) -> Array:
+    """Volume between each triangle and the origin, current less stress-free, (n,).
+
+    Term by term, so that a small change is not lost in a large volume.
+    """
+    a, h = X[triangles], u[triangles]
+    d, s = a[:, 1:] - a[:, :1], h[:, 1:] - h[:, :1]
+    n0 = np.cross(d[:, 0], d[:, 1])
+    change = np.cross(d[:, 0], s[:, 1]) + np.cross(s[:, 0], d[:, 1]) + np.cross(s[:, 0], s[:, 1])
+    at, moved = a.mean(axis=1), h.mean(axis=1)
+    volume: Array = np.sum(moved * (n0 + change) + at * change, axis=1) / 6
+    return volume

@@ -1,0 +1,151 @@
+"""Forces at the supports."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from crms_fenicsx.runtime.arrays import Array, Integers
+
+if TYPE_CHECKING:
+    from crms_fenicsx.equilibrium.system import System
+    from crms_fenicsx.scene import Marker, Scene
+
+
+def _update(system: System) -> None:
+    """Bring a system to its scene's state, in a new layout if the scene got new parts."""
+    if system.built_for != system.scene.changes:
+        system.rebuild()
+    system.pull()
+
+
+@dataclass(frozen=True)
+class Reactions:
+    """Forces with which supports hold the membrane.
+
+    Attributes
+    ----------
+    total : (3,)
+        Their sum (force), on all ranks.
+    positions, forces : (n, 3)
+        This rank's owned vertices, where they are now, and the force on each; zero in directions
+        that are not held.
+    """
+
+    total: Array
+    positions: Array
+    forces: Array
+
+
+def reactions(system: System, where: str | Marker) -> Reactions:
+    """Forces that the supports of vertices exert on the membrane. Collective.
+
+    They include what a cable hands on that passes over held edges, and not the pull of a cable's
+    end, which is its anchor's: `crms_fenicsx.model.laid_cable.CableEnd.reaction`.
+
+    Parameters
+    ----------
+    system
+        The scene's potential; it is brought to the scene's state.
+    where
+        Vertices, as for `Scene.vertices`.
+
+    Raises
+    ------
+    InputError
+        As `Scene.vertices`.
+    """
+    dofs = system.scene.vertices(where)
+    _update(system)
+    potential, unknowns = system.potential, system.unknowns
+    potential.sum_up()
+    vector, g = unknowns.vector()
+    # The potential -p (V - V0) has the pressure's forces as gradient only inside the boundary.
+    potential_only = system.scene.pressure_law == "total"
+    for term in potential.terms:
+        if not (potential_only and term.name == "pressure"):
+            term.add_gradient(potential.x, potential.sums_of(term), g)
+    if potential_only and system.scene.pressure != 0.0:
+        _subtract_pressure(system, g)
+    _leave_ends_to_anchors(system, g)
+    _hand_on_rails(system, g)
+    unknowns.gather_forces(vector, g)
+    owned = dofs[dofs < unknowns.n_vertices]
+    forces = np.where(system.scene.held[owned], g[owned], 0.0)
+    vector.destroy()
+    total = _sum_over_ranks(system.scene, forces)
+    return Reactions(total, system.scene.positions()[owned], forces)
+
+
+def _subtract_pressure(system: System, g: Array) -> None:
+    """Subtract a third of the pressure on each facet at its corners."""
+    corners, vectors = pressed_facets(system)
+    np.subtract.at(g, corners, system.scene.pressure / 3 * vectors[:, None, :])
+
+
+def pressed_facets(system: System) -> tuple[Integers, Array]:
+    """This rank's current facets under pressure, by plain geometry.
+
+    Returns
+    -------
+    corners : (n, 3)
+        Blocks; facets of folded cells that belong to a mean over fans overlap.
+    vectors : (n, 3)
+        Area vectors (length squared), outward, times the facets' weights in the mean.
+    """
+    unknowns, owned = system.unknowns, system.scene.mesh.mesh.topology.index_map(2).size_local
+    dofs = system.scene.V.dofmap.list[:owned][system.plain_pressed.x.array[:owned] > 0.5]
+    corners = unknowns.vertex_blocks()[dofs]
+    weights: Array = np.ones(len(dofs))
+    if system.tables is not None:
+        facets = system.tables.facets
+        corners = np.concatenate([corners, facets.corners])
+        weights = np.concatenate([weights, facets.weights])
+    # By components: rows of three take numpy five times as long.
+    places = np.ascontiguousarray((unknowns.X + system.potential.x).T)
+    start = places.take(corners[:, 0], axis=1)
+    (a, b, c), (d, e, f) = (places.take(corners[:, k], axis=1) - start for k in (1, 2))
+    vectors = np.array([b * f - c * e, c * d - a * f, a * e - b * d])
+    vectors *= weights / 2
+    return corners, vectors.T
+
+
+def _leave_ends_to_anchors(system: System, g: Array) -> None:
+    """Take the pull of cable ends off the held places of the membrane that they lie on.
+
+    Between an anchor and the place of the membrane under it the cable has no length and its force
+    no direction: the gradient splits the end's pull between the two at random.
+    """
+    network = system.network
+    if network is None:
+        return
+    for c, cable in enumerate(network.cables):
+        for end in (cable.start, cable.end):
+            k = cable.node_of(end.which)
+            if cable.nodes[k].kind != "anchor" or not cable.taut:
+                continue
+            anchor = network.numbers[c, k]
+            near = 1 if k == 0 else k - 1  # if lifted, there is a span, which has a direction
+            if network.owners[anchor] == network.rank and not cable.lifted[near]:
+                block, beside = network.block(c, k), network.block(c, near)
+                g[beside] += g[block] - end.reaction
+                g[block] = end.reaction
+
+
+def _hand_on_rails(system: System, g: Array) -> None:
+    """Give the forces of cables on held edges that they slide along to the edges' ends."""
+    if system.unknowns.n_rails:
+        assert system.network is not None
+        blocks, ends, s = system.network.rail_table()
+        share = np.stack([1 - s, s], axis=1)
+        np.add.at(g, ends, share[:, :, None] * g[blocks][:, None, :])
+        g[blocks] = 0.0
+
+
+def _sum_over_ranks(scene: Scene, vectors: Array) -> Array:
+    """Sum of all ranks' vectors (n, 3), (3,)."""
+    total = np.zeros(3)
+    scene.comm.Allreduce(np.asarray(vectors.sum(axis=0)), total)
+    return total
