@@ -6,8 +6,9 @@ A load step runs through the modules in one direction: `scene` (what there is) -
 """
 
 from crms_fenicsx import meshes
+from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.friction import Friction
-from crms_fenicsx.model.laid_cable import Cable, LaidCable
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import IsotropicMembrane, OrthotropicMembrane
 from crms_fenicsx.runtime.errors import (
     ConvergenceError,

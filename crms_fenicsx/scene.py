@@ -27,7 +27,9 @@ if TYPE_CHECKING:
     from crms_fenicsx.energies.pressure import OpenEdges
     from crms_fenicsx.energies.pressure_rim import Rim
     from crms_fenicsx.equilibrium.system import StepHistory
-    from crms_fenicsx.model.laid_cable import Cable, Crossing, LaidCable
+    from crms_fenicsx.model.cable import Cable
+    from crms_fenicsx.model.crossing import Crossing
+    from crms_fenicsx.model.laid_cable import LaidCable
 
 Marker = Callable[[Array], npt.NDArray[np.bool_]]
 Law = Literal["total", "step"]

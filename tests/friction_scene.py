@@ -12,8 +12,8 @@ from term_scene import ISOTROPIC, SIDE, irregular_square
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.friction.lateral import begin
+from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.friction import Friction
-from crms_fenicsx.model.laid_cable import Cable
 from crms_fenicsx.scene import Scene
 
 PATHS = (

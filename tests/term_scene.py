@@ -13,7 +13,7 @@ from taylor import OnMesh, noise
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes import MembraneMesh, from_arrays
-from crms_fenicsx.model.laid_cable import Cable
+from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.materials import IsotropicMembrane, Membrane, OrthotropicMembrane
 from crms_fenicsx.scene import Scene
 

@@ -32,11 +32,11 @@ from crms_fenicsx.contact.lift_off import (
     touch,
     under,
 )
+from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.model.laid_cable import (
     COINCIDENT,
     CableNode,
     CableState,
-    Crossing,
     LaidCable,
     polyline_length,
 )

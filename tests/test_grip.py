@@ -13,10 +13,12 @@ from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces
 from crms_fenicsx.friction import lateral as grips
 from crms_fenicsx.friction.aitken import Pace
-from crms_fenicsx.friction.lateral import Grip, Lag, align, begin, commit, energies
-from crms_fenicsx.friction.slip import MaterialCurve, node_slips
+from crms_fenicsx.friction.lateral import Lag, align, begin, commit, energies
+from crms_fenicsx.friction.slip import node_slips
+from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.friction import Friction
-from crms_fenicsx.model.laid_cable import Cable, CableNode, CableState, LaidCable
+from crms_fenicsx.model.friction_history import Grip, MaterialCurve
+from crms_fenicsx.model.laid_cable import CableNode, CableState, LaidCable
 from crms_fenicsx.surface.points import EdgePoint, VertexPoint
 
 NOWHERE = MaterialCurve(

@@ -10,8 +10,9 @@ from rigid_surfaces import band, curve, rigid, sphere
 
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.friction.lateral import begin
-from crms_fenicsx.friction.slip import MaterialCurve, material_curve, node_slips
+from crms_fenicsx.friction.slip import material_curve, node_slips
 from crms_fenicsx.model.friction import Friction
+from crms_fenicsx.model.friction_history import MaterialCurve
 
 
 def some_curve(points, part=None, elastic=None, moving=None):

@@ -19,7 +19,8 @@ from crms_fenicsx.cables.node_positions import Whereabouts
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes import from_arrays
-from crms_fenicsx.model.laid_cable import Cable, polyline_length
+from crms_fenicsx.model.cable import Cable
+from crms_fenicsx.model.laid_cable import polyline_length
 from crms_fenicsx.scene import Scene
 
 

@@ -16,7 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from crms_fenicsx.cables.strip import Strip
-from crms_fenicsx.model.laid_cable import CableNode, Crossing, LaidCable
+from crms_fenicsx.model.crossing import Crossing
+from crms_fenicsx.model.laid_cable import CableNode, LaidCable
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import CellPoint, EdgePoint
 

@@ -12,7 +12,8 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
-    from crms_fenicsx.model.laid_cable import CableNode, CableState, Crossing
+    from crms_fenicsx.model.crossing import Crossing
+    from crms_fenicsx.model.laid_cable import CableNode, CableState
 
 
 @dataclass(frozen=True)

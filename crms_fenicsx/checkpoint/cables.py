@@ -9,21 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from crms_fenicsx.checkpoint.json_data import Plain, floats, integers, listed
+from crms_fenicsx.model.cable import Cable
+from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.model.friction import Friction
-from crms_fenicsx.model.laid_cable import (
-    Cable,
-    CableNode,
-    CableState,
-    Crossing,
-    LaidCable,
-    StepStart,
-)
+from crms_fenicsx.model.laid_cable import CableNode, CableState, LaidCable, StepStart
 from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint
 
 if TYPE_CHECKING:
-    from crms_fenicsx.friction.axial import AxialGrip
-    from crms_fenicsx.friction.lateral import Grip
-    from crms_fenicsx.friction.slip import MaterialCurve
+    from crms_fenicsx.model.friction_history import AxialGrip, Grip, MaterialCurve
 
 KINDS = ("vertex", "fold", "rail", "rider", "anchor", "crossing")
 
@@ -176,7 +169,7 @@ def _plain_grip(grip: Grip | AxialGrip) -> Plain:
 
 
 def _plain_field(value: Any) -> Any:
-    from crms_fenicsx.friction.slip import MaterialCurve
+    from crms_fenicsx.model.friction_history import MaterialCurve
 
     if isinstance(value, MaterialCurve):
         return {name: listed(array) for name, array in vars(value).items()}
@@ -190,7 +183,7 @@ def _supports(data: Plain) -> tuple[tuple[int, ...], ...]:
 
 
 def _grip(data: Plain) -> Grip:
-    from crms_fenicsx.friction.lateral import Grip
+    from crms_fenicsx.model.friction_history import Grip
 
     supports = _supports(data)
     bounds, moving = (floats(data[name], len(supports)) for name in ("bounds", "moving"))
@@ -201,7 +194,7 @@ def _grip(data: Plain) -> Grip:
 
 
 def _axial(data: Plain) -> AxialGrip:
-    from crms_fenicsx.friction.axial import AxialGrip
+    from crms_fenicsx.model.friction_history import AxialGrip
 
     curve, supports = _curve(data["curve"]), _supports(data)
     bounds, eps = (floats(data[name], len(supports)) for name in ("bounds", "eps"))
@@ -215,7 +208,7 @@ def _axial(data: Plain) -> AxialGrip:
 
 
 def _curve(data: Plain) -> MaterialCurve:
-    from crms_fenicsx.friction.slip import MaterialCurve
+    from crms_fenicsx.model.friction_history import MaterialCurve
 
     points = floats(data["points"], -1, 3)
     n = len(points)

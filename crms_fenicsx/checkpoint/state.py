@@ -28,7 +28,8 @@ from crms_fenicsx.scene import Cables, Scene
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.strip import Strip
-    from crms_fenicsx.model.laid_cable import Crossing, LaidCable
+    from crms_fenicsx.model.crossing import Crossing
+    from crms_fenicsx.model.laid_cable import LaidCable
 
 STATE, CELLS = "state.json", "cells.npy"
 FORMAT = "crms_fenicsx checkpoint 3"

@@ -19,7 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.model.laid_cable import COINCIDENT, CableNode, Crossing, LaidCable
+from crms_fenicsx.model.crossing import Crossing
+from crms_fenicsx.model.laid_cable import COINCIDENT, CableNode, LaidCable
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import CellPoint, EdgePoint
 from crms_fenicsx.surface.triangles import cross, dot, norm

@@ -24,7 +24,8 @@ from crms_fenicsx.contact.contact_force import edge_directions, turns, wrap_angl
 from crms_fenicsx.contact.lift_off import is_foot
 from crms_fenicsx.friction.aitken import Pace
 from crms_fenicsx.friction.lateral import held_nodes, succession
-from crms_fenicsx.friction.slip import MaterialCurve, Support, material_place
+from crms_fenicsx.friction.slip import Support, material_place
+from crms_fenicsx.model.friction_history import AxialGrip, MaterialCurve
 from crms_fenicsx.model.laid_cable import COINCIDENT, LaidCable
 from crms_fenicsx.runtime.arrays import Array
 
@@ -33,45 +34,6 @@ SETTLED = 1e-4
 is sharper than sideways costs one short pass here."""
 LEAST_PART = 0.01
 """Least part of a change of the bounds that is taken."""
-
-
-@dataclass(frozen=True)
-class AxialGrip:
-    """Friction of a laid cable along its axis, in a load step.
-
-    Attributes
-    ----------
-    curve
-        Where the cable lay when the step began, and
-    rest
-        the unstressed arcs that rest at its points (length).
-    supports
-        Places of the n nodes that friction holds.
-    bounds, eps : (n,)
-        Most friction force of each (force; times the stretch there, so that its work is that on
-        the unstressed arc), and the slip at which it is reached (length).
-    tensions : (m,)
-        Tension between the nodes that the cable touches, in the state last solved (force).
-    spans : (n + 1,), arcs, slips : (n,)
-        Lengths between the nodes that friction holds, the unstressed arcs at them, and their slips
-        (length), in that state.
-    loss
-        Energy that friction has dissipated in the step so far (force x length).
-    dissipated
-        Energy that it has dissipated up to the step's start (force x length).
-    """
-
-    curve: MaterialCurve
-    rest: Array
-    supports: tuple[Support, ...]
-    bounds: Array
-    eps: Array
-    tensions: Array
-    spans: Array
-    arcs: Array
-    slips: Array
-    loss: float = 0.0
-    dissipated: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ the paths that are compared, does not change for any other reason.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,7 +19,8 @@ from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces, paper_forces
 from crms_fenicsx.energies.lateral_friction import friction_energy
 from crms_fenicsx.friction.aitken import Pace
-from crms_fenicsx.friction.slip import MaterialCurve, Support, material_curve, node_slips
+from crms_fenicsx.friction.slip import Support, material_curve, node_slips
+from crms_fenicsx.model.friction_history import Grip
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 from crms_fenicsx.runtime.arrays import Array
 
@@ -41,43 +41,6 @@ STEEPEST = 0.9
 """Largest part of a change of their sum that is taken to come back from the state."""
 AGAINST = 30.0
 """As `STEEPEST`, where the state answers a larger sum by a smaller one."""
-
-
-@dataclass(frozen=True)
-class Grip:
-    """Friction of a laid cable in a load step.
-
-    Attributes
-    ----------
-    curve
-        Where the cable lay when the step began.
-    supports
-        Places of the nodes that the bounds are of.
-    bounds : (n,)
-        Most friction force of each (force).
-    moving : (n,)
-        Direction in which each slides in this step: 1 left, -1 right, 0 not.
-    dissipated
-        Energy that friction has dissipated up to the step's start (force x length).
-    known
-        Whether the bounds come from a state, and not from a first guess.
-    """
-
-    curve: MaterialCurve
-    supports: tuple[Support, ...]
-    bounds: Array
-    moving: Array
-    dissipated: float = 0.0
-    known: bool = False
-
-    def at(self, support: Support) -> float:
-        """Bound of a node (force)."""
-        return float(self.bounds[self.row_of[support]])
-
-    @cached_property
-    def row_of(self) -> dict[Support, int]:
-        """Place of each node in the arrays."""
-        return {support: row for row, support in enumerate(self.supports)}
 
 
 def begin(cable: LaidCable, shape: StripShape) -> None:

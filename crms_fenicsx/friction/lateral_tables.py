@@ -11,9 +11,9 @@ from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import directions, turns
 from crms_fenicsx.energies.lateral_friction import Slips
 from crms_fenicsx.energies.paper.friction_element import FrictionElements
-from crms_fenicsx.friction.lateral import Grip
 from crms_fenicsx.friction.slip import NodeSlips, node_slips
 from crms_fenicsx.model.friction import Friction
+from crms_fenicsx.model.friction_history import Grip
 from crms_fenicsx.model.laid_cable import LaidCable
 
 

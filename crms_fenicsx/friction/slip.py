@@ -12,98 +12,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import runs
+from crms_fenicsx.model.friction_history import MaterialCurve
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.triangles import cross
 
 Support = tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class MaterialCurve:
-    """Where a cable lay on the stress-free membrane.
-
-    Attributes
-    ----------
-    points : (m, 3)
-        Its points (length).
-    arc : (m,)
-        Arc length from its first point (length).
-    part : (m,)
-        Number of the part that lies on the membrane; between parts the cable was off it.
-    elastic : (m,)
-        Elastic slip left at the points (length).
-    moving : (m,)
-        In which direction they slid in the last load step: 1 left, -1 right, 0 not.
-    """
-
-    points: Array
-    arc: Array
-    part: npt.NDArray[np.int64]
-    elastic: Array
-    moving: Array
-
-    def nearest(self, places: Array) -> tuple[Array, Array, npt.NDArray[np.int64]]:
-        """Arc lengths (n,), places (n, 3) and parts (n,) of the points nearest to places (n, 3).
-
-        An arc length lies beyond the ends of its part by what the place does. Where the curve is
-        nowhere, so are they: the parts are -1.
-        """
-        joined = np.flatnonzero((self.part[1:] == self.part[:-1]) & (np.diff(self.arc) > 0.0))
-        if not len(joined):
-            return np.zeros(len(places)), places.copy(), np.full(len(places), -1)
-        start, way = self.points[joined], self.points[joined + 1] - self.points[joined]
-        size = np.sum(way**2, axis=1)
-        t = np.einsum("nmi,mi->nm", places[:, None] - start, way) / size
-        inside = np.clip(t, 0.0, 1.0)
-        feet = start + inside[:, :, None] * way
-        best = np.argmin(np.sum((places[:, None] - feet) ** 2, axis=2), axis=1)
-        rows = np.arange(len(places))
-        first, at, t = joined[best], inside[rows, best], t[rows, best]
-        length = np.sqrt(size[best])
-        # Only at the ends of a part does it matter how far beyond a place lies.
-        part = self.part[first]
-        begins = np.concatenate([[True], self.part[1:] != self.part[:-1]])[first] & (t < 0.0)
-        ends = np.concatenate([self.part[1:] != self.part[:-1], [True]])[first + 1] & (t > 1.0)
-        share = np.where(begins | ends, t, at)
-        return self.arc[first] + share * length, feet[rows, best], part
-
-    def tangents(self, at: Array, parts: npt.NDArray[np.int64], reach: Array) -> Array:
-        """Mean directions between a distance `reach` (n,) before and after places, unit (n, 3).
-
-        Points that lie close together have none of their own that means anything.
-        """
-        found = np.zeros((len(at), 3))
-        for part in np.unique(parts):
-            own, rows = self.part == part, parts == part
-            arc, points = self.arc[own], self.points[own]
-            inside = np.clip(at[rows], arc[0], arc[-1])
-            for sign in (1.0, -1.0):
-                u = np.clip(inside + sign * reach[rows], arc[0], arc[-1])
-                for i in range(3):
-                    found[rows, i] += sign * np.interp(u, arc, points[:, i])
-        return np.asarray(found / np.linalg.norm(found, axis=1)[:, None])
-
-    def elastic_at(self, at: Array, parts: npt.NDArray[np.int64]) -> Array:
-        """Elastic slips at places, (n,) (length)."""
-        found = np.zeros(len(at))
-        for part in np.unique(parts):
-            own, rows = self.part == part, parts == part
-            found[rows] = np.interp(at[rows], self.arc[own], self.elastic[own])
-        return found
-
-    def moving_at(self, at: Array, parts: npt.NDArray[np.int64]) -> Array:
-        """Directions in which the nearest points slid in the last load step, (n,)."""
-        found = np.zeros(len(at))
-        for part in np.unique(parts):
-            own, rows = self.part == part, parts == part
-            nearest = np.argmin(np.abs(at[rows][:, None] - self.arc[own]), axis=1)
-            found[rows] = self.moving[own][nearest]
-        return found
 
 
 @dataclass(frozen=True)

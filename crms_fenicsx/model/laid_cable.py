@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.model.friction import Friction
-from crms_fenicsx.runtime import checks
+from crms_fenicsx.model.cable import Cable
+from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.runtime.readonly import ReadOnly
@@ -19,8 +19,7 @@ from crms_fenicsx.surface.path import Path
 from crms_fenicsx.surface.points import EdgePoint, SurfacePoint, VertexPoint
 
 if TYPE_CHECKING:
-    from crms_fenicsx.friction.axial import AxialGrip
-    from crms_fenicsx.friction.lateral import Grip
+    from crms_fenicsx.model.friction_history import AxialGrip, Grip
 
 
 LEAST, MOST = float(np.finfo(float).tiny), float(1.0 - np.finfo(float).epsneg)
@@ -40,82 +39,9 @@ BULGE, MOST_BULGE = 1.2, 0.02
 most. On cells of 9 a side cables keep some tension up to 1.0."""
 
 
-@dataclass(frozen=True)
-class Cable:
-    """A linearly elastic cable (section 2.2).
-
-    Parameters
-    ----------
-    EA
-        Axial stiffness (force).
-    law
-        "total": tension ``EA (L - L0)/L0`` where positive, L0 the unstressed length. "step": the
-        paper's (2.2-2), tension that grows by ``EA/l_n`` times the elongation in the step, l_n
-        the length at the step's start.
-    friction
-        Friction on the membrane: a coefficient, or a `Friction` that says more. With 0 there is
-        none, and it costs nothing.
-    """
-
-    EA: float
-    law: Literal["total", "step"] = "total"
-    friction: float | Friction = 0.0
-
-    def __post_init__(self) -> None:
-        checks.positive("Cable: EA", self.EA)
-        if not isinstance(self.friction, Friction):
-            Friction(checks.finite("Cable: friction", self.friction))
-        if self.law not in ("total", "step"):
-            raise InputError(f"Cable: law = {self.law!r} is not known; use 'total' or 'step'.")
-        if self.law == "step" and self.along:
-            raise InputError(
-                f'Cable: law = "step" has one tension for the whole cable, but its friction has '
-                f'along = {self.along}; use law="total", or leave it out.'
-            )
-
-    @property
-    def sideways(self) -> Friction | None:
-        """Friction against sliding sideways; None if it slides freely."""
-        friction = self.friction
-        if not isinstance(friction, Friction):
-            friction = Friction(friction)
-        return friction if friction.at_rest > 0 else None
-
-    @property
-    def along(self) -> float:
-        """Coefficient of friction along its axis."""
-        return self.friction.along if isinstance(self.friction, Friction) else 0.0
-
-
 End = Literal["tied", "held", "off"]
 """How a cable's end is held: tied to a place of the membrane, held at its place on a held part of
 the membrane, or by an anchor off the membrane."""
-
-
-@dataclass(eq=False)
-class Crossing:
-    """A place where two cables cross: one free point that both share.
-
-    Attributes
-    ----------
-    lower, upper
-        Numbers of the cables, the upper one on top.
-    support
-        Ids of the vertices of the cell (3) or edge (2) that it is in.
-    links
-        Where it is on the lower and on the upper cable: after which node, crossings not counted.
-    place : (3,)
-        Where they cross, or would (length).
-    apart
-        Whether the upper cable has lifted off the lower one; they share no point then.
-    """
-
-    lower: int
-    upper: int
-    support: tuple[int, ...]
-    links: tuple[int, int]
-    place: Array
-    apart: bool = False
 
 
 @dataclass(frozen=True)

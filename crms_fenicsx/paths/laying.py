@@ -12,8 +12,8 @@ from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.cables.strip_gather import cells_at, cells_near
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.lift_off import drape
+from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.laid_cable import (
-    Cable,
     CableNode,
     CableState,
     End,

@@ -1,0 +1,57 @@
+"""The data of a cable."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from crms_fenicsx.model.friction import Friction
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.errors import InputError
+
+
+@dataclass(frozen=True)
+class Cable:
+    """A linearly elastic cable (section 2.2).
+
+    Parameters
+    ----------
+    EA
+        Axial stiffness (force).
+    law
+        "total": tension ``EA (L - L0)/L0`` where positive, L0 the unstressed length. "step": the
+        paper's (2.2-2), tension that grows by ``EA/l_n`` times the elongation in the step, l_n
+        the length at the step's start.
+    friction
+        Friction on the membrane: a coefficient, or a `Friction` that says more. With 0 there is
+        none, and it costs nothing.
+    """
+
+    EA: float
+    law: Literal["total", "step"] = "total"
+    friction: float | Friction = 0.0
+
+    def __post_init__(self) -> None:
+        checks.positive("Cable: EA", self.EA)
+        if not isinstance(self.friction, Friction):
+            Friction(checks.finite("Cable: friction", self.friction))
+        if self.law not in ("total", "step"):
+            raise InputError(f"Cable: law = {self.law!r} is not known; use 'total' or 'step'.")
+        if self.law == "step" and self.along:
+            raise InputError(
+                f'Cable: law = "step" has one tension for the whole cable, but its friction has '
+                f'along = {self.along}; use law="total", or leave it out.'
+            )
+
+    @property
+    def sideways(self) -> Friction | None:
+        """Friction against sliding sideways; None if it slides freely."""
+        friction = self.friction
+        if not isinstance(friction, Friction):
+            friction = Friction(friction)
+        return friction if friction.at_rest > 0 else None
+
+    @property
+    def along(self) -> float:
+        """Coefficient of friction along its axis."""
+        return self.friction.along if isinstance(self.friction, Friction) else 0.0

@@ -1,0 +1,33 @@
+"""Two cables that cross."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from crms_fenicsx.runtime.arrays import Array
+
+
+@dataclass(eq=False)
+class Crossing:
+    """A place where two cables cross: one free point that both share.
+
+    Attributes
+    ----------
+    lower, upper
+        Numbers of the cables, the upper one on top.
+    support
+        Ids of the vertices of the cell (3) or edge (2) that it is in.
+    links
+        Where it is on the lower and on the upper cable: after which node, crossings not counted.
+    place : (3,)
+        Where they cross, or would (length).
+    apart
+        Whether the upper cable has lifted off the lower one; they share no point then.
+    """
+
+    lower: int
+    upper: int
+    support: tuple[int, ...]
+    links: tuple[int, int]
+    place: Array
+    apart: bool = False
