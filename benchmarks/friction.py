@@ -26,7 +26,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import ConvergenceError, Solver
-from crms_fenicsx.minimization.minimizer import Outcome
+from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable
 

@@ -13,8 +13,8 @@ import numpy.typing as npt
 from dolfinx import fem
 from dolfinx.mesh import MeshTags, meshtags
 
-from crms_fenicsx.energies.membrane import area_vectors
 from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.meshes.cell_geometry import area_vectors
 from crms_fenicsx.model.materials import LINEAR, Membrane
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
@@ -24,9 +24,9 @@ from crms_fenicsx.runtime.readonly import ReadOnly
 if TYPE_CHECKING:
     from crms_fenicsx.cables.strip import Strip
     from crms_fenicsx.energies.dead_load import DeadForces, Traction
-    from crms_fenicsx.energies.pressure import OpenEdges
+    from crms_fenicsx.energies.paper.step_history import StepHistory
     from crms_fenicsx.energies.pressure_rim import Rim
-    from crms_fenicsx.equilibrium.system import StepHistory
+    from crms_fenicsx.meshes.cell_geometry import OpenEdges
     from crms_fenicsx.model.cable import Cable
     from crms_fenicsx.model.crossing import Crossing
     from crms_fenicsx.model.laid_cable import LaidCable
@@ -211,7 +211,7 @@ class Scene:
     @cached_property
     def open_edges(self) -> OpenEdges:
         """Edges that pressure needs to be held; see `loads.open_edges`. Collective."""
-        from crms_fenicsx.energies.pressure import open_edges
+        from crms_fenicsx.meshes.cell_geometry import open_edges
 
         return open_edges(self.V, self.pressed)
 

@@ -14,9 +14,10 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.cables.state import State
+from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
-from crms_fenicsx.equilibrium.system import StepHistory, System
-from crms_fenicsx.minimization.minimizer import Outcome
+from crms_fenicsx.equilibrium.system import System
+from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.output.recorder import Recorder
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import (

@@ -20,7 +20,8 @@ from test_membrane import corners
 from crms_fenicsx import Cable, ConvergenceError, InputError, Scene, Solver
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.dead_load import DeadLoad, dead_forces
-from crms_fenicsx.minimization.minimizer import Minimizer, Outcome
+from crms_fenicsx.minimization.minimizer import Minimizer
+from crms_fenicsx.minimization.outcome import Outcome
 
 
 def lifted_scene(comm):

@@ -19,7 +19,8 @@ from test_membrane import corners
 
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.folded_pressure import Facets, FoldedFollowerPressure
-from crms_fenicsx.energies.pressure import FollowerPressure, StepPressure
+from crms_fenicsx.energies.paper.step_pressure import StepPressure
+from crms_fenicsx.energies.pressure import FollowerPressure
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.surface.polygons import fan_facets, split_polygon
 

@@ -11,7 +11,7 @@ import pytest
 from reference_meshes import square
 
 from crms_fenicsx import Cable, ConvergenceError, Friction, IsotropicMembrane, Scene, Solver
-from crms_fenicsx.minimization.minimizer import Outcome
+from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.model.laid_cable import CableState, LaidCable
 from crms_fenicsx.runtime.readonly import ReadOnly
 

@@ -19,7 +19,8 @@ from crms_fenicsx import (
     meshes,
 )
 from crms_fenicsx.cables.deformed_surface import current_surface
-from crms_fenicsx.minimization.minimizer import Minimizer, Outcome
+from crms_fenicsx.minimization.minimizer import Minimizer
+from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.output import History, Line
 from crms_fenicsx.output.figures import scene as scene_pictures
 

@@ -27,7 +27,8 @@ from crms_fenicsx import (
 )
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.minimization.minimizer import Minimizer, Outcome
+from crms_fenicsx.minimization.minimizer import Minimizer
+from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.model.laid_cable import polyline_length
 from crms_fenicsx.runtime.compat import geometry_dofmap

@@ -10,8 +10,10 @@ from term_scene import on_mesh
 
 from crms_fenicsx.cables.node_positions import Whereabouts
 from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.energies.lateral_friction import Slips, StickSlip, edge_fractions, friction_energy
+from crms_fenicsx.energies.edge_fractions import edge_fractions
+from crms_fenicsx.energies.lateral_friction import Slips, StickSlip
 from crms_fenicsx.energies.paper.friction_element import FrictionElementEnergy, FrictionElements
+from crms_fenicsx.energies.smooth_coulomb import friction_energy
 from crms_fenicsx.friction.slip import node_slips
 from crms_fenicsx.model.friction import Friction
 

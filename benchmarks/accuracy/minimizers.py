@@ -15,10 +15,12 @@ from dolfinx.fem import petsc as fem_petsc
 from petsc4py import PETSc
 
 from crms_fenicsx.energies.integral import one_point
-from crms_fenicsx.energies.membrane import Kinematics, MembraneEnergy, tangent_basis
+from crms_fenicsx.energies.kinematics import Kinematics, tangent_basis
+from crms_fenicsx.energies.membrane import MembraneEnergy
 from crms_fenicsx.energies.pressure import FollowerPressure
 from crms_fenicsx.minimization.initial_hessian import InitialHessian
-from crms_fenicsx.minimization.minimizer import COARSE, Minimizer, Outcome
+from crms_fenicsx.minimization.minimizer import COARSE, Minimizer
+from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.minimization.potential import Potential
 
 MUMPS = "crms_h0_pc_factor_mat_solver_type"

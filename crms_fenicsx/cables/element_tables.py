@@ -16,8 +16,9 @@ from crms_fenicsx.cables.numbering import Edge, Link, Member, Network
 from crms_fenicsx.energies.fold_penalty import Kinks
 from crms_fenicsx.energies.folded_membrane import FoldedCells
 from crms_fenicsx.energies.folded_pressure import Facets
-from crms_fenicsx.energies.membrane import MembraneEnergy, area_vectors
+from crms_fenicsx.energies.membrane import MembraneEnergy
 from crms_fenicsx.energies.segments import COINCIDENT, SMOOTHING
+from crms_fenicsx.meshes.cell_geometry import area_vectors
 from crms_fenicsx.model.materials import N_PARAMETERS
 from crms_fenicsx.runtime.arrays import Array, Indices
 from crms_fenicsx.runtime.compat import geometry_dofmap

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
 from crms_fenicsx.checkpoint.json_data import Array, Plain, floats, integers, listed
-from crms_fenicsx.equilibrium.system import StepHistory
-from crms_fenicsx.minimization.minimizer import Outcome
+from crms_fenicsx.energies.paper.step_history import StepHistory
+from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.solver import Step
 
 if TYPE_CHECKING:

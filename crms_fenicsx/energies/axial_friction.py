@@ -27,13 +27,9 @@ from crms_fenicsx.dofs.block_patterns import ElementPattern, SegmentPattern
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.capstan_chain import ENERGY, find_slips
-from crms_fenicsx.energies.lateral_friction import (
-    add_slip_forces,
-    edge_fractions,
-    friction_energy,
-    secant_stiffness,
-)
+from crms_fenicsx.energies.edge_fractions import add_slip_forces, edge_fractions
 from crms_fenicsx.energies.segments import add_segment_forces, segment_lengths, segment_stiffness
+from crms_fenicsx.energies.smooth_coulomb import friction_energy, secant_stiffness
 from crms_fenicsx.runtime.arrays import Array, Indices
 
 MOST_DYADS = 8

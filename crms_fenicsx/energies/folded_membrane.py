@@ -19,7 +19,6 @@ from crms_fenicsx.dofs.block_patterns import ElementPattern, SegmentPattern
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies import stress_laws as laws
-from crms_fenicsx.energies.membrane import Stiffening
 from crms_fenicsx.energies.segments import (
     add_segment_forces,
     difference,
@@ -27,6 +26,7 @@ from crms_fenicsx.energies.segments import (
     segment_stiffness,
     slope_over_distance,
 )
+from crms_fenicsx.energies.stiffening import Stiffening
 from crms_fenicsx.runtime.arrays import Array, Indices
 
 

@@ -13,17 +13,16 @@ potential contact, ACM Trans. Graph. 39, 2020). The slip is linear in the node's
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.block_patterns import ElementPattern
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
-from crms_fenicsx.energies.segments import difference
+from crms_fenicsx.energies.edge_fractions import add_slip_forces, edge_fractions
+from crms_fenicsx.energies.smooth_coulomb import friction_energy, secant_stiffness
 from crms_fenicsx.runtime.arrays import Array, Indices
 
 
@@ -53,55 +52,6 @@ class Slips:
     offset: Array
     bound: Array
     eps: Array
-
-
-@numba.njit(cache=True)
-def edge_fractions(X, x, pointers, blocks, place, fractions, gradients):  # type: ignore[no-untyped-def]
-    """Places on edges, as shares of their lengths (n,), and their derivatives by all blocks."""
-    gradients[:] = 0.0
-    for k in range(place.shape[0]):
-        start, end, at = pointers[k], pointers[k + 1], pointers[k] + place[k]
-        before = total = 0.0
-        for q in range(start, end - 1):
-            _, _, _, d = difference(X, x, blocks[q], blocks[q + 1])
-            total += d
-            if q < at:
-                before += d
-        s = before / total if total > 0.0 else 0.0
-        fractions[k] = s
-        for q in range(start, end - 1):
-            r0, r1, r2, d = difference(X, x, blocks[q], blocks[q + 1])
-            if d == 0.0:
-                continue  # no direction, no force
-            weight = ((1.0 - s) if q < at else -s) / (total * d)
-            for i, r in enumerate((r0, r1, r2)):
-                gradients[q, i] -= weight * r
-                gradients[q + 1, i] += weight * r
-
-
-@numba.njit(cache=True)
-def friction_energy(slip, bound, eps, force):  # type: ignore[no-untyped-def]
-    """Potential of all nodes; its derivative by their slips into `force` (n,)."""
-    energy = 0.0
-    for k in range(slip.shape[0]):
-        y = abs(slip[k]) / eps[k]
-        if y < 1.0:
-            energy += bound[k] * eps[k] * y * y * (1.0 - y / 3.0)
-            force[k] = math.copysign(bound[k] * y * (2.0 - y), slip[k])
-        else:
-            energy += bound[k] * eps[k] * (y - 1.0 / 3.0)
-            force[k] = math.copysign(bound[k], slip[k])
-    return energy
-
-
-def secant_stiffness(slip: Array, bound: Array, eps: Array) -> Array:
-    """Stiffness ``force / slip`` of nodes, (n,) (force/length).
-
-    It is that of the parabola which touches the potential at the present slip and lies above it
-    elsewhere: the tangent is zero beyond eps, and says nothing of what comes below.
-    """
-    y = np.abs(slip) / eps
-    return np.asarray(bound / eps * np.where(y < 1.0, 2.0 - y, 1.0 / np.maximum(y, 1.0)))
 
 
 class StickSlip:
@@ -167,12 +117,3 @@ class StickSlip:
             ).reshape(n * n, 3, 3)
             start += n * n
         self.pattern.add(A, self.unknowns)
-
-
-@numba.njit(cache=True)
-def add_slip_forces(pointers, blocks, gradients, force, slope, g):  # type: ignore[no-untyped-def]
-    """Add ``sum force * slope * d(fractions)/dx`` to g, (n_blocks, 3)."""
-    for k in range(force.shape[0]):
-        for q in range(pointers[k], pointers[k + 1]):
-            for i in range(3):
-                g[blocks[q], i] += force[k] * slope[k] * gradients[q, i]

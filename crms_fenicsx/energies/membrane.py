@@ -15,6 +15,9 @@ from petsc4py import PETSc
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.integral import Integral, one_point
+from crms_fenicsx.energies.kinematics import Kinematics, tangent_basis, tensile_part, warp_field
+from crms_fenicsx.energies.stiffening import Stiffening
+from crms_fenicsx.meshes.cell_geometry import area_vectors, cell_normals
 from crms_fenicsx.model.materials import (
     LINEAR,
     ORTHOTROPIC_TENSION_FIELD,
@@ -24,147 +27,12 @@ from crms_fenicsx.model.materials import (
 )
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.compat import geometry_dofmap
-from crms_fenicsx.runtime.errors import InputError, raised_together
 
 if TYPE_CHECKING:
     from crms_fenicsx.energies.tension_field import TensionField
 
 
 EPSILON = float(np.finfo(float).eps)
-
-FLOOR, FLOOR_FROM_FLAT = 1e-5, 1e-2
-"""Part of the taut stiffness that wrinkled and slack cells have in H0 on top of their tangent, so
-that it stays definite; and while a sheet gets its first stresses, when cells turn from taut to
-wrinkled and back. A hundredth later on would make the iterations grow with the mesh: 6 in a load
-step of the inflated square with 32 cells a side and 19 with 128, where it takes 9 now."""
-
-
-class Stiffening:
-    """What plain and folded cells have in H0 that they have not in the energy.
-
-    Attributes
-    ----------
-    prestress : Constant
-        Isotropic section force (force per length): without it a flat sheet has no stiffness
-        against pressure.
-    floor : Constant
-        Part of the taut stiffness added to the tangent of laws that wrinkle.
-    """
-
-    def __init__(self, mesh: Any) -> None:
-        self.prestress = fem.Constant(mesh, PETSc.ScalarType(0.0))
-        self.floor = fem.Constant(mesh, PETSc.ScalarType(FLOOR))
-
-    def set(self, prestress: float, failures: int = 0) -> None:
-        """Take this prestress, and the floor that goes with it.
-
-        After a line search that has failed, as slack cells let a step go too far, the floor is
-        higher, and ten times as high after each further one.
-        """
-        self.prestress.value = prestress
-        raised = failures + (prestress > 0.0)
-        self.floor.value = min(FLOOR_FROM_FLAT * 10.0 ** (raised - 1), 1.0) if raised else FLOOR
-
-
-def warp_field(mesh: Any, material: Membrane, cells: npt.NDArray[np.int32]) -> fem.Function:
-    """Unit warp directions in the surface, one per cell (piecewise constant).
-
-    Raises
-    ------
-    InputError
-        On all ranks, if the warp direction is normal to the surface somewhere, or its function
-        does not return finite directions.
-    """
-    space = fem.functionspace(mesh, ("DG", 0, (3,)))
-    field = fem.Function(space)
-    normal, centre = cell_normals(mesh), space.tabulate_dof_coordinates()
-    warp = material.warp
-    with raised_together(mesh.comm):  # one rank's cells may be bad, another's good
-        given = (
-            np.asarray(warp(centre.T), dtype=float).T
-            if callable(warp)
-            else np.broadcast_to(np.asarray(warp, dtype=float), centre.shape)
-        )
-        if given.shape != centre.shape or not np.all(np.isfinite(given[cells])):
-            raise InputError(
-                f"warp: the function returned an array of shape {given.T.shape} or with values "
-                f"that are not finite; it must return finite directions of shape {centre.T.shape}."
-            )
-        flat = given - np.sum(given * normal, axis=1)[:, None] * normal
-        length = np.linalg.norm(flat, axis=1)
-        bad = cells[length[cells] <= 1e-6 * np.linalg.norm(given[cells], axis=1)]
-        if len(bad):
-            raise InputError(
-                f"warp: the direction {given[bad[0]]} is normal to the membrane at "
-                f"{centre[bad[0]]}; give a direction that has a part in the surface everywhere."
-            )
-    field.x.array[:] = (flat / np.maximum(length, 1e-300)[:, None]).ravel()
-    return field
-
-
-def area_vectors(mesh: Any, cells: Any = slice(None)) -> Array:
-    """Normals of the stress-free cells, as long as their areas, (n, 3); of all, with ghosts."""
-    x = mesh.geometry.x[geometry_dofmap(mesh)[cells]]
-    return np.asarray(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) / 2, dtype=float)
-
-
-def cell_normals(mesh: Any) -> Array:
-    """Unit normals of the stress-free cells, (n, 3), ghosts included."""
-    normal = area_vectors(mesh)
-    return normal / np.linalg.norm(normal, axis=1)[:, None]
-
-
-def tangent_basis(mesh: Any, warp: fem.Function | None) -> tuple[Any, Any]:
-    """Orthonormal in-plane axes of the cells, UFL; axis 1 along the warp or the first edge."""
-    J = ufl.Jacobian(mesh)
-    first, second = J[:, 0], J[:, 1]
-    normal = ufl.cross(first, second)
-    normal = normal / ufl.sqrt(ufl.dot(normal, normal))
-    e1 = first / ufl.sqrt(ufl.dot(first, first)) if warp is None else warp
-    return e1, ufl.cross(normal, e1)
-
-
-class Kinematics:
-    """Green-Lagrange strain of a surface in in-plane axes, without cancellation at small strain."""
-
-    def __init__(self, u: Any, basis: tuple[Any, Any]) -> None:
-        self.basis = basis
-        self.H = [ufl.dot(ufl.grad(u), e) for e in basis]
-        self.F = [e + h for e, h in zip(basis, self.H, strict=True)]
-
-    def strain(self) -> Any:
-        """E, (2, 2)."""
-        e, H = self.basis, self.H
-        return ufl.as_matrix(
-            [
-                [
-                    (ufl.dot(e[a], H[b]) + ufl.dot(H[a], e[b]) + ufl.dot(H[a], H[b])) / 2
-                    for b in (0, 1)
-                ]
-                for a in (0, 1)
-            ]
-        )
-
-    def strain_variation(self, v: Any) -> Any:
-        """First variation of E along v, (2, 2)."""
-        dH = [ufl.dot(ufl.grad(v), e) for e in self.basis]
-        F = self.F
-        return ufl.as_matrix(
-            [[(ufl.dot(F[a], dH[b]) + ufl.dot(dH[a], F[b])) / 2 for b in (0, 1)] for a in (0, 1)]
-        )
-
-
-def tensile_part(s: Any) -> Any:
-    """The symmetric (2, 2) tensor with its negative eigenvalues set to zero."""
-    mean, half, shear = (s[0, 0] + s[1, 1]) / 2, (s[0, 0] - s[1, 1]) / 2, s[0, 1]
-    radius = ufl.sqrt(half**2 + shear**2)
-    larger, smaller = mean + radius, mean - radius
-    sphere = (ufl.max_value(larger, 0) + ufl.max_value(smaller, 0)) / 2
-    mixed = ufl.conditional(ufl.le(larger, 0), 0.0, larger / (2 * radius))
-    share = ufl.conditional(ufl.ge(smaller, 0), 1.0, mixed)
-    return ufl.as_matrix(
-        [[sphere + share * half, share * shear], [share * shear, sphere - share * half]]
-    )
 
 
 class MembraneEnergy:

@@ -25,7 +25,7 @@ import numpy.typing as npt
 from dolfinx import fem, la
 
 from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.energies.pressure import OpenEdges
+from crms_fenicsx.meshes.cell_geometry import OpenEdges
 from crms_fenicsx.runtime.arrays import Array, Indices
 
 PLANE = 1e-9

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 from crms_fenicsx.cables.state import State
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.minimization.minimizer import Outcome
+from crms_fenicsx.minimization.outcome import Outcome
 
 if TYPE_CHECKING:
     from crms_fenicsx.contact.active_set import ActiveSet

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,11 +14,13 @@ from petsc4py import PETSc
 
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.membrane import MembraneEnergy
-from crms_fenicsx.energies.pressure import FollowerPressure, StepPressure
-from crms_fenicsx.minimization.minimizer import Minimizer, Outcome
+from crms_fenicsx.energies.paper.step_history import StepHistory
+from crms_fenicsx.energies.paper.step_pressure import StepPressure
+from crms_fenicsx.energies.pressure import FollowerPressure
+from crms_fenicsx.minimization.minimizer import Minimizer
+from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.minimization.potential import Potential, Term
 from crms_fenicsx.model.laid_cable import polyline_length
-from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
@@ -41,28 +42,6 @@ logger = logging.getLogger("crms_fenicsx")
 UNSMOOTHED = 1e-13
 """How far the length that a cable's tension comes from may be from that of its polyline, relative
 to its unstressed length."""
-
-
-@dataclass(frozen=True)
-class StepHistory:
-    """What the step-wise laws know of the load steps before, this rank's part.
-
-    Attributes
-    ----------
-    cells : (n, 6) or None
-        Section forces and shapes of this rank's cells, as `StepMembraneEnergy.history`; None where
-        the strain has the total law.
-    energy, folded_energy
-        Strain energy so far of plain and folded cells (force x length).
-    volume, folded_volume
-        Volume gained so far under plain and folded cells (length cubed).
-    """
-
-    cells: Array | None
-    energy: float = 0.0
-    folded_energy: float = 0.0
-    volume: float = 0.0
-    folded_volume: float = 0.0
 
 
 class System:
@@ -317,7 +296,8 @@ class System:
         return terms
 
     def _tension_term(self, tables: CableTables, taut: list[LaidCable]) -> CableTension:
-        from crms_fenicsx.energies.cable_tension import CableTension, StepCableTension
+        from crms_fenicsx.energies.cable_tension import CableTension
+        from crms_fenicsx.energies.paper.step_cable import StepCableTension
 
         own = self._sliding
         EA, L0 = np.array([c.cable.EA for c in own]), np.array([c.L0 for c in own])
@@ -358,7 +338,8 @@ class System:
         return self.kinks
 
     def _folded_pressure_term(self, tables: CableTables) -> Term:
-        from crms_fenicsx.energies.folded_pressure import FoldedFollowerPressure, FoldedStepPressure
+        from crms_fenicsx.energies.folded_pressure import FoldedFollowerPressure
+        from crms_fenicsx.energies.paper.step_pressure import FoldedStepPressure
 
         if self.scene.pressure_law == "total":
             return FoldedFollowerPressure(tables.facets, self.pressure_value, self.scene.centre)

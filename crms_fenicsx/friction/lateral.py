@@ -17,7 +17,7 @@ import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces, paper_forces
-from crms_fenicsx.energies.lateral_friction import friction_energy
+from crms_fenicsx.energies.smooth_coulomb import friction_energy
 from crms_fenicsx.friction.aitken import Pace
 from crms_fenicsx.friction.slip import Support, material_curve, node_slips
 from crms_fenicsx.model.friction_history import Grip

@@ -15,6 +15,8 @@ Levenberg's damping in proportion to the residual.
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 from petsc4py import PETSc
 
@@ -99,3 +101,10 @@ class Restraint:
 def _ratio(force: Array, length: Array) -> Array:
     """Force by length; none where two points coincide, which says nothing of where they may go."""
     return np.divide(force, length, out=np.zeros_like(force), where=length > 0)
+
+
+class Damping(Protocol):
+    """Stiffness that H0 gets on top while forces are unbalanced, and that vanishes with them."""
+
+    def add_stiffness(self, unknowns: Unknowns, x: Array, g: Array, A: PETSc.Mat) -> None: ...
+    def count_stiffness(self, sizes: RowSizes) -> None: ...

@@ -25,13 +25,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.minimization.initial_hessian import InitialHessian, at_bounds
+from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.runtime.errors import InputError
 
@@ -92,65 +92,6 @@ REASONS = {
     -7: "trust region failed",
     -8: "stopped by the user",
 }
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What a minimisation came to.
-
-    Attributes
-    ----------
-    converged
-        Whether the gradient's norm fell below `tolerance`.
-    reason
-        In words, why it ended.
-    residual, tolerance
-        Norm of the gradient and what was asked for (force).
-    iterations, evaluations, factorizations
-        Quasi-Newton iterations, evaluations of energy and gradient, factorisations of H0.
-    solves
-        Minimisations: more than one where cables turned slack or taut, lifted off or slid.
-    flips
-        Mesh vertices over which cables slid sideways between minimisations, those of rejected
-        paths included; not those over which paths were pulled straight before the first.
-    passes
-        How often friction forces were taken from the state that they led to; 0 without friction.
-    unsettled
-        What the friction forces still change by, relative to their sum, where they went round in
-        circles and were left at that.
-    scale
-        The scene's own force, to which the tolerance is relative unless rounding is larger.
-    """
-
-    converged: bool
-    reason: str
-    residual: float
-    tolerance: float
-    iterations: int
-    evaluations: int
-    factorizations: int
-    solves: int = 1
-    flips: int = 0
-    passes: int = 0
-    unsettled: float = 0.0
-    scale: float = 0.0
-
-    def __add__(self, other: Outcome) -> Outcome:
-        """The outcome of `other`, after the work of both."""
-        return Outcome(
-            other.converged,
-            other.reason,
-            other.residual,
-            other.tolerance,
-            self.iterations + other.iterations,
-            self.evaluations + other.evaluations,
-            self.factorizations + other.factorizations,
-            self.solves + other.solves,
-            self.flips + other.flips,
-            self.passes + other.passes,
-            other.unsettled,
-            other.scale,
-        )
 
 
 class Minimizer:

@@ -18,6 +18,7 @@ from petsc4py import PETSc
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.integral import OnePass
+from crms_fenicsx.minimization.damping import Damping
 from crms_fenicsx.runtime import interrupt
 from crms_fenicsx.runtime.arrays import Array
 
@@ -53,13 +54,6 @@ class Term(Protocol):
     def sums(self, x: Array, out: Array) -> None: ...
     def energy(self, sums: Array) -> float: ...
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None: ...
-
-
-class Damping(Protocol):
-    """Stiffness that H0 gets on top while forces are unbalanced, and that vanishes with them."""
-
-    def add_stiffness(self, unknowns: Unknowns, x: Array, g: Array, A: PETSc.Mat) -> None: ...
-    def count_stiffness(self, sizes: RowSizes) -> None: ...
 
 
 class Potential:

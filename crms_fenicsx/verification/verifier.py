@@ -21,13 +21,13 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from crms_fenicsx.energies.membrane import area_vectors
+from crms_fenicsx.meshes.cell_geometry import area_vectors
 from crms_fenicsx.results.reactions import pressed_facets
 from crms_fenicsx.runtime.arrays import Array
 
 if TYPE_CHECKING:
     from crms_fenicsx.equilibrium.system import System
-    from crms_fenicsx.minimization.minimizer import Outcome
+    from crms_fenicsx.minimization.outcome import Outcome
     from crms_fenicsx.scene import Scene
     from crms_fenicsx.verification.cable_checks import CableVerifier
 

@@ -1,0 +1,35 @@
+"""Smoothed Coulomb friction."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+from crms_fenicsx.runtime.arrays import Array
+
+
+@numba.njit(cache=True)
+def friction_energy(slip, bound, eps, force):  # type: ignore[no-untyped-def]
+    """Potential of all nodes; its derivative by their slips into `force` (n,)."""
+    energy = 0.0
+    for k in range(slip.shape[0]):
+        y = abs(slip[k]) / eps[k]
+        if y < 1.0:
+            energy += bound[k] * eps[k] * y * y * (1.0 - y / 3.0)
+            force[k] = math.copysign(bound[k] * y * (2.0 - y), slip[k])
+        else:
+            energy += bound[k] * eps[k] * (y - 1.0 / 3.0)
+            force[k] = math.copysign(bound[k], slip[k])
+    return energy
+
+
+def secant_stiffness(slip: Array, bound: Array, eps: Array) -> Array:
+    """Stiffness ``force / slip`` of nodes, (n,) (force/length).
+
+    It is that of the parabola which touches the potential at the present slip and lies above it
+    elsewhere: the tangent is zero beyond eps, and says nothing of what comes below.
+    """
+    y = np.abs(slip) / eps
+    return np.asarray(bound / eps * np.where(y < 1.0, 2.0 - y, 1.0 / np.maximum(y, 1.0)))
