@@ -16,7 +16,7 @@ from crms_fenicsx import Cable, Friction, InputError, Scene, Solver
 from crms_fenicsx.energies.axial_friction import CapstanTension
 from crms_fenicsx.energies.capstan_chain import ENERGY, LAW, find_slips, spread_evenly
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.friction.axial import capstan_bounds
+from crms_fenicsx.friction.axial_iteration import capstan_bounds
 from crms_fenicsx.model.laid_cable import LaidCable
 
 

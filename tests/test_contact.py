@@ -14,23 +14,19 @@ import pytest
 from crms_fenicsx import Cable
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.contact.crossing_contact import joins, parting
+from crms_fenicsx.contact.gap import INSIDE, size_at, spans, under
 from crms_fenicsx.contact.lift_off import (
     DEPTH,
-    INSIDE,
     captured,
     drape,
     is_foot,
-    joins,
     link_at,
     may_lift,
     outward_pulls,
-    parting,
     released,
-    size_at,
-    spans,
     sunk,
     touch,
-    under,
 )
 from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.model.laid_cable import (

@@ -13,7 +13,8 @@ from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces
 from crms_fenicsx.friction import lateral as grips
 from crms_fenicsx.friction.aitken import Pace
-from crms_fenicsx.friction.lateral import Lag, align, begin, commit, energies
+from crms_fenicsx.friction.lateral import align, begin, commit, energies
+from crms_fenicsx.friction.lateral_iteration import Lag
 from crms_fenicsx.friction.slip import node_slips
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.friction import Friction

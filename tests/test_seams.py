@@ -19,7 +19,7 @@ from crms_fenicsx import (
 )
 from crms_fenicsx.cables.strip_gather import cells_near, grow
 from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.contact.lift_off import size_at
+from crms_fenicsx.contact.gap import size_at
 from crms_fenicsx.contact.span_projection import shadow
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.friction.slip import material_curve, node_slips

@@ -11,19 +11,16 @@ contacts cannot flicker.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence, Set
-from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.model.crossing import Crossing
-from crms_fenicsx.model.laid_cable import COINCIDENT, CableNode, LaidCable
+from crms_fenicsx.contact.gap import INSIDE, Under, size_at, spans, under
+from crms_fenicsx.model.laid_cable import COINCIDENT, LaidCable
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import CellPoint, EdgePoint
-from crms_fenicsx.surface.triangles import cross, dot, norm
+from crms_fenicsx.surface.triangles import dot, norm
 
 Edge = tuple[int, int]
 
@@ -34,40 +31,10 @@ DEPTH = 1e-6
 NEARLY = 0.05
 """Height above the membrane, relative to the cells' size, up to which a cable may touch it once it
 has folded it: folds bulge."""
-INSIDE = 0.02
-"""Fractions nearer to an edge's end than this are no places to start from."""
 SUNK = 0.02
 """Depth below the membrane, relative to the cells' size, that is no error of the mesh any more."""
 PAST = 0.25
 """Part of an edge up to which a span that passes beyond its end is judged by it; see `captured`."""
-
-
-class Under(NamedTuple):
-    """The place of the membrane under a free span, at one of the cable's nodes.
-
-    Attributes
-    ----------
-    gap
-        Height of the span above it, along the membrane's normal (length).
-    fraction
-        On the edge; NaN at a vertex.
-    place, above : (3,)
-        The place, and the point of the span above it.
-    inside
-        Whether the place is on the edge and the point on the span, both within their ends. A span
-        that passes a vertex on the other side, just beyond the edge's end, counts as well: paths
-        keep that far off vertices, so that they need not tell the two sides.
-    past
-        The vertex at the edge's end beyond which the span passes, not far off it; -1 if it does
-        not.
-    """
-
-    gap: float
-    fraction: float
-    place: Array
-    above: Array
-    inside: bool
-    past: int = -1
 
 
 def may_lift(cable: LaidCable) -> Iterator[int]:
@@ -122,84 +89,6 @@ def outward_pulls(cable: LaidCable, nodes: Sequence[int], normals: Array, reache
     ways = np.stack([np.interp(near, arc, x[:, m]) for m in range(3)], axis=2) - x[i]
     pulls[free] = dot((ways / norm(ways)[..., None]).sum(axis=0), normals[free])
     return pulls
-
-
-def size_at(shape: StripShape, support: tuple[int, ...]) -> float:
-    """Size of the cells around a vertex or an edge (length)."""
-    return float(shape.normals_and_sizes([support])[1][0])
-
-
-def under(
-    node: CableNode,
-    span: tuple[Array, Array],
-    shape: StripShape,
-    bends: Sequence[Array] = (),
-    reach: float = PAST,
-) -> Under:
-    """The place of the membrane on a node's edge or vertex that a free span passes.
-
-    Parameters
-    ----------
-    node
-        A vertex, or a point of an edge.
-    span
-        The ends of the span.
-    shape
-        Positions of the vertices around.
-    bends
-        Positions of the fold points that other cables have on the edge, in order.
-    reach
-        Part of the edge up to which a span may pass beyond its end for the place to say so.
-    """
-    assert node.point is not None
-    support = node.point.support
-    normal = shape.normal(support)
-    start, end = span
-    line = [shape.at(support[0]), *bends, shape.at(support[-1])]
-    if len(support) == 1:
-        t = float((line[0] - start) @ (end - start) / ((end - start) @ (end - start)))
-        above = start + min(max(t, 0.0), 1.0) * (end - start)
-        gap = float((above - line[0]) @ normal)
-        return Under(gap, np.nan, line[0], above, 0.0 < t < 1.0)
-    sizes = [float(np.linalg.norm(b - a)) for a, b in pairwise(line)]
-    found: Under | None = None
-    before, best = 0.0, (True, np.inf)
-    for (a, b), size in zip(pairwise(line), sizes, strict=True):
-        s, t = _nearest(a, b, start, end, normal)
-        first, last = before == 0.0, before + size >= sum(sizes) * (1 - 1e-12)
-        inside = (s > -INSIDE or not first) and (s < 1 + INSIDE or not last) and 0.0 < t < 1.0
-        other = (s < 0.0 and not first) or (s > 1.0 and not last)  # it passes another part
-        past = -1
-        if 0.0 < t < 1.0 and not inside:
-            past = support[0] if first and -reach < s < 0.0 else past
-            past = support[1] if last and 1.0 < s < 1 + reach else past
-        s, t = min(max(s, 0.0), 1.0), min(max(t, 0.0), 1.0)
-        place, above = a + s * (b - a), start + t * (end - start)
-        fraction = (before + s * size) / sum(sizes)
-        gap = float((above - place) @ normal)
-        if found is None or (other, gap) < best:
-            best = other, gap
-            found = Under(gap, fraction, place, above, inside, past)
-        before += size
-    assert found is not None
-    return found
-
-
-def _nearest(a: Array, b: Array, c: Array, d: Array, normal: Array) -> tuple[float, float]:
-    """Where the lines ab and cd cross, seen along the normal: their parameters."""
-    u, v = (x - (x @ normal) * normal for x in (b - a, d - c))
-    w = (c - a) - ((c - a) @ normal) * normal
-    area = float(cross(u, v) @ normal)
-    if abs(area) <= 1e-12 * float(np.linalg.norm(u) * np.linalg.norm(v)):
-        return 0.5, 0.5  # the span runs along the edge
-    return float(cross(w, v) @ normal) / area, float(cross(w, u) @ normal) / area
-
-
-def spans(cable: LaidCable) -> Iterator[tuple[int, int]]:
-    """Pairs of contacts between which the cable is off the membrane."""
-    for a, b in pairwise(cable.contacts()):
-        if b - a > 1:
-            yield a, b
 
 
 def released(cable: LaidCable, shape: StripShape, covered: Set[int] = frozenset()) -> list[int]:
@@ -316,41 +205,6 @@ def touch(cable: LaidCable, places: Mapping[int, Under]) -> None:
         cable.positions[k] = place.place
         if cable.nodes[k].slides:
             cable.fractions[k] = min(max(place.fraction, INSIDE), 1 - INSIDE)
-
-
-def parting(
-    crossings: Sequence[Crossing], cables: Sequence[LaidCable], shape: StripShape
-) -> list[Crossing]:
-    """The crossings at which the upper cable pulls the lower one up."""
-    by_upper: dict[int, list[Crossing]] = defaultdict(list)
-    for crossing in crossings:
-        if not crossing.apart:
-            by_upper[crossing.upper].append(crossing)
-    found = []
-    for c, own in by_upper.items():
-        upper = cables[c]
-        number = {id(node.crossing): k for k, node in enumerate(upper.nodes) if node.crossing}
-        nodes = [number[id(crossing)] for crossing in own]
-        on = [n for n, k in enumerate(nodes) if not upper.lifted[k]]
-        pulls = outward_pulls(
-            upper, [nodes[n] for n in on], *shape.normals_and_sizes([own[n].support for n in on])
-        )
-        found += [own[n] for n, pull in zip(on, pulls, strict=True) if pull > PULL]
-    return found
-
-
-def joins(crossing: Crossing, cables: Sequence[LaidCable], shape: StripShape) -> bool:
-    """Whether two cables that have parted would run through each other."""
-    if not crossing.apart:
-        return False
-    normal = shape.normal(crossing.support)
-    (a, b), (c, d) = (
-        link_at(cables[number], k)
-        for number, k in zip((crossing.lower, crossing.upper), crossing.links, strict=True)
-    )
-    s, t = (min(max(x, 0.0), 1.0) for x in _nearest(a, b, c, d, normal))
-    gap = float((c + t * (d - c) - a - s * (b - a)) @ normal)
-    return gap < -DEPTH * float(np.linalg.norm(b - a))
 
 
 def link_at(cable: LaidCable, k: int) -> tuple[Array, Array]:

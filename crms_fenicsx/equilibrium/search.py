@@ -25,8 +25,8 @@ from crms_fenicsx.minimization.outcome import Outcome
 
 if TYPE_CHECKING:
     from crms_fenicsx.contact.active_set import ActiveSet
-    from crms_fenicsx.friction.axial import AxialLag
-    from crms_fenicsx.friction.lateral import Lag
+    from crms_fenicsx.friction.axial_iteration import AxialLag
+    from crms_fenicsx.friction.lateral_iteration import Lag
     from crms_fenicsx.paths.retrace import Retracer, Tried
 
 logger = logging.getLogger("crms_fenicsx")
@@ -171,7 +171,7 @@ class EquilibriumSearch:
         if not lags:
             return outcome
         from crms_fenicsx.cables.strip_positions import StripShape
-        from crms_fenicsx.friction.lateral import NEARLY
+        from crms_fenicsx.friction.lateral_iteration import NEARLY
 
         rough = True
         change, least, waited = 0.0, math.inf, 0
@@ -209,11 +209,11 @@ class EquilibriumSearch:
         lags: list[Lag | AxialLag] = []
         for cable in self.scene.cables:
             if cable.has_coulomb:
-                from crms_fenicsx.friction.lateral import Lag
+                from crms_fenicsx.friction.lateral_iteration import Lag
 
                 lags.append(Lag(cable))
             if cable.axial is not None:
-                from crms_fenicsx.friction.axial import AxialLag
+                from crms_fenicsx.friction.axial_iteration import AxialLag
 
                 lags.append(AxialLag(cable))
         return lags

@@ -17,7 +17,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.cables.strip_gather import grow
 from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.contact.lift_off import size_at
+from crms_fenicsx.contact.gap import size_at
 from crms_fenicsx.contact.span_projection import shadow
 from crms_fenicsx.model.laid_cable import COINCIDENT, CableNode, LaidCable
 from crms_fenicsx.runtime.arrays import Array

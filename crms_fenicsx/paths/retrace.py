@@ -18,7 +18,8 @@ import numpy as np
 from crms_fenicsx.cables.crossings import note_places
 from crms_fenicsx.cables.strip_gather import grow
 from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.contact.lift_off import INSIDE, drape
+from crms_fenicsx.contact.gap import INSIDE
+from crms_fenicsx.contact.lift_off import drape
 from crms_fenicsx.contact.span_projection import with_shadows
 from crms_fenicsx.geodesics.corridor import flaw
 from crms_fenicsx.geodesics.flip_geodesic import Corridor, corridor, shorten

@@ -16,7 +16,8 @@ from mpi4py import MPI
 
 from crms_fenicsx.cables.numbering import Network
 from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.contact.lift_off import INSIDE, is_foot, may_lift, outward_pulls
+from crms_fenicsx.contact.gap import INSIDE
+from crms_fenicsx.contact.lift_off import is_foot, may_lift, outward_pulls
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.paths.held_vertices import held_runs
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
@@ -331,7 +332,8 @@ def _friction(cable: LaidCable, shape: StripShape, nodal: float) -> dict[str, fl
     if friction is None and cable.axial is None:
         return values
     from crms_fenicsx.contact.contact_force import contact_forces, wrap_angles
-    from crms_fenicsx.friction.lateral import energies, held_nodes
+    from crms_fenicsx.friction.gripped_nodes import held_nodes
+    from crms_fenicsx.friction.lateral import energies
 
     if friction is not None and cable.has_coulomb and cable.grip is not None:
         forces = contact_forces(cable, shape)
