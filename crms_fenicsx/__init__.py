@@ -21,7 +21,8 @@ from crms_fenicsx.runtime.errors import (
     PictureWarning,
 )
 from crms_fenicsx.scene import Scene
-from crms_fenicsx.solver import Solver, Step
+from crms_fenicsx.solver import Solver
+from crms_fenicsx.steps.load_step import Step
 
 __version__ = "0.1.0"
 __all__ = [

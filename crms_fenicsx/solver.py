@@ -6,7 +6,7 @@ import logging
 import time
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
@@ -30,8 +30,9 @@ from crms_fenicsx.runtime.errors import (
 from crms_fenicsx.runtime.interrupt import postponed, stop_together
 from crms_fenicsx.runtime.readonly import ReadOnly
 from crms_fenicsx.scene import Marker, Scene
+from crms_fenicsx.steps.load_step import Step
 from crms_fenicsx.steps.loading import Target, checked_target, has_free_rim
-from crms_fenicsx.verification.verifier import Verification, Verifier
+from crms_fenicsx.verification.verifier import Verifier
 
 if TYPE_CHECKING:
     from crms_fenicsx.checkpoint import Run
@@ -49,40 +50,6 @@ ANOTHER = "make another Solver(scene, ...), which goes on from the scene as it i
 """What to do instead of assigning a solver's options."""
 MOST_TURNS = 50
 """Solves of an increment with the paper's pressure on a membrane with free edges."""
-
-
-@dataclass(frozen=True)
-class Step:
-    """An accepted load step.
-
-    Attributes
-    ----------
-    number
-        Counted from 1 over the solver's life.
-    outcome
-        What the solve took; failed attempts of the step are included.
-    energies
-        Energy of each kind of term (force x length).
-    seconds
-        Wall time.
-    halvings
-        How often the increment had to be halved.
-    verification
-        What checks of the state say that do without the solver; None if it was told not to make
-        any. It is not saved with a run.
-    """
-
-    number: int
-    outcome: Outcome
-    energies: dict[str, float]
-    seconds: float
-    halvings: int
-    verification: Verification | None = field(default=None, compare=False)
-
-    @property
-    def energy(self) -> float:
-        """Total potential energy (force x length)."""
-        return sum(self.energies.values())
 
 
 class Solver:

@@ -21,7 +21,7 @@ from crms_fenicsx.minimization.minimizer import REBUILD
 from crms_fenicsx.model.materials import UNSTRAINED, Membrane
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.runtime.errors import InputError
-from crms_fenicsx.solver import Step
+from crms_fenicsx.steps.load_step import Step
 
 Array = npt.NDArray[Any]
 

@@ -18,7 +18,8 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.verification.verifier import Verification, Verifier
+from crms_fenicsx.verification.report import Verification
+from crms_fenicsx.verification.verifier import Verifier
 
 pytestmark = pytest.mark.usefixtures("comm")
 

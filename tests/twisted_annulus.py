@@ -21,7 +21,7 @@ from term_twins import best_angle
 from crms_fenicsx import Scene, Solver
 from crms_fenicsx.meshes import MembraneMesh, from_arrays
 from crms_fenicsx.model.materials import Membrane
-from crms_fenicsx.solver import Step
+from crms_fenicsx.steps.load_step import Step
 
 Array = npt.NDArray[Any]
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from crms_fenicsx.checkpoint.json_data import Array, Plain, floats, integers, listed
 from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.minimization.outcome import Outcome
-from crms_fenicsx.solver import Step
+from crms_fenicsx.steps.load_step import Step
 
 if TYPE_CHECKING:
     from crms_fenicsx.paths.retrace import ContactKey, Tried

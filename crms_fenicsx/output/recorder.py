@@ -12,7 +12,8 @@ import numpy.typing as npt
 from crms_fenicsx.cables.deformed_surface import current_surface
 from crms_fenicsx.cables.enclosed_volume import gained_volume
 from crms_fenicsx.dofs.layout import vertex_starts
-from crms_fenicsx.output.data import Line, Surface
+from crms_fenicsx.output.cable_lines import cable_lines
+from crms_fenicsx.output.data import Surface
 from crms_fenicsx.output.history import History, Value
 from crms_fenicsx.output.lock import FolderLock
 from crms_fenicsx.results.membrane_results import membrane_results
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from crms_fenicsx.equilibrium.system import System
     from crms_fenicsx.output.paraview import Series
     from crms_fenicsx.scene import Scene
-    from crms_fenicsx.solver import Step
+    from crms_fenicsx.steps.load_step import Step
 
 
 class Recorder:
@@ -204,32 +205,3 @@ def _homes(scene: Scene, points: int) -> npt.NDArray[np.int64]:
     homes[own:known, 1] = vertices.ghosts - starts[vertices.owners]
     homes[known:, 1] = own + np.arange(points - known)
     return homes
-
-
-def cable_lines(scene: Scene) -> list[Line]:
-    """The scene's cables as lines, the same on all ranks. Collective.
-
-    They know their tension, of each segment where friction along the cable makes it vary, which
-    segments are "lifted" off the membrane, and how hard they press on it at their points: "contact
-    force", per length of cable, zero where they do not touch it.
-    """
-    if not scene.cables:
-        return []
-    from crms_fenicsx.cables.strip_positions import StripShape
-    from crms_fenicsx.contact.contact_force import contact_forces
-
-    shape = StripShape.of(scene)
-    return [
-        Line(
-            cable.line,
-            {
-                "tension": cable.tension if cable.axial is None else cable.tensions,
-                "lifted": cable.free_spans,
-                "contact force": np.nan_to_num(
-                    contact_forces(cable, shape).line[cable.line_nodes()]
-                ),
-            },
-            cable.name,
-        )
-        for cable in scene.cables
-    ]

@@ -23,12 +23,13 @@ from crms_fenicsx.model.laid_cable import (
 )
 from crms_fenicsx.paths.follow import unfolded
 from crms_fenicsx.paths.seam_checks import refuse_forks, refuse_places_behind
+from crms_fenicsx.paths.typed_nodes import fractions_of, nodes_of
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, PathError
 from crms_fenicsx.scene import Cables
 from crms_fenicsx.surface.path import Path
-from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint
+from crms_fenicsx.surface.points import EdgePoint, SurfacePoint, VertexPoint
 from crms_fenicsx.surface.trace import trace
 
 if TYPE_CHECKING:
@@ -146,35 +147,6 @@ def _ends(scene: Scene, strip: Strip, path: Path) -> tuple[End, End]:
         return "held" if on_edge else "tied"
 
     return end(path.start_anchor, path.points[0]), end(path.end_anchor, path.points[-1])
-
-
-def nodes_of(
-    points: Sequence[SurfacePoint], strip: Strip, ends: tuple[End, End]
-) -> tuple[CableNode, ...]:
-    """The points of a polyline, with anchors at its ends where it has them."""
-    nodes: list[CableNode] = []
-    last = len(points) - 1
-    for k, point in enumerate(points):
-        in_place = (k == 0 and ends[0] != "off") or (k == last and ends[1] != "off")
-        if isinstance(point, VertexPoint):
-            nodes.append(CableNode("vertex", point))
-        elif in_place or isinstance(point, CellPoint):
-            nodes.append(CableNode("rider", point))
-        elif point.edge in strip.held_edges:
-            nodes.append(CableNode("rail", point))
-        else:
-            nodes.append(CableNode("fold", point))
-    if ends[0] != "tied":
-        nodes.insert(0, CableNode("anchor"))
-    if ends[1] != "tied":
-        nodes.append(CableNode("anchor"))
-    return tuple(nodes)
-
-
-def fractions_of(nodes: Sequence[CableNode]) -> Array:
-    """Places of the nodes on edges; NaN for other nodes."""
-    points = (node.point for node in nodes)
-    return np.array([p.fraction if isinstance(p, EdgePoint) else np.nan for p in points])
 
 
 def _position(node: CableNode, k: int, path: Path, shape: StripShape) -> Array:

@@ -25,7 +25,7 @@ from crms_fenicsx.geodesics.corridor import flaw
 from crms_fenicsx.geodesics.flip_geodesic import Corridor, corridor, shorten
 from crms_fenicsx.model.laid_cable import CableNode, End, LaidCable
 from crms_fenicsx.paths.creased_surface import FoldedSurface, bends
-from crms_fenicsx.paths.laying import fractions_of, nodes_of
+from crms_fenicsx.paths.typed_nodes import fractions_of, nodes_of
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.surface.intrinsic import MissingStars

@@ -23,7 +23,7 @@ from crms_fenicsx.paths.held_vertices import held_runs
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.surface.points import EdgePoint
 from crms_fenicsx.surface.triangles import norm
-from crms_fenicsx.verification.verifier import Check
+from crms_fenicsx.verification.report import Check
 
 if TYPE_CHECKING:
     from crms_fenicsx.equilibrium.system import System

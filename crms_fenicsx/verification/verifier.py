@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import logging
 import time
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,6 +23,7 @@ from mpi4py import MPI
 from crms_fenicsx.meshes.cell_geometry import area_vectors
 from crms_fenicsx.results.reactions import pressed_facets
 from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.verification.report import Check, Verification
 
 if TYPE_CHECKING:
     from crms_fenicsx.equilibrium.system import System
@@ -62,90 +62,6 @@ SPREAD = 8.0
 """Standard deviations in which a sum of unbalanced forces with random signs lies."""
 NEGLIGIBLE = 1e-300
 """Forces below this have no size that others could be relative to."""
-
-
-@dataclass(frozen=True)
-class Check:
-    """One thing that is true of an equilibrium.
-
-    Attributes
-    ----------
-    name
-        What is checked.
-    value
-        How far it is from true, without a unit.
-    limit
-        How far it may be.
-    where
-        The cable for which it is worst; empty if it concerns the scene.
-    binding
-        Whether a state that fails is no result. What depends on how coarse the mesh is, as the
-        contact of single points, only makes it doubtful.
-    """
-
-    name: str
-    value: float
-    limit: float
-    where: str = ""
-    binding: bool = True
-
-    @property
-    def passed(self) -> bool:
-        """Whether the value is within the limit; not a number is not."""
-        return bool(self.value <= self.limit)
-
-    def __str__(self) -> str:
-        of = f" of {self.where!r}" if self.where else ""
-        sign = "<=" if self.passed else "and not <="
-        return f"{self.name}{of} {self.value:.2g} {sign} {self.limit:.2g}"
-
-
-@dataclass(frozen=True)
-class Verification:
-    """What came of the checks of a load step.
-
-    Attributes
-    ----------
-    checks
-        All of them.
-    seconds
-        Wall time that they took.
-    """
-
-    checks: tuple[Check, ...]
-    seconds: float
-
-    @property
-    def failed(self) -> tuple[Check, ...]:
-        """The checks that say that the state is no equilibrium."""
-        return tuple(check for check in self.checks if check.binding and not check.passed)
-
-    @property
-    def doubtful(self) -> tuple[Check, ...]:
-        """The checks that say that the state is crude where they look."""
-        return tuple(check for check in self.checks if not check.binding and not check.passed)
-
-    @property
-    def passed(self) -> bool:
-        """Whether all is as it must be."""
-        return not self.failed
-
-    def __getitem__(self, name: str) -> Check:
-        """The check with a name.
-
-        Raises
-        ------
-        KeyError
-            There was none.
-        """
-        for check in self.checks:
-            if check.name == name:
-                return check
-        raise KeyError(name)
-
-    def __str__(self) -> str:
-        head = "verified" if self.passed else "not verified"
-        return f"{head}: " + "; ".join(str(check) for check in self.failed or self.checks)
 
 
 class Verifier:

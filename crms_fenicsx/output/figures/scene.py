@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from crms_fenicsx.cables.deformed_surface import CurrentSurface, current_surface
+from crms_fenicsx.output.cable_lines import cable_lines
 from crms_fenicsx.output.data import Line
 from crms_fenicsx.output.figures.history import draw_history
 from crms_fenicsx.output.figures.paths import draw_path
 from crms_fenicsx.output.figures.surface import draw_shape
 from crms_fenicsx.output.history import History
-from crms_fenicsx.output.recorder import cable_lines
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.errors import InputError, PictureWarning, raised_together

@@ -1,0 +1,42 @@
+"""What a load step has found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from crms_fenicsx.minimization.outcome import Outcome
+from crms_fenicsx.verification.report import Verification
+
+
+@dataclass(frozen=True)
+class Step:
+    """An accepted load step.
+
+    Attributes
+    ----------
+    number
+        Counted from 1 over the solver's life.
+    outcome
+        What the solve took; failed attempts of the step are included.
+    energies
+        Energy of each kind of term (force x length).
+    seconds
+        Wall time.
+    halvings
+        How often the increment had to be halved.
+    verification
+        What checks of the state say that do without the solver; None if it was told not to make
+        any. It is not saved with a run.
+    """
+
+    number: int
+    outcome: Outcome
+    energies: dict[str, float]
+    seconds: float
+    halvings: int
+    verification: Verification | None = field(default=None, compare=False)
+
+    @property
+    def energy(self) -> float:
+        """Total potential energy (force x length)."""
+        return sum(self.energies.values())
