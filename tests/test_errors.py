@@ -24,7 +24,8 @@ ROOT = Path(__file__).parents[1]
 MPIRUN = ("mpirun", "-n", "3")
 SCENE = """
 from mpi4py import MPI
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, errors, meshes
+from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.runtime import errors
 from crms_fenicsx.minimization.potential import Potential
 
 errors.PATIENCE = 0.5

@@ -313,9 +313,11 @@ for choice in ({{}}, dict(friction=0), dict(friction=Friction(0.0))):
 for values, *other in found[1:]:
     np.testing.assert_allclose(values, found[0][0], rtol=1e-9, atol=1e-9)
     assert tuple(other) == found[0][1:], (other, found[0][1:])
-names = ("friction_element", "friction_tables", "give_way", "grip", "slip",
-         "stick_slip")
-print([name for name in names if "crms_fenicsx.cables." + name in sys.modules])
+names = (
+    "energies.paper.friction_element", "energies.lateral_friction", "friction.lateral_tables",
+    "friction.lateral", "friction.slip", "paths.friction_release",
+)
+print([name for name in names if "crms_fenicsx." + name in sys.modules])
 """
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=False,

@@ -11,7 +11,7 @@ from friction_scene import friction_dome, shaken_fractions
 
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces
-from crms_fenicsx.friction import lateral as grips
+from crms_fenicsx.friction import lateral_iteration as grips
 from crms_fenicsx.friction.aitken import Pace
 from crms_fenicsx.friction.lateral import align, begin, commit, energies
 from crms_fenicsx.friction.lateral_iteration import Lag

@@ -15,15 +15,19 @@ MODULES = sorted(
     ["crms_fenicsx"]
     + [m.name for m in pkgutil.walk_packages(crms_fenicsx.__path__, "crms_fenicsx.")]
 )
-KERNELS = tuple(
-    f"crms_fenicsx.cables.{name}"
-    for name in ("fold", "law", "length", "network", "penalty", "step_fold", "tension", "volume")
-)
-KERNELS += (
-    "crms_fenicsx.energies.paper.friction_element",
+KERNELS = (
+    "crms_fenicsx.cables.numbering",
     "crms_fenicsx.energies.lateral_friction",
+    "crms_fenicsx.energies.cable_tension",
+    "crms_fenicsx.energies.fold_penalty",
+    "crms_fenicsx.energies.folded_membrane",
+    "crms_fenicsx.energies.folded_pressure",
+    "crms_fenicsx.energies.paper.friction_element",
+    "crms_fenicsx.energies.paper.step_folded_membrane",
+    "crms_fenicsx.energies.segments",
+    "crms_fenicsx.energies.stress_laws",
+    "crms_fenicsx.energies.tension_field",
 )
-KERNELS += ("crms_fenicsx.energies.tension_field",)
 OPTIONAL = ("gmsh", "meshio", "matplotlib", "tqdm", "pyvista", *KERNELS)
 
 WATCH = """

@@ -16,7 +16,8 @@ from crms_fenicsx.runtime import interrupt
 SCRIPT = """
 import os, signal, sys, time
 from mpi4py import MPI
-from crms_fenicsx import IsotropicMembrane, Scene, Solver, errors, interrupt, meshes
+from crms_fenicsx import IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.runtime import errors, interrupt
 from crms_fenicsx.minimization.potential import Potential
 
 errors.PATIENCE = 5.0

@@ -16,15 +16,10 @@ from typing import NamedTuple
 import numpy as np
 
 from crms_fenicsx.cables.strip import Strip
-from crms_fenicsx.model.crossing import Crossing
+from crms_fenicsx.model.crossing import Crossing, Member
 from crms_fenicsx.model.laid_cable import CableNode, LaidCable
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.surface.points import CellPoint, EdgePoint
-
-Edge = tuple[int, int]
-Member = tuple[int, int]
-"""A node of a cable, crossings not counted: the cable's number, the node's number."""
-
+from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint
 
 TANGLED = 8
 """Two crossings of the same cables with fewer cells than this between them are no way for taut

@@ -12,17 +12,19 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.numbering import Edge, Link, Member, Network
+from crms_fenicsx.cables.numbering import Link, Network
 from crms_fenicsx.energies.fold_penalty import Kinks
 from crms_fenicsx.energies.folded_membrane import FoldedCells
 from crms_fenicsx.energies.folded_pressure import Facets
 from crms_fenicsx.energies.membrane import MembraneEnergy
 from crms_fenicsx.energies.segments import COINCIDENT, SMOOTHING
 from crms_fenicsx.meshes.cell_geometry import area_vectors
+from crms_fenicsx.minimization.damping import Damping
+from crms_fenicsx.model.crossing import Member
 from crms_fenicsx.model.materials import N_PARAMETERS
 from crms_fenicsx.runtime.arrays import Array, Indices
 from crms_fenicsx.runtime.compat import geometry_dofmap
-from crms_fenicsx.surface.points import EdgePoint
+from crms_fenicsx.surface.points import Edge, EdgePoint
 from crms_fenicsx.surface.polygons import fan_facets
 
 NEAR_ANCHOR = 1e-3
@@ -186,3 +188,17 @@ class _FoldedCellsOf:
         corners, weights = fan_facets(polygons)
         plain = [[network.vertex(v) for v in network.strip.corners[row]] for row in rows]
         return Facets(corners, weights, np.array(plain, dtype=np.int32).reshape(-1, 3))
+
+
+def damping(network: Network, segments: Indices) -> Damping:
+    """What holds back the points of the cables in tension, with this rank's segments (m, 2)."""
+    taut = {c for c, cable in enumerate(network.cables) if cable.taut}
+    sliders, fractions = [], []
+    for edge, points in network.points_by_edge(taut).items():
+        for fraction, c, k in points:
+            own = network.owners[network.numbers[c, k]] == network.rank
+            if own and network.cables[c].nodes[k].slides:
+                ends = (network.vertex(vertex) for vertex in edge)
+                sliders.append((network.block(c, k), *ends))
+                fractions.append(fraction)
+    return Damping(np.array(sliders, dtype=np.int32).reshape(-1, 3), np.array(fractions), segments)

@@ -19,17 +19,14 @@ from dolfinx import fem
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.segments import SMOOTHING
+from crms_fenicsx.model.crossing import Member
 from crms_fenicsx.model.laid_cable import CableNode, LaidCable
 from crms_fenicsx.runtime.arrays import Array, Indices
-from crms_fenicsx.surface.points import EdgePoint, SurfacePoint
+from crms_fenicsx.surface.points import Edge, EdgePoint, SurfacePoint
 from crms_fenicsx.surface.polygons import split_polygon
 
-Edge = tuple[int, int]
 Corner = int | tuple[int, int]
 """A corner of a piece of a folded cell: a vertex by its id, or a cable's point (cable, node)."""
-
-Member = tuple[int, int]
-"""A node of a cable: the cable's number, the node's number."""
 
 
 class Link(NamedTuple):

@@ -14,8 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from crms_fenicsx.runtime.arrays import Integers
-
-Edge = tuple[int, int]
+from crms_fenicsx.surface.points import Edge
 
 
 @dataclass(frozen=True)

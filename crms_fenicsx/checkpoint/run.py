@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
-from crms_fenicsx.checkpoint.json_data import Array, Plain, floats, integers, listed
+from crms_fenicsx.checkpoint.json_data import Plain, floats, integers, listed
 from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.minimization.outcome import Outcome
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.steps.load_step import Step
 
 if TYPE_CHECKING:

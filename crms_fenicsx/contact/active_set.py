@@ -14,6 +14,7 @@ import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact import lift_off as contact
+from crms_fenicsx.contact.crossing_contact import joins, parting
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.paths.creased_surface import bends, nodes_on_edges
 from crms_fenicsx.surface.points import Edge, EdgePoint, VertexPoint
@@ -149,15 +150,15 @@ class ActiveSet:
     def _crossings(self, shape: StripShape) -> list[str]:
         changes = []
         scene = self.scene
-        parting = {id(k) for k in contact.parting(scene.crossings, scene.cables, shape)}
+        apart = {id(k) for k in parting(scene.crossings, scene.cables, shape)}
         for crossing in scene.crossings:
             names = scene.cables[crossing.upper].name, scene.cables[crossing.lower].name
             # Not by place: a crossing may come back in another cell than that where it was left.
-            if id(crossing) in parting and names not in self._settled:
+            if id(crossing) in apart and names not in self._settled:
                 crossing.apart = True
                 self._released.add(names)
                 changes.append("{} lifts off {}".format(*names))
-            elif contact.joins(crossing, scene.cables, shape):
+            elif joins(crossing, scene.cables, shape):
                 crossing.apart = False
                 if names in self._released:
                     self._settled.add(names)

@@ -19,10 +19,8 @@ from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.gap import INSIDE, Under, size_at, spans, under
 from crms_fenicsx.model.laid_cable import COINCIDENT, LaidCable
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.surface.points import CellPoint, EdgePoint
+from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint
 from crms_fenicsx.surface.triangles import dot, norm
-
-Edge = tuple[int, int]
 
 PULL = 1e-6
 """Outward force, relative to the tension, from which on a cable is let go."""
@@ -33,8 +31,6 @@ NEARLY = 0.05
 has folded it: folds bulge."""
 SUNK = 0.02
 """Depth below the membrane, relative to the cells' size, that is no error of the mesh any more."""
-PAST = 0.25
-"""Part of an edge up to which a span that passes beyond its end is judged by it; see `captured`."""
 
 
 def may_lift(cable: LaidCable) -> Iterator[int]:

@@ -8,7 +8,8 @@ holds it. Its energy is
 l_k the current length of a span, d_k the unstressed length that it has at the moment, s_k the slip
 of the cable along itself at a node, counted on the unstressed cable. The slips are no unknowns of
 the solver: for the lengths of the spans, which every rank knows from the one reduction, they are
-those that minimise this energy (`crms_fenicsx.energies.capstan_chain`). So the derivative by l_k is T_k.
+those that minimise this energy (`crms_fenicsx.energies.capstan_chain`). So the derivative by l_k is
+T_k.
 
 The unstressed arc that rests at a fold point depends on its place on its edge, as an edge is not
 square to the cable: ``rest = slope * fraction + offset``. Without that the cable's friction along

@@ -11,11 +11,11 @@ with rest_k the unstressed arc of the cable that would sit at node k without sli
     ENERGY   sum EA/2 <l_k - d_k>^2 / d_k  +  sum B_k eps_k f(s_k/eps_k)
     LAW      sum (d_k ln d_k + (l_k - d_k) ln(l_k - d_k))  +  sum m_k eps_k f(s_k/eps_k)
 
-with f as in `crms_fenicsx.energies.lateral_friction`. The first is the potential whose friction bounds B_k
-are given. The second is Coulomb's law itself: the derivative of its first sum by d_k is minus the
-logarithm of the span's strain, and so its minimum has ``ln(T_(k+1)/T_k) = -m_k f'(s_k/eps_k)``,
-with m_k the coefficient of friction times the angle of wrap: a node that slides has exactly the
-ratio exp(m_k) of capstans, one that sticks less.
+with f as in `crms_fenicsx.energies.lateral_friction`. The first is the potential whose friction
+bounds B_k are given. The second is Coulomb's law itself: the derivative of its first sum by d_k is
+minus the logarithm of the span's strain, and so its minimum has ``ln(T_(k+1)/T_k) = -m_k
+f'(s_k/eps_k)``, with m_k the coefficient of friction times the angle of wrap: a node that slides
+has exactly the ratio exp(m_k) of capstans, one that sticks less.
 
 Both are solved by Newton's method with a line search, to rounding; the Hessian has three diagonals.
 The slips are the unknowns, and not the arcs: where the cable sticks they are far below the rounding

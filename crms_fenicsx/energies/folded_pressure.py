@@ -69,7 +69,7 @@ def _add_volume_gradient(X, x, corners, weights, origin, factor, g):  # type: ig
 
 
 class FoldedFollowerPressure:
-    """Potential ``-p (V - V0)`` of the folded cells; see `crms_fenicsx.energies.pressure.FollowerPressure`."""
+    """Potential ``-p (V - V0)`` of the folded cells, as `FollowerPressure`."""
 
     name = "pressure"
     n_sums = 1

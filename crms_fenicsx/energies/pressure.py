@@ -16,10 +16,10 @@ from crms_fenicsx.runtime.arrays import Array
 class FollowerPressure:
     """Potential ``-p (V - V0)`` of a uniform pressure, V the volume under the membrane.
 
-    Its gradient is the pressure's exact nodal forces, normal to the current surface, as long as
-    the `open_edges` are held; where they slide in planes `crms_fenicsx.energies.pressure_rim` has what is missing. V
-    is counted from `origin`; V0 is that of the stress-free surface, so that the energy is the work
-    done since and does not depend on the origin.
+    Its gradient is the pressure's exact nodal forces, normal to the current surface, as long as the
+    `open_edges` are held; where they slide in planes `crms_fenicsx.energies.pressure_rim` has what
+    is missing. V is counted from `origin`; V0 is that of the stress-free surface, so that the
+    energy is the work done since and does not depend on the origin.
 
     Parameters
     ----------

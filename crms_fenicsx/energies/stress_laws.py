@@ -1,4 +1,4 @@
-"""The stress laws of `crms_fenicsx.model.materials`, compiled: for folded cells, orthotropic also plain.
+"""Compiled stress laws of `crms_fenicsx.model.materials`: folded cells, orthotropic plain ones.
 
 Orthotropic tension field. A membrane that cannot carry compression has the energy of the best
 tensile stress, ``max sigma : E - 1/2 sigma : C : sigma``. Where D E is tensile that is D E (taut);

@@ -25,7 +25,7 @@ from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.element_tables import CableTables
-    from crms_fenicsx.cables.numbering import Member, Network
+    from crms_fenicsx.cables.numbering import Network
     from crms_fenicsx.energies.axial_friction import CapstanTension
     from crms_fenicsx.energies.cable_tension import CableTension
     from crms_fenicsx.energies.dead_load import DeadLoad
@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from crms_fenicsx.energies.folded_membrane import FoldedCells, FoldEnergy
     from crms_fenicsx.energies.lateral_friction import StickSlip
     from crms_fenicsx.energies.paper.friction_element import FrictionElementEnergy
-    from crms_fenicsx.minimization.damping import Restraint
+    from crms_fenicsx.minimization.damping import Damping
+    from crms_fenicsx.model.crossing import Member
     from crms_fenicsx.model.laid_cable import LaidCable
 
 logger = logging.getLogger("crms_fenicsx")
@@ -213,12 +214,12 @@ class System:
                 terms.append(self._folded_pressure_term(self.tables))
         return terms + self._friction_terms(self.network)
 
-    def _damping(self) -> Restraint | None:
+    def _damping(self) -> Damping | None:
         if self.network is None or self.tables is None:
             return None
-        from crms_fenicsx.minimization.damping import Restraint
+        from crms_fenicsx.cables.element_tables import damping
 
-        return Restraint.of(self.network, self.tables.segments)
+        return damping(self.network, self.tables.segments)
 
     def _friction_terms(self, network: Network) -> list[Term]:
         """Terms of the cables in tension that friction holds back sideways."""
@@ -339,7 +340,7 @@ class System:
 
     def _folded_pressure_term(self, tables: CableTables) -> Term:
         from crms_fenicsx.energies.folded_pressure import FoldedFollowerPressure
-        from crms_fenicsx.energies.paper.step_pressure import FoldedStepPressure
+        from crms_fenicsx.energies.paper.step_folded_pressure import FoldedStepPressure
 
         if self.scene.pressure_law == "total":
             return FoldedFollowerPressure(tables.facets, self.pressure_value, self.scene.centre)

@@ -1,16 +1,16 @@
 """Grip of the membrane on a cable along its axis: history, friction bounds, dissipation.
 
 The history is the cable's place on the stress-free membrane when the last load step ended, as for
-friction sideways (`crms_fenicsx.friction.slip`), and there the unstressed arc of the cable that would
-rest at each place: the arc that sat there, less the elastic slip. A node looks up the place nearest
-to its own. So nothing is lost when the cable also slides sideways, and over vertices.
+friction sideways (`crms_fenicsx.friction.slip`), and there the unstressed arc of the cable that
+would rest at each place: the arc that sat there, less the elastic slip. A node looks up the place
+nearest to its own. So nothing is lost when the cable also slides sideways, and over vertices.
 
 The friction bound of a node follows from the angle of wrap and the tension there, which the
-minimisation does not know yet: it is held while the potential is minimised. Then the law
-``T2/T1 = exp(mu theta)`` itself is solved for the lengths found (`crms_fenicsx.energies.capstan_chain`),
-and gives the bounds for the next pass. Only lengths and angles change from pass to pass, little.
-A cable of which no bounds are known yet begins without friction: its lengths then are near to
-those sought, whereas one that sticks would have those that the movement of its ends tears it to.
+minimisation does not know yet: it is held while the potential is minimised. Then the law ``T2/T1 =
+exp(mu theta)`` itself is solved for the lengths found (`crms_fenicsx.energies.capstan_chain`), and
+gives the bounds for the next pass. Only lengths and angles change from pass to pass, little. A
+cable of which no bounds are known yet begins without friction: its lengths then are near to those
+sought, whereas one that sticks would have those that the movement of its ends tears it to.
 """
 
 from __future__ import annotations
@@ -23,14 +23,12 @@ from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import edge_directions, turns
 from crms_fenicsx.contact.lift_off import is_foot
 from crms_fenicsx.friction.gripped_nodes import held_nodes, succession
-from crms_fenicsx.friction.slip import Support, material_place
+from crms_fenicsx.friction.slip import material_place
 from crms_fenicsx.model.friction_history import AxialGrip, MaterialCurve
 from crms_fenicsx.model.laid_cable import COINCIDENT, LaidCable
 from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.surface.points import Support
 
-SETTLED = 1e-4
-"""Change of the tensions, relative to the sum of the bounds, below which these have settled. What
-is sharper than sideways costs one short pass here."""
 LEAST_PART = 0.01
 """Least part of a change of the bounds that is taken."""
 

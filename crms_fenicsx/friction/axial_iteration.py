@@ -9,9 +9,13 @@ import numpy as np
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import wrap_angles
 from crms_fenicsx.friction.aitken import Pace
-from crms_fenicsx.friction.axial import LEAST_PART, SETTLED, _by_link, rest_places
+from crms_fenicsx.friction.axial import LEAST_PART, _by_link, rest_places
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
+
+SETTLED = 1e-4
+"""Change of the tensions, relative to the sum of the bounds, below which these have settled. What
+is sharper than sideways costs one short pass here."""
 
 
 class AxialLag:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from crms_fenicsx.friction.slip import Support
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.surface.points import Support
 
 
 def succession(

@@ -18,9 +18,8 @@ from crms_fenicsx.contact.contact_force import runs
 from crms_fenicsx.model.friction_history import MaterialCurve
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.surface.points import Support
 from crms_fenicsx.surface.triangles import cross
-
-Support = tuple[int, ...]
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,9 @@ Levenberg's damping in proportion to the residual.
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 from petsc4py import PETSc
 
-from crms_fenicsx.cables.numbering import Network
 from crms_fenicsx.dofs.block_patterns import ElementPattern, SegmentPattern
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
@@ -31,7 +28,7 @@ SLIDE = 0.1
 and 0.2 it matters little."""
 
 
-class Restraint:
+class Damping:
     """Stiffness of the springs.
 
     Parameters
@@ -50,20 +47,6 @@ class Restraint:
         self._along = SegmentPattern(segments)
         weights = np.stack([np.ones(len(sliders)), fractions - 1, -fractions], axis=1)
         self._shares = weights[:, :, None] * weights[:, None, :]
-
-    @classmethod
-    def of(cls, network: Network, segments: Indices) -> Restraint:
-        """For the cables in tension and their segments on this rank, blocks (m, 2)."""
-        taut = {c for c, cable in enumerate(network.cables) if cable.taut}
-        sliders, fractions = [], []
-        for edge, points in network.points_by_edge(taut).items():
-            for fraction, c, k in points:
-                own = network.owners[network.numbers[c, k]] == network.rank
-                if own and network.cables[c].nodes[k].slides:
-                    ends = (network.vertex(vertex) for vertex in edge)
-                    sliders.append((network.block(c, k), *ends))
-                    fractions.append(fraction)
-        return cls(np.array(sliders, dtype=np.int32).reshape(-1, 3), np.array(fractions), segments)
 
     def count_stiffness(self, sizes: RowSizes) -> None:
         """Count the blocks of the stiffness."""
@@ -101,10 +84,3 @@ class Restraint:
 def _ratio(force: Array, length: Array) -> Array:
     """Force by length; none where two points coincide, which says nothing of where they may go."""
     return np.divide(force, length, out=np.zeros_like(force), where=length > 0)
-
-
-class Damping(Protocol):
-    """Stiffness that H0 gets on top while forces are unbalanced, and that vanishes with them."""
-
-    def add_stiffness(self, unknowns: Unknowns, x: Array, g: Array, A: PETSc.Mat) -> None: ...
-    def count_stiffness(self, sizes: RowSizes) -> None: ...

@@ -31,3 +31,7 @@ class Crossing:
     links: tuple[int, int]
     place: Array
     apart: bool = False
+
+
+Member = tuple[int, int]
+"""A node of a cable: the cable's number, the node's number."""

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.friction.slip import Support
 from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.surface.points import Support
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from crms_fenicsx.runtime.errors import InputError
 Direction = tuple[float, float, float] | Callable[[Array], Array]
 
 LINEAR, TENSION_FIELD, ORTHOTROPIC_TENSION_FIELD = 0, 1, 2
-"""Codes of the stress laws, shared with the compiled kernels of `crms_fenicsx.energies.stress_laws`."""
+"""Codes of the stress laws, shared with the kernels of `crms_fenicsx.energies.stress_laws`."""
 
 N_PARAMETERS = 18
 """Length of `Membrane.parameters`."""
