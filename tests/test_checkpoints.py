@@ -127,7 +127,7 @@ def test_a_run_goes_on_as_if_it_had_not_ended(folder: Path) -> None:
         for one in (solver, again)
     ]
     assert stress[1] == pytest.approx(stress[0], rel=1e-12)
-    tried, known = solver.search.paths.tried, again.search.paths.tried
+    tried, known = solver.search.tried, again.search.tried
     assert (known.refused, known.left) == (tried.refused, tried.left)
     assert any(tried.refused.values())
     for name, places in tried.at.items():

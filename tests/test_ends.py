@@ -9,7 +9,7 @@ from cabled_square import CABLE, KINDS, PRESSURE, place, sheet
 from crms_fenicsx import Scene, Solver
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.paths.boundary_ends import renew_ends
-from crms_fenicsx.paths.retrace import Retracer
+from crms_fenicsx.paths.path_change import PathChange
 
 N = 9
 
@@ -61,7 +61,7 @@ def test_an_end_moved_aside_lays_its_cable_anew(comm, movement, stays: bool) -> 
     scene, cable, _ = solved(comm, "structured", [(0, 30), (100, 30)], 100.0)
     assert cable.traced and cable.ends == ("held", "held")
     cable.positions[0] += movement
-    renew_ends(Retracer(scene))
+    renew_ends(PathChange(scene))
     assert cable.traced == stays
 
 

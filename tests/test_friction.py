@@ -25,9 +25,10 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.equilibrium import search as equilibrium
-from crms_fenicsx.paths.friction_release import relax
-from crms_fenicsx.paths.retrace import Retracer
+from crms_fenicsx.equilibrium import friction_loop
+from crms_fenicsx.paths.friction_release import straighten_kinks
+from crms_fenicsx.paths.path_change import PathChange
+from crms_fenicsx.paths.tried_paths import TriedPaths
 
 MODEL_3 = OrthotropicMembrane(
     E1=1394.0, E2=140.0, G12=12.0, nu21=0.065, thickness=1.0, warp=(0.0, 1.0, 0.0)
@@ -261,12 +262,12 @@ def test_caught_points_are_put_back_once_in_a_load_step() -> None:
     assert cable.grip is not None
     cable.state.grip = replace(cable.grip, known=True)
     caught = [(0, next(k for k in cable.contacts() if cable.nodes[k].slides))]
-    paths = Retracer(scene)
+    change, tried = PathChange(scene), TriedPaths()
     for _ in range(2):
-        paths.begin_step()
-        assert relax(paths, caught)
-        paths.withheld.clear()
-        assert not relax(paths, caught)
+        tried.begin_step()
+        assert straighten_kinks(change, tried, caught)
+        tried.rejected.clear()
+        assert not straighten_kinks(change, tried, caught)
 
 
 def test_refused_step_leaves_no_trace(comm, monkeypatch) -> None:
@@ -274,7 +275,7 @@ def test_refused_step_leaves_no_trace(comm, monkeypatch) -> None:
     scene, solver, cable = anchored(comm, 0.2)
     solver.advance(move={cable: (0.0, 3.0, 0.0)})
     before = cable.grip, scene.energy, cable.positions.copy()
-    monkeypatch.setattr(equilibrium, "MAX_PASSES", 1)
+    monkeypatch.setattr(friction_loop, "MAX_PASSES", 1)
     with pytest.raises(ConvergenceError, match="friction forces still change by"):
         Solver(scene, max_halvings=0).advance(move={cable: (0.0, 3.0, 0.0)})
     assert cable.grip is before[0]
@@ -341,7 +342,7 @@ def test_forces_that_go_round_in_circles_are_told(comm, monkeypatch, change: flo
     """Crude ones with a warning; if they are nothing at all the step has not converged."""
     _, solver, cable = anchored(comm, Friction(0.2))
     lags = [Circling(change)]
-    monkeypatch.setattr(equilibrium.EquilibriumSearch, "_lags", lambda self: lags)
+    monkeypatch.setattr(friction_loop.FrictionLoop, "_lags", lambda self: lags)
     if change > 0.1:
         with pytest.raises(ConvergenceError, match=r"friction forces still change by 50\.0% after"):
             solver.advance(L0={cable: 0.985 * cable.length})
@@ -350,4 +351,4 @@ def test_forces_that_go_round_in_circles_are_told(comm, monkeypatch, change: flo
     with told if comm.rank == 0 else nullcontext():
         step = solver.advance(L0={cable: 0.985 * cable.length})
     assert step.outcome.unsettled == change
-    assert step.outcome.passes == equilibrium.PATIENCE + 1
+    assert step.outcome.passes == friction_loop.PATIENCE + 1

@@ -120,14 +120,14 @@ def test_a_new_cable_of_its_name_inherits_nothing() -> None:
     solver = inflated(["a", "b"])
     scene = solver.scene
     old = scene.cable("a")
-    tried = solver.search.paths.tried
+    tried = solver.search.tried
     tried.refused["a"], tried.refused["b"] = {((0,),)}, {((1,),)}
     scene.remove(old)
     new = lay(scene, "a")
     assert new is not old and new.ends_before is None
     solver._forget_removed()  # as the next load step does
-    assert solver.search.paths.tried.refused == {"b": {((1,),)}}
-    assert set(solver.search.paths.tried.at) == {"b"}
+    assert solver.search.tried.refused == {"b": {((1,),)}}
+    assert set(solver.search.tried.at) == {"b"}
     solver.advance()
     with pytest.raises(InputError, match=r"advance: .*'a'.* is not a cable of this scene"):
         solver.advance(L0={old: 90.0})

@@ -20,7 +20,7 @@ from crms_fenicsx.paths.creased_surface import bends, nodes_on_edges
 from crms_fenicsx.surface.points import Edge, EdgePoint, VertexPoint
 
 if TYPE_CHECKING:
-    from crms_fenicsx.paths.retrace import ContactKey, Retracer
+    from crms_fenicsx.paths.tried_paths import ContactKey, TriedPaths
     from crms_fenicsx.scene import Scene
 
 
@@ -35,16 +35,16 @@ class ActiveSet:
     ----------
     scene
         The scene; its cables and crossings are changed.
-    paths
+    tried
         What is remembered of the cables' last load step; None where they stay in their cells.
     """
 
-    def __init__(self, scene: Scene, paths: Retracer | None) -> None:
-        self.scene, self._paths = scene, paths
+    def __init__(self, scene: Scene, tried: TriedPaths | None) -> None:
+        self.scene, self._tried = scene, tried
         self._switches: Counter[str] = Counter()
         self._first_look = True
         self._released, self._settled = (
-            (set(), set()) if paths is None else (paths.released, paths.settled)
+            (set(), set()) if tried is None else (tried.released, tried.settled)
         )
 
     def tighten(self) -> list[str]:
@@ -80,7 +80,7 @@ class ActiveSet:
 
     def _rested(self, cable: LaidCable) -> bool:
         """Whether a cable is as the last load step has found it."""
-        return self._paths is not None and self._paths.has_rested(cable)
+        return self._tried is not None and self._tried.has_rested(cable)
 
     def restless(self) -> str:
         """A cable that keeps turning from slack to taut and back; empty if there is none."""
