@@ -15,6 +15,7 @@ from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes import MembraneMesh, from_arrays
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.materials import IsotropicMembrane, Membrane, OrthotropicMembrane
+from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.scene import Scene
 
 Array = npt.NDArray[Any]
@@ -78,6 +79,14 @@ def on_mesh(system: System, *names: str) -> OnMesh:
     chosen = [term for term in terms if not names or type(term).__name__ in names]
     assert len(chosen) >= len(names), f"{names} not all in {terms}"
     return OnMesh(system.unknowns, system.scene.u, chosen)
+
+
+def corners(scene: Scene) -> tuple[Array, Array]:
+    """Stress-free and current corners of this rank's cells, each (n, 3, 3)."""
+    mesh = scene.mesh.mesh
+    own = mesh.topology.index_map(2).size_local
+    dofs = scene.V.dofmap.list[:own]
+    return mesh.geometry.x[geometry_dofmap(mesh)[:own]], scene.positions()[dofs]
 
 
 def displaced(unknowns: Unknowns, size: float, stretch: float = 1.05, seed: int = 0) -> Array:

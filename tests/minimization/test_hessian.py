@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 from petsc4py import PETSc
+from ridged_square import OBLIQUE, ridged
 from taylor import noise
 from term_scene import cable_square, displaced
-from test_held_edges import OBLIQUE, ridged
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.cables.node_positions import Whereabouts

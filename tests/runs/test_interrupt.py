@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from mpi4py import MPI
-from test_errors import MPIRUN, run
+from processes import MPIRUN, run
 
 from crms_fenicsx.runtime import interrupt
 

@@ -14,6 +14,7 @@ from term_scene import (
     STIFF,
     STIFF_FABRIC,
     cable_square,
+    corners,
     irregular_square,
     moved,
     on_mesh,
@@ -24,7 +25,7 @@ from crms_fenicsx import meshes
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.membrane import MembraneEnergy
 from crms_fenicsx.model.materials import IsotropicMembrane, OrthotropicMembrane
-from crms_fenicsx.runtime.compat import geometry_dofmap, interpolation_points
+from crms_fenicsx.runtime.compat import interpolation_points
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.scene import Scene
 
@@ -60,14 +61,6 @@ def membrane_on(comm, material, lift=20.0):
     term = MembraneEnergy(scene.u, scene.materials, scene.cell_tags)
     unknowns = Unknowns(scene.V)
     return scene, term, OnMesh(unknowns, scene.u, [term]), unknowns.X[: unknowns.n_owned]
-
-
-def corners(scene):
-    """Stress-free and current corners of this rank's cells, each (n, 3, 3)."""
-    mesh = scene.mesh.mesh
-    own = mesh.topology.index_map(2).size_local
-    dofs = scene.V.dofmap.list[:own]
-    return mesh.geometry.x[geometry_dofmap(mesh)[:own]], scene.positions()[dofs]
 
 
 def twin_energy(scene, term):

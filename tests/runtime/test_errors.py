@@ -10,18 +10,15 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import pytest
+from processes import MPIRUN, ROOT, run
 from reference_meshes import rotated_lattice
 
 from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.runtime import checks, errors
 
-ROOT = Path(__file__).parents[1]
-MPIRUN = ("mpirun", "-n", "3")
 SCENE = """
 from mpi4py import MPI
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
@@ -44,20 +41,6 @@ def evaluate(self):
 
 Potential.evaluate = evaluate
 """
-
-
-def run(
-    script: str, *launcher: str, module: Sequence[str] = ()
-) -> subprocess.CompletedProcess[str]:
-    """Run a program, on several ranks after the words that start them."""
-    return subprocess.run(
-        [*launcher, sys.executable, *module, "-c", script],
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
 
 
 def test_a_bug_on_one_rank_ends_all() -> None:

@@ -11,7 +11,7 @@ from mpi4py import MPI
 from crms_fenicsx import Cable, IsotropicMembrane, PathError, Scene, Solver, meshes
 from crms_fenicsx.model.laid_cable import LaidCable
 
-TENT = Path(__file__).parents[1] / "meshes" / "hypar_tent.geo"
+TENT = Path(__file__).parents[2] / "meshes" / "hypar_tent.geo"
 CORNERS = [(0.0, 0.0, 0.0), (10.0, 0.0, 3.0), (10.0, 10.0, 0.0), (0.0, 10.0, 3.0)]
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mpi4py import MPI
-from test_errors import MPIRUN, run
+from processes import MPIRUN, run
 from vtu_file import read_vtu
 
 from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, meshes

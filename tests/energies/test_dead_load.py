@@ -10,12 +10,12 @@ from term_scene import (
     ISOTROPIC,
     SIDE,
     cable_square,
+    corners,
     directions,
     displaced,
     irregular_square,
     on_mesh,
 )
-from test_membrane import corners
 
 from crms_fenicsx import Cable, ConvergenceError, InputError, Scene, Solver
 from crms_fenicsx.dofs.layout import Unknowns

@@ -53,6 +53,27 @@ NO_PATHS: Values = (
 )  # fmt: skip
 
 
+def snapshot(scene: Scene) -> list[Any]:
+    """All that a refused call must not have changed."""
+    cables = [
+        (c.name, c.L0, c.length, c.tension, c.taut, c.positions.tolist(), len(c.nodes))
+        for c in scene.cables
+    ]
+    strip = None if scene.strip is None else len(scene.strip.cells)
+    u = [repr(x) for x in scene.u.x.array.tolist()]  # NaN equals itself as text
+    held = scene.held.tolist(), scene.held_edges.tolist()
+    return [
+        u,
+        held,
+        scene.pressure,
+        scene.floor_level,
+        cables,
+        strip,
+        scene.energies,
+        scene.changes,
+    ]
+
+
 def failing(x: object) -> None:
     """What a user's function may do; his error is passed on."""
     raise InputError("of the user's own")

@@ -10,19 +10,14 @@ Larger tables, with h down to 1/40 and means over meshes, are in benchmarks/fric
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from processes import run
 from rigid_surfaces import KINDS, STIFF, SURFACES, Curve, band, curve, rigid, sphere
 
 from crms_fenicsx import Cable, Scene, Solver, meshes
 from crms_fenicsx.model.friction import Friction
 
-ROOT = Path(__file__).parents[1]
 H = 0.1
 LATITUDE = np.radians(30.0)
 
@@ -292,21 +287,20 @@ def test_dragged_along_the_limit_curve_of_a_cylinder(comm, steps):
 
 def test_without_friction_nothing_of_it_is_loaded():
     """However it is said that there is none; and it takes the same work to the same result."""
-    code = f"""
+    code = """
 import sys
-sys.path.insert(0, {str(ROOT / "tests")!r})
 import numpy as np
 from mpi4py import MPI
 from crms_fenicsx import Cable, Solver
 from crms_fenicsx.model.friction import Friction
 from cabled_square import sheet
 found = []
-for choice in ({{}}, dict(friction=0), dict(friction=Friction(0.0))):
+for choice in ({}, dict(friction=0), dict(friction=Friction(0.0))):
     scene = sheet(MPI.COMM_SELF, 7, "unstructured")
     cable = scene.lay_cable(Cable(32000.0, **choice), [(0, 30), (50, 40), (100, 30)], L0=100.0)
     solver = Solver(scene)
     solver.advance(pressure=0.01)
-    done = solver.advance(L0={{cable: 99.5}}).outcome
+    done = solver.advance(L0={cable: 99.5}).outcome
     work = [(o.solves, o.factorizations, o.evaluations) for o in (solver.steps[0].outcome, done)]
     found.append((np.append(cable.positions, scene.energy), work, list(scene.energies)))
     assert done.passes == 0 and "friction" not in scene.energies and cable.grip is None
@@ -319,9 +313,6 @@ names = (
 )
 print([name for name in names if "crms_fenicsx." + name in sys.modules])
 """
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
+    done = run(code)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.strip() == "[]"

@@ -9,13 +9,13 @@ from taylor import OnMesh, TermOnPoints, gradient_order, noise
 from term_scene import (
     ISOTROPIC,
     cable_square,
+    corners,
     directions,
     displaced,
     irregular_square,
     on_mesh,
     straight,
 )
-from test_membrane import corners
 
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.folded_pressure import Facets, FoldedFollowerPressure

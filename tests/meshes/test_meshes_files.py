@@ -17,7 +17,7 @@ from crms_fenicsx import meshes
 from crms_fenicsx.meshes import AwayFrom
 from crms_fenicsx.runtime.errors import MeshError
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture

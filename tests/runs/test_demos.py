@@ -11,7 +11,7 @@ from vtu_file import read_vtu
 
 from crms_fenicsx.output import History
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PROMISED = {
     "air_dome": (["calm", "storm", "both"], {".": 2}, ["1000"]),
     "cable_net": (["calm", "wind", "both", "paths"], {".": 5}, ["3.0"]),

@@ -7,17 +7,13 @@ from __future__ import annotations
 
 import os
 import shutil
-import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
 
+import broken_files
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-
-import broken_files
 
 from crms_fenicsx import ConvergenceError, InputError
 from crms_fenicsx.meshes import foreign

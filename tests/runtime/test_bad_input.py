@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bad_calls import snapshot
 
 from crms_fenicsx import (
     Cable,
@@ -41,27 +42,6 @@ def scene(square) -> Scene:
     scene = Scene(square, MATERIAL)
     scene.fix("boundary")
     return scene
-
-
-def snapshot(scene: Scene) -> list[Any]:
-    """All that a refused call must not have changed."""
-    cables = [
-        (c.name, c.L0, c.length, c.tension, c.taut, c.positions.tolist(), len(c.nodes))
-        for c in scene.cables
-    ]
-    strip = None if scene.strip is None else len(scene.strip.cells)
-    u = [repr(x) for x in scene.u.x.array.tolist()]  # NaN equals itself as text
-    held = scene.held.tolist(), scene.held_edges.tolist()
-    return [
-        u,
-        held,
-        scene.pressure,
-        scene.floor_level,
-        cables,
-        strip,
-        scene.energies,
-        scene.changes,
-    ]
 
 
 def refused(

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import pytest
-
-sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 from sweeps.judge import Judge, Point, judged
 from sweeps.register import SWEEPS
 from sweeps.scenes import PRESSURE, clamped, square
