@@ -15,7 +15,7 @@ from dolfinx.mesh import MeshTags, meshtags
 
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.meshes.cell_geometry import area_vectors
-from crms_fenicsx.model.materials import LINEAR, Membrane
+from crms_fenicsx.model.materials import LINEAR, MembraneMaterial
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, PenaltyWarning, collective, raised_together
@@ -117,7 +117,7 @@ class Scene:
     def __init__(
         self,
         mesh: MembraneMesh,
-        material: Membrane | Mapping[str, Membrane],
+        material: MembraneMaterial | Mapping[str, MembraneMaterial],
         *,
         strain: Law = "total",
         pressure: Law = "total",
@@ -535,10 +535,10 @@ class Scene:
 
 
 def _assign_materials(
-    mesh: MembraneMesh, material: Membrane | Mapping[str, Membrane]
-) -> tuple[MeshTags | None, dict[int, Membrane]]:
+    mesh: MembraneMesh, material: MembraneMaterial | Mapping[str, MembraneMaterial]
+) -> tuple[MeshTags | None, dict[int, MembraneMaterial]]:
     """Cell tags of the parts with a material of their own (None if there is one for all)."""
-    if isinstance(material, Membrane):
+    if isinstance(material, MembraneMaterial):
         return None, {0: material}
     if not isinstance(material, Mapping):
         raise InputError(
@@ -555,8 +555,10 @@ def _assign_materials(
                     f"Scene: the mesh has no part {part!r}; it has "
                     f"{', '.join(sorted(mesh.parts)) or 'none'}."
                 )
-            if not isinstance(value, Membrane):
-                raise InputError(f"Scene: the material of part {part!r} is {value!r}, no Membrane.")
+            if not isinstance(value, MembraneMaterial):
+                raise InputError(
+                    f"Scene: the material of part {part!r} is {value!r}, no MembraneMaterial."
+                )
             own = mesh.parts[part]
             if np.any(tags[own] >= 0):
                 shared = next(p for p, _ in given[:k] if np.isin(mesh.parts[p], own).any())

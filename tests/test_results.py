@@ -17,7 +17,7 @@ from crms_fenicsx import (
 )
 from crms_fenicsx.cables.deformed_surface import current_surface
 from crms_fenicsx.cables.enclosed_volume import gained_volume
-from crms_fenicsx.model.materials import Membrane
+from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.polygons import best_fan
 
@@ -29,7 +29,7 @@ FABRIC = OrthotropicMembrane(
 FOIL = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)
 
 
-def square_scene(material: Membrane = FOIL, size: float = 25.0) -> Scene:
+def square_scene(material: MembraneMaterial = FOIL, size: float = 25.0) -> Scene:
     mesh = meshes.rectangle(COMM, 100.0, 100.0, size=size, structured=True)
     scene = Scene(mesh, material)
     scene.fix("boundary")
