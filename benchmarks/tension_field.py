@@ -101,7 +101,7 @@ def seconds_per_cell(material: MembraneMaterial, shift: tuple[float, float, floa
     """An evaluation of energy and gradient, the best of several."""
     mesh = meshes.rectangle(MPI.COMM_WORLD, 100.0, 100.0, 1.0, structured=True)
     scene = Scene(mesh, material)
-    term = MembraneEnergy(scene.u, scene.materials, scene.cell_tags)
+    term = MembraneEnergy(scene.u, scene.materials, scene.membrane.cell_tags)
     potential = Potential(Unknowns(scene.V), scene.u, [term])
     X = scene.V.tabulate_dof_coordinates()
     noise = 1e-3 * np.random.default_rng(0).normal(size=X.shape)

@@ -26,8 +26,8 @@ def fingerprint(scene: Scene) -> dict[str, Any]:
     mesh = scene.mesh.mesh
     cells = cell_vertex_ids(mesh)[: mesh.topology.index_map(2).size_local]
     tags = np.zeros((len(cells), 1), dtype=np.int64)
-    if scene.cell_tags is not None:
-        tags[:, 0] = scene.cell_tags.values[: len(cells)]
+    if scene.membrane.cell_tags is not None:
+        tags[:, 0] = scene.membrane.cell_tags.values[: len(cells)]
     return {
         "number of vertices": mesh.topology.index_map(0).size_global,
         "number of cells": mesh.topology.index_map(2).size_global,

@@ -19,7 +19,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from crms_fenicsx.cables.state import State
+from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
 
@@ -88,7 +88,7 @@ class EquilibriumSearch:
         if self.slide:
             from crms_fenicsx.paths.retrace import Retracer
 
-            self.paths = Retracer(self.scene)
+            self.paths = Retracer(self.scene.net)
             self.paths.remember(tried)
 
     def find(self, h0_prestress: tuple[float, ...]) -> Outcome:
@@ -110,15 +110,15 @@ class EquilibriumSearch:
         from crms_fenicsx.contact.active_set import ActiveSet
 
         if not self.slide:
-            self.active: ActiveSet = ActiveSet(self.scene, None)
+            self.active: ActiveSet = ActiveSet(self.scene.net, None)
             outcome = self._with_friction(self._solve_in_cells, h0_prestress)
             return self._unsmoothed(outcome)
         from crms_fenicsx.paths.boundary_ends import renew_ends
         from crms_fenicsx.paths.retrace import Retracer
 
         if self.paths is None:
-            self.paths = Retracer(self.scene)
-        self.active = ActiveSet(self.scene, self.paths)
+            self.paths = Retracer(self.scene.net)
+        self.active = ActiveSet(self.scene.net, self.paths)
         self.paths.begin_step()
         self.shadows = 0
         changed = renew_ends(self.paths)
@@ -142,19 +142,13 @@ class EquilibriumSearch:
         reason = "the smoothed lengths of a cable's short segments do not settle"
         return replace(outcome, converged=False, reason=reason)
 
-    @property
-    def _has_friction(self) -> bool:
-        """Whether friction holds some cable sideways; without it nothing of it is loaded."""
-        return not all(cable.slides_freely for cable in self.scene.cables)
-
     def _begin_friction(self) -> None:
         """Let a load step begin for the cables with friction."""
-        if not self._has_friction:
+        if not self.scene.net.has_friction:
             return  # friction along a cable begins with its grip from before
-        from crms_fenicsx.cables.strip_positions import StripShape
         from crms_fenicsx.friction.lateral import begin
 
-        shape, cables = StripShape.of(self.scene), self.scene.cables
+        shape, cables = self.scene.net.strip_shape(), self.scene.cables
         known = all(cable.slides_freely or cable.grip is not None for cable in cables)
         for cable in cables:
             begin(cable, shape)
@@ -170,7 +164,6 @@ class EquilibriumSearch:
         outcome = solve(h0_prestress, bool(lags))
         if not lags:
             return outcome
-        from crms_fenicsx.cables.strip_positions import StripShape
         from crms_fenicsx.friction.lateral_iteration import NEARLY
 
         rough = True
@@ -179,7 +172,7 @@ class EquilibriumSearch:
             outcome = replace(outcome, passes=passes)
             if not outcome.converged:
                 return outcome
-            shape = StripShape.of(self.scene)
+            shape = self.scene.net.strip_shape()
             changes = [lag.renew(shape) for lag in lags]
             if all(c <= lag.settled for c, lag in zip(changes, lags, strict=True)):
                 if not rough:
@@ -236,7 +229,7 @@ class EquilibriumSearch:
         while best.outcome.converged:
             led: list[Trial] = []
             if not flips:
-                caught = self.system.caught_cables(CAUGHT) | tangled(self.scene.crossings)
+                caught = self.system.caught_cables(CAUGHT) | tangled(self.scene.net.crossings)
                 sunk = self._sunk()
                 caught |= sunk
                 caught = {c for c in caught - laid_again if self.scene.cables[c].slides_freely}
@@ -298,10 +291,9 @@ class EquilibriumSearch:
         cables = self.scene.cables
         if not any(cable.lifted.any() for cable in cables):
             return set()
-        from crms_fenicsx.cables.strip_positions import StripShape
         from crms_fenicsx.contact.lift_off import sunk
 
-        return sunk(cables, StripShape.of(self.scene))
+        return sunk(cables, self.scene.net.strip_shape())
 
     def _try(self, h0_prestress: tuple[float, ...], rough: bool = False) -> _Try:
         """Equilibrium on the paths that there are; the scene then has those to try next.
@@ -334,7 +326,7 @@ class EquilibriumSearch:
 
     def _give_way(self, most: int | None) -> int:
         """Lead cables with friction over the vertices that they have run into."""
-        if not self._has_friction:
+        if not self.scene.net.has_friction:
             return 0
         from crms_fenicsx.paths.friction_release import give_way
 
@@ -343,7 +335,7 @@ class EquilibriumSearch:
 
     def _relax_held(self) -> bool:
         """Put caught fold points of cables with friction back on straight edges."""
-        if not self._has_friction:
+        if not self.scene.net.has_friction:
             return False
         from crms_fenicsx.paths.friction_release import relax
 

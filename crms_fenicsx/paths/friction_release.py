@@ -28,7 +28,7 @@ def give_way(paths: Retracer, most: int | None = None) -> int:
     Parameters
     ----------
     paths
-        The scene's paths.
+        The cables' paths.
     most
         How many vertices each may pass; None: as many as it takes.
 
@@ -37,10 +37,10 @@ def give_way(paths: Retracer, most: int | None = None) -> int:
     How many vertices the cable that has passed most has.
     """
     paths.offered = set()
-    held = _held(paths.scene.cables)
+    held = _held(paths.net.cables)
     if not held:
         return 0
-    shape, passed = StripShape.of(paths.scene), 0
+    shape, passed = paths.net.strip_shape(), 0
     for cable in held.values():
         done = 0
         for one in sorted(_run_into(cable, shape), key=lambda one: -one.excess):
@@ -70,7 +70,7 @@ def relax(paths: Retracer, kinked: Iterable[tuple[int, int]]) -> bool:
     Parameters
     ----------
     paths
-        The scene's paths.
+        The cables' paths.
     kinked
         Cables and their nodes at kinks, by number.
 
@@ -79,13 +79,13 @@ def relax(paths: Retracer, kinked: Iterable[tuple[int, int]]) -> bool:
     Whether any was moved that has not been before in this load step from the same place on the
     path: if that has raised the energy, it does with other friction forces, too.
     """
-    shape, caught = StripShape.of(paths.scene), set(kinked)
-    for c, cable in _held(paths.scene.cables).items():
+    shape, caught = paths.net.strip_shape(), set(kinked)
+    for c, cable in _held(paths.net.cables).items():
         for one in _run_into(cable, shape):
             caught |= {(c, k) for k in one.nodes if not cable.lifted[k]}
     moved = False
     for c, k in sorted(caught):
-        cable = paths.scene.cables[c]
+        cable = paths.net.cables[c]
         if cable.slides_freely or not cable.nodes[k].slides:
             continue
         rim = cable.rim()

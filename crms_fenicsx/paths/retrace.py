@@ -11,30 +11,27 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from collections.abc import Sequence, Set
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.crossings import note_places
-from crms_fenicsx.cables.strip_gather import grow
-from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.cables.points_on_edges import bends
+from crms_fenicsx.contact.active_set import ContactKey
 from crms_fenicsx.contact.gap import INSIDE
 from crms_fenicsx.contact.lift_off import drape
 from crms_fenicsx.contact.span_projection import with_shadows
 from crms_fenicsx.geodesics.corridor import flaw
 from crms_fenicsx.geodesics.flip_geodesic import Corridor, corridor, shorten
 from crms_fenicsx.model.laid_cable import CableNode, End, LaidCable
-from crms_fenicsx.paths.creased_surface import FoldedSurface, bends
+from crms_fenicsx.paths.creased_surface import FoldedSurface
 from crms_fenicsx.paths.typed_nodes import fractions_of, nodes_of
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.surface.intrinsic import MissingStars
 from crms_fenicsx.surface.path import without_backtracking
-from crms_fenicsx.surface.points import EdgePoint, Support, SurfacePoint, VertexPoint
-
-if TYPE_CHECKING:
-    from crms_fenicsx.scene import Scene
-
+from crms_fenicsx.surface.points import EdgePoint, SurfacePoint, VertexPoint
 
 GRIP = 0.05
 """Angle (rad) by which a path along mesh lines must bend at a vertex to leave it before the cable
@@ -57,10 +54,6 @@ vertices tell where cables go; and where cables cross, of which strings know lit
 
 STILL = 1e-4
 """Movement, relative to a cable's length, within which rejected paths stay rejected."""
-
-
-ContactKey = tuple[str, Support] | tuple[str, str]
-"""A cable and its place on the mesh, or the upper and the lower one of two cables that cross."""
 
 
 class Tried(NamedTuple):
@@ -101,12 +94,12 @@ class Retracer:
 
     Parameters
     ----------
-    scene
-        The scene; its cables are changed.
+    net
+        The cables, which are changed.
     """
 
-    def __init__(self, scene: Scene) -> None:
-        self.scene = scene
+    def __init__(self, net: CableNet) -> None:
+        self.net = net
         self.refused: dict[str, set[Corridor]] = {}
         self.left: dict[str, set[tuple[int, ...]]] = {}
         """Runs of vertices that cables without friction were led past: 1 for their left or -1, and
@@ -154,7 +147,7 @@ class Retracer:
         if not self._first_look:
             return
         self._first_look = False
-        for cable in self.scene.cables:
+        for cable in self.net.cables:
             if self._has_moved(cable):
                 self.refused.pop(cable.name, None)
                 self.left.pop(cable.name, None)
@@ -172,9 +165,9 @@ class Retracer:
 
     def end_step(self) -> None:
         """Remember where the cables are, and how long."""
-        for cable in self.scene.cables:
+        for cable in self.net.cables:
             self._tried_at[cable.name] = cable.positions.copy()
-        self._L0 = {cable.name: cable.L0 for cable in self.scene.cables}
+        self._L0 = {cable.name: cable.L0 for cable in self.net.cables}
 
     def straighten(self) -> bool:
         """Pull the paths of cables taut that have not been in equilibrium yet. Collective.
@@ -187,16 +180,16 @@ class Retracer:
         """
         fresh = [
             cable
-            for cable in self.scene.cables
+            for cable in self.net.cables
             if cable.taut and not cable.traced and cable.slides_freely
         ]
         if not fresh:
             return False
-        others = [cable for cable in self.scene.cables if cable not in fresh]
+        others = [cable for cable in self.net.cables if cable not in fresh]
         for cable in fresh:
             cable.lifted[:] = False
         self._retrace(fresh, folded_by=others, fresh=True)
-        shape = StripShape.of(self.scene)
+        shape = self.net.strip_shape()
         for cable in fresh:
             if not cable.sleeve:
                 drape(cable, shape)
@@ -209,12 +202,12 @@ class Retracer:
         """Forget where the fold points of some cables are, given by number, so that `straighten`
         puts them on straight edges."""
         for c in numbers:
-            self.scene.cables[c].state.traced = False
+            self.net.cables[c].state.traced = False
 
     def renew_shadows(self) -> list[str]:
         """Bring the paths of lifted parts under their spans; say which changed. Collective."""
         changes: list[str] = []
-        off = [cable for cable in self.scene.cables if cable.taut and cable.lifted.any()]
+        off = [cable for cable in self.net.cables if cable.taut and cable.lifted.any()]
         if not off:
             return changes
         surface = self.surface()
@@ -224,7 +217,7 @@ class Retracer:
                     found = with_shadows(cable, surface.shape)
                     break
                 except MissingStars as missing:
-                    grow(self.scene, missing.vertices, rings)
+                    self.net.grow_strip(missing.vertices, rings)
                     surface = self.surface()
             # A span that turns over its own touchdown keeps the shadow that it had.
             if found is not None and not flaw(corridor(found[0]), surface.thirds):
@@ -242,7 +235,7 @@ class Retracer:
         PathError
             All contacts of a cable have closed in on one vertex of the boundary.
         """
-        for cable in self.scene.cables:
+        for cable in self.net.cables:
             nodes = [cable.nodes[k] for k in cable.contacts()]
             places = [set(node.point.support) for node in nodes if node.point is not None]
             if not cable.taut or not places or len(cable.blocked) < len(places):
@@ -268,7 +261,7 @@ class Retracer:
         self._forget()
         free = [
             cable
-            for cable in self.scene.cables
+            for cable in self.net.cables
             if cable.taut
             and cable.slides_freely
             and self._misled < (MISLED_AT_CROSSINGS if _is_crossed(cable) else MISLED)
@@ -290,8 +283,8 @@ class Retracer:
         folded_by: Sequence[LaidCable] | None = None,
         fresh: bool = False,
     ) -> int:
-        folds = bends(self.scene.cables if folded_by is None else folded_by)
-        surface = FoldedSurface(StripShape.of(self.scene), folds)
+        folds = bends(self.net.cables if folded_by is None else folded_by)
+        surface = FoldedSurface(self.net.strip_shape(), folds)
         done: list[tuple[LaidCable, tuple[list[SurfacePoint], list[bool], int]]] = []
         for cable in cables:
             for rings in itertools.count(1):
@@ -299,8 +292,8 @@ class Retracer:
                     done.append((cable, self._pulled(cable, surface, max_flips, fresh)))
                     break
                 except MissingStars as missing:
-                    grow(self.scene, missing.vertices, rings)
-                    surface = FoldedSurface(StripShape.of(self.scene), folds)
+                    self.net.grow_strip(missing.vertices, rings)
+                    surface = FoldedSurface(self.net.strip_shape(), folds)
         most = 0
         for cable, (points, lifted, flips) in done:
             if flips or fresh:
@@ -308,13 +301,13 @@ class Retracer:
                 most = max(most, flips)
         if most or fresh:
             nodes = [node.point for cable in cables for node in cable.nodes]
-            grow(self.scene, [v for p in nodes if p is not None for v in p.support])
+            self.net.grow_strip([v for p in nodes if p is not None for v in p.support])
         return most
 
     def surface(self, vertices: Sequence[int] = ()) -> FoldedSurface:
         """The current surface, with all cells around some vertices. Collective."""
-        grow(self.scene, vertices)
-        return FoldedSurface(StripShape.of(self.scene), bends(self.scene.cables))
+        self.net.grow_strip(vertices)
+        return FoldedSurface(self.net.strip_shape(), bends(self.net.cables))
 
     def _pulled(
         self, cable: LaidCable, surface: FoldedSurface, max_flips: int | None, fresh: bool
@@ -349,7 +342,7 @@ class Retracer:
                     new = list(result.points[len(before) : len(result.points) - len(after)])
             points += new
             lifted += [is_off] * len(new)
-        n = self.scene.V.dofmap.index_map.size_global
+        n = self.net.membrane.V.dofmap.index_map.size_global
         if len(points) < 2 or any(max(point.support) >= n for point in points):
             raise _slid_off(cable, cable.positions[cable.rim()[0]])
         return points, lifted, passed
@@ -363,7 +356,7 @@ class Retracer:
     ) -> tuple[list[SurfacePoint], list[SurfacePoint]]:
         """What a run of contacts is pulled between, before and after it."""
         before, after = path[: run[0]][-1:], path[run[-1] + 1 :][:1]
-        anchors, n = self._anchors(cable, surface), self.scene.V.dofmap.index_map.size_global
+        anchors, n = self._anchors(cable, surface), self.net.membrane.V.dofmap.index_map.size_global
         if not before and n in anchors and surface.is_boundary(path[0].support):
             before = [VertexPoint(n)]
         if not after and n + 1 in anchors and surface.is_boundary(path[-1].support):
@@ -376,7 +369,7 @@ class Retracer:
         Not of one that a cable in a sleeve has left at a corner of the membrane, as at a mast that
         has been moved: pulled straight to it the cable would leave the membrane.
         """
-        n, path = self.scene.V.dofmap.index_map.size_global, cable.path.points
+        n, path = self.net.membrane.V.dofmap.index_map.size_global, cable.path.points
         return {
             n + k: cable.positions[-k]
             for k in (0, 1)
@@ -387,7 +380,7 @@ class Retracer:
         anchors = self._anchors(cable, surface)
         if not anchors:
             return surface
-        n, path = self.scene.V.dofmap.index_map.size_global, cable.path.points
+        n, path = self.net.membrane.V.dofmap.index_map.size_global, cable.path.points
         ends = {k: path[n - k].support for k in anchors}  # n is the first, n + 1 the last
         return FoldedSurface(surface.shape, surface.bends, anchors, ends)
 
@@ -456,7 +449,7 @@ class Retracer:
         """
         if not isinstance(point, EdgePoint):
             return point
-        least = INSIDE * (1 + 0.02 * self.scene.cables.index(cable))
+        least = INSIDE * (1 + 0.02 * self.net.cables.index(cable))
         return EdgePoint(point.edge, min(max(point.fraction, least), 1 - least))
 
 

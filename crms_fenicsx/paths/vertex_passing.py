@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from crms_fenicsx.cables.strip_gather import grow
 from crms_fenicsx.geodesics.corridor import Corridor, corridor, flaw
 from crms_fenicsx.geodesics.flip_geodesic import other_side, shorten
 from crms_fenicsx.model.laid_cable import CableNode, LaidCable
@@ -37,13 +36,13 @@ def lead_past(paths: Retracer, number: int, run: Run) -> bool:
     Parameters
     ----------
     paths
-        The scene's paths.
+        The cables' paths.
     number
         The cable's.
     run
         The vertices and the side.
     """
-    cable = paths.scene.cables[number]
+    cable = paths.net.cables[number]
     found = way_past(paths, cable, run)
     if found is None:
         return False
@@ -79,7 +78,7 @@ def way_past(paths: Retracer, cable: LaidCable, run: Run) -> WayPast | None:
     Parameters
     ----------
     paths
-        The scene's paths.
+        The cables' paths.
     cable
         A cable.
     run
@@ -91,7 +90,7 @@ def way_past(paths: Retracer, cable: LaidCable, run: Run) -> WayPast | None:
     """
     string: Corridor = tuple(cable.nodes[k].support for k in cable.rim())
     joined = paths.with_anchors(cable, paths.surface(run.vertices))
-    n = paths.scene.V.dofmap.index_map.size_global
+    n = paths.net.membrane.V.dofmap.index_map.size_global
     first, last = n in joined.anchors, n + 1 in joined.anchors
     string = (((n,),) if first else ()) + string + (((n + 1,),) if last else ())
     replaced: Corridor = ()
@@ -104,7 +103,7 @@ def way_past(paths: Retracer, cable: LaidCable, run: Run) -> WayPast | None:
                 found = other_side(string, joined, vertex, upward)
                 break
             except MissingStars as missing:
-                grow(paths.scene, missing.vertices, rings)
+                paths.net.grow_strip(missing.vertices, rings)
                 joined = paths.with_anchors(cable, paths.surface())
             except MeshError:
                 break  # where several sheets of membrane meet the vertex holds
@@ -122,11 +121,11 @@ def way_past(paths: Retracer, cable: LaidCable, run: Run) -> WayPast | None:
 def take(paths: Retracer, cable: LaidCable, way: WayPast) -> None:
     """Give a cable a way past vertices; all nodes that it had stay where they are."""
     supports, rim = way.supports, cable.rim()
-    grow(paths.scene, [v for support in supports for v in support])
-    strip = paths.scene.strip
+    paths.net.grow_strip([v for support in supports for v in support])
+    strip = paths.net.strip
     assert strip is not None
     old = {cable.nodes[k].support: k for k in rim}
-    least = BEYOND * (1 + 0.02 * paths.scene.cables.index(cable))
+    least = BEYOND * (1 + 0.02 * paths.net.cables.index(cable))
 
     def kept(k: int) -> tuple[CableNode, Array, float, bool]:
         fraction, lifted = float(cable.fractions[k]), bool(cable.lifted[k])

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.paths.held_vertices import Run, held_runs
 from crms_fenicsx.paths.vertex_passing import lead_past
 
@@ -89,10 +88,10 @@ class VertexTrials:
 
     def _held(self) -> list[Trial]:
         """Runs that hold cables, and have not been tried."""
-        scene = self.paths.scene
-        shape = StripShape.of(scene)
+        net = self.paths.net
+        shape = net.strip_shape()
         found: list[Trial] = []
-        for c, cable in enumerate(scene.cables):
+        for c, cable in enumerate(net.cables):
             if not cable.taut:
                 continue
             least = 1
@@ -108,7 +107,7 @@ class VertexTrials:
         return [trial for trial in found if self._key(trial)[1] not in self._tried(trial[0])]
 
     def _tried(self, c: int) -> set[tuple[int, ...]]:
-        return self.paths.left.setdefault(self.paths.scene.cables[c].name, set())
+        return self.paths.left.setdefault(self.paths.net.cables[c].name, set())
 
     def _note(self, trials: list[Trial]) -> None:
         """Do not try these again while the cable stays where it is."""
