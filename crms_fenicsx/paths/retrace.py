@@ -22,8 +22,8 @@ from crms_fenicsx.contact.active_set import ContactKey
 from crms_fenicsx.contact.gap import INSIDE
 from crms_fenicsx.contact.lift_off import drape
 from crms_fenicsx.contact.span_projection import with_shadows
-from crms_fenicsx.geodesics.corridor import flaw
-from crms_fenicsx.geodesics.flip_geodesic import Corridor, corridor, shorten
+from crms_fenicsx.geodesics.corridor import Corridor, corridor, flaw
+from crms_fenicsx.geodesics.flip_geodesic import shorten
 from crms_fenicsx.model.laid_cable import CableNode, End, LaidCable
 from crms_fenicsx.paths.creased_surface import FoldedSurface
 from crms_fenicsx.paths.typed_nodes import fractions_of, nodes_of

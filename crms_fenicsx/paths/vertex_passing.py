@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from crms_fenicsx.geodesics.corridor import Corridor, corridor, flaw
-from crms_fenicsx.geodesics.flip_geodesic import other_side, shorten
+from crms_fenicsx.geodesics.flip_geodesic import shorten
+from crms_fenicsx.geodesics.vertex_flip import other_side
 from crms_fenicsx.model.laid_cable import CableNode, LaidCable
 from crms_fenicsx.paths.creased_surface import FoldedSurface
 from crms_fenicsx.paths.held_vertices import Run
