@@ -46,7 +46,7 @@ from crms_fenicsx import (
     Solver,
 )
 
-sys.path.append(str(Path(__file__).parents[1] / "tests"))  # their meshes and checks
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "scenes"))  # their meshes and checks
 from contact_checks import deepest, strongest_pull
 from reference_meshes import square
 

@@ -27,7 +27,7 @@ from crms_fenicsx.energies.membrane import MembraneEnergy
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.model.materials import MembraneMaterial
 
-sys.path.append(str(Path(__file__).parents[1] / "tests"))  # their meshes and references
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "scenes"))  # their meshes and references
 from reference_meshes import square
 from twisted_annulus import radial, reference, twisted
 

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from crms_fenicsx.contact.contact_force import ContactForces
     from crms_fenicsx.model.laid_cable import LaidCable
     from crms_fenicsx.output import History, Line
-    from crms_fenicsx.paths.retrace import Tried
+    from crms_fenicsx.paths.tried_paths import TriedPaths
     from crms_fenicsx.results.membrane_results import MembraneResults
     from crms_fenicsx.results.reactions import Reactions
 
@@ -191,9 +191,8 @@ class Solver:
         """What finds the equilibrium of each load step; made when first needed."""
         system = self.system
         if self._search is None:
-            self._search = EquilibriumSearch(system, self.slide)
-            if self._earlier is not None and self._earlier.tried is not None:
-                self._search.remember(self._earlier.tried)
+            tried = None if self._earlier is None or not self.slide else self._earlier.tried
+            self._search = EquilibriumSearch(system, self.slide, tried)
         return self._search
 
     @property
@@ -533,10 +532,10 @@ class Solver:
         return Run(self.steps, list(self.history), self.scene.step_history, self._tried)
 
     @property
-    def _tried(self) -> Tried | None:
+    def _tried(self) -> TriedPaths | None:
         """Paths that cables have not taken, if any were tried."""
-        if self._search is not None and self._search.paths is not None:
-            return self._search.paths.tried
+        if self._search is not None and self._search.tried is not None:
+            return self._search.tried
         return None if self._earlier is None else self._earlier.tried
 
     def _forget_removed(self) -> None:

@@ -19,7 +19,7 @@ from crms_fenicsx.minimization.initial_hessian import at_bounds
 from crms_fenicsx.model.laid_cable import polyline_length
 from crms_fenicsx.runtime.arrays import Array
 
-sys.path.append(str(Path(__file__).parents[2] / "tests"))  # its checks of contact
+sys.path.append(str(Path(__file__).parents[2] / "tests" / "scenes"))  # its checks of contact
 from contact_checks import deepest, strongest_pull
 
 Test = tuple[str, float, float]

@@ -33,7 +33,7 @@ class ContactMemory(Protocol):
     Attributes
     ----------
     released, settled
-        Where cables have been let go, and where they stay then.
+        Where contacts have been released, and where they then stay closed however the cable pulls.
     """
 
     released: set[ContactKey]

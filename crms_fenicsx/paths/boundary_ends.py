@@ -9,7 +9,6 @@ The path of a cable with an anchor over the membrane ends in the cell below, whi
 from __future__ import annotations
 
 import itertools
-from typing import TYPE_CHECKING
 
 import numpy as np
 from dolfinx.mesh import entities_to_geometry
@@ -20,6 +19,7 @@ from crms_fenicsx.contact.gap import size_at
 from crms_fenicsx.contact.span_projection import shadow
 from crms_fenicsx.model.laid_cable import COINCIDENT, CableNode, LaidCable
 from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.paths.path_change import PathChange
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.runtime.errors import PathError
@@ -34,10 +34,6 @@ from crms_fenicsx.surface.points import (
 )
 from crms_fenicsx.surface.triangles import cross
 
-if TYPE_CHECKING:
-    from crms_fenicsx.paths.retrace import Retracer
-
-
 ASIDE = 0.1
 """Sideways movement of an anchor in a load step, relative to the cells' size, from which on the
 cable is laid anew."""
@@ -46,7 +42,7 @@ FARTHEST = 1000
 """How many edges of the boundary an end may pass in one load step."""
 
 
-def renew_ends(paths: Retracer) -> bool:
+def renew_ends(change: PathChange) -> bool:
     """Bring the ends of all paths to where moved anchors are; say if any changed. Collective.
 
     Raises
@@ -55,11 +51,11 @@ def renew_ends(paths: Retracer) -> bool:
         An anchor has come to a part of the boundary that cannot be reached along it.
     """
     changed = False
-    shape = paths.net.strip_shape()
-    for cable in paths.net.cables:
-        led = [_renew(paths, cable, last) for last in (False, True)]
+    shape = change.net.strip_shape()
+    for cable in change.net.cables:
+        led = [_renew(change, cable, last) for last in (False, True)]
         if any(led):  # it may lie over other cells now
-            changed, shape = True, paths.net.strip_shape()
+            changed, shape = True, change.net.strip_shape()
         if cable.taut and any(_moved_aside(cable, k, shape) for k in (0, -1)):
             cable.state.traced = False
     return changed
@@ -85,21 +81,21 @@ def _moved_aside(cable: LaidCable, k: int, shape: StripShape) -> bool:
     return abs(moved) > ASIDE * size_at(shape, point.support) * length
 
 
-def _renew(paths: Retracer, cable: LaidCable, last: bool) -> bool:
+def _renew(change: PathChange, cable: LaidCable, last: bool) -> bool:
     anchor, beside = (-1, -2) if last else (0, 1)
     node = cable.nodes[beside]
     if cable.nodes[anchor].kind != "anchor":
         return False
     led = False
     if isinstance(node.point, CellPoint):
-        led = _follow(paths, cable, last)
+        led = _follow(change, cable, last)
         node = cable.nodes[beside]
         if isinstance(node.point, CellPoint):
             return led
     away = float(np.linalg.norm(cable.positions[anchor] - cable.positions[beside]))
     if away <= COINCIDENT * cable.length and node.kind != "rail":
         return False
-    found = _edge_at(paths.net.membrane, cable.positions[anchor], COINCIDENT * cable.length)
+    found = _edge_at(change.net.membrane, cable.positions[anchor], COINCIDENT * cable.length)
     if found is None:
         if node.kind != "rider":
             return led
@@ -109,16 +105,16 @@ def _renew(paths: Retracer, cable: LaidCable, last: bool) -> bool:
         return True
     points = list(cable.path.points)
     points = points[::-1] if last else points
-    way = _way(paths, points, *found)
+    way = _way(change, points, *found)
     before, after = cable.ends
     if last:
-        paths.lead(cable, way[::-1], (before, "held"))
+        change.move_ends(cable, way[::-1], (before, "held"))
     else:
-        paths.lead(cable, way, ("held", after))
+        change.move_ends(cable, way, ("held", after))
     return True
 
 
-def _follow(paths: Retracer, cable: LaidCable, last: bool) -> bool:
+def _follow(change: PathChange, cable: LaidCable, last: bool) -> bool:
     """Lead a path's end to the cell under an anchor that has been moved, or off the membrane.
 
     Pulled taut to where the anchor was, the path would go there and back.
@@ -130,20 +126,20 @@ def _follow(paths: Retracer, cable: LaidCable, last: bool) -> bool:
     foot = cable.nodes[beside]
     ids, weights = foot.masters()
     for rings in itertools.count(1):
-        shape = paths.surface(ids).shape
+        shape = change.surface(ids).shape
         start = np.dot(weights, [shape.at(i) for i in ids])
         try:
             way = shadow(shape, foot, start, cable.nodes[anchor], place)
             break
         except MissingStars as missing:
-            paths.net.grow_strip(missing.vertices, rings)
+            change.net.grow_strip(missing.vertices, rings)
     if way is None or set(way[-1].support) == set(ids):
         return False
     points = list(cable.path.points)
     ends = list(cable.ends)
     ends[anchor] = "held" if isinstance(way[-1], CellPoint) else "off"
     points = [*points[:-1], *way] if last else [*way[::-1], *points[1:]]
-    paths.lead(cable, points, (ends[0], ends[1]))
+    change.move_ends(cable, points, (ends[0], ends[1]))
     return True
 
 
@@ -180,7 +176,7 @@ def _edge_at(membrane: Membrane, place: Array, tolerance: float) -> tuple[Edge, 
 
 
 def _way(
-    paths: Retracer, points: list[SurfacePoint], edge: Edge, fraction: float
+    change: PathChange, points: list[SurfacePoint], edge: Edge, fraction: float
 ) -> list[SurfacePoint]:
     """The path with a new first point on an edge of the boundary, along which it gets there."""
     ends = [p for p, at in zip(edge, (0.0, 1.0), strict=True) if abs(fraction - at) < 1e-9]
@@ -189,7 +185,7 @@ def _way(
         return [first, *points[1:]]
     best: list[SurfacePoint] | None = None
     for side in (0, 1):
-        way = _walk(paths, points, first, side)
+        way = _walk(change, points, first, side)
         if way is not None and (best is None or len(way) < len(best)):
             best = way
     if best is None:
@@ -201,14 +197,14 @@ def _way(
 
 
 def _walk(
-    paths: Retracer, points: list[SurfacePoint], goal: SurfacePoint, side: int
+    change: PathChange, points: list[SurfacePoint], goal: SurfacePoint, side: int
 ) -> list[SurfacePoint] | None:
     """Lead the path's first point along the boundary; None if it does not get to the goal."""
     start, rest = points[0].support, list(points[1:])
     at = start[0] if len(start) == 1 else start[side]
     behind = start[1 - side] if len(start) == 2 else -1
     for _ in range(FARTHEST):
-        surface = paths.surface([at])
+        surface = change.surface([at])
         around = list(surface.ring(at).neighbours)
         if behind < 0:  # from a vertex: one of its two ways
             around = around[::-1] if side else around
