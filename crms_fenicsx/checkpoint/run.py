@@ -13,7 +13,8 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.steps.load_step import Step
 
 if TYPE_CHECKING:
-    from crms_fenicsx.paths.tried_paths import ContactKey, TriedPaths
+    from crms_fenicsx.contact.active_set import ContactKey
+    from crms_fenicsx.paths.tried_paths import TriedPaths
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,7 @@ def test_an_end_moved_aside_lays_its_cable_anew(comm, movement, stays: bool) -> 
     scene, cable, _ = solved(comm, "structured", [(0, 30), (100, 30)], 100.0)
     assert cable.traced and cable.ends == ("held", "held")
     cable.positions[0] += movement
-    renew_ends(PathChange(scene))
+    renew_ends(PathChange(scene.net))
     assert cable.traced == stays
 
 

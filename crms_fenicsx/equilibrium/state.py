@@ -36,7 +36,7 @@ class State:
             scene.load,
             dict(scene.energies),
             tuple(cable.state.copy() for cable in scene.cables),
-            tuple((crossing, crossing.apart) for crossing in scene.crossings),
+            tuple((crossing, crossing.apart) for crossing in scene.net.crossings),
         )
 
     def restore_shape(self, scene: Scene) -> None:
@@ -48,7 +48,7 @@ class State:
             )
             cable.material[:] = was.material
             cable.state.grip, cable.state.axial = was.grip, was.axial
-        scene.crossings = [crossing for crossing, _ in self.crossings]
+        scene.net.crossings = [crossing for crossing, _ in self.crossings]
         for crossing, apart in self.crossings:
             crossing.apart = apart
 
@@ -57,10 +57,8 @@ class State:
 
         Points that the paths had are where they were; others lie on the membrane of then.
         """
-        from crms_fenicsx.cables.strip_positions import StripShape
-
         scene.u.x.array[:] = self.u
-        shape = StripShape.of(scene)
+        shape = scene.net.strip_shape()
         for cable, was in zip(scene.cables, self.cables, strict=True):
             known = {_key(was.nodes, k): k for k in range(len(was.nodes)) if not was.lifted[k]}
             for k in range(len(cable.nodes)):
