@@ -62,9 +62,11 @@ class Whereabouts:
                 on_lines.append([self._starts[c] + k for _, c, k in points])
         self._lines = _Lines(lines)
         self._on_lines = np.array([m for line in on_lines for m in line], dtype=np.int64)
-        mine = [n for n, (c, k) in enumerate(network.rails) if network.is_mine(c, k)]
+        mine = [n for n, (c, k) in enumerate(network.rails.members) if network.is_mine(c, k)]
         self._own_rails = np.array(mine, dtype=np.int64)
-        self._rails = np.array([self._starts[c] + k for c, k in network.rails], dtype=np.int64)
+        self._rails = np.array(
+            [self._starts[c] + k for c, k in network.rails.members], dtype=np.int64
+        )
 
     def _list_links(self) -> None:
         """Links with crossings on them, and which two nodes each crossing is."""
@@ -104,7 +106,7 @@ class Whereabouts:
         position[self._own] = places[self._blocks]
         fraction[self._on_lines] = self._lines.shares(places)
         if len(self._rails):
-            found = network.rail_fractions(unknowns, x)
+            found = network.rails.fractions(unknowns, x)
             fraction[self._rails[self._own_rails]] = found[self._own_rails]
         # whoever owns a sliding point has found its place on its edge, too
         before = np.concatenate([cable.fractions for cable in network.cables])

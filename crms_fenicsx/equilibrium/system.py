@@ -366,7 +366,7 @@ class System:
                 if block >= 0:
                     potential.x[block] = scene.cables[c].positions[k] - self.unknowns.X[block]
             self.unknowns.update_ghosts(potential.x_vector)  # far vertices, with rails on them
-            self.network.place_rails(self.unknowns, potential.x)
+            self.network.rails.place(self.unknowns, potential.x)
             if self.tension is not None:
                 self.tension.L0[:] = [cable.L0 for cable in self._sliding]
                 self.tension.excess[:] = [cable.excess for cable in self._sliding]

@@ -22,6 +22,7 @@ import numpy as np
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import forces_at
 from crms_fenicsx.energies.segments import SMOOTHING
+from crms_fenicsx.friction.lateral import friction_forces
 from crms_fenicsx.model.laid_cable import CableNode, LaidCable
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import Support, edge_of
@@ -131,8 +132,6 @@ def held_vertices(cable: LaidCable, shape: StripShape) -> list[HeldVertex]:
     press, pull = (dict(zip(nodes, f, strict=True)) for f in forces_at(cable, nodes, shape))
     bound: dict[int, float] = {}
     if cable.grip is not None:
-        from crms_fenicsx.friction.lateral import friction_forces
-
         carried = friction_forces(cable, shape)
         for k in nodes:
             row = cable.grip.row_of.get(cable.nodes[k].support)

@@ -12,6 +12,7 @@ from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.cables.strip_gather import cells_at, cells_near
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.lift_off import drape
+from crms_fenicsx.friction.axial import laid_grip
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.laid_cable import (
     CableNode,
@@ -99,8 +100,6 @@ def lay(
         state.step_start = StepStart(state.tension, length, energy)
     state.taut = cable.law == "step" or state.tension > 0
     if cable.along > 0:
-        from crms_fenicsx.friction.axial import laid_grip
-
         state.axial = laid_grip(laid, shape)
     net.add(laid, strip)
     return laid

@@ -139,7 +139,8 @@ def _hand_on_rails(system: System, g: Array) -> None:
     """Give the forces of cables on held edges that they slide along to the edges' ends."""
     if system.unknowns.n_rails:
         assert system.network is not None
-        blocks, ends, s = system.network.rail_table()
+        rails = system.network.rails
+        blocks, ends, s = rails.blocks, rails.ends, rails.known_fractions()
         share = np.stack([1 - s, s], axis=1)
         np.add.at(g, ends, share[:, :, None] * g[blocks][:, None, :])
         g[blocks] = 0.0

@@ -14,6 +14,7 @@ from term_scene import ISOTROPIC, directions, displaced, irregular_square
 
 from crms_fenicsx import Cable, LaidCable, PathWarning, Scene, Solver, meshes
 from crms_fenicsx.cables.deformed_surface import current_surface
+from crms_fenicsx.cables.points_on_edges import points_by_edge
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.model.laid_cable import CableNode
 from crms_fenicsx.runtime.arrays import Array
@@ -259,7 +260,7 @@ def test_a_moved_edge_takes_its_rail_along(comm) -> None:
     assert isinstance(point, EdgePoint)
     assert system.network is not None
     # in the order of now, among other points on the edge
-    assert system.network.points_by_edge({0})[point.edge] == [(0.3, 0, k)]
+    assert points_by_edge(scene.cables)[point.edge] == [(0.3, 0, k)]
     d = np.array([0.0, 1.1, 0.2]) / np.hypot(1.1, 0.2)
     seen = 0
     for taut in (True, False):

@@ -36,14 +36,13 @@ def test_places_in_space_on_edges_and_on_the_membrane(comm: MPI.Intracomm) -> No
     before = scene.cables[0].positions[3].copy()
     Whereabouts(network, system.unknowns).tell(potential.x)
     known = vertices(scene)
-    taut = set(range(len(scene.cables)))
     for (c, k), number in network.numbers.items():
         block, node = network.blocks[number], scene.cables[c].nodes[k]
         if block >= 0 and node.kind != "rider" and not scene.cables[c].lifted[k]:
             place = system.unknowns.X[block] + potential.x[block]
             np.testing.assert_allclose(scene.cables[c].positions[k], place)
     np.testing.assert_array_equal(scene.cables[0].positions[3], before)
-    points = network.points_by_edge(taut)
+    points = network.on_edge
     assert max(len(line) for line in points.values()) == 2
     for edge, members in points.items():
         places = [scene.cables[c].positions[k] for _, c, k in members]
