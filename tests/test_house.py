@@ -62,3 +62,11 @@ def test_imports_go_down() -> None:
         if floor(other) > floor(module)
     ]
     assert not wrong, "\n".join(wrong)
+
+
+def test_tests_lie_where_what_they_test_does() -> None:
+    """In the folder of its package; only what belongs to none lies beside these."""
+    tests = Path(__file__).parent
+    folders = {path.parent.relative_to(tests).as_posix() for path in tests.rglob("test_*.py")}
+    packages = {path.parent.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py")}
+    assert folders - {"runs"} <= packages
