@@ -150,3 +150,11 @@ def lines_of_code(function: ast.FunctionDef, source: str) -> int:
     body = range(function.body[0].lineno, function.end_lineno + 1)
     code = [lines[k - 1].strip() for k in body if k not in described]
     return sum(line != "" and not line.startswith("#") for line in code)
+
+
+def test_tests_lie_where_what_they_test_does() -> None:
+    """In the folder of its package; only what belongs to none lies beside these."""
+    tests = Path(__file__).parent
+    folders = {path.parent.relative_to(tests).as_posix() for path in tests.rglob("test_*.py")}
+    packages = {path.parent.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py")}
+    assert folders - {"runs"} <= packages

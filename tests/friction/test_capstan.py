@@ -106,7 +106,7 @@ def test_cycles_dissipate_the_same_and_the_balance_closes(comm) -> None:
     """The trapezoidal rule's error of the work falls with the square of the steps."""
     gaps = []
     for steps, rounds in ((4, 3), (8, 2)):
-        scene, rope = roped(comm, 20, 0.3, tension=5.0)
+        scene, rope = roped(comm, 12, 0.3, tension=5.0)
         solver = Solver(scene)
         solver.advance()
         start, losses, work = scene.energy, [0.0], 0.0
