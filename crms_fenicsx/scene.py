@@ -177,7 +177,7 @@ class Scene:
         """How many cables have been laid, and what friction of those that are gone has dissipated.
         """
         self.strip: Strip | None = None
-        self.crossings: list[Crossing] = []
+        self.crossings: tuple[Crossing, ...] = ()
         self.energies: dict[str, float] = {}
         """Energy of each kind of term in the current state (force x length)."""
         self.changes = 0
@@ -451,7 +451,7 @@ class Scene:
         L0: float | None = None,
         tension: float | None = None,
         sleeve: bool = False,
-        level: int = 0,
+        layer: int = 0,
         name: str | None = None,
     ) -> LaidCable:
         """Lay a cable on the membrane's current shape.
@@ -479,8 +479,8 @@ class Scene:
             Tension at laying (force), from which the unstressed length follows.
         sleeve
             Whether a sleeve holds the cable to the membrane: it slides, but cannot lift off.
-        level
-            Of two cables that cross the one with the higher level lies on top; of equal ones the
+        layer
+            Of two cables that cross the one with the higher layer lies on top; of equal ones the
             one laid later.
         name
             Name in results; "cable 1", "cable 2" ... by default.
@@ -501,11 +501,11 @@ class Scene:
         """
         from crms_fenicsx.paths.laying import lay
 
-        given = {"L0": L0, "tension": tension, "sleeve": sleeve, "level": level, "name": name}
+        given = {"L0": L0, "tension": tension, "sleeve": sleeve, "layer": layer, "name": name}
         checks.same(self.comm, "lay_cable", cable=cable, path=path, **given)
         self.check_finite("lay_cable")
-        level = checks.whole("lay_cable: level", level, 0)
-        laid = lay(self, cable, path, L0=L0, tension=tension, sleeve=sleeve, level=level, name=name)
+        layer = checks.whole("lay_cable: layer", layer, 0)
+        laid = lay(self, cable, path, L0=L0, tension=tension, sleeve=sleeve, layer=layer, name=name)
         self.changes += 1
         return laid
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -62,7 +63,7 @@ class ActiveSet:
             tops, on_edges = self._tops(), nodes_on_edges(scene.cables)
             for c, cable in enumerate(scene.cables):
                 if cable.taut and not cable.sleeve:
-                    covered = {v for v, top in tops.items() if top > (cable.level, c)}
+                    covered = {v for v, top in tops.items() if top > (cable.layer, c)}
                     changes += self._contacts(cable, shape, covered, on_edges)
         if not changes and scene.crossings:
             changes = self._crossings(shape)
@@ -101,8 +102,8 @@ class ActiveSet:
         taut = cable.is_tight(nearly=not judged and not self._rested(cable))
         if taut == cable.taut:
             return []
-        cable.state.taut = taut
-        cable.state.traced &= taut  # it gets its folds back from the straight way
+        # One that slackens gets its folds back from the straight way.
+        cable.update(taut=taut, path_is_geodesic=taut and cable.path_is_geodesic)
         self._switches[cable.name] += 1
         return [f"{cable.name} {'tightens' if taut else 'slackens'}"]
 
@@ -129,7 +130,7 @@ class ActiveSet:
             if unclear and not free and not places:
                 nearly = contact.captured(cable, shape, folds, contact.NEARLY)
                 places = {k: place for k, place in nearly.items() if key(k) not in self._released}
-        cable.lifted[free] = True
+        contact.lift(cable, free)
         contact.touch(cable, places)
         self._settled |= {key(k) for k in places} & self._released
         self._released |= {key(k) for k in free}
@@ -137,30 +138,32 @@ class ActiveSet:
         return texts + [f"{cable.name} touches down at {cable.nodes[k].point}" for k in places]
 
     def _tops(self) -> dict[int, tuple[int, int]]:
-        """The uppermost cable in tension on each vertex that one touches: its level and number."""
+        """The uppermost cable in tension on each vertex that one touches: its layer and number."""
         tops: dict[int, tuple[int, int]] = {}
         for c, cable in enumerate(self.scene.cables):
             for k in cable.contacts() if cable.taut else []:
                 point = cable.nodes[k].point
                 if isinstance(point, VertexPoint):
-                    order = (cable.level, c)
+                    order = (cable.layer, c)
                     tops[point.vertex] = max(order, tops.get(point.vertex, order))
         return tops
 
     def _crossings(self, shape: StripShape) -> list[str]:
         changes = []
         scene = self.scene
-        apart = {id(k) for k in parting(scene.crossings, scene.cables, shape)}
-        for crossing in scene.crossings:
+        pulled = parting(scene.crossings, scene.cables, shape)
+        crossings = list(scene.crossings)
+        for number, crossing in enumerate(scene.crossings):
             names = scene.cables[crossing.upper].name, scene.cables[crossing.lower].name
             # Not by place: a crossing may come back in another cell than that where it was left.
-            if id(crossing) in apart and names not in self._settled:
-                crossing.apart = True
+            if number in pulled and names not in self._settled:
+                crossings[number] = replace(crossing, separated=True)
                 self._released.add(names)
                 changes.append("{} lifts off {}".format(*names))
             elif joins(crossing, scene.cables, shape):
-                crossing.apart = False
+                crossings[number] = replace(crossing, separated=False)
                 if names in self._released:
                     self._settled.add(names)
                 changes.append("{} touches {}".format(*names))
+        scene.crossings = tuple(crossings)
         return changes

@@ -12,7 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.model.laid_cable import CableNode, LaidCable
+from crms_fenicsx.model.cable_state import CableNode
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.intrinsic import MissingStars
 from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint, SurfacePoint, edge_of

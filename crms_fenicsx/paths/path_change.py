@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from crms_fenicsx.cables.crossings import note_places
+from crms_fenicsx.cables.crossings import at_nodes
 from crms_fenicsx.cables.strip_gather import grow
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.gap import INSIDE
-from crms_fenicsx.model.laid_cable import CableNode, End, LaidCable
+from crms_fenicsx.model.cable_state import CableNode, End
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.paths.creased_surface import FoldedSurface, bends
 from crms_fenicsx.paths.typed_nodes import fractions_of, nodes_of
 from crms_fenicsx.runtime.arrays import Array
@@ -107,7 +108,7 @@ class PathChange:
         }
         way = without_backtracking(points, surface.strip.outer_cells)
         self.replace(cable, way, [point.support in off for point in way], surface, ends)
-        cable.state.traced = False
+        cable.update(path_is_geodesic=False)
 
     def replace(
         self,
@@ -126,7 +127,7 @@ class PathChange:
             _key(node): k
             for k, node in enumerate(cable.nodes)
             if node.kind != "crossing"
-            and (cable.traced or not cable.slides_freely or not node.slides)
+            and (cable.path_is_geodesic or not cable.slides_freely or not node.slides)
         }
         ends = cable.ends if ends is None else ends
         first, last = (int(end != "off") for end in ends)
@@ -148,7 +149,7 @@ class PathChange:
             else:
                 ids, weights = node.masters()
                 positions[k] = np.dot(weights, [surface.shape.at(i) for i in ids])
-        note_places(cable)
+        self.scene.crossings = at_nodes(self.scene.crossings, cable)
         cable.set_nodes(nodes, positions, fractions, flags)
 
     def _clipped(self, cable: LaidCable, point: SurfacePoint) -> SurfacePoint:

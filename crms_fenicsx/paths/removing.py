@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from crms_fenicsx.cables.crossings import arrange
@@ -22,19 +23,17 @@ def remove(scene: Scene, cable: LaidCable | str) -> None:
             f"remove: {gone!r} is not a cable of this scene; give one of scene.cables, or its name."
         )
     number = scene.cables.index(gone)
-    crossings = [
-        crossing
+
+    def renumbered(c: int) -> int:
+        return -1 if c == number else c - (c > number)  # -1: of a cable that is gone
+
+    crossings = tuple(  # the nodes refer to them by number until they are arranged anew
+        replace(crossing, lower=renumbered(crossing.lower), upper=renumbered(crossing.upper))
         for crossing in scene.crossings
-        if number not in (crossing.lower, crossing.upper)
-    ]  # fmt: skip
-    for crossing in crossings:
-        crossing.lower -= crossing.lower > number
-        crossing.upper -= crossing.upper > number
+    )
     scene._dissipated += gone.dissipated
     scene._cables = Cables.of(scene, (own for own in scene.cables if own is not gone))
     points = (node.point for own in scene.cables for node in own.nodes)
     vertices = [vertex for point in points if point is not None for vertex in point.support]
     scene.strip = cells_at(scene, vertices) if vertices else None
-    if scene.strip is not None:
-        crossings = arrange(scene.cables, scene.strip, crossings)
-    scene.crossings = crossings
+    scene.crossings = () if scene.strip is None else arrange(scene.cables, scene.strip, crossings)

@@ -22,7 +22,8 @@ from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.lift_off import sunk
 from crms_fenicsx.energies.folded_pressure import FoldedFollowerPressure
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.model.laid_cable import CableNode, CableState, LaidCable, polyline_length
+from crms_fenicsx.model.cable_state import CableNode, CableState
+from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.surface.path import Path

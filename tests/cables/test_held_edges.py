@@ -15,7 +15,7 @@ from term_scene import ISOTROPIC, directions, displaced, irregular_square
 from crms_fenicsx import Cable, LaidCable, PathWarning, Scene, Solver, meshes
 from crms_fenicsx.cables.deformed_surface import current_surface
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.model.laid_cable import CableNode
+from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import EdgePoint
 

@@ -28,14 +28,9 @@ from crms_fenicsx.contact.lift_off import (
     sunk,
     touch,
 )
+from crms_fenicsx.model.cable_state import CableNode, CableState
 from crms_fenicsx.model.crossing import Crossing
-from crms_fenicsx.model.laid_cable import (
-    COINCIDENT,
-    CableNode,
-    CableState,
-    LaidCable,
-    polyline_length,
-)
+from crms_fenicsx.model.laid_cable import COINCIDENT, LaidCable, polyline_length
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import CellPoint, EdgePoint, VertexPoint
 

@@ -13,7 +13,8 @@ from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces, paper_forces, runs, turns
 from crms_fenicsx.contact.line_load import WIDTH, smoothed, stretches
-from crms_fenicsx.model.laid_cable import CableNode, CableState, LaidCable
+from crms_fenicsx.model.cable_state import CableNode, CableState
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.surface.points import EdgePoint
 
 COMM = MPI.COMM_SELF

@@ -21,7 +21,7 @@ from crms_fenicsx.energies.segments import (
     smoothed_length,
     turn_coefficient,
 )
-from crms_fenicsx.model.laid_cable import StepStart
+from crms_fenicsx.model.cable_state import StepStart
 
 EPS = 0.3
 

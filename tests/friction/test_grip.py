@@ -17,9 +17,10 @@ from crms_fenicsx.friction.lateral import align, begin, commit, energies
 from crms_fenicsx.friction.lateral_iteration import Lag
 from crms_fenicsx.friction.slip import node_slips
 from crms_fenicsx.model.cable import Cable
+from crms_fenicsx.model.cable_state import CableNode, CableState
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.friction_history import Grip, MaterialCurve
-from crms_fenicsx.model.laid_cable import CableNode, CableState, LaidCable
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.surface.points import EdgePoint, VertexPoint
 
 NOWHERE = MaterialCurve(

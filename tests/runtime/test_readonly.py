@@ -12,7 +12,8 @@ from reference_meshes import square
 
 from crms_fenicsx import Cable, ConvergenceError, Friction, IsotropicMembrane, Scene, Solver
 from crms_fenicsx.minimization.outcome import Outcome
-from crms_fenicsx.model.laid_cable import CableState, LaidCable
+from crms_fenicsx.model.cable_state import CableState
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.readonly import ReadOnly
 
 FAILURE = Outcome(False, "made to fail", 1.0, 0.0, 0, 0, 0)
