@@ -152,8 +152,6 @@ class LaidCable:
     axial: ReadOnly[AxialGrip | None] = ReadOnly("state.axial", FOUND)
     excess: ReadOnly[float] = ReadOnly("state.excess", FOUND)
 
-    __slots__ = ("_cable", "_layer", "_name", "_sleeve", "state")
-
     def __init__(
         self, name: str, cable: Cable, state: CableState, sleeve: bool = False, layer: int = 0
     ) -> None:

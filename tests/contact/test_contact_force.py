@@ -32,7 +32,9 @@ def polyline(positions, anchored=False, lifted=()):
     ]
     off = np.isin(np.arange(len(positions)), lifted)
     x = np.array(positions, dtype=float)
-    state = CableState(tuple(nodes), x, np.full(len(x), 0.5), off, 1.0, 1.0, T, taut=True)
+    state = CableState(
+        tuple(nodes), x, np.full(len(x), 0.5), off, np.full_like(x, np.nan), 1.0, 1.0, T, taut=True,
+    )  # fmt: skip
     return LaidCable("c", Cable(1.0), state)
 
 
@@ -71,10 +73,10 @@ def test_paper_formulas_at_the_ends_of_the_range():
 
 def test_a_slack_cable_presses_nowhere():
     cable = turned(1.0)
-    cable.state.taut = False
+    cable.update(taut=False)
     assert not np.any(paper_forces(cable))
     scene, cable = on_cylinder(0.2)[1:]
-    cable.state.taut = False
+    cable.update(taut=False)
     forces = contact_forces(cable, StripShape.of(scene))
     assert not np.any([forces.normal, forces.lateral, forces.bearing])
     assert np.all(np.isnan(forces.line))
@@ -140,7 +142,7 @@ def on_cylinder(h, seed=0, ratio=0.0, kind="jittered"):
     """A cable around the top of a cylinder of radius 1, along a helix if the ratio is zero."""
     way = curve(SURFACES["cylinder"], ratio, 0.8)
     scene, cable = rigid(COMM, way, band(way, h, seed, kind), 0.5)
-    cable.state.taut, cable.state.tension = True, T
+    cable.update(taut=True, tension=T)
     return way, scene, cable
 
 
@@ -194,7 +196,7 @@ def test_geodesic_turn_is_sideways_only_to_its_share():
     ratios = []
     for seed in range(3):
         scene, cable = rigid(COMM, way, band(way, 0.05, seed), 0.5)
-        cable.state.taut, cable.state.tension = True, T
+        cable.update(taut=True, tension=T)
         forces = contact_forces(cable, StripShape.of(scene))
         ratios.append(forces.lateral.sum() / forces.normal.sum() / way.ratio)
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.03)
@@ -247,7 +249,7 @@ def hollow(sleeve):
     scene.fix(lambda x: np.full(x.shape[1], True))
     path = np.column_stack([x, np.full(25, 0.05), np.sin(x)])
     cable = scene.lay_cable(Cable(1.0, friction=0.5), path, sleeve=sleeve)
-    cable.state.taut, cable.state.tension = True, T
+    cable.update(taut=True, tension=T)
     return scene, cable
 
 
