@@ -46,7 +46,7 @@ def _name(key: object) -> str:
     return f"cable {key.name!r}" if isinstance(key, LaidCable) else f"group {key!r}"
 
 
-def beginning(scene: Scene) -> Plain:
+def scene_record(scene: Scene) -> Plain:
     """Describe a scene by numbers and texts that hardly any change leaves alone. Collective.
 
     Of fields they are sums with weights, so that they are the same on any number of processes up to

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from crms_fenicsx.checkpoint.call_record import beginning, difference
+from crms_fenicsx.checkpoint.call_record import difference, scene_record
 from crms_fenicsx.checkpoint.codec import Plain, decode, encode
 from crms_fenicsx.checkpoint.contents import Run
 from crms_fenicsx.checkpoint.folder import ASIDE, complete
@@ -108,7 +108,7 @@ class Journal:
             cannot be read.
         """
         self._number += 1
-        call: Plain = {"solver": self.options, "advance": loads, "scene": beginning(scene)}
+        call: Plain = {"solver": self.options, "advance": loads, "scene": scene_record(scene)}
         saved = self._saved() if self._replaying else None
         if saved is None:
             self._replaying, self._call, self._outdated = False, call, self._number

@@ -139,7 +139,7 @@ def with_shadows(
     -------
     None where nothing has changed.
     """
-    path = dict(zip(_own(cable), cable.path.points, strict=True))
+    path = dict(zip(cable.path_nodes(), cable.path.points, strict=True))
     contacts = cable.contacts()
     points: list[SurfacePoint] = []
     lifted: list[bool] = []
@@ -157,15 +157,6 @@ def with_shadows(
             points.append(path[b])
             lifted.append(False)
     return (points, lifted) if changed else None
-
-
-def _own(cable: LaidCable) -> list[int]:
-    """Nodes of the path: neither anchors nor crossings."""
-    return [
-        k
-        for k, node in enumerate(cable.nodes)
-        if node.point is not None and node.kind != "crossing"
-    ]
 
 
 def _supports(points: Sequence[SurfacePoint]) -> list[tuple[int, ...]]:
