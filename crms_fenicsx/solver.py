@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.cables.state import State
 from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
+from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
+from crms_fenicsx.model.membrane import Marker
 from crms_fenicsx.output.recorder import Recorder
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import (
@@ -29,7 +30,7 @@ from crms_fenicsx.runtime.errors import (
 )
 from crms_fenicsx.runtime.interrupt import postponed, stop_together
 from crms_fenicsx.runtime.readonly import ReadOnly
-from crms_fenicsx.scene import Marker, Scene
+from crms_fenicsx.scene import Scene
 from crms_fenicsx.steps.load_step import Step
 from crms_fenicsx.steps.loading import Target, checked_target, has_free_rim
 from crms_fenicsx.verification.verifier import Verifier
@@ -257,13 +258,12 @@ class Solver:
         InputError
             It is no cable of this scene.
         """
-        from crms_fenicsx.cables.strip_positions import StripShape
         from crms_fenicsx.contact.contact_force import contact_forces
 
         checks.same(self.comm, "contact_forces", cable=cable)
         if not any(cable is own for own in self.scene.cables):
             raise InputError(f"contact_forces: {cable!r} is not a cable of this scene.")
-        return contact_forces(cable, StripShape.of(self.scene)).at(cable.line_nodes())
+        return contact_forces(cable, self.scene.net.strip_shape()).at(cable.line_nodes())
 
     @collective
     def draw(self, filename: str | FilePath, *, colour: str | None = None, **options: Any) -> None:
@@ -661,7 +661,7 @@ class Solver:
         A flat sheet has no stiffness against pressure. The stress that it will have is estimated
         from the load, 0.3 (p^2 L^2 E t)^(1/3), and from the movement; a stressed sheet gets none.
         """
-        scene, size = self.scene, self.scene.size
+        scene, size = self.scene, self.scene.membrane.size
         modulus = max(m.reference_modulus for m in scene.materials.values())
         moves = [float(np.linalg.norm(d)) for *_, d in target.cable_ends]
         moves.append(float(np.max(np.linalg.norm(target.moved, axis=1), initial=0.0)))

@@ -25,7 +25,7 @@ from crms_fenicsx.runtime.arrays import Integers
 from crms_fenicsx.runtime.checks import LONGEST
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import explained, read_text, readable
-from crms_fenicsx.scene import Cables, Scene
+from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.strip import Strip
@@ -158,6 +158,7 @@ def _contents(
 ) -> Contents:
     """What is kept of a scene and its run besides the fields, with how many edges are held."""
     steps = [replace(step, verification=None) for step in run.steps]
+    strip = scene.net.strip
     return Contents(
         scene=fingerprint(scene),
         held_edges=edges,
@@ -165,16 +166,16 @@ def _contents(
         pressure=scene.pressure,
         load=scene.load,
         floor=scene.floor_level,
-        laid=scene._laid,
-        dissipated=scene._dissipated,
+        laid=scene.net.laid,
+        dissipated=scene.net.removed_dissipation,
         energies=scene.energies,
         intensity=None if scene.dead_forces is None else scene.dead_forces.intensity,
-        strip=() if scene.strip is None else tuple(sorted(scene.strip.complete)),
+        strip=() if strip is None else tuple(sorted(strip.complete)),
         cables=tuple(
             SavedCable(cable.name, cable.cable, cable.sleeve, cable.layer, cable.state)
             for cable in scene.cables
         ),
-        crossings=scene.crossings,
+        crossings=scene.net.crossings,
         run=replace(run.with_cells(None), steps=steps),
         call=call,
     )
@@ -183,23 +184,24 @@ def _contents(
 def _restore(scene: Scene, fields: Fields, saved: Saved) -> None:
     """Bring the scene to a state that has been read."""
     contents = saved.contents
-    before, scene.held_edges = scene.held_edges, fields.held_edges  # the strip's cells know them
+    held_edges = scene.membrane.held_edges.copy()
+    scene.membrane.held_edges[:] = fields.held_edges  # the strip's cells know them
     if contents.cables:
         strip = _strip(scene, contents)
         if strip is None:
-            scene.held_edges = before
+            scene.membrane.held_edges[:] = held_edges
             raise InputError(
                 f"{saved.file} is damaged: a cable does not lie on cells of the mesh; take another "
                 "checkpoint"
             )
-        scene.strip = strip
+        scene.net.strip = strip
     scene.u.x.array[:] = fields.u.ravel()
     scene.held[:] = fields.held
     scene._floor_level, scene._pressure, scene._load = (
         contents.floor, contents.pressure, contents.load,
     )  # fmt: skip
-    scene._laid, scene._dissipated = contents.laid, contents.dissipated
-    scene.energies, scene.crossings = contents.energies, contents.crossings
+    scene.energies, net = contents.energies, scene.net
+    net.laid, net.removed_dissipation = contents.laid, contents.dissipated
     scene._dead_forces = None
     if fields.dead_forces is not None and contents.intensity is not None:
         from crms_fenicsx.energies.dead_load import DeadForces
@@ -207,10 +209,10 @@ def _restore(scene: Scene, fields: Fields, saved: Saved) -> None:
         scene._dead_forces = DeadForces(fields.dead_forces, contents.intensity)
     for own, cable in zip(scene.cables, contents.cables, strict=False):
         own.state = cable.state
-    scene._cables = scene.cables or Cables.of(
-        scene,
-        (LaidCable(c.name, c.cable, c.state, c.sleeve, c.layer) for c in contents.cables),
+    net.cables = net.cables or tuple(
+        LaidCable(c.name, c.cable, c.state, c.sleeve, c.layer) for c in contents.cables
     )
+    net.crossings = contents.crossings
     scene.changes += 1
 
 
@@ -218,7 +220,7 @@ def _strip(scene: Scene, contents: Contents) -> Strip | None:
     """The cells around the cables; None if one lies on none of them. Collective."""
     from crms_fenicsx.cables.strip_gather import cells_at
 
-    strip = cells_at(scene, contents.strip)
+    strip = cells_at(scene.membrane, contents.strip)
     points = (node.point for cable in contents.cables for node in cable.state.nodes)
     on_cells = (bool(strip.rows(point.support)) for point in points if point is not None)
     return strip if all(on_cells) else None

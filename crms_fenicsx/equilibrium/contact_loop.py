@@ -11,8 +11,8 @@ import logging
 from collections.abc import Callable
 from dataclasses import replace
 
-from crms_fenicsx.cables.state import State
 from crms_fenicsx.contact.active_set import ActiveSet
+from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.paths.retrace import Retracer

@@ -60,7 +60,6 @@ class FrictionLoop:
         outcome = solve(h0_prestress, bool(lags))
         if not lags:
             return outcome
-        from crms_fenicsx.cables.strip_positions import StripShape
         from crms_fenicsx.friction.lateral_iteration import NEARLY
 
         rough = True
@@ -69,7 +68,7 @@ class FrictionLoop:
             outcome = replace(outcome, passes=passes)
             if not outcome.converged:
                 return outcome
-            shape = StripShape.of(self.scene)
+            shape = self.scene.net.strip_shape()
             changes = [lag.renew(shape) for lag in lags]
             if all(c <= lag.settled for c, lag in zip(changes, lags, strict=True)):
                 if not rough:

@@ -10,10 +10,9 @@ import math
 from dataclasses import dataclass, replace
 
 from crms_fenicsx.cables.crossings import tangled
-from crms_fenicsx.cables.state import State
-from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.lift_off import sunk
 from crms_fenicsx.equilibrium.contact_loop import ContactLoop
+from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.paths.path_change import PathChange
 from crms_fenicsx.paths.tried_paths import TriedPaths
@@ -74,7 +73,6 @@ class PathLoop:
         self.contacts, self.retracer = contacts, contacts.retracer
         self.system, self.scene = contacts.system, contacts.scene
         self.change, self.tried = change, tried
-        self._has_friction = not all(cable.slides_freely for cable in self.scene.cables)
 
     def solve(self, h0_prestress: tuple[float, ...], rough: bool) -> Outcome:
         """Find the equilibrium and the paths of the cables. Collective.
@@ -181,7 +179,7 @@ class PathLoop:
 
     def _pass_vertices(self, most: int | None) -> int:
         """Move cables with friction over the vertices that they have run into."""
-        if not self._has_friction:
+        if not self.scene.net.has_friction:
             return 0
         from crms_fenicsx.paths.friction_release import pass_vertices
 
@@ -189,7 +187,7 @@ class PathLoop:
 
     def _straighten_kinks(self) -> bool:
         """Put caught fold points of cables with friction back on straight edges."""
-        if not self._has_friction:
+        if not self.scene.net.has_friction:
             return False
         from crms_fenicsx.paths.friction_release import straighten_kinks
 
@@ -197,7 +195,7 @@ class PathLoop:
 
     def _caught(self, limit: float) -> set[int]:
         """Numbers of the cables that kink edges by more than a limit (rad), or are tangled."""
-        return self.system.caught_cables(limit) | tangled(self.scene.crossings)
+        return self.system.caught_cables(limit) | tangled(self.scene.net.crossings)
 
     def _sliding(self, numbers: set[int]) -> set[int]:
         """Those cables, by number, that slide without friction."""
@@ -208,4 +206,4 @@ class PathLoop:
         cables = self.scene.cables
         if not any(cable.lifted.any() for cable in cables):
             return set()
-        return sunk(cables, StripShape.of(self.scene))
+        return sunk(cables, self.scene.net.strip_shape())

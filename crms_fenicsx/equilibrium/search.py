@@ -16,7 +16,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from crms_fenicsx.cables.state import State
+from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
 
@@ -74,7 +74,7 @@ class EquilibriumSearch:
         from crms_fenicsx.equilibrium.friction_loop import FrictionLoop
 
         if not self.slide:
-            contacts = ContactLoop(self.system, ActiveSet(self.scene, None), None, start)
+            contacts = ContactLoop(self.system, ActiveSet(self.scene.net, None), None, start)
             return contacts, FrictionLoop(contacts, contacts.solve_in_cells, None)
         from crms_fenicsx.equilibrium.path_loop import PathLoop
         from crms_fenicsx.paths.boundary_ends import renew_ends
@@ -85,9 +85,9 @@ class EquilibriumSearch:
         if self.tried is None:
             self.tried = TriedPaths()
         self.tried.begin_step()
-        change = PathChange(self.scene)
+        change = PathChange(self.scene.net)
         retracer = Retracer(change, self.tried)
-        contacts = ContactLoop(self.system, ActiveSet(self.scene, self.tried), retracer, start)
+        contacts = ContactLoop(self.system, ActiveSet(self.scene.net, self.tried), retracer, start)
         paths = PathLoop(contacts, change, self.tried)
         changed = renew_ends(change)
         if retracer.renew_shadows() or changed:
@@ -112,15 +112,14 @@ class EquilibriumSearch:
 
     def _begin_friction(self) -> None:
         """Begin a load step for the cables with friction."""
-        cables = self.scene.cables
-        if all(cable.slides_freely for cable in cables):
+        net = self.scene.net
+        if not net.has_friction:
             return  # friction along a cable begins with its grip from before
-        from crms_fenicsx.cables.strip_positions import StripShape
         from crms_fenicsx.friction.lateral import begin
 
-        shape = StripShape.of(self.scene)
-        known = all(cable.slides_freely or cable.grip is not None for cable in cables)
-        for cable in cables:
+        shape = net.strip_shape()
+        known = all(cable.slides_freely or cable.grip is not None for cable in net.cables)
+        for cable in net.cables:
             begin(cable, shape)
         if not known:
             self.system.expire()

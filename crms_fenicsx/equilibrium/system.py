@@ -17,6 +17,7 @@ from crms_fenicsx.energies.membrane import MembraneEnergy
 from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.energies.paper.step_pressure import StepPressure
 from crms_fenicsx.energies.pressure import FollowerPressure
+from crms_fenicsx.energies.pressure_rim import RimPressure, rim_of
 from crms_fenicsx.minimization.minimizer import Minimizer
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.minimization.potential import Potential, Term
@@ -109,13 +110,12 @@ class System:
         self.tables = self.tension = self.capstan = None
         self.stick_slip = self.friction_elements = None
         if scene.cables:
-            from crms_fenicsx.cables.crossings import arrange
             from crms_fenicsx.cables.node_positions import Whereabouts
             from crms_fenicsx.cables.numbering import Network
 
-            assert scene.strip is not None
-            scene.crossings = arrange(scene.cables, scene.strip, scene.crossings)
-            self.network = Network(scene.cables, scene.strip, scene.u)
+            scene.net.arrange_crossings()
+            assert scene.net.strip is not None
+            self.network = Network(scene.cables, scene.net.strip, scene.u)
             self.unknowns = self.network.unknowns()
             self.network.hold(self.unknowns)
             self.whereabouts = Whereabouts(self.network, self.unknowns)
@@ -163,24 +163,24 @@ class System:
     def _membrane_term(self) -> MembraneEnergy:
         scene = self.scene
         if scene.strain_law == "total":
-            return MembraneEnergy(scene.u, scene.materials, scene.cell_tags)
+            return MembraneEnergy(scene.u, scene.materials, scene.membrane.cell_tags)
         from crms_fenicsx.energies.paper.step_membrane import StepMembraneEnergy
 
-        return StepMembraneEnergy(scene.u, scene.materials, scene.cell_tags)
+        return StepMembraneEnergy(scene.u, scene.materials, scene.membrane.cell_tags)
 
     def _set_plain(self, folded: npt.NDArray[np.int32]) -> None:
         """Say which cells are folded, and so left to terms of their own."""
         plain = self.membrane.plain.x.array
         plain[:] = 1.0
         plain[folded] = 0.0
-        self.plain_pressed.x.array[:] = plain * self.scene.pressed
+        self.plain_pressed.x.array[:] = plain * self.scene.membrane.pressed
 
     def _pressure_term(self) -> FollowerPressure | StepPressure:
         term = self.pressure
         if term is None:
             u, cells, value = self.scene.u, self.plain_pressed, self.pressure_value
             if self.scene.pressure_law == "total":
-                term = FollowerPressure(u, cells, value, self.scene.centre)
+                term = FollowerPressure(u, cells, value, self.scene.membrane.centre)
             else:
                 term = StepPressure(u, cells, value)
             self.pressure = term
@@ -191,19 +191,17 @@ class System:
         scene = self.scene
         if scene.pressure_law != "total":
             return []
-        rim = scene.rim()
+        rim = rim_of(scene.membrane)
         if scene.comm.allreduce(len(rim.sliding), op=MPI.SUM) == 0:
             return []
-        from crms_fenicsx.energies.pressure_rim import RimPressure
-
-        return [RimPressure(rim, self.pressure_value, scene.centre)]
+        return [RimPressure(rim, self.pressure_value, scene.membrane.centre)]
 
     def _cable_terms(self) -> list[Term]:
         """Terms of the cables in tension; the cells that they fold leave the membrane term."""
         from crms_fenicsx.cables.element_tables import cable_tables
 
         assert self.network is not None
-        self.tables = cable_tables(self.network, self.membrane, self.scene.pressed)
+        self.tables = cable_tables(self.network, self.membrane, self.scene.membrane.pressed)
         folded = self.tables.folded
         self._set_plain(folded.cells)
         terms = self._tension_terms(self.network, self.tables)
@@ -230,13 +228,12 @@ class System:
         }
         if not laws:
             return []
-        from crms_fenicsx.cables.strip_positions import StripShape
         from crms_fenicsx.friction.lateral import align
 
         for cable in self.scene.cables:
             if cable.taut:
                 align(cable)
-        shape = StripShape.of(self.scene)
+        shape = self.scene.net.strip_shape()
         terms: list[Term] = []
         if "coulomb" in laws:
             from crms_fenicsx.energies.lateral_friction import StickSlip
@@ -256,10 +253,9 @@ class System:
         """Bring the friction forces of the potential to those that the cables have. Collective."""
         if self.stick_slip is None is self.friction_elements and self.capstan is None:
             return
-        from crms_fenicsx.cables.strip_positions import StripShape
 
         assert self.network is not None
-        shape = StripShape.of(self.scene)
+        shape = self.scene.net.strip_shape()
         if self.stick_slip is not None:
             from crms_fenicsx.friction.lateral_tables import slip_table
 
@@ -283,14 +279,13 @@ class System:
             self.tension = self._tension_term(tables, taut)
             terms.append(self.tension)
         if self._gripped:
-            from crms_fenicsx.cables.strip_positions import StripShape
             from crms_fenicsx.energies.axial_friction import CapstanTension
             from crms_fenicsx.friction.axial import align_axial
             from crms_fenicsx.friction.axial_tables import chain_table, grip_table
 
             for cable in self._gripped:
                 align_axial(cable)
-            grips = grip_table(network, StripShape.of(self.scene))
+            grips = grip_table(network, self.scene.net.strip_shape())
             L0 = np.array([cable.L0 + cable.excess for cable in self._gripped])
             self.capstan = CapstanTension(chain_table(network, tables), grips, L0)
             terms.append(self.capstan)
@@ -343,7 +338,9 @@ class System:
         from crms_fenicsx.energies.paper.step_folded_pressure import FoldedStepPressure
 
         if self.scene.pressure_law == "total":
-            return FoldedFollowerPressure(tables.facets, self.pressure_value, self.scene.centre)
+            return FoldedFollowerPressure(
+                tables.facets, self.pressure_value, self.scene.membrane.centre
+            )
         return FoldedStepPressure(tables.facets, self.pressure_value, self._folded_volume)
 
     def _tiny_force(self) -> float:
@@ -354,7 +351,7 @@ class System:
             return 0.0
         materials = scene.materials.values()
         section = max(m.reference_modulus + float(m.prestress_vector.max()) for m in materials)
-        return 1e-12 * section * scene.size
+        return 1e-12 * section * scene.membrane.size
 
     def pull(self) -> None:
         """Take state and loads from the scene."""
@@ -394,10 +391,9 @@ class System:
             for cable, force in zip(self._sliding, forces, strict=True):
                 cable.update(tension=float(force))
         if "friction" in scene.energies:  # the state has what it stores; the rest is heat
-            from crms_fenicsx.cables.strip_positions import StripShape
             from crms_fenicsx.friction.lateral import energies
 
-            shape = StripShape.of(scene)
+            shape = scene.net.strip_shape()
             scene.energies["friction"] = sum(energies(c, shape)[0] for c in scene.cables)
         if self.capstan is not None:
             self._push_gripped(self.capstan)
@@ -553,9 +549,8 @@ class System:
         held_along = [cable for cable in self.scene.cables if cable.axial is not None]
         if not gripped and not held_along:
             return
-        from crms_fenicsx.cables.strip_positions import StripShape
 
-        shape = StripShape.of(self.scene)
+        shape = self.scene.net.strip_shape()
         if gripped:
             from crms_fenicsx.friction.lateral import commit
 

@@ -9,18 +9,17 @@ The path of a cable with an anchor over the membrane ends in the cell below, whi
 from __future__ import annotations
 
 import itertools
-from typing import TYPE_CHECKING
 
 import numpy as np
 from dolfinx.mesh import entities_to_geometry
 from mpi4py import MPI
 
-from crms_fenicsx.cables.strip_gather import grow
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.gap import size_at
 from crms_fenicsx.contact.span_projection import shadow
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import COINCIDENT, LaidCable
+from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.paths.path_change import PathChange
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.compat import geometry_dofmap
@@ -35,10 +34,6 @@ from crms_fenicsx.surface.points import (
     edge_of,
 )
 from crms_fenicsx.surface.triangles import cross
-
-if TYPE_CHECKING:
-    from crms_fenicsx.scene import Scene
-
 
 ASIDE = 0.1
 """Sideways movement of an anchor in a load step, relative to the cells' size, from which on the
@@ -57,11 +52,11 @@ def renew_ends(change: PathChange) -> bool:
         An anchor has come to a part of the boundary that cannot be reached along it.
     """
     changed = False
-    shape = StripShape.of(change.scene)
-    for cable in change.scene.cables:
+    shape = change.net.strip_shape()
+    for cable in change.net.cables:
         led = [_renew(change, cable, last) for last in (False, True)]
         if any(led):  # it may lie over other cells now
-            changed, shape = True, StripShape.of(change.scene)
+            changed, shape = True, change.net.strip_shape()
         if cable.taut and any(_moved_aside(cable, k, shape) for k in (0, -1)):
             cable.update(path_is_geodesic=False)
     return changed
@@ -101,7 +96,7 @@ def _renew(change: PathChange, cable: LaidCable, last: bool) -> bool:
     away = float(np.linalg.norm(cable.positions[anchor] - cable.positions[beside]))
     if away <= COINCIDENT * cable.length and node.kind != "rail":
         return False
-    found = _edge_at(change.scene, cable.positions[anchor], COINCIDENT * cable.length)
+    found = _edge_at(change.net.membrane, cable.positions[anchor], COINCIDENT * cable.length)
     if found is None:
         if node.kind != "rider":
             return led
@@ -138,7 +133,7 @@ def _follow(change: PathChange, cable: LaidCable, last: bool) -> bool:
             way = shadow(shape, foot, start, cable.nodes[anchor], place)
             break
         except MissingStars as missing:
-            grow(change.scene, missing.vertices, rings)
+            change.net.grow_strip(missing.vertices, rings)
     if way is None or set(way[-1].support) == set(ids):
         return False
     points = list(cable.path.points)
@@ -149,35 +144,35 @@ def _follow(change: PathChange, cable: LaidCable, last: bool) -> bool:
     return True
 
 
-def _edge_at(scene: Scene, place: Array, tolerance: float) -> tuple[Edge, float] | None:
+def _edge_at(membrane: Membrane, place: Array, tolerance: float) -> tuple[Edge, float] | None:
     """The held edge of the boundary that a place lies on, and where on it; None if on none."""
-    mesh = scene.mesh.mesh
-    boundary = scene.mesh.edges["boundary"]
-    boundary = boundary[scene.held_edges[boundary]]
-    behind = mesh.topology.connectivity(2, 1).array.reshape(-1, 3)[scene.mesh.hidden]
+    mesh = membrane.mesh.mesh
+    boundary = membrane.mesh.edges["boundary"]
+    boundary = boundary[membrane.held_edges[boundary]]
+    behind = mesh.topology.connectivity(2, 1).array.reshape(-1, 3)[membrane.mesh.hidden]
     boundary = np.setdiff1d(boundary, behind)
     nodes = np.zeros((0, 2), dtype=np.int32)
     if len(boundary):  # DOLFINx divides by the number
         nodes = entities_to_geometry(mesh, 1, boundary).reshape(-1, 2)
     cells = geometry_dofmap(mesh)
     dof_of = np.zeros(len(mesh.geometry.x), dtype=np.int64)
-    dof_of[cells] = scene.V.dofmap.list
-    ends = scene.positions()[dof_of[nodes]]
+    dof_of[cells] = membrane.V.dofmap.list
+    ends = membrane.positions()[dof_of[nodes]]
     sides = ends[:, 1] - ends[:, 0]
     lengths = np.sum(sides**2, axis=1)
     s = np.clip(np.sum((place - ends[:, 0]) * sides, axis=1) / lengths, 0.0, 1.0)
     gaps = np.linalg.norm(ends[:, 0] + s[:, None] * sides - place, axis=1)
     k = int(np.argmin(gaps)) if len(gaps) else -1
     least = float(gaps[k]) if k >= 0 else np.inf
-    gap, rank = scene.comm.allreduce((least, scene.comm.rank), op=MPI.MINLOC)
+    gap, rank = membrane.comm.allreduce((least, membrane.comm.rank), op=MPI.MINLOC)
     if gap > tolerance:
         return None
     ids = mesh.geometry.input_global_indices
     mine = None
-    if scene.comm.rank == rank:
+    if membrane.comm.rank == rank:
         a, b = (int(ids[node]) for node in nodes[k])
         mine = (edge_of(a, b), float(s[k] if a < b else 1 - s[k]))
-    found: tuple[Edge, float] = scene.comm.bcast(mine, root=rank)
+    found: tuple[Edge, float] = membrane.comm.bcast(mine, root=rank)
     return found
 
 

@@ -29,7 +29,7 @@ def pass_vertices(change: PathChange, tried: TriedPaths, most: int | None = None
     Parameters
     ----------
     change
-        Changes the paths of the scene's cables.
+        Changes the paths of the cables.
     tried
         Which ways past vertices have been tried.
     most
@@ -40,10 +40,10 @@ def pass_vertices(change: PathChange, tried: TriedPaths, most: int | None = None
     How many vertices the cable that has passed most has.
     """
     tried.proposed = set()
-    held = _held(change.scene.cables)
+    held = _held(change.net.cables)
     if not held:
         return 0
-    shape, passed = StripShape.of(change.scene), 0
+    shape, passed = change.net.strip_shape(), 0
     for cable in held.values():
         done = 0
         for one in sorted(_run_into(cable, shape), key=lambda one: -one.excess):
@@ -75,7 +75,7 @@ def straighten_kinks(
     Parameters
     ----------
     change
-        Changes the paths of the scene's cables.
+        Changes the paths of the cables.
     tried
         Which ways past vertices have been tried.
     kinked
@@ -86,13 +86,13 @@ def straighten_kinks(
     Whether any was moved that has not been before in this load step from the same place on the
     path: if that has raised the energy, it does with other friction forces, too.
     """
-    shape, caught = StripShape.of(change.scene), set(kinked)
-    for c, cable in _held(change.scene.cables).items():
+    shape, caught = change.net.strip_shape(), set(kinked)
+    for c, cable in _held(change.net.cables).items():
         for one in _run_into(cable, shape):
             caught |= {(c, k) for k in one.nodes if not cable.lifted[k]}
     moved = False
     for c, k in sorted(caught):
-        cable = change.scene.cables[c]
+        cable = change.net.cables[c]
         if cable.slides_freely or not cable.nodes[k].slides:
             continue
         rim = cable.path_nodes()

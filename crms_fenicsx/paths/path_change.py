@@ -8,25 +8,21 @@ put them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.crossings import at_nodes
-from crms_fenicsx.cables.strip_gather import grow
-from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.cables.points_on_edges import bends
 from crms_fenicsx.contact.gap import INSIDE
 from crms_fenicsx.model.cable_state import CableNode, End
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.paths.creased_surface import FoldedSurface, bends
+from crms_fenicsx.paths.creased_surface import FoldedSurface
 from crms_fenicsx.paths.typed_nodes import fractions_of, nodes_of
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.surface.path import without_backtracking
 from crms_fenicsx.surface.points import EdgePoint, SurfacePoint, VertexPoint
-
-if TYPE_CHECKING:
-    from crms_fenicsx.scene import Scene
 
 NEAR = 0.1
 """Part of an edge by which a point of a cable with friction may have to move on a new path, and
@@ -38,22 +34,22 @@ class PathChange:
 
     Parameters
     ----------
-    scene
-        The scene; its cables are changed.
+    net
+        The cables, which are changed.
     """
 
-    def __init__(self, scene: Scene) -> None:
-        self.scene = scene
+    def __init__(self, net: CableNet) -> None:
+        self.net = net
 
     @property
     def n_vertices(self) -> int:
         """Number of the membrane's vertices: ids from here on are those of anchors."""
-        return self.scene.V.dofmap.index_map.size_global
+        return self.net.membrane.V.dofmap.index_map.size_global
 
     def surface(self, vertices: Sequence[int] = ()) -> FoldedSurface:
         """The current surface, with all cells around some vertices. Collective."""
-        grow(self.scene, vertices)
-        return FoldedSurface(StripShape.of(self.scene), bends(self.scene.cables))
+        self.net.grow_strip(vertices)
+        return FoldedSurface(self.net.strip_shape(), bends(self.net.cables))
 
     def with_anchors(self, cable: LaidCable, surface: FoldedSurface) -> FoldedSurface:
         """The surface with the triangles between its boundary and a cable's anchors."""
@@ -149,7 +145,7 @@ class PathChange:
             else:
                 ids, weights = node.masters()
                 positions[k] = np.dot(weights, [surface.shape.at(i) for i in ids])
-        self.scene.crossings = at_nodes(self.scene.crossings, cable)
+        self.net.crossings = at_nodes(self.net.crossings, cable)
         cable.set_nodes(nodes, positions, fractions, flags)
 
     def _clipped(self, cable: LaidCable, point: SurfacePoint) -> SurfacePoint:
@@ -160,7 +156,7 @@ class PathChange:
         """
         if not isinstance(point, EdgePoint):
             return point
-        least = INSIDE * (1 + 0.02 * self.scene.cables.index(cable))
+        least = INSIDE * (1 + 0.02 * self.net.cables.index(cable))
         return EdgePoint(point.edge, min(max(point.fraction, least), 1 - least))
 
 

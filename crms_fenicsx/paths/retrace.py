@@ -11,14 +11,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence, Set
 
-from crms_fenicsx.cables.strip_gather import grow
-from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.cables.points_on_edges import bends
 from crms_fenicsx.contact.lift_off import drape
 from crms_fenicsx.contact.span_projection import with_shadows
-from crms_fenicsx.geodesics.corridor import flaw
-from crms_fenicsx.geodesics.flip_geodesic import corridor, shorten
+from crms_fenicsx.geodesics.corridor import corridor, flaw
+from crms_fenicsx.geodesics.flip_geodesic import shorten
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.paths.creased_surface import FoldedSurface, bends
+from crms_fenicsx.paths.creased_surface import FoldedSurface
 from crms_fenicsx.paths.path_change import PathChange, slid_off
 from crms_fenicsx.paths.path_parts import is_crossed, lifted_runs, vertices_near
 from crms_fenicsx.paths.tried_paths import TriedPaths
@@ -40,13 +39,13 @@ class Retracer:
     Parameters
     ----------
     change
-        Changes the paths of the scene's cables.
+        Changes the paths of the cables.
     tried
         Which paths have been tried.
     """
 
     def __init__(self, change: PathChange, tried: TriedPaths) -> None:
-        self.change, self.tried, self.scene = change, tried, change.scene
+        self.change, self.tried, self.net = change, tried, change.net
 
     def straighten(self) -> bool:
         """Pull the paths of cables taut that have not been in equilibrium yet. Collective.
@@ -59,16 +58,16 @@ class Retracer:
         """
         fresh = [
             cable
-            for cable in self.scene.cables
+            for cable in self.net.cables
             if cable.taut and not cable.path_is_geodesic and cable.slides_freely
         ]
         if not fresh:
             return False
-        others = [cable for cable in self.scene.cables if cable not in fresh]
+        others = [cable for cable in self.net.cables if cable not in fresh]
         for cable in fresh:
             cable.update(lifted=cable.lifted & False)
         self._retrace(fresh, folded_by=others, fresh=True)
-        shape = StripShape.of(self.scene)
+        shape = self.net.strip_shape()
         for cable in fresh:
             if not cable.sleeve:
                 drape(cable, shape)
@@ -81,12 +80,12 @@ class Retracer:
         """Forget where the fold points of some cables are, given by number, so that `straighten`
         puts them on straight edges."""
         for c in numbers:
-            self.scene.cables[c].update(path_is_geodesic=False)
+            self.net.cables[c].update(path_is_geodesic=False)
 
     def renew_shadows(self) -> list[str]:
         """Bring the paths of lifted parts under their spans; say which changed. Collective."""
         changes: list[str] = []
-        off = [cable for cable in self.scene.cables if cable.taut and cable.lifted.any()]
+        off = [cable for cable in self.net.cables if cable.taut and cable.lifted.any()]
         if not off:
             return changes
         surface = self.change.surface()
@@ -96,7 +95,7 @@ class Retracer:
                     found = with_shadows(cable, surface.shape)
                     break
                 except MissingStars as missing:
-                    grow(self.scene, missing.vertices, rings)
+                    self.net.grow_strip(missing.vertices, rings)
                     surface = self.change.surface()
             # A span that turns over its own touchdown keeps the shadow that it had.
             if found is not None and not flaw(corridor(found[0]), surface.thirds):
@@ -114,7 +113,7 @@ class Retracer:
         PathError
             All contacts of a cable have closed in on one vertex of the boundary.
         """
-        for cable in self.scene.cables:
+        for cable in self.net.cables:
             nodes = [cable.nodes[k] for k in cable.contacts()]
             places = [set(node.point.support) for node in nodes if node.point is not None]
             if not cable.taut or not places or len(cable.blocked) < len(places):
@@ -137,10 +136,10 @@ class Retracer:
         -------
         How many vertices the cable that has passed most has; 0: no path has changed.
         """
-        self.tried.forget_moved(self.scene.cables)
+        self.tried.forget_moved(self.net.cables)
         free = [
             cable
-            for cable in self.scene.cables
+            for cable in self.net.cables
             if cable.taut and cable.slides_freely and self.tried.uses_geodesic(cable)
         ]
         return self._retrace(free, max_flips) if free else 0
@@ -152,8 +151,8 @@ class Retracer:
         folded_by: Sequence[LaidCable] | None = None,
         fresh: bool = False,
     ) -> int:
-        folds = bends(self.scene.cables if folded_by is None else folded_by)
-        surface = FoldedSurface(StripShape.of(self.scene), folds)
+        folds = bends(self.net.cables if folded_by is None else folded_by)
+        surface = FoldedSurface(self.net.strip_shape(), folds)
         done: list[tuple[LaidCable, tuple[list[SurfacePoint], list[bool], int]]] = []
         for cable in cables:
             for rings in itertools.count(1):
@@ -161,8 +160,8 @@ class Retracer:
                     done.append((cable, self._pulled(cable, surface, max_flips, fresh)))
                     break
                 except MissingStars as missing:
-                    grow(self.scene, missing.vertices, rings)
-                    surface = FoldedSurface(StripShape.of(self.scene), folds)
+                    self.net.grow_strip(missing.vertices, rings)
+                    surface = FoldedSurface(self.net.strip_shape(), folds)
         most = 0
         for cable, (points, lifted, flips) in done:
             if flips or fresh:
@@ -170,7 +169,7 @@ class Retracer:
                 most = max(most, flips)
         if most or fresh:
             nodes = [node.point for cable in cables for node in cable.nodes]
-            grow(self.scene, [v for p in nodes if p is not None for v in p.support])
+            self.net.grow_strip([v for p in nodes if p is not None for v in p.support])
         return most
 
     def _pulled(

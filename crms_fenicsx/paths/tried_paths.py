@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from crms_fenicsx.contact.active_set import ContactKey
 from crms_fenicsx.geodesics.corridor import Corridor
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.paths.path_parts import is_crossed
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.surface.points import Support
 
 MISLED, MISLED_AT_CROSSINGS = 2, 1
 """How often in a load step geodesics may propose paths of higher energy, before only the forces of
@@ -20,9 +20,6 @@ vertices tell where cables go; and where cables cross, of which geodesics know l
 
 STILL = 1e-4
 """Movement, relative to a cable's length, within which rejected paths stay rejected."""
-
-ContactKey = tuple[str, Support] | tuple[str, str]
-"""A cable and its place on the mesh, or the upper and the lower one of two cables that cross."""
 
 
 @dataclass

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crms_fenicsx.cables.strip_gather import grow
 from crms_fenicsx.geodesics.corridor import Corridor, corridor, flaw
-from crms_fenicsx.geodesics.flip_geodesic import other_side, shorten
+from crms_fenicsx.geodesics.flip_geodesic import shorten
+from crms_fenicsx.geodesics.vertex_flip import other_side
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.paths.creased_surface import FoldedSurface
@@ -34,13 +34,13 @@ def pass_run(change: PathChange, number: int, run: Run) -> bool:
     Parameters
     ----------
     change
-        Changes the paths of the scene's cables.
+        Changes the paths of the cables.
     number
         The cable's.
     run
         The vertices and the side.
     """
-    cable = change.scene.cables[number]
+    cable = change.net.cables[number]
     found = way_past(change, cable, run)
     if found is None:
         return False
@@ -76,7 +76,7 @@ def way_past(change: PathChange, cable: LaidCable, run: Run) -> WayPast | None:
     Parameters
     ----------
     change
-        Changes the paths of the scene's cables.
+        Changes the paths of the cables.
     cable
         A cable.
     run
@@ -101,7 +101,7 @@ def way_past(change: PathChange, cable: LaidCable, run: Run) -> WayPast | None:
                 found = other_side(string, joined, vertex, upward)
                 break
             except MissingStars as missing:
-                grow(change.scene, missing.vertices, rings)
+                change.net.grow_strip(missing.vertices, rings)
                 joined = change.with_anchors(cable, change.surface())
             except MeshError:
                 break  # where several sheets of membrane meet the vertex holds
@@ -119,11 +119,11 @@ def way_past(change: PathChange, cable: LaidCable, run: Run) -> WayPast | None:
 def adopt(change: PathChange, cable: LaidCable, way: WayPast) -> None:
     """Give a cable a way past vertices; all nodes that it had stay where they are."""
     supports, rim = way.supports, cable.path_nodes()
-    grow(change.scene, [v for support in supports for v in support])
-    strip = change.scene.strip
+    change.net.grow_strip([v for support in supports for v in support])
+    strip = change.net.strip
     assert strip is not None
     old = {cable.nodes[k].support: k for k in rim}
-    least = BEYOND * (1 + 0.02 * change.scene.cables.index(cable))
+    least = BEYOND * (1 + 0.02 * change.net.cables.index(cable))
 
     def kept(k: int) -> tuple[CableNode, Array, float, bool]:
         fraction, lifted = float(cable.fractions[k]), bool(cable.lifted[k])

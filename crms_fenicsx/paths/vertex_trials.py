@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 
-from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.paths.held_vertices import Run, held_runs
 from crms_fenicsx.paths.path_change import PathChange
 from crms_fenicsx.paths.tried_paths import TriedPaths
@@ -37,7 +36,7 @@ class VertexTrials:
     Parameters
     ----------
     change
-        Changes the paths of the scene's cables.
+        Changes the paths of the cables.
     tried
         Which runs have been tried.
     """
@@ -89,10 +88,10 @@ class VertexTrials:
 
     def _held(self) -> list[Trial]:
         """Runs that hold cables, and have not been tried."""
-        scene = self.change.scene
-        shape = StripShape.of(scene)
+        net = self.change.net
+        shape = net.strip_shape()
         found: list[Trial] = []
-        for c, cable in enumerate(scene.cables):
+        for c, cable in enumerate(net.cables):
             if not cable.taut:
                 continue
             least = 1
@@ -108,7 +107,7 @@ class VertexTrials:
         return [trial for trial in found if self._key(trial)[1] not in self._tried(trial[0])]
 
     def _tried(self, c: int) -> set[tuple[int, ...]]:
-        return self.tried.runs_left(self.change.scene.cables[c])
+        return self.tried.runs_left(self.change.net.cables[c])
 
     def _note(self, trials: list[Trial]) -> None:
         """Do not try these again while the cable stays where it is."""

@@ -20,7 +20,6 @@ from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.cables.crossings import arrange
 from crms_fenicsx.cables.node_positions import Whereabouts
 from crms_fenicsx.cables.strip import Strip
-from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.lift_off import sunk
 from crms_fenicsx.energies.folded_pressure import FoldedFollowerPressure
 from crms_fenicsx.equilibrium.system import System
@@ -330,7 +329,7 @@ def test_arranging_again_keeps_what_a_solve_has_found(comm: MPI.Intracomm) -> No
     for path in ([(0.0, 47.0), (100.0, 52.0)], [(47.0, 0.0), (52.0, 100.0)]):
         scene.lay_cable(Cable(EA=32000.0), path)
     Solver(scene).advance(pressure=1e-4)
-    assert len(scene.crossings) == 1
+    assert len(scene.net.crossings) == 1
     before = [cable.reference_positions.copy() for cable in scene.cables]
     assert all(np.isfinite(places).any() for places in before)
     system = Solver(scene).system
@@ -465,7 +464,7 @@ def square(comm: MPI.Intracomm) -> tuple[Scene, list[LaidCable], Solver]:
 def test_crossing_cables_share_a_point_in_equilibrium(square) -> None:
     """The upper one presses on the lower one; what is left carries the pressure around it."""
     scene, cables, _ = square
-    (crossing,) = scene.crossings
+    (crossing,) = scene.net.crossings
     assert not crossing.separated
     pulls, places = [], []
     for cable in cables:
@@ -547,13 +546,13 @@ def test_the_looser_one_on_top_parts_from_the_other(comm, square) -> None:
     """It is not pressed down any more, which the lower one cannot do."""
     scene, *_ = square
     other, cables, _ = crossed_square(comm, first=1)
-    (crossing,) = other.crossings
+    (crossing,) = other.net.crossings
     assert crossing.separated and (crossing.lower, crossing.upper) == (1, 0)
     assert all("x" not in kinds(cable) for cable in cables)
     assert other.energy < scene.energy - 1.0
     x = [cable.positions for cable in cables]
     heights = [
-        np.interp(other.crossings[0].place[axis], line[:, axis], line[:, 2])
+        np.interp(other.net.crossings[0].place[axis], line[:, axis], line[:, 2])
         for axis, line in zip((0, 1), (x[0], x[1][np.argsort(x[1][:, 1])]), strict=True)
     ]
     assert heights[0] > heights[1] + 0.1
@@ -561,7 +560,7 @@ def test_the_looser_one_on_top_parts_from_the_other(comm, square) -> None:
 
 def test_which_lies_on_top_does_not_matter_while_both_press_on_the_membrane(comm) -> None:
     found = [crossed_square(comm, 0.99, first=layer)[0] for layer in (0, 1)]
-    assert [(k.lower, k.upper) for s in found for k in s.crossings] == [(0, 1), (1, 0)]
+    assert [(k.lower, k.upper) for s in found for k in s.net.crossings] == [(0, 1), (1, 0)]
     assert found[0].energy == pytest.approx(found[1].energy, rel=1e-9)
 
 
@@ -575,10 +574,10 @@ def test_all_pairs_of_many_cables_are_found(comm) -> None:
         scene.lay_cable(Cable(32000.0), [(x, 0.0), (x + 3.0, 100.0)], tension=10.0)
     solver = Solver(scene)
     solver.advance(pressure=0.01)
-    pairs = sorted((crossing.lower, crossing.upper) for crossing in scene.crossings)
+    pairs = sorted((crossing.lower, crossing.upper) for crossing in scene.net.crossings)
     expected = [(a, b) for a, b in combinations(range(5), 2) if a < 3 <= b]
     assert pairs == expected
-    assert not any(crossing.separated for crossing in scene.crossings)
+    assert not any(crossing.separated for crossing in scene.net.crossings)
 
 
 def test_cables_before_pressure_do_not_run_through_a_hill(comm) -> None:
@@ -615,5 +614,5 @@ def test_cables_before_pressure_do_not_run_through_a_hill(comm) -> None:
     solver = Solver(scene)
     solver.advance(L0=dict(zip(cables, L0, strict=True)), pressure=2e-4)
     solver.advance(pressure=0.01, steps=3)
-    assert sunk(cables, StripShape.of(scene)) == set()
+    assert sunk(cables, scene.net.strip_shape()) == set()
     assert scene.energy > 64.0  # 63.65 with the span below the vertex

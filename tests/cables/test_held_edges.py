@@ -314,7 +314,7 @@ def test_a_rail_that_runs_into_a_vertex_is_reported(comm) -> None:
     assert solver.system.potential.evaluate() == pytest.approx(scene.energy, rel=1e-12)
     # beyond its edge's end, but not in the stress-free shape of the cells that it folds
     assert cable.fractions[rails(cable)[0]] < 0 or cable.fractions[rails(cable)[0]] > 1
-    surface = current_surface(scene)
+    surface = current_surface(scene.net)
     X = surface.stress_free[surface.triangles]
     areas = np.cross(X[:, 1] - X[:, 0], X[:, 2] - X[:, 0])[:, 2] / 2
     assert areas.min() > -1e-9

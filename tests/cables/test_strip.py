@@ -9,7 +9,7 @@ from term_scene import ISOTROPIC, irregular_square
 
 from crms_fenicsx import Cable, Scene
 from crms_fenicsx.cables.strip import EMPTY, Strip
-from crms_fenicsx.cables.strip_gather import cells_at, grow
+from crms_fenicsx.cables.strip_gather import cells_at
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.compat import geometry_dofmap
@@ -69,39 +69,39 @@ def some_vertices(scene: Scene) -> list[int]:
 def test_cells_around_vertices(comm: MPI.Intracomm) -> None:
     scene = scene_of(comm)
     vertices = some_vertices(scene)
-    strip = cells_at(scene, vertices)
+    strip = cells_at(scene.membrane, vertices)
     assert rows_of(strip) == expected(scene, set(vertices))
     assert len(strip.cells) == len(rows_of(strip))
     assert strip.complete == set(vertices)
-    assert len(cells_at(scene, []).cells) == 0
+    assert len(cells_at(scene.membrane, []).cells) == 0
 
 
 @pytest.mark.parametrize("rings", [1, 2, 3])
 def test_it_grows_ring_by_ring(comm: MPI.Intracomm, rings: int) -> None:
     scene = scene_of(comm)
     first, *_ = vertices = some_vertices(scene)
-    grow(scene, [first], rings)
+    scene.net.grow_strip([first], rings)
     wanted = {first}
     for ring in range(rings):
         cells = expected(scene, wanted)
         if ring < rings - 1:
             wanted |= {v for *cell, _, _ in cells for v in cell}
-    assert scene.strip is not None
-    assert rows_of(scene.strip) == cells
-    assert scene.strip.complete == wanted
-    before = rows_of(scene.strip)
-    grow(scene, vertices[1:])
-    assert rows_of(scene.strip) == before | expected(scene, set(vertices[1:]))
-    assert scene.strip.complete == wanted | set(vertices)
-    same = scene.strip
-    grow(scene, vertices)  # nothing is lacking
-    assert scene.strip is same
+    assert scene.net.strip is not None
+    assert rows_of(scene.net.strip) == cells
+    assert scene.net.strip.complete == wanted
+    before = rows_of(scene.net.strip)
+    scene.net.grow_strip(vertices[1:])
+    assert rows_of(scene.net.strip) == before | expected(scene, set(vertices[1:]))
+    assert scene.net.strip.complete == wanted | set(vertices)
+    same = scene.net.strip
+    scene.net.grow_strip(vertices)  # nothing is lacking
+    assert scene.net.strip is same
 
 
 def test_merging_keeps_each_cell_once(comm: MPI.Intracomm) -> None:
     scene = scene_of(comm)
     a, b, c = some_vertices(scene)
-    one, other = cells_at(scene, [a, b]), cells_at(scene, [a, c])
+    one, other = cells_at(scene.membrane, [a, b]), cells_at(scene.membrane, [a, c])
     both = one.merged(other)
     assert len(both.cells) == len(rows_of(both)) < len(one.cells) + len(other.cells)
     assert rows_of(both) == expected(scene, {a, b, c})
@@ -110,7 +110,7 @@ def test_merging_keeps_each_cell_once(comm: MPI.Intracomm) -> None:
 
 def test_cells_around_vertices_edges_and_cells(comm: MPI.Intracomm) -> None:
     scene = scene_of(comm)
-    strip = cells_at(scene, some_vertices(scene)[:1])
+    strip = cells_at(scene.membrane, some_vertices(scene)[:1])
     for row, cell in enumerate(strip.cells.tolist()):
         assert strip.rows(tuple(cell)) == strip.rows(tuple(cell[::-1])) == [row]
         for support in ((cell[0],), (cell[1], cell[2]), (cell[2], cell[2], cell[0])):
@@ -126,7 +126,7 @@ def test_held_edges_are_those_of_held_groups(comm: MPI.Intracomm) -> None:
     """The boundary's edges near the vertices, and no edge between two held vertices inside."""
     scene = scene_of(comm)
     vertices = some_vertices(scene)
-    strip = cells_at(scene, vertices)
+    strip = cells_at(scene.membrane, vertices)
     cells = whole_mesh(scene)[0]
     sides = np.sort(cells[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, count = np.unique(sides, axis=0, return_counts=True)
@@ -140,13 +140,13 @@ def test_held_edges_are_those_of_held_groups(comm: MPI.Intracomm) -> None:
     assert len(strip.held_edges) >= 2
     free = Scene(irregular_square(comm), ISOTROPIC)
     free.fix(lambda x: np.full(x.shape[1], True))  # vertices alone
-    assert cells_at(free, vertices).held_edges == frozenset()
+    assert cells_at(free.membrane, vertices).held_edges == frozenset()
 
 
 def test_its_shape_is_the_scenes(comm: MPI.Intracomm) -> None:
     scene = scene_of(comm)
-    strip = cells_at(scene, some_vertices(scene))
-    shape = StripShape.of(scene, strip)
+    strip = cells_at(scene.membrane, some_vertices(scene))
+    shape = StripShape.of(scene.membrane, strip)
     X = places(scene)
     for vertex, x0, x in zip(strip.vertices, shape.stress_free, shape.current, strict=True):
         np.testing.assert_allclose(x0, X[int(vertex)], rtol=0, atol=1e-12)
@@ -157,8 +157,8 @@ def test_its_shape_is_the_scenes(comm: MPI.Intracomm) -> None:
 def test_its_normals_are_those_of_the_cells(comm: MPI.Intracomm) -> None:
     scene = scene_of(comm)
     inside, *_ = some_vertices(scene)
-    strip = cells_at(scene, [inside])
-    shape = StripShape.of(scene, strip)
+    strip = cells_at(scene.membrane, [inside])
+    shape = StripShape.of(scene.membrane, strip)
     total = np.zeros(3)
     for row, (a, b, c) in enumerate(strip.cells.tolist()):
         normal = np.cross(shape.at(b) - shape.at(a), shape.at(c) - shape.at(a))
@@ -182,7 +182,7 @@ def test_laying_a_cable_gathers_the_cells_around_its_points(comm: MPI.Intracomm)
     scene = scene_of(comm)
     cable = scene.lay_cable(Cable(32000.0), [(0.0, 31.0), (100.0, 52.0)])
     wanted = {v for point in cable.path.points for v in point.support}
-    assert scene.strip is not None
-    assert scene.strip.complete == wanted
-    assert rows_of(scene.strip) == expected(scene, wanted)
-    assert len(scene.strip.cells) < len(whole_mesh(scene)[0])
+    assert scene.net.strip is not None
+    assert scene.net.strip.complete == wanted
+    assert rows_of(scene.net.strip) == expected(scene, wanted)
+    assert len(scene.net.strip.cells) < len(whole_mesh(scene)[0])

@@ -10,7 +10,6 @@ from mpi4py import MPI
 from rigid_surfaces import SURFACES, band, curve, rigid, sphere
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces, paper_forces, runs, turns
 from crms_fenicsx.contact.line_load import WIDTH, smoothed, stretches
 from crms_fenicsx.model.cable_state import CableNode, CableState
@@ -77,7 +76,7 @@ def test_a_slack_cable_presses_nowhere():
     assert not np.any(paper_forces(cable))
     scene, cable = on_cylinder(0.2)[1:]
     cable.update(taut=False)
-    forces = contact_forces(cable, StripShape.of(scene))
+    forces = contact_forces(cable, scene.net.strip_shape())
     assert not np.any([forces.normal, forces.lateral, forces.bearing])
     assert np.all(np.isnan(forces.line))
 
@@ -180,7 +179,7 @@ def bearing_twin(cable, shape, normal):
 
 def test_forces_are_those_of_a_slow_twin():
     _, scene, cable = on_cylinder(0.15, ratio=0.4)
-    shape = StripShape.of(scene)
+    shape = scene.net.strip_shape()
     forces = contact_forces(cable, shape)
     normal, lateral = forces_twin(cable, shape)
     np.testing.assert_allclose(forces.normal, normal, atol=1e-13 * T)
@@ -197,7 +196,7 @@ def test_geodesic_turn_is_sideways_only_to_its_share():
     for seed in range(3):
         scene, cable = rigid(COMM, way, band(way, 0.05, seed), 0.5)
         cable.update(taut=True, tension=T)
-        forces = contact_forces(cable, StripShape.of(scene))
+        forces = contact_forces(cable, scene.net.strip_shape())
         ratios.append(forces.lateral.sum() / forces.normal.sum() / way.ratio)
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.03)
     # the full turn as a pressure would make it sin(30 degrees) instead of tan
@@ -215,7 +214,7 @@ def test_line_force_on_a_helix():
         roughest = 0.0
         for seed in range(4):
             way, scene, cable = on_cylinder(h, seed)
-            forces = contact_forces(cable, StripShape.of(scene))
+            forces = contact_forces(cable, scene.net.strip_shape())
             x = cable.positions
             arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1))])
             inner = (arc > 0.45) & (arc < way.length - 0.45)
@@ -256,7 +255,7 @@ def hollow(sleeve):
 def test_a_sleeve_bears_from_both_sides():
     """Positive on the ridge, negative in the valley; a sleeve holds the cable there too."""
     scene, cable = hollow(sleeve=True)
-    forces = contact_forces(cable, StripShape.of(scene))
+    forces = contact_forces(cable, scene.net.strip_shape())
     x = cable.positions[:, 0]
     ridge = (x > 0.6) & (x < np.pi - 0.6)
     valley = (x > np.pi + 0.6) & (x < 2 * np.pi - 0.6)
@@ -267,7 +266,7 @@ def test_a_sleeve_bears_from_both_sides():
     assert forces.bearing[valley].sum() > T  # it turns by more than a right angle
     assert forces.line[valley].min() > 0
     cable._sleeve = False  # on the very same points
-    bare = contact_forces(cable, StripShape.of(scene))
+    bare = contact_forces(cable, scene.net.strip_shape())
     np.testing.assert_array_equal(bare.normal, forces.normal)
     np.testing.assert_array_equal(bare.bearing[ridge], forces.bearing[ridge])
     assert not np.any(bare.bearing[valley])
@@ -277,7 +276,7 @@ def test_a_sleeve_bears_from_both_sides():
 def test_lifted_cable_bears_where_it_lies():
     scene, cable = hollow(sleeve=False)
     assert cable.lifted.any()
-    forces = contact_forces(cable, StripShape.of(scene))
+    forces = contact_forces(cable, scene.net.strip_shape())
     for values in (forces.normal, forces.lateral, forces.bearing):
         assert not np.any(values[cable.lifted])
     assert np.all(np.isnan(forces.line[cable.lifted]))
@@ -293,7 +292,7 @@ def test_nodes_beside_anchors_bear_for_themselves():
     system = friction_square(COMM)
     cable = system.scene.cables[2]
     assert [node.kind for node in cable.nodes[:2]] == ["anchor", "rail"]
-    forces = contact_forces(cable, StripShape.of(system.scene))
+    forces = contact_forces(cable, system.scene.net.strip_shape())
     for k in (1, len(cable.nodes) - 2):
         assert forces.bearing[k] == forces.normal[k] > 0
         assert np.isnan(forces.line[k])
@@ -312,7 +311,7 @@ def test_what_presses_at_a_crossing_is_not_the_membranes():
     for path in ([(0, 40), (100, 60)], [(40, 0), (60, 100)]):
         scene.lay_cable(Cable(32000.0, friction=0.3), path, tension=20.0)
     solver.advance(pressure=0.01)
-    shape = StripShape.of(scene)
+    shape = scene.net.strip_shape()
     for cable in scene.cables:
         kinds = [node.kind for node in cable.nodes]
         assert "crossing" in kinds

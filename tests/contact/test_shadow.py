@@ -8,7 +8,7 @@ from cabled_square import clamped
 from reference_meshes import square
 
 from crms_fenicsx import Scene
-from crms_fenicsx.cables.strip_gather import cells_near, grow
+from crms_fenicsx.cables.strip_gather import cells_near
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.span_projection import shadow
 from crms_fenicsx.model.cable_state import CableNode
@@ -23,10 +23,10 @@ UP = np.array([0.0, 0.0, 1.0])
 def whole(comm, kind: str) -> tuple[Scene, StripShape]:
     """A flat square, all of whose cells are known."""
     scene = clamped(square(comm, 7, kind))
-    ids = cells_near(scene, np.array([(0.0, 0.0, 0.0), (100.0, 100.0, 0.0)]))
-    grow(scene, ids.vertices, rings=12)
-    assert scene.strip is not None
-    return scene, StripShape.of(scene, scene.strip)
+    ids = cells_near(scene.membrane, np.array([(0.0, 0.0, 0.0), (100.0, 100.0, 0.0)]))
+    scene.net.grow_strip(ids.vertices, rings=12)
+    assert scene.net.strip is not None
+    return scene, StripShape.of(scene.membrane, scene.net.strip)
 
 
 def route(shape: StripShape, start, end) -> tuple:
@@ -74,11 +74,11 @@ def test_towards_anchors(comm) -> None:
 
 def test_unknown_cells_are_asked_for(comm) -> None:
     scene = clamped(square(comm, 7, "unstructured"))
-    near = cells_near(scene, np.array([(0.0, 20.0, 0.0), (100.0, 20.0, 0.0)]))
-    points = route(StripShape.of(scene, near), (0, 20), (100, 20))
-    grow(scene, points[1].support)
-    assert scene.strip is not None
-    shape = StripShape.of(scene, scene.strip)
+    near = cells_near(scene.membrane, np.array([(0.0, 20.0, 0.0), (100.0, 20.0, 0.0)]))
+    points = route(StripShape.of(scene.membrane, near), (0, 20), (100, 20))
+    scene.net.grow_strip(points[1].support)
+    assert scene.net.strip is not None
+    shape = StripShape.of(scene.membrane, scene.net.strip)
     first, last = CableNode("fold", points[1]), CableNode("fold", points[-2])
     with pytest.raises(MissingStars):
         shadow(shape, first, node_place(shape, first), last, np.array([95.0, 20.0, 0.0]))

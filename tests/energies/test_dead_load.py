@@ -60,13 +60,13 @@ def forces_one_by_one(scene, traction):
 def test_forces_of_the_current_shape(comm, moved):
     scene = lifted_scene(comm)
     scene.u.x.array[:] = moved * noise(scene.V.tabulate_dof_coordinates(), 4).ravel()
-    load = dead_forces(scene, wavy)
+    load = dead_forces(scene.membrane, wavy)
     np.testing.assert_allclose(load.forces, forces_one_by_one(scene, wavy), atol=1e-10)
 
 
 def test_a_vector_is_a_force_on_every_cell(comm):
     scene = lifted_scene(comm)
-    load = dead_forces(scene, (1.0, -2.0, 0.5))
+    load = dead_forces(scene.membrane, (1.0, -2.0, 0.5))
     twin = forces_one_by_one(scene, lambda x, n: np.array([[1.0], [-2.0], [0.5]]))
     np.testing.assert_allclose(load.forces, twin, atol=1e-12)
     assert load.intensity == pytest.approx(np.sqrt(5.25), rel=1e-12)
@@ -75,7 +75,7 @@ def test_a_vector_is_a_force_on_every_cell(comm):
 def test_gradient_and_energy(comm):
     """Linear: the energy is minus the forces' work, and a Taylor remainder is nothing at all."""
     scene = lifted_scene(comm)
-    term = DeadLoad(dead_forces(scene, wavy))
+    term = DeadLoad(dead_forces(scene.membrane, wavy))
     term.factor = 0.7
     f = OnMesh(Unknowns(scene.V), scene.u, [term])
     X = f.unknowns.X[: f.unknowns.n_owned]

@@ -99,7 +99,9 @@ def plain_triangle(material, shift):
     mesh = from_arrays(MPI.COMM_SELF, TRIANGLE, [(0, 1, 2)])
     scene = Scene(mesh, material)
     f = OnMesh(
-        Unknowns(scene.V), scene.u, [MembraneEnergy(scene.u, scene.materials, scene.cell_tags)]
+        Unknowns(scene.V),
+        scene.u,
+        [MembraneEnergy(scene.u, scene.materials, scene.membrane.cell_tags)],
     )
     order = [int(np.argmin(np.linalg.norm(TRIANGLE - X, axis=1))) for X in f.unknowns.X]
     energy, g = f.value(shift[order])

@@ -8,13 +8,13 @@ from dolfinx import fem
 from mpi4py import MPI
 from term_scene import FABRIC, ISOTROPIC, cable_square, displaced, on_mesh
 
-from crms_fenicsx.model.materials import Membrane
+from crms_fenicsx.model.materials import MembraneMaterial
 
 BOTH = "MembraneEnergy", "FollowerPressure"
 
 
 @pytest.mark.parametrize("material", [ISOTROPIC, FABRIC])
-def test_terms_together_are_those_alone(comm: MPI.Intracomm, material: Membrane) -> None:
+def test_terms_together_are_those_alone(comm: MPI.Intracomm, material: MembraneMaterial) -> None:
     system = cable_square(comm, material)
     x = displaced(system.unknowns, 2.0)
     energies, gradients = zip(*(on_mesh(system, name).value(x) for name in BOTH), strict=True)

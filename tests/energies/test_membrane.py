@@ -58,7 +58,7 @@ every_material = pytest.mark.parametrize("material", MATERIALS.values(), ids=MAT
 def membrane_on(comm, material, lift=20.0):
     """The term on a lifted square, its scene, and positions of the owned vertices."""
     scene = Scene(irregular_square(comm, lift), material)
-    term = MembraneEnergy(scene.u, scene.materials, scene.cell_tags)
+    term = MembraneEnergy(scene.u, scene.materials, scene.membrane.cell_tags)
     unknowns = Unknowns(scene.V)
     return scene, term, OnMesh(unknowns, scene.u, [term]), unknowns.X[: unknowns.n_owned]
 

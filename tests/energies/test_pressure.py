@@ -348,7 +348,7 @@ def test_straight_folds_have_the_volume_of_plain_cells(comm):
     system = cable_square(comm)
     x = straight(system)
     energy, _ = on_mesh(system, "FollowerPressure", "FoldedFollowerPressure").value(x)
-    was, now = (places - system.scene.centre for places in corners(system.scene))
+    was, now = (places - system.scene.membrane.centre for places in corners(system.scene))
     gained = comm.allreduce(float(signed_volume(now) - signed_volume(was)))
     assert energy == pytest.approx(-P * gained, rel=1e-10)
     assert comm.allreduce(int(np.sum(system.membrane.plain.x.array == 0))) > 20

@@ -9,7 +9,6 @@ from taylor import TermOnPoints, gradient_order, is_semidefinite, noise, stiffne
 from term_scene import on_mesh
 
 from crms_fenicsx.cables.node_positions import Whereabouts
-from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.energies.edge_fractions import edge_fractions
 from crms_fenicsx.energies.lateral_friction import Slips, StickSlip
 from crms_fenicsx.energies.paper.friction_element import FrictionElementEnergy, FrictionElements
@@ -210,7 +209,7 @@ def test_stiffness_is_semidefinite_and_above_the_tangent():
 
 def frozen_slips(scene):
     """Slips of all cables, as linear functions of the places on the edges."""
-    shape = StripShape.of(scene)
+    shape = scene.net.strip_shape()
     return [node_slips(cable, cable.grip.curve, shape) for cable in scene.cables]
 
 

@@ -18,7 +18,7 @@ from twisted_annulus import radial, reference, small_twist_torque, twisted
 from crms_fenicsx import Cable, IsotropicMembrane, OrthotropicMembrane, Scene, Solver
 from crms_fenicsx.energies import stress_laws as compiled
 from crms_fenicsx.minimization.minimizer import REBUILD
-from crms_fenicsx.model.materials import UNSTRAINED, Membrane
+from crms_fenicsx.model.materials import UNSTRAINED, MembraneMaterial
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.steps.load_step import Step
@@ -32,7 +32,7 @@ def fabric(E1: float, E2: float, kappa: float, nu: float) -> OrthotropicMembrane
     return OrthotropicMembrane(E1, E2, mean / (2 * (kappa + nu)), nu * np.sqrt(E2 / E1), 1.0)
 
 
-def evaluate(material: Membrane, e: Array, floor: float = 0.0) -> tuple[Array, ...]:
+def evaluate(material: MembraneMaterial, e: Array, floor: float = 0.0) -> tuple[Array, ...]:
     """Compiled energies (n,), section forces (n, 3), states (n,) and tangents (n, 3, 3)."""
     law, p = material.law, material.parameters
     orthotropic = compiled.orthotropic_flag(law)
@@ -58,7 +58,7 @@ def test_the_orthotropic_law_is_compiled_only_for_those_who_have_it(
     assert len(law.signatures) - before == compiles
 
 
-def linear_energy(material: Membrane, e: Array) -> Array:
+def linear_energy(material: MembraneMaterial, e: Array) -> Array:
     """Energy without wrinkling, the scale of errors."""
     energy: Array = np.einsum("ni,ij,nj->n", e, material.stiffness, e) / 2
     return energy
@@ -220,7 +220,7 @@ def turning(x: Array) -> Array:
     return np.array([np.cos(x[0] / 40), np.sin(x[0] / 40), 0.1 + 0 * x[1]])
 
 
-def uniaxial_or_linear(material: Membrane, e: Array, state: int) -> Array:
+def uniaxial_or_linear(material: MembraneMaterial, e: Array, state: int) -> Array:
     """Section forces of a state from scratch."""
     if state == 2:
         return np.asarray(material.stiffness @ e)
@@ -264,7 +264,7 @@ def test_parts_of_different_materials(comm: MPI.Intracomm) -> None:
     isotropic = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)
     mesh = irregular_square(comm)  # one for all: each could be distributed in another way
 
-    def solved(left: Membrane, right: Membrane) -> tuple[Scene, Array]:
+    def solved(left: MembraneMaterial, right: MembraneMaterial) -> tuple[Scene, Array]:
         scene = Scene(mesh, {"left": left, "right": right})
         X = scene.V.tabulate_dof_coordinates()
         scene.fix("boundary")
@@ -338,7 +338,7 @@ def test_narrowed_square_converges(comm: MPI.Intracomm) -> None:
     assert -fitted_order(sizes, errors) == pytest.approx(2, abs=0.15)
 
 
-TWISTS: dict[str, tuple[Membrane, float]] = {
+TWISTS: dict[str, tuple[MembraneMaterial, float]] = {
     "isotropic": (IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08), 0.1),
     "isotropic, far": (IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08), 0.3),
     "fabric": (OrthotropicMembrane(300.0, 100.0, 20.0, 0.05, 1.0, warp=radial), 0.1),

@@ -166,7 +166,7 @@ def test_units_do_not_matter(comm) -> None:
 
 def test_a_failed_step_leaves_no_trace(comm) -> None:
     """The state saved has the grip: a step taken again gives the same to the last digit."""
-    from crms_fenicsx.cables.state import State
+    from crms_fenicsx.equilibrium.state import State
 
     scene, rope = roped(comm, 10, 0.3, tension=5.0)
     solver = Solver(scene)

@@ -208,7 +208,7 @@ def test_crossing_cables(comm) -> None:
         found.append((*(c.tension for c in scene.cables), scene.energy))
         if mu:
             assert np.all(np.diff(np.nan_to_num(solver.history["dissipated"])) >= 0.0)
-        assert scene.crossings
+        assert scene.net.crossings
     # Friction changes paths otherwise than free sliding does, so that contacts may differ at first.
     np.testing.assert_allclose(found[1], found[0], rtol=1e-2)
     assert np.abs(np.array(found[2]) / found[0] - 1).max() < 0.2
@@ -262,7 +262,7 @@ def test_caught_points_are_put_back_once_in_a_load_step() -> None:
     assert cable.grip is not None
     cable.update(grip=replace(cable.grip, known=True))
     caught = [(0, next(k for k in cable.contacts() if cable.nodes[k].slides))]
-    change, tried = PathChange(scene), TriedPaths()
+    change, tried = PathChange(scene.net), TriedPaths()
     for _ in range(2):
         tried.begin_step()
         assert straighten_kinks(change, tried, caught)

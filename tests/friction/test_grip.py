@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from friction_scene import friction_dome, shaken_fractions
 
-from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces
 from crms_fenicsx.friction import lateral_iteration as grips
 from crms_fenicsx.friction.aitken import Pace
@@ -181,7 +180,7 @@ def slid_dome(friction, size=0.02):
     for cable in scene.cables:
         Lag(cable).renew(shape)
     shaken_fractions(scene, size)
-    return scene, StripShape.of(scene)
+    return scene, scene.net.strip_shape()
 
 
 def energies_twin(cable, shape):

@@ -9,7 +9,6 @@ from friction_scene import friction_dome, shaken_fractions
 from mpi4py import MPI
 from rigid_surfaces import band, curve, rigid, sphere
 
-from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.friction.lateral import begin
 from crms_fenicsx.friction.slip import material_curve, node_slips
 from crms_fenicsx.model.friction import Friction
@@ -173,7 +172,7 @@ def test_slip_does_not_depend_on_the_direction_of_the_path():
     slipped = []
     for path in (way.points[::16], way.points[::-16]):
         scene, cable = rigid(MPI.COMM_SELF, way, mesh, Friction(0.5), path=path)
-        shape = StripShape.of(scene)
+        shape = scene.net.strip_shape()
         begin(cable, shape)
         by_edge = {cable.nodes[k].point.support: k for k in range(len(cable.nodes))}
         for k in by_edge.values():

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from array_surface import ArraySurface
 from curved_surfaces import (
     along_mesh_lines,
     geodesic_length,
@@ -19,10 +20,10 @@ from curved_surfaces import (
     unstructured,
 )
 
-from crms_fenicsx.geodesics.corridor import flaw, tied, without_detours
-from crms_fenicsx.geodesics.flip_geodesic import STRAIGHT, corridor, shorten
+from crms_fenicsx.geodesics.corridor import corridor, flaw, tied, without_detours
+from crms_fenicsx.geodesics.flip_geodesic import STRAIGHT, shorten
 from crms_fenicsx.runtime.errors import InputError, MeshError, PathError
-from crms_fenicsx.surface.intrinsic import ArraySurface, MissingStars, Ring, ring_of
+from crms_fenicsx.surface.intrinsic import MissingStars, Ring, ring_of
 from crms_fenicsx.surface.path import Path
 from crms_fenicsx.surface.points import CellPoint, EdgePoint, VertexPoint, edge_of
 

@@ -17,7 +17,7 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.cables.strip_gather import cells_near, grow
+from crms_fenicsx.cables.strip_gather import cells_near
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.gap import size_at
 from crms_fenicsx.contact.span_projection import shadow
@@ -174,11 +174,11 @@ def test_what_cables_see_of_a_seam(comm):
     on_seam = next(
         k
         for k, n in enumerate(cable.nodes)
-        if n.point and len(scene.strip.rows(n.point.support)) == 3
+        if n.point and len(scene.net.strip.rows(n.point.support)) == 3
     )
     edge = cable.nodes[on_seam].point.support
-    grow(scene, edge, rings=3)
-    shape = StripShape.of(scene)
+    scene.net.grow_strip(edge, rings=3)
+    shape = scene.net.strip_shape()
     surface = FoldedSurface(shape, {})
     assert len(surface.thirds(edge)) == 2
     assert not surface.is_boundary(edge)
@@ -188,9 +188,9 @@ def test_what_cables_see_of_a_seam(comm):
         assert shape.stress_free_size(support) == pytest.approx(h)
     assert all(surface.ring(vertex).closed for vertex in edge)
 
-    near = cells_near(scene, np.array(route))
+    near = cells_near(scene.membrane, np.array(route))
     assert not near.hidden
-    np.testing.assert_allclose(StripShape.of(scene, near).current[:, 2], 0.0, atol=1e-9)
+    np.testing.assert_allclose(StripShape.of(scene.membrane, near).current[:, 2], 0.0, atol=1e-9)
 
     slips = node_slips(cable, material_curve(cable, shape), shape)
     slope = slips.slope[slips.supports.index(edge)]
@@ -200,9 +200,11 @@ def test_what_cables_see_of_a_seam(comm):
     below = shadow(shape, cable.nodes[a], cable.positions[a], cable.nodes[b], cable.positions[b])
     assert [point.support for point in below] == [edge]
 
-    held = _edge_at(scene, np.array((0.0, 50.0, 0.0)), 1e-6)
+    held = _edge_at(scene.membrane, np.array((0.0, 50.0, 0.0)), 1e-6)
     assert held is not None
-    assert _edge_at(scene, np.array((400 / 7, 0.0, -5.0)), 1e-6) is None  # the wall's own rim
+    assert (
+        _edge_at(scene.membrane, np.array((400 / 7, 0.0, -5.0)), 1e-6) is None
+    )  # the wall's own rim
 
 
 def test_gradient_with_folded_seams(comm):
@@ -212,7 +214,7 @@ def test_gradient_with_folded_seams(comm):
     system = System(scene, "crms_test_", 1e-8)
     system.pull()
     places = [node.point.support for node in scene.cables[0].nodes if node.kind == "fold"]
-    assert [len(scene.strip.rows(edge)) for edge in places].count(3) == 1
+    assert [len(scene.net.strip.rows(edge)) for edge in places].count(3) == 1
     unknowns = system.unknowns
     f = OnMesh(unknowns, scene.u, system.potential.terms)
     n = unknowns.n_owned

@@ -400,7 +400,7 @@ def test_a_scene_is_drawn_by_all_ranks_together(comm: MPI.Intracomm, tmp_path: P
 
 
 def test_a_quadrilateral_s_diagonal_is_no_edge(comm: MPI.Intracomm) -> None:
-    surface = current_surface(tightened(comm).scene)
+    surface = current_surface(tightened(comm).scene.net)
     assert comm.allreduce(len(surface.triangles)) == 3
     assert comm.allreduce(len(surface.inner)) == 1
     if len(surface.inner):

@@ -97,7 +97,7 @@ def read_step(folder: Path, collection: str, time: float) -> list[VtuFile]:
 def test_files_of_a_run(folder: Path) -> None:
     solver = run(folder / "out")
     scene = solver.scene
-    results, surface = solver.results(), current_surface(scene)
+    results, surface = solver.results(), current_surface(scene.net)
     COMM.barrier()
     table = History.read(folder / "out" / "history.csv")
     assert table.columns == solver.history.columns
@@ -210,7 +210,7 @@ def test_pictures_get_the_whole_surface(
         scene_pictures, "draw_shape", lambda *given, **options: drawn.append((given, options))
     )
     solver.draw(folder / "shape.png", colour=colour, view=(0.0, 20.0))
-    surface, results = current_surface(solver.scene), solver.results()
+    surface, results = current_surface(solver.scene.net), solver.results()
     moved = np.linalg.norm(surface.points - surface.stress_free, axis=1)
     values = {
         "stress": results.true_forces[surface.parents, 0],

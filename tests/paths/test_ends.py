@@ -62,7 +62,7 @@ def test_an_end_moved_aside_lays_its_cable_anew(comm, movement, stays: bool) -> 
     scene, cable, _ = solved(comm, "structured", [(0, 30), (100, 30)], 100.0)
     assert cable.path_is_geodesic and cable.ends == ("held", "held")
     put(cable, "positions", 0, cable.positions[0] + movement)
-    renew_ends(PathChange(scene))
+    renew_ends(PathChange(scene.net))
     assert cable.path_is_geodesic == stays
 
 

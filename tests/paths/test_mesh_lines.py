@@ -14,7 +14,6 @@ import pytest
 from cabled_square import CABLE, PRESSURE, order, place, sheet
 
 from crms_fenicsx import Cable, ConvergenceError, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces, directions, turns
 from crms_fenicsx.paths import held_vertices as held
 from crms_fenicsx.paths.held_vertices import held_runs, held_vertices
@@ -199,7 +198,7 @@ def glued(comm, monkeypatch, n: int = 10):
     scene = sheet(comm, n, "structured")
     cable = scene.lay_cable(CABLE, [(0, 30), (100, 30)], L0=100.0)
     Solver(scene, verify=False).advance(pressure=PRESSURE)
-    return cable, StripShape.of(scene)
+    return cable, scene.net.strip_shape()
 
 
 def test_directions_at_vertices_halve_the_angle_of_the_two_sides(comm, monkeypatch) -> None:

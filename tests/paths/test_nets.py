@@ -137,12 +137,12 @@ def test_crossing_slides_over_cells_and_off(comm, kind: str) -> None:
         return scene, short, long, solver
 
     scene, short, long, solver = made(18.0)
-    cells = [crossing.support for crossing in scene.crossings]
+    cells = [crossing.support for crossing in scene.net.crossings]
     for y, number in ((36.0, 1), (62.0, 0)):
         solver.advance(move={long: (0.0, y - float(long.positions[0, 1]), 0.0)}, steps=2)
         fresh = made(y)
-        assert len(scene.crossings) == len(fresh[0].crossings) == number
-        assert not set(cells) & {crossing.support for crossing in scene.crossings}
+        assert len(scene.net.crossings) == len(fresh[0].net.crossings) == number
+        assert not set(cells) & {crossing.support for crossing in scene.net.crossings}
         assert scene.energy == pytest.approx(fresh[0].energy, rel=1e-3)
         assert short.tension == pytest.approx(fresh[1].tension, rel=1e-2)
         assert long.tension == pytest.approx(fresh[2].tension, rel=1e-2)

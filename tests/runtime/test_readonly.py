@@ -94,10 +94,10 @@ def test_a_failed_increment_changes_no_cable_and_no_crossing(comm, monkeypatch, 
     solver.advance(pressure=0.01)
     over = scene.lay_cable(CABLES[kind], [(41.0, 0.0), (62.0, 100.0)], L0=98.0)
     solver.advance(pressure=0.01)
-    assert not scene.crossings[0].separated
+    assert not scene.net.crossings[0].separated
 
     def state() -> list[Any]:
-        values = (cable.state, over.state, *scene.crossings)
+        values = (cable.state, over.state, *scene.net.crossings)
         return [plain(copy.deepcopy(value)) for value in values]
 
     before, energy = state(), scene.energy

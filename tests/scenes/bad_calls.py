@@ -59,9 +59,9 @@ def snapshot(scene: Scene) -> list[Any]:
         (c.name, c.L0, c.length, c.tension, c.taut, c.positions.tolist(), len(c.nodes))
         for c in scene.cables
     ]
-    strip = None if scene.strip is None else len(scene.strip.cells)
+    strip = None if scene.net.strip is None else len(scene.net.strip.cells)
     u = [repr(x) for x in scene.u.x.array.tolist()]  # NaN equals itself as text
-    held = scene.held.tolist(), scene.held_edges.tolist()
+    held = scene.held.tolist(), scene.membrane.held_edges.tolist()
     return [
         u,
         held,

@@ -31,7 +31,7 @@ def friction_square(comm: MPI.Intracomm, friction: Any = 0.4, lift: float = 8.0)
     for path in PATHS:
         scene.lay_cable(Cable(32000.0, friction=friction), path, tension=20.0)
     scene._pressure = 0.01
-    shape = StripShape.of(scene)
+    shape = scene.net.strip_shape()
     for cable in scene.cables:
         begin(cable, shape)
     system = System(scene, "crms_test_", 1e-8)
@@ -42,12 +42,12 @@ def friction_square(comm: MPI.Intracomm, friction: Any = 0.4, lift: float = 8.0)
 def friction_dome(friction: float | Friction = 0.4) -> tuple[Scene, StripShape]:
     """The same scene on this process alone, as data."""
     scene = friction_square(MPI.COMM_SELF, friction).scene
-    return scene, StripShape.of(scene)
+    return scene, scene.net.strip_shape()
 
 
 def shaken_fractions(scene: Scene, size: float, seed: int = 0) -> None:
     """Move sliding nodes along their edges by up to `size` of them, and onto the membrane."""
-    shape, rng = StripShape.of(scene), np.random.default_rng(seed)
+    shape, rng = scene.net.strip_shape(), np.random.default_rng(seed)
     for cable in scene.cables:
         for k, node in enumerate(cable.nodes):
             if node.slides and not cable.lifted[k]:

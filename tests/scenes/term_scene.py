@@ -14,7 +14,7 @@ from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes import MembraneMesh, from_arrays
 from crms_fenicsx.model.cable import Cable
-from crms_fenicsx.model.materials import IsotropicMembrane, Membrane, OrthotropicMembrane
+from crms_fenicsx.model.materials import IsotropicMembrane, MembraneMaterial, OrthotropicMembrane
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.scene import Scene
 
@@ -55,7 +55,11 @@ def irregular_square(comm: MPI.Intracomm, lift: float = 0.0) -> MembraneMesh:
 
 
 def cable_square(
-    comm: MPI.Intracomm, material: Membrane = ISOTROPIC, *, taut: bool = True, **choices: object
+    comm: MPI.Intracomm,
+    material: MembraneMaterial = ISOTROPIC,
+    *,
+    taut: bool = True,
+    **choices: object,
 ) -> System:
     """The square with an oblique cable, one beside it on the same edges that ends on the membrane,
     and one through vertices, partly along an edge."""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.model.materials import LINEAR, Membrane
+from crms_fenicsx.model.materials import LINEAR, MembraneMaterial
 
 Array = npt.NDArray[Any]
 
@@ -70,7 +70,7 @@ def relaxed_energy(D: Array, e: Array, n: int = 721) -> Array:
     return energy_at_angle(C, e, (low + high) / 2)
 
 
-def density(material: Membrane, e: Array) -> Array:
+def density(material: MembraneMaterial, e: Array) -> Array:
     """Energy per stress-free area at strains (..., 3), zero at zero strain."""
     D, s0 = material.stiffness, material.prestress_vector
     if material.law != LINEAR:

@@ -20,7 +20,7 @@ from term_twins import best_angle
 
 from crms_fenicsx import Scene, Solver
 from crms_fenicsx.meshes import MembraneMesh, from_arrays
-from crms_fenicsx.model.materials import Membrane
+from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.steps.load_step import Step
 
 Array = npt.NDArray[Any]
@@ -122,7 +122,7 @@ def radial(x: Array) -> Array:
 
 
 def twisted(
-    comm: MPI.Intracomm, n: int, material: Membrane, angle: float
+    comm: MPI.Intracomm, n: int, material: MembraneMaterial, angle: float
 ) -> tuple[Scene, Solver, Step, float]:
     """Solve on a mesh; the scene, its solver, the step and the torque on the inner rim."""
     scene = Scene(annulus(comm, n), material)

@@ -33,7 +33,7 @@ class State:
             scene.load,
             dict(scene.energies),
             tuple(cable.state for cable in scene.cables),
-            scene.crossings,
+            scene.net.crossings,
         )
 
     def restore_positions(self, scene: Scene) -> None:
@@ -41,10 +41,8 @@ class State:
 
         Points that the paths had are where they were; others lie on the membrane of then.
         """
-        from crms_fenicsx.cables.strip_positions import StripShape
-
         scene.u.x.array[:] = self.u
-        shape = StripShape.of(scene)
+        shape = scene.net.strip_shape()
         for cable, was in zip(scene.cables, self.cables, strict=True):
             known = {_key(was.nodes, k): k for k in range(len(was.nodes)) if not was.lifted[k]}
             positions, fractions = cable.positions.copy(), cable.fractions.copy()
@@ -64,7 +62,7 @@ class State:
         scene.energies = dict(self.energies)
         for cable, was in zip(scene.cables, self.cables, strict=True):
             cable.state = was
-        scene.crossings = self.crossings
+        scene.net.crossings = self.crossings
 
 
 def _key(nodes: Sequence[CableNode], k: int) -> object:

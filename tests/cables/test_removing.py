@@ -66,7 +66,7 @@ def test_as_if_it_had_never_been(names: list[str], gone: int) -> None:
     scene.remove(cable)
     cables.remove(cable)
     assert list(scene.cables) == cables
-    assert all({k.lower, k.upper} <= set(range(len(cables))) for k in scene.crossings)
+    assert all({k.lower, k.upper} <= set(range(len(cables))) for k in scene.net.crossings)
     assert solver.results() is not None  # of a state that is no equilibrium
     solver.advance()
     never = inflated([name for name in names if name != cable.name])
@@ -74,7 +74,7 @@ def test_as_if_it_had_never_been(names: list[str], gone: int) -> None:
     np.testing.assert_allclose(numbers(scene), numbers(never.scene), rtol=1e-6)
     assert solver.steps[-1].verification.passed
     own = [k for laid in scene.cables for k in laid.nodes if k.crossing is not None]
-    assert {node.crossing for node in own} == set(range(len(scene.crossings)))
+    assert {node.crossing for node in own} == set(range(len(scene.net.crossings)))
 
 
 def test_friction_of_a_cable_that_is_gone() -> None:
