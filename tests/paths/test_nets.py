@@ -17,6 +17,7 @@ from crms_fenicsx import Scene, Solver
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.paths import vertex_trials
 from crms_fenicsx.paths.held_vertices import Run
+from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.paths.vertex_trials import Trial, VertexTrials
 from crms_fenicsx.surface.points import EdgePoint
 
@@ -188,7 +189,7 @@ class Trials(VertexTrials):
     """Cables 0 ... n - 1, each held by a vertex of its own."""
 
     def __init__(self, n: int) -> None:
-        super().__init__(paths=None)  # type: ignore[arg-type]
+        super().__init__(change=None, tried=TriedPaths())  # type: ignore[arg-type]
         self.runs = [(c, Run((10 + c,), True, (), 1.0)) for c in range(n)]
         self.known: dict[int, set[tuple[int, ...]]] = {c: set() for c in range(n)}
 
@@ -200,7 +201,7 @@ class Trials(VertexTrials):
 
 
 def test_runs_are_left_together_then_by_halves_of_halves(monkeypatch) -> None:
-    monkeypatch.setattr(vertex_trials, "lead_past", lambda *_: True)
+    monkeypatch.setattr(vertex_trials, "pass_run", lambda *_: True)
     trials, tried = Trials(8), []
     while group := trials.next(energy=0.0, scale=1.0):
         tried.append([c for c, _ in group])
@@ -211,7 +212,7 @@ def test_runs_are_left_together_then_by_halves_of_halves(monkeypatch) -> None:
 
 
 def test_rounds_end_when_they_gain_little(monkeypatch) -> None:
-    monkeypatch.setattr(vertex_trials, "lead_past", lambda *_: True)
+    monkeypatch.setattr(vertex_trials, "pass_run", lambda *_: True)
     trials = Trials(4)
     for energy, goes_on in ((0.0, True), (-1.0, True), (-1.5, True), (-1.5 - 1e-7, False)):
         assert bool(trials.next(energy, scale=1.0)) == goes_on
@@ -219,7 +220,7 @@ def test_rounds_end_when_they_gain_little(monkeypatch) -> None:
 
 
 def test_runs_without_a_way_are_not_tried_again(monkeypatch) -> None:
-    monkeypatch.setattr(vertex_trials, "lead_past", lambda paths, c, run: c == 2)
+    monkeypatch.setattr(vertex_trials, "pass_run", lambda change, c, run: c == 2)
     trials = Trials(3)
     assert [c for c, _ in trials.next(energy=0.0, scale=1.0)] == [2]
     trials.halve([trials.runs[2]])
