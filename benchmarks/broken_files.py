@@ -264,7 +264,7 @@ def run_of_two_calls(folder: Path, resume: bool) -> Solver:
     solver.advance(pressure=0.01, load=1.0)
     rough = Cable(9000.0, friction=Friction(0.2, along=0.1))
     scene.lay_cable(rough, [(0, 33), (100, 41)], tension=20.0, name="rough")
-    scene.lay_cable(Cable(9000.0), [(30, 0), (42, 100)], tension=20.0, name="smooth", level=1)
+    scene.lay_cable(Cable(9000.0), [(30, 0), (42, 100)], tension=20.0, name="smooth", layer=1)
     solver.advance(pressure=0.011)
     return solver
 

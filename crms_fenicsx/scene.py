@@ -304,7 +304,7 @@ class Scene:
         L0: float | None = None,
         tension: float | None = None,
         sleeve: bool = False,
-        level: int = 0,
+        layer: int = 0,
         name: str | None = None,
     ) -> LaidCable:
         """Lay a cable on the membrane's current shape.
@@ -332,8 +332,8 @@ class Scene:
             Tension at laying (force), from which the unstressed length follows.
         sleeve
             Whether a sleeve holds the cable to the membrane: it slides, but cannot lift off.
-        level
-            Of two cables that cross the one with the higher level lies on top; of equal ones the
+        layer
+            Of two cables that cross the one with the higher layer lies on top; of equal ones the
             one laid later.
         name
             Name in results; "cable 1", "cable 2" ... by default.
@@ -355,11 +355,11 @@ class Scene:
         from crms_fenicsx.paths.laying import lay
 
         given: dict[str, Any] = {
-            "L0": L0, "tension": tension, "sleeve": sleeve, "level": level, "name": name
+            "L0": L0, "tension": tension, "sleeve": sleeve, "layer": layer, "name": name
         }  # fmt: skip
         checks.same(self.comm, "lay_cable", cable=cable, path=path, **given)
         self.membrane.check_finite("lay_cable")
-        given["level"] = checks.whole("lay_cable: level", level, 0)
+        given["layer"] = checks.whole("lay_cable: layer", layer, 0)
         laid = lay(self.net, cable, path, **given)
         self.changes += 1
         return laid

@@ -48,8 +48,10 @@ def on_fabric(name):
     """Where the cables touch the fabric, on the stress-free dome."""
     lines = []
     for cable in scene.cables:
-        gaps = np.flatnonzero(np.isnan(cable.material[:, 0]))
-        lines += [part[np.isfinite(part[:, 0])] for part in np.split(cable.material, gaps)]
+        gaps = np.flatnonzero(np.isnan(cable.reference_positions[:, 0]))
+        lines += [
+            part[np.isfinite(part[:, 0])] for part in np.split(cable.reference_positions, gaps)
+        ]
     return [Line(part, name=name) for part in lines if len(part) > 1]
 
 

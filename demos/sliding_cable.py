@@ -40,7 +40,7 @@ def middle(points):
 ways = []
 for pressure in np.linspace(0.0, 0.01, 6):
     step = solver.advance(pressure=pressure)
-    ways.append((middle(cable.line), middle(cable.material)))
+    ways.append((middle(cable.line), middle(cable.reference_positions)))
     if scene.comm.rank == 0:
         took = f"{step.outcome.solves} solves, {step.outcome.evaluations} evaluations"
         print(f"pressure {pressure:.3f}: tension {cable.tension:7.3f} kgf,", end=" ")
@@ -48,7 +48,7 @@ for pressure in np.linspace(0.0, 0.01, 6):
         print(f"({took})")
 (_, y, z), (_, on_fabric, _) = ways[-1]
 
-fabric = cable.material[np.isfinite(cable.material[:, 0])]
+fabric = cable.reference_positions[np.isfinite(cable.reference_positions[:, 0])]
 solver.draw_paths(
     f"{RESULTS}/paths.png",
     [start, Line(cable.line, name="inflated"), Line(fabric, name="inflated: on the fabric")],

@@ -86,7 +86,7 @@ class Whereabouts:
                     links.append([start + k for k in range(a, b + 1)])
             for k, node in enumerate(cable.nodes):
                 if node.crossing is not None:
-                    shared[id(node.crossing)].append(start + k)
+                    shared[node.crossing].append(start + k)
         self._told, self._slides = np.array(told, dtype=bool), np.array(slides, dtype=bool)
         self._free = np.array(free, dtype=bool)
         self._links = _Lines(links)
@@ -124,14 +124,17 @@ class Whereabouts:
         for (start, end), cable in zip(pairwise(self._starts), network.cables, strict=True):
             part, slides = total[start:end], self._slides[start:end] & ~cable.lifted
             known = ~cable.lifted if cable.taut else slice(None)
-            cable.positions[known] = part[known, :3]
+            positions, fractions = cable.positions.copy(), cable.fractions.copy()
+            positions[known] = part[known, :3]
             if cable.taut:
-                cable.fractions[slides] = part[slides, 3]
-            close = (cable.fractions < BLOCKED) | (cable.fractions > 1 - BLOCKED)
-            cable.state.blocked = tuple(
-                int(k) for k in np.flatnonzero(slides & close) if cable.taut
+                fractions[slides] = part[slides, 3]
+            close = (fractions < BLOCKED) | (fractions > 1 - BLOCKED)
+            cable.update(
+                positions=positions,
+                fractions=fractions,
+                reference_positions=part[:, 4:].copy(),
+                blocked=tuple(int(k) for k in np.flatnonzero(slides & close) if cable.taut),
             )
-            cable.state.material = part[:, 4:].copy()
 
     def _set_material(self, total: Array) -> None:
         """Find the nodes' places on the stress-free membrane; none where a cable is off it.

@@ -20,8 +20,9 @@ from crms_fenicsx.cables.rails import Rails
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.segments import SMOOTHING
+from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.crossing import Member
-from crms_fenicsx.model.laid_cable import CableNode, LaidCable
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import Edge, SurfacePoint
 
@@ -89,7 +90,7 @@ class Network:
                     continue
                 number = len(self._first)
                 if node.crossing is not None:
-                    number = shared.setdefault(id(node.crossing), number)
+                    number = shared.setdefault(node.crossing, number)
                 if number == len(self._first):
                     self._first.append((c, k))
                 self.numbers[c, k] = number

@@ -14,7 +14,7 @@ executed. See `Solver.save` and `Solver.load`. `journal` keeps checkpoints of al
 `Solver.advance`, for scripts that are started again.
 """
 
-from crms_fenicsx.checkpoint.run import Run
+from crms_fenicsx.checkpoint.contents import Run
 from crms_fenicsx.checkpoint.state import load, save
 
 __all__ = ["Run", "load", "save"]

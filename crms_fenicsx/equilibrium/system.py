@@ -384,12 +384,12 @@ class System:
             return
         self.whereabouts.tell(self.potential.x)
         for cable in scene.cables:
-            cable.state.length = polyline_length(cable.positions[cable.contacts()])
-            cable.state.tension = 0.0
+            length = polyline_length(cable.positions[cable.contacts()])
+            cable.update(length=length, tension=0.0)
         if self.tension is not None:
             forces = self.tension.tensions(self.potential.sums_of(self.tension))
             for cable, force in zip(self._sliding, forces, strict=True):
-                cable.state.tension = float(force)
+                cable.update(tension=float(force))
         if "friction" in scene.energies:  # the state has what it stores; the rest is heat
             from crms_fenicsx.friction.lateral import energies
 
@@ -417,7 +417,7 @@ class System:
             more = length - cable.length
             if abs(more) > UNSMOOTHED * cable.L0:
                 logger.debug("%s: smoothing adds %.3g to its length", cable.name, more)
-                cable.state.excess += more
+                cable.update(excess=cable.excess + more)
                 changed = True
         return changed
 
@@ -536,12 +536,15 @@ class System:
     def commit(self) -> None:
         """End a load step."""
         self.potential.commit()
+        if self.tension is not None:
+            for cable, start in zip(self._sliding, self.tension.starts, strict=False):
+                cable.update(step_start=start)
         self.scene.commits += 1
         self.commits = self.scene.commits
         if "step" in (self.scene.strain_law, self.scene.pressure_law):
             self.scene.step_history = self._step_history()
         for cable in self.scene.cables:
-            cable.state.ends_before = cable.positions[[0, -1]].copy()
+            cable.update(ends_before=cable.positions[[0, -1]])
         gripped = [cable for cable in self.scene.cables if cable.grip is not None]
         held_along = [cable for cable in self.scene.cables if cable.axial is not None]
         if not gripped and not held_along:

@@ -66,7 +66,7 @@ class AxialLag:
                 before = np.where(grip.bounds > 0.0, grip.eps, eps)
                 eps = (1 - part) * before + part * np.where(wrap > 0.0, eps, before)
                 bounds = (1 - part) * grip.bounds + part * bounds
-            cable.state.axial = replace(grip, bounds=bounds, eps=eps, tensions=tensions)
+            cable.update(axial=replace(grip, bounds=bounds, eps=eps, tensions=tensions))
         return change
 
 

@@ -22,6 +22,7 @@ from crms_fenicsx.contact.lift_off import is_foot, may_lift, outward_pulls
 from crms_fenicsx.friction.axial import gripped_nodes
 from crms_fenicsx.friction.gripped_nodes import held_nodes
 from crms_fenicsx.friction.lateral import energies
+from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.paths.held_vertices import held_runs
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
@@ -102,7 +103,7 @@ class _Nodes:
                 ids[k, : len(own)], weights[k, : len(own)] = own, share
             if node.kind == "fold" and isinstance(node.point, EdgePoint):
                 alone[k] = len(network.on_edge.get(node.point.edge, ())) == 1
-        rim = cable.rim()
+        rim = cable.path_nodes()
         supports = [p.support for k in rim if (p := cable.nodes[k].point) is not None]
         both = (tuple(sorted({*a, *b})) for a, b in itertools.pairwise(supports))
         return cls(
@@ -163,7 +164,7 @@ class CableVerifier:
                     found[name] = value, cable.name
         apart = [
             float(np.linalg.norm(np.diff([c.positions[k] for c, k in pair], axis=0)))
-            for pair in _crossings(scene.cables)
+            for pair in _crossings(scene.cables, scene.net.crossings)
         ]
         if apart:
             found["crossing cables apart"] = max(apart) / scene.membrane.size, ""
@@ -344,7 +345,7 @@ def _friction(cable: LaidCable, shape: StripShape, nodal: float) -> dict[str, fl
             for k in held_nodes(cable)
             if cable.nodes[k].kind == "fold"
             and k not in cable.blocked
-            and not cable.nodes[k].crossing
+            and cable.nodes[k].crossing is None
         ]
         excess = np.maximum(np.abs(forces.lateral[free]) - bounds[free], 0.0).sum()
         values["friction beyond its bound"] = float(excess) / max(cable.tension, nodal)
@@ -364,12 +365,16 @@ def _friction(cable: LaidCable, shape: StripShape, nodal: float) -> dict[str, fl
     return values
 
 
-def _crossings(cables: Sequence[LaidCable]) -> list[list[tuple[LaidCable, int]]]:
+def _crossings(
+    cables: Sequence[LaidCable], crossings: Sequence[Crossing]
+) -> list[list[tuple[LaidCable, int]]]:
     """The two nodes of each crossing at which the cables touch each other."""
     nodes: dict[int, list[tuple[LaidCable, int]]] = {}
     for cable in cables:
         for k, node in enumerate(cable.nodes):
-            crossing = node.crossing
-            if crossing is not None and not crossing.apart and cable.taut and not cable.lifted[k]:
-                nodes.setdefault(id(crossing), []).append((cable, k))
+            number = node.crossing
+            if number is None or crossings[number].separated:
+                continue
+            if cable.taut and not cable.lifted[k]:
+                nodes.setdefault(number, []).append((cable, k))
     return [pair for pair in nodes.values() if len(pair) == 2]

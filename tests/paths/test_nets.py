@@ -27,8 +27,8 @@ T_EXACT, Z_EXACT = (68.176, 33.193), 4.4317
 def crossed(comm, n: int, kind: str = "structured", *, levels=(1, 0), L0=(100.3, 100.6)):
     """A cable along y on one along x, over the inflated square."""
     scene = sheet(comm, n, kind)
-    upper = scene.lay_cable(CABLE, [(50, 0), (50, 100)], L0=L0[0], level=levels[0])
-    lower = scene.lay_cable(CABLE, [(0, 50), (100, 50)], L0=L0[1], level=levels[1])
+    upper = scene.lay_cable(CABLE, [(50, 0), (50, 100)], L0=L0[0], layer=levels[0])
+    lower = scene.lay_cable(CABLE, [(0, 50), (100, 50)], L0=L0[1], layer=levels[1])
     Solver(scene).advance(pressure=PRESSURE)
     return scene, upper, lower
 
@@ -38,7 +38,7 @@ def heights(scene: Scene) -> list[float]:
     found = []
     for a, lower in enumerate(scene.cables):
         for b, upper in enumerate(scene.cables):
-            if (lower.level, a) < (upper.level, b) and lower.taut and upper.taut:
+            if (lower.layer, a) < (upper.layer, b) and lower.taut and upper.taut:
                 found += segments_above(lower, upper)
     return found
 
@@ -110,7 +110,7 @@ def random_net(comm, seed: int) -> Scene:
         u, v = rng.uniform(8, 92, 2)
         path = [(0.0, u), (100.0, v)] if rng.random() < 0.5 else [(u, 0.0), (v, 100.0)]
         L0 = float(np.linalg.norm(np.subtract(*path)) * rng.uniform(1.0, 1.01))
-        scene.lay_cable(CABLE, path, L0=L0, level=int(rng.integers(3)))
+        scene.lay_cable(CABLE, path, L0=L0, layer=int(rng.integers(3)))
     return scene
 
 
@@ -132,7 +132,7 @@ def test_crossing_slides_over_cells_and_off(comm, kind: str) -> None:
         scene = sheet(comm, 9, kind)
         short = scene.lay_cable(CABLE, [(47, 0), (100, 50)], L0=72.9)
         ends = [(-5.0, y, 6.0), (105.0, y, 6.0)]
-        long = scene.lay_cable(CABLE, ends, L0=109.6, level=1)
+        long = scene.lay_cable(CABLE, ends, L0=109.6, layer=1)
         solver = Solver(scene)
         solver.advance(pressure=PRESSURE)
         return scene, short, long, solver

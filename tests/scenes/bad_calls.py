@@ -223,7 +223,7 @@ def scenes(scene: Scene, other: Scene, solver: Solver, cable: LaidCable) -> list
             {"cable": Cable(1.0), "path": ACROSS},
             {
                 "cable": (None, 3.0, "x", Cable), "path": NO_PATHS, "L0": NOT_POSITIVE,
-                "tension": NOT_POSITIVE, "level": NO_COUNTS, "name": names, "unknown": (1,),
+                "tension": NOT_POSITIVE, "layer": NO_COUNTS, "name": names, "unknown": (1,),
             },
         ),
         Call(
