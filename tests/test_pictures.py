@@ -23,9 +23,10 @@ from crms_fenicsx.output import (
 )
 from crms_fenicsx.output.figures.camera import Camera, brightness, visible
 from crms_fenicsx.output.figures.history import default_panels, units_of_results
-from crms_fenicsx.output.figures.paths import _told_apart
+from crms_fenicsx.output.figures.lines import _subdivided
+from crms_fenicsx.output.figures.paths import _spaced_steps
 from crms_fenicsx.output.figures.scales import common_value, in_words, limits_of
-from crms_fenicsx.output.figures.surface import _among, _outline, _subdivided
+from crms_fenicsx.output.figures.surface import _among, _outline
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
 
@@ -480,7 +481,7 @@ def test_paths_in_plan_in_space_and_closely(tmp_path: Path) -> None:
         assert int(((r > 0.7) & (g < 0.5) & (b < 0.2)).sum()) > 30
         inked.append(blue)
     assert inked[2] > 1.3 * inked[0]  # the close-ups repeat the paths
-    assert _told_apart(np.array([[0.0, 0], [1, 0], [5, 0], [6, 0]]), 2.0) == [0, 3]
+    assert _spaced_steps(np.array([[0.0, 0], [1, 0], [5, 0], [6, 0]]), 2.0) == [0, 3]
     for wrong in ([2], []):
         with pytest.raises(InputError, match="close-up 'x' of the paths"):
             draw_path(tmp_path / "never.png", paths, closeups={"x": wrong})

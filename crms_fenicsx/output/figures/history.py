@@ -10,7 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from crms_fenicsx.output.figures.axes3d import APART, INK, checked_filename, new_figure, save
+from crms_fenicsx.output.figures.axes3d import (
+    DISTINCT,
+    INK,
+    checked_filename,
+    new_figure,
+    save,
+    style_axes,
+    with_unit,
+)
 from crms_fenicsx.output.history import History
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
@@ -187,7 +195,7 @@ def _plot(
     low, high = _extent([history[column] for column in panel])
     if low < 0.0 < high:
         axis.axhline(0.0, color="#9aa1ab", linewidth=0.8, zorder=1)
-    colours = cycle(APART)
+    colours = cycle(DISTINCT)
     for column in panel:
         whole = len(panel) > 1 and column == label  # "energy", of which the others are parts
         axis.plot(
@@ -197,7 +205,7 @@ def _plot(
         )  # fmt: skip
     axis.set_ylabel(_with_unit(label, panel[0], units), fontsize=9, color=INK)
     axis.set_xlabel(_with_unit(x, x, units), fontsize=9, color=INK)
-    axis.tick_params(labelsize=8, colors=INK, width=0.7, length=3)
+    style_axes(axis, 8)
     if history[x].dtype.kind == "i":
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
     if all(history[column].dtype.kind == "i" for column in panel):
@@ -206,8 +214,6 @@ def _plot(
     low, high = _extent([history[x]])
     air = 0.03 * (high - low) or 0.5
     axis.set_xlim(low - air, high + air)
-    axis.grid(color="#e3e6ea", linewidth=0.6)
-    axis.set_axisbelow(True)
     for side in ("top", "right"):
         axis.spines[side].set_visible(False)
     if len(panel) > 1:
@@ -224,4 +230,4 @@ def _extent(arrays: Sequence[Any]) -> tuple[float, float]:
 
 def _with_unit(label: str, column: str, units: Mapping[str, str]) -> str:
     fitting = [key for key in units if column == key or column.startswith(key + " ")]
-    return f"{label} [{units[max(fitting, key=len)]}]" if fitting else label
+    return with_unit(label, units[max(fitting, key=len)] if fitting else "")

@@ -15,6 +15,7 @@ from crms_fenicsx.cables.deformed_surface import CurrentSurface, current_surface
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.output.cable_lines import cable_lines
 from crms_fenicsx.output.data import Line
+from crms_fenicsx.output.figures.axes3d import with_unit
 from crms_fenicsx.output.figures.history import units_of_results
 from crms_fenicsx.output.figures.paths import draw_path
 from crms_fenicsx.output.figures.surface import draw_shape
@@ -137,12 +138,12 @@ def draw(
         chosen = COLOURS[colour]
         values = chosen.values(surface, membrane_results(system))
         named = units_of_results(unit, force).get(chosen.unit, "")
-        options.setdefault("label", _labelled(chosen.label, named))
+        options.setdefault("label", with_unit(chosen.label, named))
     if colour == "state":
         options.setdefault("limits", (0.0, 2.0))
     if any(cable.taut for cable in scene.cables):
         options |= {"line_values": "tension"}
-        options.setdefault("line_label", _labelled("tension", force))
+        options.setdefault("line_label", with_unit("tension", force))
     if any(cable.lifted.any() for cable in scene.cables):
         options.setdefault("loose", "lifted")
     lines = cable_lines(scene)
@@ -246,7 +247,3 @@ def _renumbered(parts: Iterable[Integers], counts: Sequence[int]) -> Integers:
 def _displacement(surface: CurrentSurface) -> Array:
     size: Array = np.linalg.norm(surface.points - surface.stress_free, axis=1)
     return size[surface.triangles].mean(axis=1)
-
-
-def _labelled(label: str, unit: str) -> str:
-    return f"{label} [{unit}]" if unit else label
