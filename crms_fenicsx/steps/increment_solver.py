@@ -10,6 +10,7 @@ from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.steps.loading import Target, has_free_rim
 from crms_fenicsx.steps.options import Options
@@ -18,7 +19,6 @@ from crms_fenicsx.verification.report import Verification
 from crms_fenicsx.verification.verifier import Verifier
 
 if TYPE_CHECKING:
-    from crms_fenicsx.model.laid_cable import LaidCable
     from crms_fenicsx.paths.retrace import Tried
 
 MOST_TURNS = 50
