@@ -32,7 +32,7 @@ from mpi4py import MPI
 
 from crms_fenicsx import Cable, Friction, InputError, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.checkpoint.state import signed
-from crms_fenicsx.meshes import foreign
+from crms_fenicsx.meshes import isolated_reader
 from crms_fenicsx.meshes.files import SUFFIXES
 from crms_fenicsx.output import History
 from crms_fenicsx.runtime.errors import ConvergenceError
@@ -409,7 +409,7 @@ def spoil_run(good: Path, folder: Path, rng: Random) -> tuple[str, str, Path]:
 def main(count: int = 200, seed: int = 0) -> int:
     """Spoil that many files; returns how many ended badly."""
     warnings.simplefilter("ignore")
-    foreign.SECONDS = WAIT // 4
+    isolated_reader.SECONDS = WAIT // 4
     outcomes: dict[str, Counter[str]] = {"file": Counter(), "mutation": Counter()}
     wrong = 0
     with tempfile.TemporaryDirectory() as name:

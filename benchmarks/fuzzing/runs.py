@@ -239,7 +239,7 @@ def play(data: SceneData, comm: MPI.Intracomm, result: Result) -> None:
                     result.verification += sum(s.verification.seconds for s in new)  # type: ignore[union-attr]
                 inspect(solver, result)
     finally:
-        if solver._system is not None:
+        if solver._increments._system is not None:
             solver.system.destroy()
 
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from crms_fenicsx.equilibrium.system import System
+from crms_fenicsx.model.membrane import Marker
 from crms_fenicsx.runtime.arrays import Array, Integers
-
-if TYPE_CHECKING:
-    from crms_fenicsx.equilibrium.system import System
-    from crms_fenicsx.model.membrane import Marker
-    from crms_fenicsx.scene import Scene
+from crms_fenicsx.scene import Scene
 
 
 def _update(system: System) -> None:

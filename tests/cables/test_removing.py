@@ -15,7 +15,7 @@ from vtu_file import read_vtu
 
 from crms_fenicsx import Cable, Friction, InputError, IsotropicMembrane, LaidCable, Scene, Solver
 from crms_fenicsx.checkpoint.journal import Journal
-from crms_fenicsx.output import History
+from crms_fenicsx.output import History, draw, draw_history
 
 pytestmark = pytest.mark.usefixtures("comm")
 COMM = MPI.COMM_WORLD
@@ -126,7 +126,7 @@ def test_a_new_cable_of_its_name_inherits_nothing() -> None:
     scene.remove(old)
     new = lay(scene, "a")
     assert new is not old and new.ends_before is None
-    solver._forget_removed()  # as the next load step does
+    solver._increments.forget_removed()  # as the next load step does
     assert solver.search.tried.refused == {"b": {((1,),)}}
     assert set(solver.search.tried.at) == {"b"}
     solver.advance()
@@ -158,8 +158,8 @@ def test_files_of_a_run(folder: Path) -> None:
     solver = inflated(["a"], results=folder)
     solver.scene.remove("a")
     solver.advance()
-    solver.draw(folder / "now.png", colour="stress")
-    solver.draw_history(folder / "history.png")
+    draw(solver, folder / "now.png", colour="stress")
+    draw_history(solver.history, folder / "history.png")
     COMM.barrier()
     table = History.read(folder / "history.csv")
     assert np.isnan(table["tension a"]).tolist() == [True, False, True]

@@ -168,7 +168,7 @@ def test_a_rank_that_dies(tmp_path: Path, due: Array) -> None:
     if COMM.size > 1:
         pytest.skip("it starts its own processes")
     text = {"tests": str(Path(__file__).parent), "folder": str(tmp_path / "out")}
-    died = run(DYING.format(count=30, resume=False, **text), *MPIRUN)
+    died = run(DYING.format(count=20, resume=False, **text), *MPIRUN)
     assert died.returncode != 0
     assert list((tmp_path / "out" / "checkpoints").iterdir()), "it died after its first steps"
     assert_whole(tmp_path / "out")
