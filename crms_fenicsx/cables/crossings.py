@@ -66,9 +66,14 @@ def arrange(
         (lower, t_lower), (upper, t_upper) = sorted(
             zip((first, second), along, strict=True), key=lambda side: _order(cables, side[0][0])
         )
-        crossing = Crossing(
-            lower[0], upper[0], point.support, (lower[1], upper[1]), np.mean(places, axis=0)
+        between = tuple(
+            () if node.point is None else node.support
+            for c, k in (lower, upper)
+            for node in cables[c].nodes[k : k + 2]
         )
+        numbers = (lower[1], upper[1])
+        place = np.mean(places, axis=0)
+        crossing = Crossing(lower[0], upper[0], point.support, numbers, place, between)
         crossing, number = _inherited(crossing, left, cables), len(crossings)
         crossings.append(crossing)
         if crossing.separated:
@@ -110,14 +115,18 @@ def _link(cables: Sequence[LaidCable], member: Member) -> tuple[Array, Array]:
 
 
 def _inherited(crossing: Crossing, left: list[Crossing], cables: Sequence[LaidCable]) -> Crossing:
-    """Go on from the nearest known crossing of these cables; a new one starts as they lie."""
+    """Go on from the nearest known crossing of these cables; a new one starts as they lie.
+
+    It stays where it was if they cross the same edges before and after it: else it would draw them
+    aside.
+    """
     same = [k for k in left if (k.lower, k.upper) == (crossing.lower, crossing.upper)]
     if not same:
         upper, k = cables[crossing.upper], crossing.links[1]
         return replace(crossing, separated=all(upper.lifted[k : k + 2]))
     old = min(same, key=lambda k: float(np.linalg.norm(k.place - crossing.place)))
     left.remove(old)
-    place = old.place if old.support == crossing.support else crossing.place
+    place = old.place if old.between == crossing.between else crossing.place
     return replace(crossing, separated=old.separated, place=place)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.gap import INSIDE, Under, size_at, spans, under
-from crms_fenicsx.model.laid_cable import COINCIDENT, LaidCable
+from crms_fenicsx.model.laid_cable import COINCIDENT, LaidCable, polyline_length
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint
 from crms_fenicsx.surface.triangles import dot, norm
@@ -239,3 +239,15 @@ def drape(cable: LaidCable, shape: StripShape) -> None:
         cable.update(positions=positions)
         if not free and not places:
             return
+
+
+def flat_length(cable: LaidCable, shape: StripShape) -> float:
+    """Length of the polyline that a cable would have on cells that it did not fold (length)."""
+    points = []
+    for k in cable.contacts():
+        if cable.nodes[k].kind == "anchor":
+            points.append(cable.positions[k])
+        elif cable.nodes[k].kind != "crossing":
+            vertices, weights = cable.masters(k)
+            points.append(np.dot(weights, [shape.at(vertex) for vertex in vertices]))
+    return polyline_length(np.array(points))

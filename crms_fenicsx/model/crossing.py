@@ -24,6 +24,9 @@ class Crossing:
         Where it is on the lower and on the upper cable: after which node, crossings not counted.
     place : (3,)
         Where they cross, or would (length).
+    between
+        Ids of the vertices on which the ends of these links lie, or between which: first those of
+        the lower cable's link.
     separated
         Whether the upper cable has lifted off the lower one; they share no point then.
     """
@@ -33,6 +36,7 @@ class Crossing:
     support: tuple[int, ...]
     links: tuple[int, int]
     place: Annotated[Array, 3]
+    between: tuple[tuple[int, ...], ...]
     separated: bool = False
 
 

@@ -83,8 +83,8 @@ def straighten_kinks(
 
     Returns
     -------
-    Whether any was moved that has not been before in this load step from the same place on the
-    path: if that has raised the energy, it does with other friction forces, too.
+    Whether any was moved that has not been before from the same place on the path, where the cable
+    still is: if that has raised the energy, it does with other friction forces, too.
     """
     shape, caught = change.net.strip_shape(), set(kinked)
     for c, cable in _held(change.net.cables).items():

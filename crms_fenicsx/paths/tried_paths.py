@@ -34,19 +34,20 @@ class TriedPaths:
         Runs of vertices that were left, and taken again: 1 for those left to the cable's left or
         -1, and the vertices.
     at : (n, 3)
-        Where the cable was at the end of the last load step (length).
+        Where the cable was at the end of a load step (length); one that has hardly moved since is
+        still compared to where it was, so that it cannot creep away.
     L0
         Unstressed length then (length).
     released, settled
         Where contacts have been released in the last load step, and where they then stay closed
         however the cable pulls.
-    proposed, rejected
-        Ways past a vertex, by cable, that cables with friction take now, and that they have not
-        taken in this load step.
+    rejected, straightened
+        What cables with friction have not taken: ways past vertices, and fold points put back in
+        place.
+    proposed
+        Ways past a vertex, by cable, that cables with friction take now.
     passes
         How often cables with friction have passed a vertex in this load step, to its left or not.
-    straightened
-        Where fold points of cables with friction have been put back in place in this load step.
     """
 
     refused: dict[str, set[Corridor]] = field(default_factory=dict)
@@ -55,24 +56,24 @@ class TriedPaths:
     L0: dict[str, float] = field(default_factory=dict)
     released: set[ContactKey] = field(default_factory=set)
     settled: set[ContactKey] = field(default_factory=set)
+    rejected: set[tuple[str, Corridor]] = field(default_factory=set)
+    straightened: set[tuple[str, Corridor]] = field(default_factory=set)
     proposed: set[tuple[str, Corridor]] = field(init=False, default_factory=set)
-    rejected: set[tuple[str, Corridor]] = field(init=False, default_factory=set)
     passes: Counter[tuple[str, int, bool]] = field(init=False, default_factory=Counter)
-    straightened: set[tuple[str, Corridor]] = field(init=False, default_factory=set)
     _misled: int = field(init=False, default=0)
     _first_look: bool = field(init=False, default=True)
 
     def begin_step(self) -> None:
         """Forget what holds for one load step only."""
         self._first_look, self._misled = True, 0
-        self.proposed, self.rejected = set(), set()
+        self.proposed = set()
         self.passes.clear()
-        self.straightened.clear()
 
     def end_step(self, cables: Sequence[LaidCable]) -> None:
         """Note where the cables are, and how long."""
         for cable in cables:
-            self.at[cable.name] = cable.positions.copy()
+            if self.has_moved(cable):
+                self.at[cable.name] = cable.positions.copy()
         self.L0 = {cable.name: cable.L0 for cable in cables}
 
     def forget(self, name: str) -> None:
@@ -81,6 +82,11 @@ class TriedPaths:
             table.pop(name, None)
         for keys in (self.released, self.settled):
             keys -= {key for key in keys if name in key}
+        self._forget_ways(name)
+
+    def _forget_ways(self, name: str) -> None:
+        for ways in (self.rejected, self.straightened):
+            ways -= {way for way in ways if way[0] == name}
 
     def forget_moved(self, cables: Sequence[LaidCable]) -> None:
         """Forget the paths that were tried for cables that have moved since.
@@ -95,9 +101,10 @@ class TriedPaths:
             if self.has_moved(cable):
                 self.refused.pop(cable.name, None)
                 self.left.pop(cable.name, None)
+                self._forget_ways(cable.name)
 
     def has_moved(self, cable: LaidCable) -> bool:
-        """Whether a cable is somewhere else than at the end of the last load step."""
+        """Whether a cable is somewhere else than where the load steps before have left it."""
         before, x = self.at.get(cable.name), cable.positions
         if before is None or before.shape != x.shape:
             return True
