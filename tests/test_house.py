@@ -17,17 +17,17 @@ FLOORS = (
 """Ground first: a module imports from its own package and from those before it."""
 
 DOORS = (
-    "energies.membrane cables.deformed_surface scene contributions equilibrium.search "
-    "verification.verifier output.recorder output.cable_lines checkpoint solver"
+    "energies.membrane cables.deformed_surface paths.held_vertices paths.laying "
+    "paths.vertex_trials scene contributions equilibrium.search equilibrium.friction_loop "
+    "equilibrium.path_loop verification.cable_checks verification.verifier checkpoint solver"
 ).split()
-"""Where functions may import modules of the package: kernels, and what most runs do not need."""
+"""Where functions may import modules of the package: kernels, friction, and what most runs do not
+need."""
 
 MOST_LINES, MOST_CODE = 400, 60
 """Lines of a file, and lines of code of a function."""
 
-TO_DIVIDE = (
-    "equilibrium.system model.laid_cable minimization.minimizer output.figures.surface solver"
-).split()
+TO_DIVIDE = ("equilibrium.system", "solver")
 """Modules that do not keep these rules yet."""
 
 

@@ -22,7 +22,6 @@ import numpy as np
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import forces_at
 from crms_fenicsx.energies.segments import SMOOTHING
-from crms_fenicsx.friction.lateral import friction_forces
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
@@ -134,6 +133,8 @@ def held_vertices(cable: LaidCable, shape: StripShape) -> list[HeldVertex]:
     press, pull, bound = np.zeros((3, len(cable.nodes)))
     press[nodes], pull[nodes] = forces_at(cable, nodes, shape)
     if cable.grip is not None:
+        from crms_fenicsx.friction.lateral import friction_forces
+
         carried = friction_forces(cable, shape)
         for k in nodes:
             row = cable.grip.row_of.get(cable.nodes[k].support)

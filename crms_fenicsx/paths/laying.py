@@ -12,7 +12,6 @@ from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.cables.strip_gather import cells_at, cells_near
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.lift_off import drape
-from crms_fenicsx.friction.axial import laid_grip
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.cable_state import CableNode, CableState, End, StepStart
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
@@ -92,6 +91,8 @@ def lay(
     if cable.law == "step":
         laid.update(step_start=StepStart(force, length, force * (length - L0) / 2))
     if cable.along > 0:
+        from crms_fenicsx.friction.axial import laid_grip
+
         laid.update(axial=laid_grip(laid, shape))
     net.add(laid, strip)
     return laid

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 
-from crms_fenicsx.friction.lateral import align
 from crms_fenicsx.paths.held_vertices import Run, held_runs
 from crms_fenicsx.paths.path_change import PathChange
 from crms_fenicsx.paths.tried_paths import TriedPaths
@@ -99,6 +98,8 @@ class VertexTrials:
             if not cable.slides_freely:
                 if cable.grip is None or not cable.grip.known:
                     continue
+                from crms_fenicsx.friction.lateral import align
+
                 align(cable)
                 least = 2  # single vertices have been passed by `friction_release`
             runs = (run for run in held_runs(cable, shape) if len(run.vertices) >= least)

@@ -19,9 +19,7 @@ from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces, wrap_angles
 from crms_fenicsx.contact.gap import INSIDE
 from crms_fenicsx.contact.lift_off import is_foot, may_lift, outward_pulls
-from crms_fenicsx.friction.axial import gripped_nodes
 from crms_fenicsx.friction.gripped_nodes import held_nodes
-from crms_fenicsx.friction.lateral import energies
 from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.paths.held_vertices import held_runs
@@ -260,6 +258,8 @@ def _tensions(cable: LaidCable, parts: Array) -> dict[str, float]:
     spans: Array = np.zeros(0)
     of_part: Integers = np.zeros(0, dtype=np.int64)
     if cable.axial is not None and len(cable.axial.spans):
+        from crms_fenicsx.friction.axial import gripped_nodes
+
         passed = np.searchsorted(gripped_nodes(cable), cable.contacts()[:-1], side="right")
         of_part = passed.astype(np.int64)
         spans = np.asarray(np.bincount(of_part, parts), dtype=np.float64)
@@ -334,6 +334,8 @@ def _friction(cable: LaidCable, shape: StripShape, nodal: float) -> dict[str, fl
     friction = cable.cable.sideways
     if friction is None and cable.axial is None:
         return values
+    from crms_fenicsx.friction.axial import gripped_nodes
+    from crms_fenicsx.friction.lateral import energies
 
     if friction is not None and cable.has_coulomb and cable.grip is not None:
         forces = contact_forces(cable, shape)
