@@ -13,9 +13,12 @@ import ways
 ALIKE = (
     1,  # a cap whose mesh has meridians
     8,  # a gmsh mesh with the cable's line in it, cable nearly slack
+    71,  # an air hall, cable nearly slack
+    143,  # another one, whose cable turns by much and by little from edge to edge
     151,  # a jiggled mesh
     152,  # along a row of a turned lattice
     155,  # diagonals to the left
+    161,  # an air hall whose cable is slack, and in tension with three times the pressure
     165,  # a tight cable on a gmsh mesh
 )
 

@@ -42,6 +42,8 @@ class ActiveSet:
     def __init__(self, scene: Scene, paths: Retracer | None) -> None:
         self.scene, self._paths = scene, paths
         self._switches: Counter[str] = Counter()
+        self._tried: set[str] = set()
+        """Cables that have been tried in tension."""
         self._first_look = True
         self._released, self._settled = (
             (set(), set()) if paths is None else (paths.released, paths.settled)
@@ -90,17 +92,23 @@ class ActiveSet:
         """Tighten a slack cable that has become too short for its path, slacken another.
 
         Near the limit a cable is in equilibrium both slack, on flat cells, and in tension, on cells
-        that it has folded and that bulge. Then it is in tension, however it came there: what it
-        may be in each solve is tried once, and judged in the state that this leads to.
+        that it has folded and that bulge. It is in tension if it is nearly tight on flat cells and
+        stays so on folded ones, which is tried once in each solve. One that is in tension, but on
+        flat cells would be slack, is let go first, so that the way there does not matter.
         """
         if cable.cable.law == "step":
             return []
         if not cable.taut and not cable.sleeve:
             contact.drape(cable, shape)
-        judged = (solved and cable.taut) or self._switches[cable.name] > 0
-        taut = cable.is_tight(nearly=not judged and not self._rested(cable))
+        untried = cable.name not in self._tried and not self._rested(cable)
+        judged = solved and cable.taut
+        taut = tight = cable.is_tight(nearly=untried and not judged)
+        if judged and tight and untried and cable.slides_freely:
+            taut = contact.flat_length(cable, shape) > cable.L0
         if taut == cable.taut:
             return []
+        if taut or not tight:
+            self._tried.add(cable.name)
         cable.state.taut = taut
         cable.state.traced &= taut  # it gets its folds back from the straight way
         self._switches[cable.name] += 1

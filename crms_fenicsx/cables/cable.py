@@ -35,8 +35,8 @@ RELAY = "lay another cable with scene.lay_cable(...) instead"
 NEARLY_TAUT = 2e-3
 """Strain by which a cable may be too long for its path and still count as taut at first."""
 BULGE, MOST_BULGE = 1.2, 0.02
-"""The same, where folds bulge: relative to the square of the turns (rad) at a cable's nodes, and at
-most. On cells of 9 a side cables keep some tension up to 1.0."""
+"""The same, where folds bulge: relative to the square of the mean turn (rad) at nodes, and at most.
+On cells of 9 a side cables keep some tension up to 1.0."""
 
 
 @dataclass(frozen=True)
@@ -471,9 +471,12 @@ class LaidCable:
         sizes = np.linalg.norm(steps, axis=1)
         too_long = -1e-12
         if nearly:
-            ways = steps[sizes > 0.0] / sizes[sizes > 0.0, None]
-            turns = np.sum(np.diff(ways, axis=0) ** 2, axis=1)
-            bulge = BULGE * float(np.median(turns)) if len(turns) else 0.0
+            apart = sizes > COINCIDENT * sizes.sum()
+            ways = steps[apart] / sizes[apart, None]
+            # Over some nodes: from one to the next small and large turns, left and right alternate.
+            some = min(4, len(ways) - 1)
+            turns = np.linalg.norm(ways[some:] - ways[:-some], axis=1) / some if some else [0.0]
+            bulge = BULGE * float(np.median(turns)) ** 2
             too_long = max(NEARLY_TAUT, min(bulge, MOST_BULGE))
         return self.cable.law == "step" or float(sizes.sum()) > self.L0 * (1 - too_long)
 

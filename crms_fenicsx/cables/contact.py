@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.cable import COINCIDENT, CableNode, Crossing, LaidCable
+from crms_fenicsx.cables.cable import COINCIDENT, CableNode, Crossing, LaidCable, polyline_length
 from crms_fenicsx.cables.path import CellPoint, EdgePoint
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.cables.triangles import cross, dot, norm
@@ -374,3 +374,15 @@ def drape(cable: LaidCable, shape: StripShape) -> None:
             cable.positions[k] = np.dot(weights, [shape.at(i) for i in ids])
         if not free and not places:
             return
+
+
+def flat_length(cable: LaidCable, shape: StripShape) -> float:
+    """Length of the polyline that a cable would have on cells that it did not fold (length)."""
+    points = []
+    for k in cable.contacts():
+        if cable.nodes[k].kind == "anchor":
+            points.append(cable.positions[k])
+        elif cable.nodes[k].kind != "crossing":
+            vertices, weights = cable.masters(k)
+            points.append(np.dot(weights, [shape.at(vertex) for vertex in vertices]))
+    return polyline_length(np.array(points))
