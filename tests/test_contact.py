@@ -461,7 +461,7 @@ def crossed(z: float, apart: bool = False) -> tuple[Crossing, list[LaidCable], S
     shape = roof([0.0, 0.0])
     point = CellPoint((0, 1, 2), (0.25, 0.5, 0.25))
     place = np.array([0.5, 0.25, 0.0])
-    crossing = Crossing(0, 1, (0, 1, 2), (0, 0), place, apart)
+    crossing = Crossing(0, 1, (0, 1, 2), (0, 0), place, (), apart)
     cables = []
     for way in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)):
         ends = [place - way, place + way]

@@ -348,6 +348,21 @@ def test_a_crossing_that_stays_keeps_its_place() -> None:
     assert again.place.tolist() == [0.3, 0.5, 0.1]
 
 
+def test_a_crossing_of_a_cable_on_another_way_is_where_the_links_cross() -> None:
+    """In the same cell still, but its old place would draw the cable aside."""
+    low = across()
+    other = cable_over([on(0, 1, 0.25), on(1, 2, 0.75), on(2, 3, 0.25)])
+    (crossing,) = arrange([low, other], STRIP, [])
+    for cable in (low, other):
+        cable.positions[1] = (0.1, 0.5, 0.3)
+    led = cable_over([on(0, 2, 0.2), on(1, 2, 0.75), on(2, 3, 0.25)])
+    (again,) = arrange([low, led], STRIP, [crossing])
+    assert again.support == crossing.support
+    start, end = led.positions[[0, 2]]
+    beside = np.cross(again.place - start, (end - start) / np.linalg.norm(end - start))
+    assert np.linalg.norm(beside) < 1e-12 and again.place[1:].tolist() == [0.5, 0.0]
+
+
 def test_cables_that_have_parted_share_no_point() -> None:
     """Also when their crossing moves on; of two crossings each goes on from the nearest."""
     cables = [across(), cable_over([on(0, 1, 0.25), on(1, 2, 0.75), on(2, 3, 0.25)])]

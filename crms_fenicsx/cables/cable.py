@@ -105,6 +105,9 @@ class Crossing:
         Where it is on the lower and on the upper cable: after which node, crossings not counted.
     place : (3,)
         Where they cross, or would (length).
+    between
+        Ids of the vertices on which the ends of these links lie, or between which: first those of
+        the lower cable's link.
     apart
         Whether the upper cable has lifted off the lower one; they share no point then.
     """
@@ -114,6 +117,7 @@ class Crossing:
     support: tuple[int, ...]
     links: tuple[int, int]
     place: Array
+    between: tuple[tuple[int, ...], ...]
     apart: bool = False
 
 

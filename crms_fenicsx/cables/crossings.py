@@ -67,9 +67,15 @@ def arrange(cables: Sequence[LaidCable], strip: Strip, known: Sequence[Crossing]
         (lower, t_lower), (upper, t_upper) = sorted(
             zip((first, second), along, strict=True), key=lambda side: _level(cables, side[0][0])
         )
-        crossing = Crossing(
-            lower[0], upper[0], point.support, (lower[1], upper[1]), np.mean(places, axis=0)
+        between = tuple(
+            () if node.point is None else node.support
+            for c, k in (lower, upper)
+            for node in cables[c].nodes[k : k + 2]
         )
+        crossing = Crossing(
+            lower[0], upper[0], point.support, (lower[1], upper[1]), np.mean(places, axis=0),
+            between,
+        )  # fmt: skip
         _inherit(crossing, left, cables)
         crossings.append(crossing)
         if crossing.apart:
@@ -111,7 +117,11 @@ def _link(cables: Sequence[LaidCable], member: Member) -> tuple[Array, Array]:
 
 
 def _inherit(crossing: Crossing, left: list[Crossing], cables: Sequence[LaidCable]) -> None:
-    """Go on from the nearest known crossing of these cables; a new one starts as they lie."""
+    """Go on from the nearest known crossing of these cables; a new one starts as they lie.
+
+    It stays where it was if they cross the same edges before and after it: else it would draw them
+    aside.
+    """
     same = [k for k in left if (k.lower, k.upper) == (crossing.lower, crossing.upper)]
     if not same:
         upper, k = cables[crossing.upper], crossing.links[1]
@@ -120,7 +130,7 @@ def _inherit(crossing: Crossing, left: list[Crossing], cables: Sequence[LaidCabl
     old = min(same, key=lambda k: float(np.linalg.norm(k.place - crossing.place)))
     left.remove(old)
     crossing.apart = old.apart
-    if old.support == crossing.support:
+    if old.between == crossing.between:
         crossing.place = old.place
 
 

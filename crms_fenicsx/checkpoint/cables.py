@@ -39,7 +39,7 @@ def crossing_of(data: Plain) -> Crossing:
     first, second = integers(data["links"])
     return Crossing(
         lower, upper, integers(data["support"]), (first, second), floats(data["place"], 3),
-        bool(data["apart"]),
+        tuple(integers(support) for support in data["between"]), bool(data["apart"]),
     )  # fmt: skip
 
 

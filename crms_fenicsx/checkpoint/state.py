@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from crms_fenicsx.cables.strip import Strip
 
 STATE, CELLS = "state.json", "cells.npy"
-FORMAT = "crms_fenicsx checkpoint 3"
+FORMAT = "crms_fenicsx checkpoint 4"
 """What a checkpoint says it is; the number grows when its content changes."""
 
 
