@@ -81,8 +81,8 @@ def relax(paths: Retracer, kinked: Iterable[tuple[int, int]]) -> bool:
 
     Returns
     -------
-    Whether any was moved that has not been before in this load step from the same place on the
-    path: if that has raised the energy, it does with other friction forces, too.
+    Whether any was moved that has not been before from the same place on the path, where the cable
+    still is: if that has raised the energy, it does with other friction forces, too.
     """
     shape, caught = StripShape.of(paths.scene), set(kinked)
     for c, cable in _held(paths.scene.cables).items():

@@ -72,11 +72,14 @@ class Tried(NamedTuple):
         Runs of vertices that were left, and taken again: 1 for those left to the cable's left or
         -1, and the vertices.
     at : (n, 3)
-        Where the cable was then (length).
+        Where the cable was then, at the end of a load step (length).
     L0
         Unstressed length then (length).
     released, settled
         Where cables were let go, and where they stay however they pull.
+    withheld, put_back
+        What cables with friction have not taken: ways past vertices, and fold points put back in
+        place.
     """
 
     refused: dict[str, set[Corridor]]
@@ -85,6 +88,8 @@ class Tried(NamedTuple):
     L0: dict[str, float]
     released: set[ContactKey]
     settled: set[ContactKey]
+    withheld: set[tuple[str, Corridor]]
+    put_back: set[tuple[str, Corridor]]
 
     def forget(self, name: str) -> None:
         """Forget all of a cable."""
@@ -92,6 +97,8 @@ class Tried(NamedTuple):
             table.pop(name, None)
         for keys in (self.released, self.settled):
             keys -= {key for key in keys if name in key}
+        for ways in (self.withheld, self.put_back):
+            ways -= {way for way in ways if way[0] == name}
 
 
 class Retracer:
@@ -125,23 +132,28 @@ class Retracer:
         """How often cables with friction have been led past a vertex in this step, to its left or
         not."""
         self.put_back: set[tuple[str, Corridor]] = set()
-        """Where their caught fold points have been put back in place in this step."""
+        """Where their caught fold points have been put back in place."""
 
     @property
     def tried(self) -> Tried:
         """The paths that were tried in earlier load steps."""
-        return Tried(self.refused, self.left, self._tried_at, self._L0, self.released, self.settled)
+        return Tried(
+            self.refused, self.left, self._tried_at, self._L0, self.released, self.settled,
+            self.withheld, self.put_back,
+        )  # fmt: skip
 
     def remember(self, tried: Tried) -> None:
         """Go on from the load steps of another retracer of the same cables."""
-        self.refused, self.left, self._tried_at, self._L0, self.released, self.settled = tried
+        (
+            self.refused, self.left, self._tried_at, self._L0, self.released, self.settled,
+            self.withheld, self.put_back,
+        ) = tried  # fmt: skip
 
     def begin_step(self) -> None:
         """Prepare for a load step."""
         self._first_look, self._misled = True, 0
-        self.offered, self.withheld = set(), set()
+        self.offered = set()
         self.led.clear()
-        self.put_back.clear()
 
     def _forget(self) -> None:
         """Forget which paths were tried, but not those of cables that have not moved since.
@@ -156,9 +168,11 @@ class Retracer:
             if self._has_moved(cable):
                 self.refused.pop(cable.name, None)
                 self.left.pop(cable.name, None)
+                for ways in (self.withheld, self.put_back):
+                    ways -= {way for way in ways if way[0] == cable.name}
 
     def _has_moved(self, cable: LaidCable) -> bool:
-        """Whether a cable is somewhere else than at the end of the last load step."""
+        """Whether a cable is somewhere else than where the load steps before have left it."""
         before, x = self._tried_at.get(cable.name), cable.positions
         if before is None or before.shape != x.shape:
             return True
@@ -169,9 +183,13 @@ class Retracer:
         return self._L0.get(cable.name) == cable.L0 and not self._has_moved(cable)
 
     def end_step(self) -> None:
-        """Remember where the cables are, and how long."""
+        """Remember where the cables are, and how long.
+
+        One that has hardly moved is still compared to where it was, so that it cannot creep away.
+        """
         for cable in self.scene.cables:
-            self._tried_at[cable.name] = cable.positions.copy()
+            if self._has_moved(cable):
+                self._tried_at[cable.name] = cable.positions.copy()
         self._L0 = {cable.name: cable.L0 for cable in self.scene.cables}
 
     def straighten(self) -> bool:

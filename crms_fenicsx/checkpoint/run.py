@@ -12,6 +12,7 @@ from crms_fenicsx.solver import Step
 from crms_fenicsx.system import StepHistory
 
 if TYPE_CHECKING:
+    from crms_fenicsx.cables.corridor import Corridor
     from crms_fenicsx.cables.retrace import ContactKey, Tried
 
 
@@ -60,6 +61,8 @@ def plain_run(run: Run) -> Plain:
             "L0": tried.L0,
             "released": sorted(tried.released, key=str),
             "settled": sorted(tried.settled, key=str),
+            "withheld": sorted(tried.withheld),
+            "put back": sorted(tried.put_back),
         },
     }
 
@@ -85,15 +88,19 @@ def _tried(data: Plain) -> Tried:
     from crms_fenicsx.cables.retrace import Tried
 
     return Tried(
-        {
-            name: {tuple(integers(support) for support in path) for path in paths}
-            for name, paths in data["refused"].items()
-        },
+        {name: {_corridor(path) for path in paths} for name, paths in data["refused"].items()},
         {name: {integers(run) for run in runs} for name, runs in data["left"].items()},
         {name: floats(places, -1, 3) for name, places in data["at"].items()},
         {name: float(L0) for name, L0 in data["L0"].items()},
-        *({_contact(key) for key in data[which]} for which in ("released", "settled")),
+        {_contact(key) for key in data["released"]},
+        {_contact(key) for key in data["settled"]},
+        {(str(name), _corridor(path)) for name, path in data["withheld"]},
+        {(str(name), _corridor(path)) for name, path in data["put back"]},
     )
+
+
+def _corridor(supports: Plain) -> Corridor:
+    return tuple(integers(support) for support in supports)
 
 
 def _contact(key: Plain) -> ContactKey:
