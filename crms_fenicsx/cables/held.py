@@ -131,8 +131,9 @@ def held_vertices(cable: LaidCable, shape: StripShape) -> list[HeldVertex]:
     at = _at(cable) if cable.grip is not None else near
     at = {vertex: nodes for vertex, nodes in at.items() if vertex in near}
     nodes = sorted({k for some in at.values() for k in some if not cable.lifted[k]})
-    press, pull = (dict(zip(nodes, f, strict=True)) for f in forces_at(cable, nodes, shape))
-    bound: dict[int, float] = {}
+    # Of all nodes of the cable, nothing where it has lifted off.
+    press, pull, bound = np.zeros((3, len(cable.nodes)))
+    press[nodes], pull[nodes] = forces_at(cable, nodes, shape)
     if cable.grip is not None:
         from crms_fenicsx.cables.grip import friction_forces
 
@@ -141,14 +142,16 @@ def held_vertices(cable: LaidCable, shape: StripShape) -> list[HeldVertex]:
             row = cable.grip.row_of.get(cable.nodes[k].support)
             if row is not None:
                 pull[k] -= carried[row]
-                bound[k] = float(cable.grip.bounds[row])
-    found = []
-    for vertex, some in at.items():
-        force, down, most = (float(sum(f.get(k, 0.0) for k in some)) for f in (pull, press, bound))
-        allowed = TINY * cable.tension + (
-            UNEVEN * abs(down) if cable.grip is None else SLACK * most
-        )
-        found.append(HeldVertex(vertex, tuple(some), force, down, allowed))
+                bound[k] = cable.grip.bounds[row]
+    of = np.repeat(np.arange(len(at)), [len(some) for some in at.values()])
+    every = [k for some in at.values() for k in some]
+    down, force, most = (np.bincount(of, f[every], len(at)) for f in (press, pull, bound))
+    allowed = TINY * cable.tension + (UNEVEN * np.abs(down) if cable.grip is None else SLACK * most)
+    sums = zip(*(f.tolist() for f in (force, down, allowed)), strict=True)
+    found = [
+        HeldVertex(vertex, tuple(some), *own)
+        for (vertex, some), own in zip(at.items(), sums, strict=True)
+    ]
     return sorted(found, key=lambda held: (held.nodes[0], held.nodes[-1], held.vertex))
 
 
@@ -229,10 +232,11 @@ def _near(cable: LaidCable, shape: StripShape) -> dict[int, list[int]]:
     near = PRESSED if cable.grip is None else NEAR
     nodes, lifted = cable.nodes, cable.lifted
     fractions = [float(f) for f in cable.fractions]
+    boundary = _along_boundary(nodes, shape)
     found: dict[int, list[int]] = defaultdict(list)
     for k, support in _between_ends(cable):
         if nodes[k].kind == "vertex":
-            if not lifted[k] and not _follows_boundary(nodes, k, shape):
+            if not lifted[k] and k not in boundary:
                 found[support[0]].append(k)
         elif nodes[k].slides and not near <= fractions[k] <= 1 - near:  # or beyond the edge's end
             found[support[int(fractions[k] > 0.5)]].append(k)
@@ -257,12 +261,11 @@ def _between_ends(cable: LaidCable) -> Iterator[tuple[int, Support]]:
             yield k, nodes[k].support
 
 
-def _follows_boundary(nodes: Sequence[CableNode], k: int, shape: StripShape) -> bool:
-    """Whether a cable runs along the membrane's boundary at a vertex that it visits."""
-    (vertex,) = nodes[k].support
-    around = shape.strip.outer_around
-    for beside in nodes[k - 1], nodes[k + 1]:
-        if beside.kind == "vertex" and (other := beside.support[0]) != vertex:
-            if len(around.get(edge_of(vertex, other), ())) == 1:
-                return True
-    return False
+def _along_boundary(nodes: Sequence[CableNode], shape: StripShape) -> set[int]:
+    """Nodes on vertices to or from which a cable runs along the membrane's boundary."""
+    around, found = shape.strip.outer_around, set[int]()
+    for k, (a, b) in enumerate(pairwise(nodes)):
+        if a.kind == b.kind == "vertex" and a.support != b.support:
+            if len(around.get(edge_of(a.support[0], b.support[0]), ())) == 1:
+                found |= {k, k + 1}
+    return found
