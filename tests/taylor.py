@@ -14,7 +14,8 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from crms_fenicsx.minimization.potential import Potential, Term
+from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.minimization.potential import Potential
 
 Array = npt.NDArray[Any]
 
@@ -92,7 +93,7 @@ class TermOnPoints:
 class OnMesh:
     """Terms of a distributed layout; arrays hold the points that this rank owns."""
 
-    def __init__(self, unknowns: Any, u: Any, terms: Sequence[Term]) -> None:
+    def __init__(self, unknowns: Any, u: Any, terms: Sequence[EnergyTerm]) -> None:
         self.potential = Potential(unknowns, u, terms)
         self.unknowns = unknowns
 

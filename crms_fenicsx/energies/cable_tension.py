@@ -7,16 +7,16 @@ import numpy.typing as npt
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.block_patterns import SegmentPattern
-from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.segments import add_segment_forces, segment_lengths, segment_stiffness
+from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.model.laid_cable import NEARLY_TAUT
 from crms_fenicsx.runtime.arrays import Array
 
 EPSILON = float(np.finfo(float).eps)
 
 
-class CableTension:
+class CableTension(EnergyTerm):
     """``EA/(2 L0) (L - L0)^2`` where L > L0, L the length of a cable's whole polyline.
 
     Parameters
@@ -35,6 +35,7 @@ class CableTension:
     """
 
     name = "cables"
+    has_dyads = True
 
     def __init__(
         self,
@@ -51,10 +52,6 @@ class CableTension:
         self._lengths = np.zeros(len(segments))
         self._forces = np.zeros(len(segments))
         self.pattern = SegmentPattern(segments)
-
-    def attach(self, unknowns: Unknowns) -> None:
-        """Use the positions of this layout."""
-        self.unknowns = unknowns
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of each cable's length."""

@@ -12,11 +12,11 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from petsc4py import PETSc
 
-from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.integral import Integral, one_point
 from crms_fenicsx.energies.kinematics import Kinematics, tangent_basis, tensile_part, warp_field
 from crms_fenicsx.energies.stiffening import Stiffening
+from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.meshes.cell_geometry import area_vectors, cell_normals
 from crms_fenicsx.model.materials import (
     LINEAR,
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 EPSILON = float(np.finfo(float).eps)
 
 
-class MembraneEnergy:
+class MembraneEnergy(EnergyTerm):
     """Strain energy of the cells whose `plain` indicator is 1, in total formulation.
 
     Parameters
@@ -58,6 +58,8 @@ class MembraneEnergy:
     """
 
     name = "membrane"
+    integral: Integral
+    stiffening: Stiffening
 
     def __init__(
         self,
@@ -145,19 +147,9 @@ class MembraneEnergy:
         row = np.searchsorted(wanted, tags[own]).astype(np.int32)
         return TensionField(self.u, cells[own], self.material_axes(cells[own]), parameters, row)
 
-    def attach(self, unknowns: Unknowns) -> None:
-        """Use this layout."""
-        self.unknowns = unknowns
-
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the energy."""
         out[0] = self.integral.value
-
-    def energy(self, sums: Array) -> float:
-        """Strain energy (force x length)."""
-        return float(sums[0])
-
-    n_sums = 1
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Add the nodal forces of this rank's cells."""

@@ -25,6 +25,7 @@ import numpy.typing as npt
 from dolfinx import fem, la
 
 from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.meshes.cell_geometry import OpenEdges
 from crms_fenicsx.runtime.arrays import Array, Indices
 
@@ -118,7 +119,7 @@ def _ends(V: fem.FunctionSpace, a: Indices, b: Indices, s: Array) -> tuple[Indic
     return ends, excess[ends].copy()
 
 
-class RimPressure:
+class RimPressure(EnergyTerm):
     """Potential of the pressure on what closes the volume at the rim: ``-p`` times its change.
 
     Parameters
@@ -132,7 +133,6 @@ class RimPressure:
     """
 
     name = "pressure"
-    n_sums = 1
 
     def __init__(self, rim: Rim, pressure: fem.Constant, origin: Array) -> None:
         self.rim, self.pressure, self.origin = rim, pressure, origin

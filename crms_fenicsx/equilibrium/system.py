@@ -17,9 +17,10 @@ from crms_fenicsx.energies.membrane import MembraneEnergy
 from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.energies.paper.step_pressure import StepPressure
 from crms_fenicsx.energies.pressure import FollowerPressure
+from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.minimization.minimizer import Minimizer
 from crms_fenicsx.minimization.outcome import Outcome
-from crms_fenicsx.minimization.potential import Potential, Term
+from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.model.laid_cable import polyline_length
 from crms_fenicsx.scene import Scene
 
@@ -123,7 +124,7 @@ class System:
             self.network, self.unknowns = None, Unknowns(scene.V)
         blocks = self.unknowns.vertex_blocks()
         self.unknowns.held[blocks] = scene.held
-        terms: list[Term] = [self.membrane]
+        terms: list[EnergyTerm] = [self.membrane]
         self._set_plain(np.zeros(0, dtype=np.int32))
         if scene.pressure != 0.0 or self.pressure is not None or "pressure" in scene.energies:
             terms.append(self._pressure_term())
@@ -186,7 +187,7 @@ class System:
             self.pressure = term
         return term
 
-    def _rim_terms(self) -> list[Term]:
+    def _rim_terms(self) -> list[EnergyTerm]:
         """What closes the volume where the rim of the pressure slides in planes."""
         scene = self.scene
         if scene.pressure_law != "total":
@@ -198,7 +199,7 @@ class System:
 
         return [RimPressure(rim, self.pressure_value, scene.centre)]
 
-    def _cable_terms(self) -> list[Term]:
+    def _cable_terms(self) -> list[EnergyTerm]:
         """Terms of the cables in tension; the cells that they fold leave the membrane term."""
         from crms_fenicsx.cables.element_tables import cable_tables
 
@@ -221,7 +222,7 @@ class System:
 
         return damping(self.network, self.tables.segments)
 
-    def _friction_terms(self, network: Network) -> list[Term]:
+    def _friction_terms(self, network: Network) -> list[EnergyTerm]:
         """Terms of the cables in tension that friction holds back sideways."""
         laws = {
             cable.cable.sideways.law
@@ -237,7 +238,7 @@ class System:
             if cable.taut:
                 align(cable)
         shape = StripShape.of(self.scene)
-        terms: list[Term] = []
+        terms: list[EnergyTerm] = []
         if "coulomb" in laws:
             from crms_fenicsx.energies.lateral_friction import StickSlip
             from crms_fenicsx.friction.lateral_tables import slip_table
@@ -273,12 +274,12 @@ class System:
 
             self.capstan.renew(grip_table(self.network, shape))
 
-    def _tension_terms(self, network: Network, tables: CableTables) -> list[Term]:
+    def _tension_terms(self, network: Network, tables: CableTables) -> list[EnergyTerm]:
         """Terms of the cables with one tension, and of those that friction holds along."""
         taut = [cable for cable in self.scene.cables if cable.taut]
         self._sliding = [cable for cable in taut if cable.axial is None]
         self._gripped = [cable for cable in taut if cable.axial is not None]
-        terms: list[Term] = []
+        terms: list[EnergyTerm] = []
         if self._sliding:
             self.tension = self._tension_term(tables, taut)
             terms.append(self.tension)
@@ -338,7 +339,7 @@ class System:
         self.kinks = KinkPenalty(tables.penalty(self.scene.penalty, moduli))
         return self.kinks
 
-    def _folded_pressure_term(self, tables: CableTables) -> Term:
+    def _folded_pressure_term(self, tables: CableTables) -> EnergyTerm:
         from crms_fenicsx.energies.folded_pressure import FoldedFollowerPressure
         from crms_fenicsx.energies.paper.step_folded_pressure import FoldedStepPressure
 

@@ -315,7 +315,7 @@ class Minimizer:
         potential = self.potential
         self._interrupt, self._interrupted, self._error = interrupt, False, None
         may_be_newton = self.newton and self._uses_h0 and self._bounds is None
-        stiffened = [term for term in potential.terms if hasattr(term, "stiffening")]
+        stiffened = [term.stiffening for term in potential.terms if term.stiffening is not None]
         self._place_bounds()
         potential.place()
         iterations = factorizations = 0
@@ -355,10 +355,10 @@ class Minimizer:
             stages += 1 / 4 if newton else 1
             if self._uses_h0 and self._aged:
                 prestress = h0_prestress[min(factorizations, len(h0_prestress) - 1)]
-                for term in stiffened:
-                    term.stiffening.set(prestress, failures)
+                for stiffening in stiffened:
+                    stiffening.set(prestress, failures)
                     if newton:
-                        term.stiffening.floor.value = self._restraint
+                        stiffening.floor.value = self._restraint
                 self._length = STAGE_LENGTHS[min(factorizations, len(STAGE_LENGTHS) - 1)]
                 self._set_h0()
                 factorizations += 1
@@ -379,8 +379,8 @@ class Minimizer:
             if ended < 0:
                 reason, self._aged = REASONS.get(ended, f"TAO reason {ended}"), True
             failures = failures + 1 if ended == SEARCH_FAILED else 0
-        for term in stiffened:
-            term.stiffening.set(0.0)
+        for stiffening in stiffened:
+            stiffening.set(0.0)
         self._aged |= reason != "converged"
         if reason not in ("converged", "interrupted") and rounding > tolerance:
             reason += (
