@@ -69,7 +69,7 @@ def watched(now: Callable[[], float] = time.perf_counter) -> Clock:
     from crms_fenicsx.energies import folded_pressure as volume
     from crms_fenicsx.energies import pressure as loads
     from crms_fenicsx.equilibrium import search as equilibrium
-    from crms_fenicsx.equilibrium.search import system
+    from crms_fenicsx.equilibrium import system
     from crms_fenicsx.minimization import initial_hessian as hessian
     from crms_fenicsx.minimization import minimizer, potential
 
@@ -91,8 +91,8 @@ def watched(now: Callable[[], float] = time.perf_counter) -> Clock:
     clock.watch(hessian.InitialHessian, "solve", "H0: solves")
     clock.watch(minimizer.Minimizer, "solve", "rest of the minimiser")
     clock.watch(system.System, "rebuild", "tables of the cables")
-    clock.watch(system.System, "push", "state of the scene")
-    clock.watch(system.System, "pull", "state of the scene")
+    clock.watch(system.System, "write_scene", "state of the scene")
+    clock.watch(system.System, "read_scene", "state of the scene")
     clock.watch(equilibrium.EquilibriumSearch, "_changes", "contacts")
     clock.watch(equilibrium.EquilibriumSearch, "_change_paths", "paths")
     clock.watch(equilibrium.EquilibriumSearch, "find", "paths and contacts")

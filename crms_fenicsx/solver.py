@@ -523,7 +523,7 @@ class Solver:
             from crms_fenicsx.checkpoint.journal import Progress
 
             self._journal.keep(self.scene, self._run, Progress(done, increment, failure))
-            self.system.forget()  # a resumed run takes the same way
+            self.system.reset_h0()  # a resumed run takes the same way
 
     @property
     def _run(self) -> Run:
@@ -581,7 +581,7 @@ class Solver:
 
         save(folder, self.scene, self._run)
         if self._system is not None:
-            self._system.forget()  # what goes on from the checkpoint takes the same way
+            self._system.reset_h0()  # what goes on from the checkpoint takes the same way
 
     @collective
     def load(self, folder: str | FilePath) -> None:
@@ -645,7 +645,7 @@ class Solver:
             self.scene.step_history = history
             self.scene.commits += 1
         if self._system is not None:  # its tables may be those of other cables in tension
-            self._system.expire()
+            self._system.invalidate()
 
     def _failure(self, outcome: Outcome, done: float) -> ConvergenceError:
         return ConvergenceError(

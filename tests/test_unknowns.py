@@ -253,7 +253,7 @@ def test_the_scene_has_everything(comm):
         "MembraneEnergy", "FollowerPressure", "CableTension", "FoldEnergy", "KinkPenalty",
         "FoldedFollowerPressure",
     }  # fmt: skip
-    shared = system.network.points_by_edge({0, 1, 2}).values()
+    shared = system.cables.network.points_by_edge({0, 1, 2}).values()
     assert max(len({c for _, c, _ in points}) for points in shared) == 2, "cables share an edge"
 
 
@@ -286,7 +286,7 @@ def fingerprint(comm, choice, size):
     energy, g = f.value(x)
     terms = system.potential.terms
     single = [OnMesh(f.unknowns, system.scene.u, [term]).value(x)[1] for term in terms]
-    Whereabouts(system.network, f.unknowns).tell(f.potential.x)
+    Whereabouts(system.cables.network, f.unknowns).tell(f.potential.x)
     cables = system.scene.cables
     lengths = [polyline_length(cable.positions[cable.contacts()]) for cable in cables]
     return np.array(
@@ -368,12 +368,12 @@ def equilateral(comm):
 def test_stiffness_with_riders_and_folded_cells_is_exact_under_tension(comm):
     """Stretched alike in all directions, every side of an equilateral triangle pulls."""
     system = equilateral(comm)
-    system.membrane.stiffening.floor.value = 0.0
+    system.membrane.energy.stiffening.floor.value = 0.0
     f = on_mesh(system, "MembraneEnergy", "FoldEnergy")
     x = displaced(f.unknowns, 0.05, stretch=1.3)
     f.value(x)
-    assert system.folds.forces.min(initial=1.0) > 0
-    assert comm.allreduce(len(system.folds.forces)) > 50
+    assert system.cables.folds.energy.forces.min(initial=1.0) > 0
+    assert comm.allreduce(len(system.cables.folds.energy.forces)) > 50
     assert comm.allreduce(f.unknowns.n_riders) >= 4
     for name, d in directions(f.unknowns).items():
         assert stiffness_error(f, x, d) < 1e-7, name

@@ -103,9 +103,9 @@ class EquilibriumSearch:
         self.system.prepare()
         self.start = State.of(self.scene)
         if not self.scene.cables:
-            self.system.pull()
+            self.system.read_scene()
             outcome = self.system.minimize(h0_prestress)
-            self.system.push()
+            self.system.write_scene()
             return outcome
         from crms_fenicsx.contact.active_set import ActiveSet
 
@@ -159,7 +159,7 @@ class EquilibriumSearch:
         for cable in cables:
             begin(cable, shape)
         if not known:
-            self.system.expire()
+            self.system.invalidate()
 
     def _with_friction(self, solve: _Solve, h0_prestress: tuple[float, ...]) -> Outcome:
         """Solve, again and again until the friction forces are those of its own state.
@@ -368,7 +368,7 @@ class EquilibriumSearch:
             solve ends there.
         """
         system, active = self.system, self.active
-        system.pull()
+        system.read_scene()
         system.locate_cables()
         changes = active.tighten()  # contacts can be judged on a solved state only
         if self.paths is not None and not changes and self.paths.straighten():
@@ -378,7 +378,7 @@ class EquilibriumSearch:
 
         def interrupt() -> bool:
             nonlocal changes, looked
-            system.push()
+            system.write_scene()
             changes = self._changes()
             if changes:
                 return True
@@ -391,10 +391,10 @@ class EquilibriumSearch:
                 if self.paths is not None:
                     self.paths.straighten()
                 system.rebuild()
-                system.pull()
+                system.read_scene()
             if system.has_history:  # the step starts there for all its terms
                 self.start.restore_positions(self.scene)
-                system.pull()
+                system.read_scene()
             changes = []
             outcome = system.minimize(h0_prestress, interrupt)
             h0_prestress = (0.0,)  # the membrane has stresses now
@@ -402,7 +402,7 @@ class EquilibriumSearch:
             if not outcome.converged:
                 return total
             if outcome.reason != "interrupted":
-                system.push()
+                system.write_scene()
                 changes = self._changes()
             if not changes:
                 if not looked and look is not None:

@@ -266,7 +266,7 @@ class Minimizer:
             raise self._error
         return ended
 
-    def forget(self) -> None:
+    def reset_h0(self) -> None:
         """Begin the next solve with a new H0, as another process would."""
         self._aged = True
 

@@ -289,9 +289,7 @@ class Verifier:
             Check("sum of supports and loads", _norm(total[:3] + total[6:9]) / all_forces, limit),
             Check("way of the supports", worst[0] / size, PLACE),
         ]  # fmt: skip
-        if (
-            system.friction_elements is None
-        ):  # the paper's have forces that do not turn with a shape
+        if not self._has_friction_elements:
             moment = _norm(total[3:6] + total[9:12])
             checks.append(
                 Check("moment of supports and loads", moment / (all_forces * size), limit)
@@ -299,6 +297,12 @@ class Verifier:
         if scene.floor_level is not None:
             checks.append(Check("depth below the floor", worst[1] / size, PLACE))
         return checks
+
+    @property
+    def _has_friction_elements(self) -> bool:
+        """Whether there are the paper's friction elements, whose forces turn with no shape."""
+        taut = (cable.cable.sideways for cable in self.scene.cables if cable.taut)
+        return any(friction is not None and friction.law == "step" for friction in taut)
 
     def _loads(self, system: System) -> Array:
         """This rank's nodal forces of pressure and dead load, (n_local, 3).
