@@ -6,6 +6,8 @@ A load step runs through the modules in one direction: `scene` (what there is) -
 """
 
 from crms_fenicsx import meshes
+from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.minimization.taylor import TaylorRates, taylor_test
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable
@@ -28,6 +30,7 @@ __version__ = "0.1.0"
 __all__ = [
     "Cable",
     "ConvergenceError",
+    "EnergyTerm",
     "Friction",
     "FrictionWarning",
     "InputError",
@@ -42,5 +45,7 @@ __all__ = [
     "Scene",
     "Solver",
     "Step",
+    "TaylorRates",
     "meshes",
+    "taylor_test",
 ]

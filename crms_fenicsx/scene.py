@@ -13,6 +13,8 @@ import numpy.typing as npt
 from dolfinx import fem
 from dolfinx.mesh import MeshTags, meshtags
 
+from crms_fenicsx.energies.checked_term import checked_energy
+from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.meshes.cell_geometry import area_vectors
 from crms_fenicsx.model.materials import LINEAR, Membrane
@@ -105,6 +107,8 @@ class Scene:
     """Current factor of the dead load."""
     cables: ReadOnly[Cables] = ReadOnly("_cables", "call scene.lay_cable(...) or scene.remove(...)")
     """The laid cables, in their order."""
+    terms: ReadOnly[tuple[EnergyTerm, ...]] = ReadOnly("_terms", "call scene.add_term(term)")
+    """The terms of the energy that have been added."""
     dead_forces: ReadOnly[DeadForces | None] = ReadOnly("_dead_forces", "call scene.put_load(...)")
     floor_level: ReadOnly[float | None] = ReadOnly("_floor_level", "call scene.floor(z)")
     strain_law: ReadOnly[Law] = ReadOnly("_strain_law", "give it to Scene(..., strain=...)")
@@ -171,6 +175,7 @@ class Scene:
         self._floor_level: float | None = None
         self._pressure = self._load = 0.0
         self._dead_forces: DeadForces | None = None
+        self._terms: tuple[EnergyTerm, ...] = ()
         self._cables = Cables.of(self, ())
         self._laid = 0
         self._dissipated = 0.0
@@ -426,6 +431,32 @@ class Scene:
         checks.same(self.comm, "put_load", force=force)
         self.check_finite("put_load")
         self._dead_forces = dead_forces(self, force)
+        self.changes += 1
+
+    @collective
+    def add_term(self, term: EnergyTerm) -> None:
+        """Add a term of your own to the potential energy; load steps minimise it with the rest.
+
+        Its energy is in `energies` under its name, and its forces are loads: supports carry them.
+        Terms are no part of checkpoints. A script that goes on from one adds them again.
+
+        Parameters
+        ----------
+        term
+            See `EnergyTerm`; `taylor_test` checks its derivatives.
+
+        Raises
+        ------
+        InputError
+            On all ranks: it is no `EnergyTerm`, its name is taken, or its sums, energy or forces
+            are not finite in the current state.
+        """
+        checks.same(self.comm, "add_term", term=term, name=getattr(term, "name", None))
+        self.check_finite("add_term")
+        taken = [other.name for other in self.terms]
+        term, energy = checked_energy(term, self.u, self.cell_tags, taken)
+        self._terms = (*self._terms, term)
+        self.energies = {**self.energies, term.name: energy}
         self.changes += 1
 
     def cable(self, name: str) -> LaidCable:

@@ -670,6 +670,7 @@ class Solver:
         loads = abs(scene.pressure)
         if scene.dead_forces is not None:
             loads += abs(scene.load) * scene.dead_forces.intensity
+        loads += self.system.added_force_per_area()
         coming = 0.3 * (loads * size) ** (2 / 3) * modulus ** (1 / 3)
         coming = max(coming, 0.3 * modulus * (travel / size) ** 2)
         present = np.sqrt(max(2 * scene.energies.get("membrane", 0.0) * modulus, 0.0)) / size

@@ -17,6 +17,7 @@ from term_scene import (
 
 from crms_fenicsx.cables.node_positions import Whereabouts
 from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes import from_arrays
 from crms_fenicsx.model.cable import Cable
@@ -24,21 +25,15 @@ from crms_fenicsx.model.laid_cable import polyline_length
 from crms_fenicsx.scene import Scene
 
 
-class Springs:
+class Springs(EnergyTerm):
     """Half the square of the distance from one place of all points, vertices only counted where
     owned: a term to watch forces on."""
 
-    name, n_sums = "springs", 1
-
-    def attach(self, unknowns):
-        self.unknowns = unknowns
+    name = "springs"
 
     def sums(self, x, out):
         self.r = self.unknowns.X + x - (1.0, 2.0, 30.0)
         out[0] = (self.r[: self.unknowns.n_owned] ** 2).sum() / 2
-
-    def energy(self, sums):
-        return float(sums[0])
 
     def add_gradient(self, x, sums, g):
         g[: self.unknowns.n_owned] += self.r[: self.unknowns.n_owned]

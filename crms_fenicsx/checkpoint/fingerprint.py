@@ -22,7 +22,13 @@ def fingerprint(scene: Scene) -> dict[str, Any]:
     -------
     dict
         By name, in the order in which differences are worth telling; made of numbers and texts.
+
+    Raises
+    ------
+    InputError
+        The scene has a term of the user's with a history, which no checkpoint keeps.
     """
+    refuse_history(scene)
     mesh = scene.mesh.mesh
     cells = cell_vertex_ids(mesh)[: mesh.topology.index_map(2).size_local]
     tags = np.zeros((len(cells), 1), dtype=np.int64)
@@ -38,7 +44,24 @@ def fingerprint(scene: Scene) -> dict[str, Any]:
         "pressure": scene.pressure_law,
         "penalty": scene.penalty,
         "literal_penalty": scene.literal_penalty,
+        "added terms": [term.name for term in scene.terms],
     }
+
+
+def refuse_history(scene: Scene) -> None:
+    """Refuse to make checkpoints of a scene with terms whose history they would not keep.
+
+    Raises
+    ------
+    InputError
+        It names the first such term.
+    """
+    for term in scene.terms:
+        if term.has_history:
+            raise InputError(
+                f"the term {term.name!r} has a history, which checkpoints do not keep; do without "
+                "checkpoints (resume=None), or without the term"
+            )
 
 
 def check_same(saved: dict[str, Any], scene: Scene) -> None:

@@ -18,6 +18,7 @@ from pathlib import Path
 from mpi4py import MPI
 
 from crms_fenicsx.checkpoint.call_record import beginning, difference
+from crms_fenicsx.checkpoint.fingerprint import refuse_history
 from crms_fenicsx.checkpoint.folder import ASIDE, complete
 from crms_fenicsx.checkpoint.json_data import Plain
 from crms_fenicsx.checkpoint.run import Run
@@ -104,9 +105,10 @@ class Journal:
         Raises
         ------
         InputError
-            On all ranks: there was another call, the scene was another one, or the checkpoint
-            cannot be read.
+            On all ranks: there was another call, the scene was another one or has a term with a
+            history, or the checkpoint cannot be read.
         """
+        refuse_history(scene)
         self._number += 1
         call: Plain = {"solver": self.options, "advance": loads, "scene": beginning(scene)}
         saved = self._saved() if self._replaying else None

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from crms_fenicsx.model.laid_cable import LaidCable
 
 STATE, CELLS = "state.json", "cells.npy"
-FORMAT = "crms_fenicsx checkpoint 3"
+FORMAT = "crms_fenicsx checkpoint 4"
 """What a checkpoint says it is; the number grows when its content changes."""
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from petsc4py import PETSc
 
+from crms_fenicsx.contributions.added_terms import AddedTermsContribution, force_per_area
 from crms_fenicsx.contributions.contribution import Contribution
 from crms_fenicsx.contributions.loads import DeadLoadContribution, PressureContribution
 from crms_fenicsx.contributions.membrane import MembraneContribution, hold, tiny_force
@@ -96,6 +97,7 @@ class System:
             self.contributions += [self.cables, self.cables.folds, friction]
         else:
             self.cables, self.unknowns = None, Unknowns(scene.V)
+        self.contributions.append(AddedTermsContribution(scene))
         hold(scene, self.unknowns)
         terms = [term for part in self.contributions for term in part.terms(self.unknowns)]
         self.potential = Potential(self.unknowns, scene.u, terms, damping)
@@ -115,6 +117,19 @@ class System:
         for part in self.contributions:
             part.read_scene(self.potential)
         self.potential.place()
+
+    def update(self) -> None:
+        """Bring the potential to the scene's state, in a new layout if it got new parts."""
+        if self.built_for != self.scene.changes:
+            self.rebuild()
+        self.read_scene()
+
+    def added_force_per_area(self) -> float:
+        """Mean size of the forces of terms that the user has added (force per area). Collective."""
+        if not self.scene.terms:
+            return 0.0
+        self.update()
+        return force_per_area(self.scene, self.potential)
 
     def locate_cables(self) -> None:
         """Copy the positions of cable points to the scene, on all ranks. Collective."""

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.results.reactions import _update
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.compat import geometry_dofmap
 
@@ -69,7 +68,7 @@ def membrane_results(system: System) -> MembraneResults:
     system
         The scene's potential; it is brought to the scene's state.
     """
-    _update(system)
+    system.update()
     scene, membrane = system.scene, system.membrane.energy
     values = membrane.cell_results()
     n = len(values)

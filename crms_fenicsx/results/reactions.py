@@ -14,13 +14,6 @@ if TYPE_CHECKING:
     from crms_fenicsx.scene import Marker, Scene
 
 
-def _update(system: System) -> None:
-    """Bring a system to its scene's state, in a new layout if the scene got new parts."""
-    if system.built_for != system.scene.changes:
-        system.rebuild()
-    system.read_scene()
-
-
 @dataclass(frozen=True)
 class Reactions:
     """Forces with which supports hold the membrane.
@@ -58,7 +51,7 @@ def reactions(system: System, where: str | Marker) -> Reactions:
         As `Scene.vertices`.
     """
     dofs = system.scene.vertices(where)
-    _update(system)
+    system.update()
     potential, unknowns = system.potential, system.unknowns
     potential.sum_up()
     vector, g = unknowns.vector()
