@@ -19,10 +19,9 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "scenes"))
 
-from bad_calls import ACROSS, FOIL, Call, data, generators, scenes
-from test_bad_input import snapshot
+from bad_calls import ACROSS, FOIL, Call, data, generators, scenes, snapshot
 
 from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.equilibrium.search import EquilibriumSearch

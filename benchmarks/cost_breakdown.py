@@ -111,7 +111,7 @@ def fused_loop(scene: Any) -> tuple[Callable[[], float], Array]:
     cells, X = np.asarray(scene.V.dofmap.list), scene.V.tabulate_dof_coordinates()
     sides = X[cells[:, 1:], :2] - X[cells[:, :1], :2]
     inverse, x = np.linalg.inv(sides), scene.u.x.array.reshape(-1, 3)
-    origin, g = X - scene.centre, np.zeros_like(X)
+    origin, g = X - scene.membrane.centre, np.zeros_like(X)
     return lambda: float(fused(origin, x, cells, inverse, 24.0, 0.25, scene.pressure, g)), g
 
 

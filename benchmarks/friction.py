@@ -30,7 +30,7 @@ from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable
 
-sys.path.append(str(Path(__file__).parents[1] / "tests"))  # their surfaces
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "scenes"))  # their surfaces
 from rigid_surfaces import SURFACES, Curve, Mesh, band, curve, rigid, sphere
 
 COMM = MPI.COMM_WORLD

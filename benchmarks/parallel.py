@@ -68,8 +68,7 @@ def watched(now: Callable[[], float] = time.perf_counter) -> Clock:
     from crms_fenicsx.energies import folded_membrane as fold
     from crms_fenicsx.energies import folded_pressure as volume
     from crms_fenicsx.energies import pressure as loads
-    from crms_fenicsx.equilibrium import search as equilibrium
-    from crms_fenicsx.equilibrium import system
+    from crms_fenicsx.equilibrium import contact_loop, path_loop, search, system
     from crms_fenicsx.minimization import initial_hessian as hessian
     from crms_fenicsx.minimization import minimizer, potential
 
@@ -93,9 +92,9 @@ def watched(now: Callable[[], float] = time.perf_counter) -> Clock:
     clock.watch(system.System, "rebuild", "tables of the cables")
     clock.watch(system.System, "write_scene", "state of the scene")
     clock.watch(system.System, "read_scene", "state of the scene")
-    clock.watch(equilibrium.EquilibriumSearch, "_changes", "contacts")
-    clock.watch(equilibrium.EquilibriumSearch, "_change_paths", "paths")
-    clock.watch(equilibrium.EquilibriumSearch, "find", "paths and contacts")
+    clock.watch(contact_loop.ContactLoop, "_changes", "contacts")
+    clock.watch(path_loop.PathLoop, "_change_paths", "paths")
+    clock.watch(search.EquilibriumSearch, "find", "paths and contacts")
     return clock
 
 

@@ -46,7 +46,7 @@ from crms_fenicsx import (
     Solver,
 )
 
-sys.path.append(str(Path(__file__).parents[1] / "tests"))  # their meshes and checks
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "scenes"))  # their meshes and checks
 from contact_checks import deepest, strongest_pull
 from reference_meshes import square
 
@@ -275,8 +275,8 @@ def nets(count: int, most: int, n: int = 17) -> None:
         outcomes["converged"] += 1
         outcomes["cables"] += len(scene.cables)
         outcomes["halved"] += step.halvings > 0
-        outcomes["crossings"] += len(scene.crossings)
-        outcomes["apart"] += sum(crossing.apart for crossing in scene.crossings)
+        outcomes["crossings"] += len(scene.net.crossings)
+        outcomes["apart"] += sum(crossing.apart for crossing in scene.net.crossings)
         work.append((step.outcome.solves, step.outcome.factorizations, step.outcome.evaluations))
     say(f"\n{count} random nets: {dict(outcomes)}; mean solves, factorisations, evaluations: "
         f"{np.mean(work, axis=0).round(1)}; {time.perf_counter() - began:.0f} s")  # fmt: skip

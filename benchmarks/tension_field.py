@@ -25,9 +25,9 @@ from crms_fenicsx import IsotropicMembrane, OrthotropicMembrane, Scene, Solver, 
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.membrane import MembraneEnergy
 from crms_fenicsx.minimization.potential import Potential
-from crms_fenicsx.model.materials import Membrane
+from crms_fenicsx.model.materials import MembraneMaterial
 
-sys.path.append(str(Path(__file__).parents[1] / "tests"))  # their meshes and references
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "scenes"))  # their meshes and references
 from reference_meshes import square
 from twisted_annulus import radial, reference, twisted
 
@@ -97,11 +97,11 @@ def annulus() -> None:
         say(f"order of W {first:.2f}, of T {second:.2f}")
 
 
-def seconds_per_cell(material: Membrane, shift: tuple[float, float, float]) -> float:
+def seconds_per_cell(material: MembraneMaterial, shift: tuple[float, float, float]) -> float:
     """An evaluation of energy and gradient, the best of several."""
     mesh = meshes.rectangle(MPI.COMM_WORLD, 100.0, 100.0, 1.0, structured=True)
     scene = Scene(mesh, material)
-    term = MembraneEnergy(scene.u, scene.materials, scene.cell_tags)
+    term = MembraneEnergy(scene.u, scene.materials, scene.membrane.cell_tags)
     potential = Potential(Unknowns(scene.V), scene.u, [term])
     X = scene.V.tabulate_dof_coordinates()
     noise = 1e-3 * np.random.default_rng(0).normal(size=X.shape)

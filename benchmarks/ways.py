@@ -52,7 +52,7 @@ from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.runtime import errors
 from crms_fenicsx.runtime.arrays import Array
 
-sys.path.append(str(Path(__file__).parents[1] / "tests"))  # their meshes
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "scenes"))  # their meshes
 from reference_meshes import rotated_lattice
 
 HALF = WIDTH / 2

@@ -3,61 +3,53 @@
 from __future__ import annotations
 
 import warnings
-import weakref
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
-from dolfinx.mesh import MeshTags, meshtags
+from mpi4py import MPI
 
+from crms_fenicsx.cables.cable_net import CableNet
+from crms_fenicsx.cables.enclosed_volume import gained_volume
 from crms_fenicsx.energies.checked_term import checked_energy
+from crms_fenicsx.energies.dead_load import DeadForces, Traction, dead_forces
+from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.meshes import MembraneMesh
-from crms_fenicsx.meshes.cell_geometry import area_vectors
-from crms_fenicsx.model.materials import LINEAR, Membrane
+from crms_fenicsx.model.cable import Cable
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.materials import LINEAR, MembraneMaterial
+from crms_fenicsx.model.membrane import Marker, Membrane
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, PenaltyWarning, collective, raised_together
 from crms_fenicsx.runtime.readonly import ReadOnly
 
-if TYPE_CHECKING:
-    from crms_fenicsx.cables.strip import Strip
-    from crms_fenicsx.energies.dead_load import DeadForces, Traction
-    from crms_fenicsx.energies.paper.step_history import StepHistory
-    from crms_fenicsx.energies.pressure_rim import Rim
-    from crms_fenicsx.meshes.cell_geometry import OpenEdges
-    from crms_fenicsx.model.cable import Cable
-    from crms_fenicsx.model.crossing import Crossing
-    from crms_fenicsx.model.laid_cable import LaidCable
-
-Marker = Callable[[Array], npt.NDArray[np.bool_]]
 Law = Literal["total", "step"]
 
 STABLE_PENALTY = (1e-3, 1.0)
 """Penalty factors between which folded cells are stable and do not lock."""
-COMPONENTS = {"x": 0, "y": 1, "z": 2}
+ANOTHER = "make another Scene(...)"
+"""What to do instead of assigning what a scene is made of."""
 
 
-class Cables(tuple["LaidCable", ...]):
+class Cables(tuple[LaidCable, ...]):
     """The cables of a scene in the order of laying; `remove` is all that changes them."""
 
-    _scene: weakref.ref[Scene]
+    _scene: Scene
 
     @classmethod
-    def of(cls, scene: Scene, cables: Iterable[LaidCable]) -> Cables:
-        """Some cables of a scene."""
-        new = cls(cables)
-        new._scene = weakref.ref(scene)
-        return new
+    def of(cls, scene: Scene) -> Cables:
+        """Those that a scene has now."""
+        cables = cls(scene.net.cables)
+        cables._scene = scene
+        return cables
 
     def remove(self, cable: LaidCable | str) -> None:
         """Take a cable away; see `Scene.remove`. Collective."""
-        scene = self._scene()
-        assert scene is not None, "its cables outlive the scene"
-        scene.remove(cable)
+        self._scene.remove(cable)
 
 
 class Scene:
@@ -101,12 +93,22 @@ class Scene:
         The penalty's factor lies outside the range in which folded cells are sound.
     """
 
+    mesh: ReadOnly[MembraneMesh] = ReadOnly("membrane.mesh", ANOTHER)
+    comm: ReadOnly[MPI.Intracomm] = ReadOnly("membrane.comm", ANOTHER)
+    V: ReadOnly[fem.FunctionSpace] = ReadOnly("membrane.V", ANOTHER)
+    """Space of the displacements."""
+    u: ReadOnly[fem.Function] = ReadOnly("membrane.u", "write to its array, scene.u.x.array[:]")
+    """Displacement of the vertices from the stress-free shape (length)."""
+    held: ReadOnly[npt.NDArray[np.bool_]] = ReadOnly("membrane.held", "call scene.fix(...)")
+    """Held components of the vertices, by local degree of freedom."""
+    materials: ReadOnly[dict[int, MembraneMaterial]] = ReadOnly("membrane.materials", ANOTHER)
     pressure: ReadOnly[float] = ReadOnly("_pressure", "call solver.advance(pressure=...)")
     """Current pressure (force per area)."""
     load: ReadOnly[float] = ReadOnly("_load", "call solver.advance(load=...)")
     """Current factor of the dead load."""
     cables: ReadOnly[Cables] = ReadOnly("_cables", "call scene.lay_cable(...) or scene.remove(...)")
     """The laid cables, in their order."""
+    _cables = property(Cables.of)
     terms: ReadOnly[tuple[EnergyTerm, ...]] = ReadOnly("_terms", "call scene.add_term(term)")
     """The terms of the energy that have been added."""
     dead_forces: ReadOnly[DeadForces | None] = ReadOnly("_dead_forces", "call scene.put_load(...)")
@@ -121,7 +123,7 @@ class Scene:
     def __init__(
         self,
         mesh: MembraneMesh,
-        material: Membrane | Mapping[str, Membrane],
+        material: MembraneMaterial | Mapping[str, MembraneMaterial],
         *,
         strain: Law = "total",
         pressure: Law = "total",
@@ -135,54 +137,30 @@ class Scene:
                 "functions of crms_fenicsx.meshes return."
             )
         checks.same(
-            mesh.comm,
-            "Scene",
-            material=material,
-            strain=strain,
-            pressure=pressure,
-            penalty=penalty,
-            literal_penalty=literal_penalty,
-        )
+            mesh.comm, "Scene", material=material, strain=strain, pressure=pressure,
+            penalty=penalty, literal_penalty=literal_penalty,
+        )  # fmt: skip
         for name, value in (("strain", strain), ("pressure", pressure)):
             if value not in ("total", "step"):
                 raise InputError(f"Scene: {name} = {value!r} is not known; use 'total' or 'step'.")
-        self.mesh, self.comm = mesh, mesh.comm
         self._strain_law, self._pressure_law = strain, pressure
         self._penalty = checks.positive("Scene: penalty", penalty)
-        self._literal_penalty = (
-            None
-            if literal_penalty is None
-            else checks.positive("Scene: literal_penalty", literal_penalty)
-        )
+        if literal_penalty is not None:
+            literal_penalty = checks.positive("Scene: literal_penalty", literal_penalty)
+        self._literal_penalty = literal_penalty
+        self.membrane = Membrane(mesh, material, pressure_on)
         self._warn_of_penalty()
-        self.cell_tags, self.materials = _assign_materials(mesh, material)
         for own in self.materials.values():
             if strain == "step" and own.law != LINEAR:
                 raise InputError(
                     f'Scene: strain="step" has no wrinkling model, but the material is {own}; '
                     "give it wrinkling=False."
                 )
-        self.pressed = _pressed_cells(mesh, pressure_on)
-        """Whether pressure acts on each local cell."""
-        self.V = fem.functionspace(mesh.mesh, ("Lagrange", 1, (3,)))
-        self.u = fem.Function(self.V, name="displacement")
-        """Displacement of the vertices from the stress-free shape (length)."""
-        self.held = np.zeros((len(self.u.x.array) // 3, 3), dtype=bool)
-        """Held components of the vertices, by local degree of freedom."""
-        edges = mesh.mesh.topology.index_map(1)
-        self.held_edges = np.zeros(edges.size_local + edges.num_ghosts, dtype=bool)
-        """Edges that are held over their whole length, by local number."""
+        self.net = CableNet(self.membrane)
         self._floor_level: float | None = None
         self._pressure = self._load = 0.0
         self._dead_forces: DeadForces | None = None
         self._terms: tuple[EnergyTerm, ...] = ()
-        self._cables = Cables.of(self, ())
-        self._laid = 0
-        self._dissipated = 0.0
-        """How many cables have been laid, and what friction of those that are gone has dissipated.
-        """
-        self.strip: Strip | None = None
-        self.crossings: list[Crossing] = []
         self.energies: dict[str, float] = {}
         """Energy of each kind of term in the current state (force x length)."""
         self.changes = 0
@@ -200,7 +178,7 @@ class Scene:
     @property
     def dissipated(self) -> float:
         """Energy that friction has dissipated in all load steps (force x length)."""
-        return self._dissipated + sum(cable.dissipated for cable in self.cables)
+        return self.net.dissipated
 
     @property
     def volume(self) -> float:
@@ -209,73 +187,11 @@ class Scene:
         It is the volume between the two shapes while the rim of these cells is held, or slides in
         planes that are held in their normal direction.
         """
-        from crms_fenicsx.cables.enclosed_volume import gained_volume
-
-        return gained_volume(self)
-
-    @cached_property
-    def open_edges(self) -> OpenEdges:
-        """Edges that pressure needs to be held; see `loads.open_edges`. Collective."""
-        from crms_fenicsx.meshes.cell_geometry import open_edges
-
-        return open_edges(self.V, self.pressed)
-
-    def rim(self) -> Rim:
-        """How the `open_edges` are held in the current state. Collective."""
-        from crms_fenicsx.energies.pressure_rim import rim_of
-
-        return rim_of(self.open_edges, self.V, self.held, self.positions(), self.size)
-
-    @cached_property
-    def stress_free(self) -> Array:
-        """Stress-free positions (length) of the vertices by degree of freedom, (n, 3), read-only.
-
-        With ghosts, as `positions`.
-        """
-        positions: Array = self.V.tabulate_dof_coordinates()
-        positions.flags.writeable = False
-        return positions
-
-    @cached_property
-    def centre(self) -> Array:
-        """Mean stress-free position (length), from which volumes count. Collective."""
-        vertices = self.V.dofmap.index_map
-        total = self.comm.allreduce(self.stress_free[: vertices.size_local].sum(axis=0))
-        return np.asarray(total / vertices.size_global)
-
-    @cached_property
-    def size(self) -> float:
-        """Square root of the stress-free area (length). Collective."""
-        owned = self.mesh.mesh.topology.index_map(2).size_local
-        areas = np.linalg.norm(area_vectors(self.mesh.mesh)[:owned], axis=1)
-        return float(np.sqrt(self.comm.allreduce(float(areas.sum()))))
+        return gained_volume(self.net)
 
     def positions(self) -> Array:
         """Current positions of the vertices by local degree of freedom, (n, 3), with ghosts."""
-        return self.stress_free + self.u.x.array.reshape(-1, 3)
-
-    def check_finite(self, purpose: str) -> None:
-        """Refuse to go on from a displacement that is not finite.
-
-        Parameters
-        ----------
-        purpose
-            What needs it, for the message.
-
-        Raises
-        ------
-        InputError
-            On all ranks, naming a place.
-        """
-        with raised_together(self.comm):
-            u = self.u.x.array.reshape(-1, 3)
-            bad = ~np.isfinite(u).all(axis=1)
-            if bad.any():
-                first = int(np.argmax(bad))
-                raise InputError(
-                    f"{purpose}: scene.u is {u[first]} at the vertex "
-                    f"{self.stress_free[first]}; set it to finite displacements."
-                )
+        return self.membrane.positions()
 
     def _warn_of_penalty(self) -> None:
         lower, upper = STABLE_PENALTY
@@ -294,53 +210,12 @@ class Scene:
                 stacklevel=3,
             )
 
-    @collective
     def vertices(self, where: str | Marker) -> npt.NDArray[np.int32]:
         """Local degrees of freedom of the vertices of a named group or marked by a function.
 
-        Parameters
-        ----------
-        where
-            Name of a group of edges or points, or a function of stress-free coordinates (3, n)
-            that returns (n,) booleans.
-
-        Raises
-        ------
-        InputError
-            No such group, or no vertex is marked.
+        Collective; see `Membrane.vertices`.
         """
-        checks.same(self.comm, "vertices", where=where)
-        mesh = self.mesh
-        dofs: npt.NDArray[np.int32] = np.zeros(0, dtype=np.int32)
-        with raised_together(self.comm):
-            if callable(where):
-                marks = np.asarray(where(self.V.tabulate_dof_coordinates().T))
-                if marks.shape != (len(self.held),) or marks.dtype != bool:
-                    raise InputError(
-                        f"vertices: the marker returned {marks.dtype} of shape {marks.shape}; it "
-                        f"must return booleans of shape {(len(self.held),)}."
-                    )
-                dofs = np.flatnonzero(marks).astype(np.int32)
-            elif not isinstance(where, str):
-                raise InputError(
-                    f"vertices: {where!r} is no group; give the name of one group or a function "
-                    "of coordinates."
-                )
-            elif where not in mesh.edges and where not in mesh.points:
-                names = ", ".join(sorted({*mesh.edges, *mesh.points}))
-                raise InputError(
-                    f"vertices: the mesh has no group of edges or points {where!r}; it has {names}."
-                )
-        if not callable(where):
-            dimension, members = (
-                (1, mesh.edges[where]) if where in mesh.edges else (0, mesh.points[where])
-            )
-            dofs = fem.locate_dofs_topological(self.V, dimension, members)
-        found = self.comm.allreduce(len(dofs))
-        if found == 0:
-            what = "the marker function" if callable(where) else f"the group {where!r}"
-            raise InputError(f"vertices: {what} marks no vertex of the membrane; mark one or more.")
-        return dofs
+        return self.membrane.vertices(where)
 
     @collective
     def fix(self, where: str | Marker, directions: str = "xyz") -> None:
@@ -363,23 +238,7 @@ class Scene:
             No such vertices or directions, or edges that cables have been laid over already.
         """
         checks.same(self.comm, "fix", where=where, directions=directions)
-        if not isinstance(directions, str) or not directions or set(directions) - set(COMPONENTS):
-            raise InputError(
-                f"fix: directions = {directions!r} must be made of the letters x, y and z."
-            )
-        dofs = self.vertices(where)
-        edges: npt.NDArray[np.int32] = np.zeros(0, dtype=np.int32)
-        if isinstance(where, str) and where in self.mesh.edges and set(directions) == set("xyz"):
-            edges = self.mesh.edges[where]
-        new = self.comm.allreduce(int(np.count_nonzero(~self.held_edges[edges])))
-        if new and self.cables:
-            raise InputError(
-                f"fix: {where!r} would be held after cables have been laid, which slide along held "
-                "edges without folding them; hold edges first."
-            )
-        for letter in directions:
-            self.held[dofs, COMPONENTS[letter]] = True
-        self.held_edges[edges] = True
+        self.membrane.hold(where, directions, new_edges=not self.cables)
         self.changes += 1
 
     @collective
@@ -393,7 +252,7 @@ class Scene:
         """
         checks.same(self.comm, "floor", z=z)
         z = checks.finite("floor: z", z)
-        self.check_finite("floor")
+        self.membrane.check_finite("floor")
         heights = self.positions()[:, 2]
         with raised_together(self.comm):
             if len(heights) and heights.min() < z:
@@ -426,11 +285,9 @@ class Scene:
         InputError
             On all ranks: a force that is not finite or of another shape.
         """
-        from crms_fenicsx.energies.dead_load import dead_forces
-
         checks.same(self.comm, "put_load", force=force)
-        self.check_finite("put_load")
-        self._dead_forces = dead_forces(self, force)
+        self.membrane.check_finite("put_load")
+        self._dead_forces = dead_forces(self.membrane, force)
         self.changes += 1
 
     @collective
@@ -452,9 +309,9 @@ class Scene:
             are not finite in the current state.
         """
         checks.same(self.comm, "add_term", term=term, name=getattr(term, "name", None))
-        self.check_finite("add_term")
+        self.membrane.check_finite("add_term")
         taken = [other.name for other in self.terms]
-        term, energy = checked_energy(term, self.u, self.cell_tags, taken)
+        term, energy = checked_energy(term, self.u, self.membrane.cell_tags, taken)
         self._terms = (*self._terms, term)
         self.energies = {**self.energies, term.name: energy}
         self.changes += 1
@@ -467,11 +324,7 @@ class Scene:
         InputError
             There is none.
         """
-        for cable in self.cables:
-            if cable.name == name:
-                return cable
-        names = ", ".join(repr(cable.name) for cable in self.cables) or "none"
-        raise InputError(f"cable: there is no cable {name!r}; there are {names}.")
+        return self.net.cable(name)
 
     @collective
     def lay_cable(
@@ -532,11 +385,13 @@ class Scene:
         """
         from crms_fenicsx.paths.laying import lay
 
-        given = {"L0": L0, "tension": tension, "sleeve": sleeve, "level": level, "name": name}
+        given: dict[str, Any] = {
+            "L0": L0, "tension": tension, "sleeve": sleeve, "level": level, "name": name
+        }  # fmt: skip
         checks.same(self.comm, "lay_cable", cable=cable, path=path, **given)
-        self.check_finite("lay_cable")
-        level = checks.whole("lay_cable: level", level, 0)
-        laid = lay(self, cable, path, L0=L0, tension=tension, sleeve=sleeve, level=level, name=name)
+        self.membrane.check_finite("lay_cable")
+        given["level"] = checks.whole("lay_cable: level", level, 0)
+        laid = lay(self.net, cable, path, **given)
         self.changes += 1
         return laid
 
@@ -558,69 +413,6 @@ class Scene:
         InputError
             On all ranks: there is no such cable.
         """
-        from crms_fenicsx.paths.removing import remove
-
         checks.same(self.comm, "remove", cable=cable)
-        remove(self, cable)
+        self.net.remove(cable)
         self.changes += 1
-
-
-def _assign_materials(
-    mesh: MembraneMesh, material: Membrane | Mapping[str, Membrane]
-) -> tuple[MeshTags | None, dict[int, Membrane]]:
-    """Cell tags of the parts with a material of their own (None if there is one for all)."""
-    if isinstance(material, Membrane):
-        return None, {0: material}
-    if not isinstance(material, Mapping):
-        raise InputError(
-            f"Scene: material = {material!r} is none; give a membrane such as IsotropicMembrane, "
-            "or a mapping from the mesh's parts to membranes."
-        )
-    given = sorted(material.items(), key=lambda item: repr(item[0]))  # alike on all ranks
-    n = mesh.mesh.topology.index_map(2).size_local + mesh.mesh.topology.index_map(2).num_ghosts
-    tags = np.full(n, -1, dtype=np.int32)
-    with raised_together(mesh.comm):
-        for k, (part, value) in enumerate(given):
-            if part not in mesh.parts:
-                raise InputError(
-                    f"Scene: the mesh has no part {part!r}; it has "
-                    f"{', '.join(sorted(mesh.parts)) or 'none'}."
-                )
-            if not isinstance(value, Membrane):
-                raise InputError(f"Scene: the material of part {part!r} is {value!r}, no Membrane.")
-            own = mesh.parts[part]
-            if np.any(tags[own] >= 0):
-                shared = next(p for p, _ in given[:k] if np.isin(mesh.parts[p], own).any())
-                raise InputError(
-                    f"Scene: part {part!r} shares cells with part {shared!r}, which has a material "
-                    "as well; give each cell one material."
-                )
-            tags[own] = k
-        if np.any(tags < 0):
-            raise InputError(
-                f"Scene: {np.count_nonzero(tags < 0)} cells have no material; give one for "
-                "every part of the mesh."
-            )
-    cells = np.arange(n, dtype=np.int32)
-    return meshtags(mesh.mesh, 2, cells, tags), {k: value for k, (_, value) in enumerate(given)}
-
-
-def _pressed_cells(mesh: MembraneMesh, pressure_on: Sequence[str] | None) -> npt.NDArray[np.bool_]:
-    """Whether pressure acts on each local cell, (n,)."""
-    cells = mesh.mesh.topology.index_map(2)
-    n = cells.size_local + cells.num_ghosts
-    if pressure_on is None:
-        return np.ones(n, dtype=bool)
-    if isinstance(pressure_on, str) or not isinstance(pressure_on, Sequence):
-        raise InputError(
-            f'Scene: pressure_on = {pressure_on!r} is no list of parts; write pressure_on=["roof"].'
-        )
-    pressed = np.zeros(n, dtype=bool)
-    for part in pressure_on:
-        if part not in mesh.parts:
-            raise InputError(
-                f"Scene: pressure_on has {part!r}, but the mesh has the parts "
-                f"{', '.join(sorted(mesh.parts)) or '(none)'}; name some of these."
-            )
-        pressed[mesh.parts[part]] = True
-    return pressed

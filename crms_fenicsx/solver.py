@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.cables.state import State
 from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
+from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
+from crms_fenicsx.model.membrane import Marker
 from crms_fenicsx.output.recorder import Recorder
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import (
@@ -29,7 +30,7 @@ from crms_fenicsx.runtime.errors import (
 )
 from crms_fenicsx.runtime.interrupt import postponed, stop_together
 from crms_fenicsx.runtime.readonly import ReadOnly
-from crms_fenicsx.scene import Marker, Scene
+from crms_fenicsx.scene import Scene
 from crms_fenicsx.steps.load_step import Step
 from crms_fenicsx.steps.loading import Target, checked_target, has_free_rim
 from crms_fenicsx.verification.verifier import Verifier
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
     from crms_fenicsx.contact.contact_force import ContactForces
     from crms_fenicsx.model.laid_cable import LaidCable
     from crms_fenicsx.output import History, Line
-    from crms_fenicsx.paths.retrace import Tried
+    from crms_fenicsx.paths.tried_paths import TriedPaths
     from crms_fenicsx.results.membrane_results import MembraneResults
     from crms_fenicsx.results.reactions import Reactions
 
@@ -190,9 +191,8 @@ class Solver:
         """What finds the equilibrium of each load step; made when first needed."""
         system = self.system
         if self._search is None:
-            self._search = EquilibriumSearch(system, self.slide)
-            if self._earlier is not None and self._earlier.tried is not None:
-                self._search.remember(self._earlier.tried)
+            tried = None if self._earlier is None or not self.slide else self._earlier.tried
+            self._search = EquilibriumSearch(system, self.slide, tried)
         return self._search
 
     @property
@@ -258,13 +258,12 @@ class Solver:
         InputError
             It is no cable of this scene.
         """
-        from crms_fenicsx.cables.strip_positions import StripShape
         from crms_fenicsx.contact.contact_force import contact_forces
 
         checks.same(self.comm, "contact_forces", cable=cable)
         if not any(cable is own for own in self.scene.cables):
             raise InputError(f"contact_forces: {cable!r} is not a cable of this scene.")
-        return contact_forces(cable, StripShape.of(self.scene)).at(cable.line_nodes())
+        return contact_forces(cable, self.scene.net.strip_shape()).at(cable.line_nodes())
 
     @collective
     def draw(self, filename: str | FilePath, *, colour: str | None = None, **options: Any) -> None:
@@ -533,10 +532,10 @@ class Solver:
         return Run(self.steps, list(self.history), self.scene.step_history, self._tried)
 
     @property
-    def _tried(self) -> Tried | None:
+    def _tried(self) -> TriedPaths | None:
         """Paths that cables have not taken, if any were tried."""
-        if self._search is not None and self._search.paths is not None:
-            return self._search.paths.tried
+        if self._search is not None and self._search.tried is not None:
+            return self._search.tried
         return None if self._earlier is None else self._earlier.tried
 
     def _forget_removed(self) -> None:
@@ -662,7 +661,7 @@ class Solver:
         A flat sheet has no stiffness against pressure. The stress that it will have is estimated
         from the load, 0.3 (p^2 L^2 E t)^(1/3), and from the movement; a stressed sheet gets none.
         """
-        scene, size = self.scene, self.scene.size
+        scene, size = self.scene, self.scene.membrane.size
         modulus = max(m.reference_modulus for m in scene.materials.values())
         moves = [float(np.linalg.norm(d)) for *_, d in target.cable_ends]
         moves.append(float(np.max(np.linalg.norm(target.moved, axis=1), initial=0.0)))

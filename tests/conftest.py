@@ -14,6 +14,24 @@ def comm() -> MPI.Intracomm:
     return MPI.COMM_WORLD
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config: pytest.Config) -> None:
+    """Run the whole suite on all cores where pytest-xdist is there, but not on each of many ranks.
+
+    Its own options, as `-n 0`, come first; `--pdb` stays in one process.
+    """
+    option = config.option
+    if (
+        config.pluginmanager.hasplugin("xdist")
+        and not hasattr(config, "workerinput")  # a worker: it must start no workers itself
+        and MPI.COMM_WORLD.size == 1
+        and not option.file_or_dir
+        and option.numprocesses is None
+        and option.dist == "no"
+    ):
+        option.numprocesses, option.dist = "auto", "worksteal"
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Under mpirun, skip what does not use `comm`: each rank would do the same once more."""
     if MPI.COMM_WORLD.size > 1:

@@ -14,7 +14,7 @@ import numpy as np
 from accuracy.cases import CASES, Laws
 from accuracy.methods import METHODS
 from crms_fenicsx import ConvergenceError, FrictionWarning
-from crms_fenicsx.equilibrium.search import system
+from crms_fenicsx.equilibrium import system
 from crms_fenicsx.minimization.potential import Potential
 
 RUNS, ENOUGH = 5, 0.1

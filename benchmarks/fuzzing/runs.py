@@ -136,7 +136,7 @@ def lower_states(system: System) -> list[str]:
     here = potential.energies()
     saved, found = potential.x.copy(), []
     cells = scene.mesh.mesh.topology.index_map(2).size_global
-    size = scene.size / np.sqrt(cells)
+    size = scene.membrane.size / np.sqrt(cells)
     rounding = 1e-13 * sum(abs(v) for v in here.values())
     random = np.random.default_rng(scene.comm.rank)
     for shake in SHAKES:

@@ -13,7 +13,7 @@ from mpi4py import MPI
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.materials import Membrane
+from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.runtime.arrays import Array
 
 COMM = MPI.COMM_SELF
@@ -36,7 +36,7 @@ def grid(x: Sequence[float] | Array, y: Sequence[float] | Array) -> MembraneMesh
     return meshes.from_arrays(COMM, np.stack([X.ravel(), Y.ravel()], axis=1), cells)
 
 
-def clamped(mesh: MembraneMesh, material: Membrane = FOIL, **how: float) -> Scene:
+def clamped(mesh: MembraneMesh, material: MembraneMaterial = FOIL, **how: float) -> Scene:
     """A sheet that is held all around."""
     scene = Scene(mesh, material, **how)  # type: ignore[arg-type]
     scene.fix("boundary")

@@ -19,7 +19,7 @@ from crms_fenicsx.minimization.initial_hessian import at_bounds
 from crms_fenicsx.model.laid_cable import polyline_length
 from crms_fenicsx.runtime.arrays import Array
 
-sys.path.append(str(Path(__file__).parents[2] / "tests"))  # its checks of contact
+sys.path.append(str(Path(__file__).parents[2] / "tests" / "scenes"))  # its checks of contact
 from contact_checks import deepest, strongest_pull
 
 Test = tuple[str, float, float]
@@ -62,7 +62,7 @@ def tests(solver: Solver, *, anew: bool = True, lying: bool = True) -> Iterator[
     forces = scale
     if scene.pressure == 0.0 and (scene.dead_forces is None or scene.load == 0.0):
         moduli = [material.reference_modulus for material in scene.materials.values()]
-        forces = max(scale, UNLOADED * max(moduli) * scene.size)
+        forces = max(scale, UNLOADED * max(moduli) * scene.membrane.size)
     if anew:
         reached = 10 * solver.steps[-1].outcome.tolerance / forces  # more where forces cancel
         yield "forces anew", _unbalanced(system) / forces, max(RESIDUAL, reached)
@@ -92,7 +92,9 @@ def _finite(scene: Scene) -> bool:
 def _below_floor(scene: Scene) -> float:
     if scene.floor_level is None:
         return 0.0
-    return max(0.0, scene.floor_level - float(scene.positions()[:, 2].min()) - 1e-12 * scene.size)
+    return max(
+        0.0, scene.floor_level - float(scene.positions()[:, 2].min()) - 1e-12 * scene.membrane.size
+    )
 
 
 def _cables(scene: Scene, lying: bool) -> Iterator[Test]:
@@ -143,11 +145,11 @@ def _balance(solver: Solver, system: System, least: float) -> Iterator[Test]:
         pressed = at_bounds(system.potential)
         at = (system.unknowns.X + system.potential.x)[:n]
         add(at, np.where(pressed, system.potential.g[:n], 0.0))
-    x, f = np.concatenate(places) - scene.centre, np.concatenate(forces)
+    x, f = np.concatenate(places) - scene.membrane.centre, np.concatenate(forces)
     size = max(float(np.abs(f).sum()), least)
     yield "forces in balance", float(np.linalg.norm(f.sum(axis=0))) / size, BALANCE
     moment = float(np.linalg.norm(np.cross(x, f).sum(axis=0)))
-    yield "moments in balance", moment / (size * scene.size), BALANCE
+    yield "moments in balance", moment / (size * scene.membrane.size), BALANCE
 
 
 def least_stiffness(solver: Solver) -> Test:
@@ -158,7 +160,7 @@ def least_stiffness(solver: Solver) -> Test:
     system = solver.system
     system.read_scene()
     potential, unknowns = system.potential, system.unknowns
-    n, step = unknowns.n_owned, 1e-6 * solver.scene.size
+    n, step = unknowns.n_owned, 1e-6 * solver.scene.membrane.size
     free = ~unknowns.held[:n]
     if unknowns.bounds is not None:
         potential.evaluate()

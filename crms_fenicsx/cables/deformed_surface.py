@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.surface.polygons import best_fan
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.numbering import Corner
-    from crms_fenicsx.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -62,14 +62,15 @@ class CurrentSurface:
     inner: Integers
 
 
-def folded_shape(scene: Scene) -> FoldedShape:
+def folded_shape(net: CableNet) -> FoldedShape:
     """Cut this rank's folded cells along the cables in tension. Not collective."""
-    places, stress_free = scene.positions(), scene.stress_free
-    if scene.strip is None or not any(cable.taut for cable in scene.cables):
+    membrane = net.membrane
+    places, stress_free = membrane.positions(), membrane.stress_free
+    if net.strip is None or not any(cable.taut for cable in net.cables):
         return FoldedShape(places, stress_free, [])
     from crms_fenicsx.cables.numbering import Network
 
-    network = Network(scene.cables, scene.strip, scene.u)
+    network = Network(net.cables, net.strip, membrane.u)
     added: dict[tuple[int, int], int] = {}
 
     def number(corner: Corner) -> int:
@@ -80,7 +81,7 @@ def folded_shape(scene: Scene) -> FoldedShape:
     pieces = network.pieces(number)
     new, new_free = np.zeros((len(added), 3)), np.zeros((len(added), 3))
     for i, (c, k) in enumerate(added):
-        cable = scene.cables[c]
+        cable = net.cables[c]
         vertices, weights = cable.nodes[k].masters(_fraction(cable.fractions[k]))
         new[i] = cable.positions[k]
         new_free[i] = np.dot(weights, stress_free[[network.dof(v) for v in vertices]])
@@ -94,12 +95,12 @@ def _fraction(value: float) -> float | None:
     return None if np.isnan(value) else float(np.clip(value, 0.0, 1.0))
 
 
-def current_surface(scene: Scene) -> CurrentSurface:
+def current_surface(net: CableNet) -> CurrentSurface:
     """Triangulate this rank's part of the membrane as it is now. Not collective."""
-    shape = folded_shape(scene)
-    n = scene.mesh.mesh.topology.index_map(2).size_local
+    shape = folded_shape(net)
+    n = net.membrane.mesh.mesh.topology.index_map(2).size_local
     plain = np.setdiff1d(np.arange(n), shape.cells)
-    triangles = [np.asarray(scene.V.dofmap.list[plain], dtype=np.int64)]
+    triangles = [np.asarray(net.membrane.V.dofmap.list[plain], dtype=np.int64)]
     parents = [plain]
     inner: list[Integers] = [np.empty((0, 2), dtype=np.int64)]
     for cell, corners in shape.pieces:

@@ -2,45 +2,40 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import numpy.typing as npt
 
+from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.deformed_surface import folded_shape
+from crms_fenicsx.energies.pressure_rim import gain, rim_of
 from crms_fenicsx.runtime.arrays import Array
-
-if TYPE_CHECKING:
-    from crms_fenicsx.scene import Scene
+from crms_fenicsx.surface.polygons import fan_facets
 
 
-def gained_volume(scene: Scene) -> float:
+def gained_volume(net: CableNet) -> float:
     """Volume between the stress-free and the current cells under pressure (length cubed).
 
     Collective. A pressure p does the work p V on it. While their rim is held, or slides in planes,
     it is that between the two surfaces and the planes; if it moves else, what its way sweeps out as
     seen from the stress-free membrane's centre counts too.
     """
-    from crms_fenicsx.energies.pressure_rim import gain
-
-    V, mesh = scene.V, scene.mesh.mesh
-    shape = folded_shape(scene)
+    membrane = net.membrane
+    V, mesh = membrane.V, membrane.mesh.mesh
+    shape = folded_shape(net)
     owned = mesh.topology.index_map(2).size_local
-    plain = scene.pressed[:owned].copy()
+    plain = membrane.pressed[:owned].copy()
     plain[shape.cells] = False
     cells = V.dofmap.list[:owned]
-    X, u = shape.stress_free - scene.centre, shape.points - shape.stress_free
+    X, u = shape.stress_free - membrane.centre, shape.points - shape.stress_free
     local = _volume_change(X, u, cells[plain]).sum()
-    pieces = [corners for cell, corners in shape.pieces if scene.pressed[cell]]
+    pieces = [corners for cell, corners in shape.pieces if membrane.pressed[cell]]
     if pieces:
-        from crms_fenicsx.surface.polygons import fan_facets
-
         corners, weights = fan_facets(pieces)
         # Pieces of a folded cell together are, stress-free, the cell: their changes add up.
         local += np.sum(weights * _volume_change(X, u, corners))
-    rim = scene.rim()
+    rim = rim_of(membrane)
     local += rim.factors @ gain(*(places.reshape(-1)[rim.components] for places in (X, u)))
-    return float(scene.comm.allreduce(float(local)))
+    return float(membrane.comm.allreduce(float(local)))
 
 
 def _volume_change(X: Array, u: Array, triangles: npt.NDArray[np.integer]) -> Array:

@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cached_property
 from itertools import chain
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from crms_fenicsx.cables.strip import Strip
+from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.triangles import cross, norm
-
-if TYPE_CHECKING:
-    from crms_fenicsx.scene import Scene
 
 
 class StripShape:
@@ -32,18 +29,16 @@ class StripShape:
         self.strip, self.current, self.stress_free = strip, current, stress_free
 
     @classmethod
-    def of(cls, scene: Scene, strip: Strip | None = None) -> StripShape:
-        """Gather the scene's positions, by default of its own strip. Collective."""
-        strip = scene.strip if strip is None else strip
-        assert strip is not None
+    def of(cls, membrane: Membrane, strip: Strip) -> StripShape:
+        """Gather the positions of a strip's vertices from all ranks. Collective."""
         cell, corner = np.divmod(strip.givers, 3)
-        mine = np.flatnonzero(strip.owner[cell] == scene.comm.rank)
-        dofs = scene.V.dofmap.list[strip.local[cell[mine]], corner[mine]]
+        mine = np.flatnonzero(strip.owner[cell] == membrane.comm.rank)
+        dofs = membrane.V.dofmap.list[strip.local[cell[mine]], corner[mine]]
         given = np.zeros((2, len(strip.vertices), 3))
-        given[1, mine] = scene.stress_free[dofs]
-        given[0, mine] = given[1, mine] + scene.u.x.array.reshape(-1, 3)[dofs]
+        given[1, mine] = membrane.stress_free[dofs]
+        given[0, mine] = given[1, mine] + membrane.u.x.array.reshape(-1, 3)[dofs]
         found = np.zeros_like(given)
-        scene.comm.Allreduce(given, found)
+        membrane.comm.Allreduce(given, found)
         return cls(strip, found[0], found[1])
 
     @cached_property

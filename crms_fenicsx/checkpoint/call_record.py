@@ -58,7 +58,7 @@ def beginning(scene: Scene) -> Plain:
     ids = dof_vertex_ids(scene)
     cells = mesh.topology.index_map(2).size_local
     pairs = np.sort(edge_vertices(scene)[: mesh.topology.index_map(1).size_local], axis=1)
-    pressed = scene.pressed[:cells, None].astype(np.int64)
+    pressed = scene.membrane.pressed[:cells, None].astype(np.int64)
     numbers = np.asarray(mesh.topology.original_cell_index[:cells], dtype=np.int64)[:, None]
     held = np.column_stack([ids[:own], scene.held[:own].astype(np.int64)])
     u = scene.u.x.array.reshape(-1, 3)
@@ -66,14 +66,16 @@ def beginning(scene: Scene) -> Plain:
     return fingerprint(scene) | {
         "pressure_on (cells, mixed to one number)": mixed(scene, np.hstack([numbers, pressed])),
         "held vertices (mixed to one number)": mixed(scene, held),
-        "held edges (mixed to one number)": mixed(scene, pairs[scene.held_edges[: len(pairs)]]),
+        "held edges (mixed to one number)": mixed(
+            scene, pairs[scene.membrane.held_edges[: len(pairs)]]
+        ),
         "floor": None if scene.floor_level is None else float(scene.floor_level),
         "pressure before": float(scene.pressure),
         "load before": float(scene.load),
         "displacements (sums with weights)": [*_sums(scene, ids[:own], u[:own]), largest],
         "dead load (sums with weights)": None
         if dead is None
-        else [*_sums(scene, ids, dead.forces), dead.intensity * scene.size**2],
+        else [*_sums(scene, ids, dead.forces), dead.intensity * scene.membrane.size**2],
         "cables": [_described(cable) for cable in scene.cables],
     }
 

@@ -48,7 +48,7 @@ class Fields:
         """The scene's fields."""
         dead = scene.dead_forces
         u = scene.u.x.array.reshape(-1, 3)
-        return cls(u, scene.held, scene.held_edges, None if dead is None else dead.forces)
+        return cls(u, scene.held, scene.membrane.held_edges, None if dead is None else dead.forces)
 
 
 def write_fields(folder: Path, scene: Scene) -> tuple[int, dict[str, str]]:
@@ -61,7 +61,7 @@ def write_fields(folder: Path, scene: Scene) -> tuple[int, dict[str, str]]:
     fields, comm = Fields.of(scene), scene.comm
     vertices = scene.V.dofmap.index_map
     own, total, ids = vertices.size_local, vertices.size_global, dof_vertex_ids(scene)
-    X = scene.stress_free
+    X = scene.membrane.stress_free
     digests = {
         name: write_rows(folder / f"{name}.npy", comm, ids[:own], values[:own], total)
         for name, values in (("positions", X), ("displacement", fields.u), ("held", fields.held))
@@ -110,7 +110,7 @@ def read_fields(
         return read_rows(file, comm, ids, dtype, shape, digests.get(name, ""), own)
 
     X = read("positions")
-    here, size = scene.stress_free, scene.size
+    here, size = scene.membrane.stress_free, scene.membrane.size
     with raised_together(comm):
         apart = np.flatnonzero(~(np.abs(X - here).max(axis=1) <= SAME_PLACE * size))
         if len(apart):

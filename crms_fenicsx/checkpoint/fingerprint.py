@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
-from crms_fenicsx.model.materials import Membrane
+from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.output.npy import digest
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.scene import Scene
@@ -32,8 +32,8 @@ def fingerprint(scene: Scene) -> dict[str, Any]:
     mesh = scene.mesh.mesh
     cells = cell_vertex_ids(mesh)[: mesh.topology.index_map(2).size_local]
     tags = np.zeros((len(cells), 1), dtype=np.int64)
-    if scene.cell_tags is not None:
-        tags[:, 0] = scene.cell_tags.values[: len(cells)]
+    if scene.membrane.cell_tags is not None:
+        tags[:, 0] = scene.membrane.cell_tags.values[: len(cells)]
     return {
         "number of vertices": mesh.topology.index_map(0).size_global,
         "number of cells": mesh.topology.index_map(2).size_global,
@@ -90,7 +90,7 @@ def _same(a: object, b: object) -> bool:
     return a == b
 
 
-def _described(material: Membrane) -> list[Any]:
+def _described(material: MembraneMaterial) -> list[Any]:
     warp = material.warp
     direction = "a function" if callable(warp) else warp if warp is None else [*map(float, warp)]
     return [type(material).__name__, [float(value) for value in material.parameters], direction]

@@ -13,7 +13,8 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.steps.load_step import Step
 
 if TYPE_CHECKING:
-    from crms_fenicsx.paths.retrace import ContactKey, Tried
+    from crms_fenicsx.contact.active_set import ContactKey
+    from crms_fenicsx.paths.tried_paths import TriedPaths
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class Run:
     steps: list[Step]
     rows: list[Mapping[str, int | float | str]]
     step_history: StepHistory | None
-    tried: Tried | None
+    tried: TriedPaths | None
 
     def with_cells(self, cells: Array) -> Run:
         """The run with a state of the cells, (n, 6), in what its step-wise laws know."""
@@ -82,10 +83,10 @@ def run_of(data: Plain) -> Run:
     )
 
 
-def _tried(data: Plain) -> Tried:
-    from crms_fenicsx.paths.retrace import Tried
+def _tried(data: Plain) -> TriedPaths:
+    from crms_fenicsx.paths.tried_paths import TriedPaths
 
-    return Tried(
+    return TriedPaths(
         {
             name: {tuple(integers(support) for support in path) for path in paths}
             for name, paths in data["refused"].items()

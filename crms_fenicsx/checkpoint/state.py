@@ -24,7 +24,7 @@ from crms_fenicsx.output.npy import read_rows, write_rows
 from crms_fenicsx.runtime.checks import LONGEST
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import explained, read_text, readable
-from crms_fenicsx.scene import Cables, Scene
+from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.strip import Strip
@@ -178,20 +178,20 @@ def _plain_rest(scene: Scene) -> Plain:
         "pressure": float(scene.pressure),
         "load": float(scene.load),
         "floor": scene.floor_level,
-        "laid": scene._laid,
-        "dissipated": float(scene._dissipated),
+        "laid": scene.net.laid,
+        "dissipated": float(scene.net.removed_dissipation),
         "energies": {name: float(value) for name, value in scene.energies.items()},
         "intensity": None if scene.dead_forces is None else scene.dead_forces.intensity,
         "strip": [],
         "cables": [],
         "crossings": [],
     }
-    if scene.cables and scene.strip is not None:
+    if scene.cables and scene.net.strip is not None:
         from crms_fenicsx.checkpoint.cables import plain_cable, plain_crossing
 
-        data["strip"] = sorted(scene.strip.complete)
-        data["cables"] = [plain_cable(cable, scene.crossings) for cable in scene.cables]
-        data["crossings"] = [plain_crossing(crossing) for crossing in scene.crossings]
+        data["strip"] = sorted(scene.net.strip.complete)
+        data["cables"] = [plain_cable(cable, scene.net.crossings) for cable in scene.cables]
+        data["crossings"] = [plain_crossing(crossing) for crossing in scene.net.crossings]
     return data
 
 
@@ -242,20 +242,22 @@ def _check_ids(rest: _Rest, scene: Scene) -> None:
 
 def _give(scene: Scene, fields: Fields, rest: _Rest, file: Path) -> None:
     """Bring the scene to a state that has been read."""
-    before, scene.held_edges = scene.held_edges, fields.held_edges  # the strip's cells know them
+    held_edges = scene.membrane.held_edges.copy()
+    scene.membrane.held_edges[:] = fields.held_edges  # the strip's cells know them
     if rest.cables:
         strip = _strip(scene, rest)
         if strip is None:
-            scene.held_edges = before
+            scene.membrane.held_edges[:] = held_edges
             raise InputError(
                 f"{file} is damaged: a cable does not lie on cells of the mesh; take another "
                 "checkpoint"
             )
-        scene.strip = strip
+        scene.net.strip = strip
     scene.u.x.array[:] = fields.u.ravel()
     scene.held[:] = fields.held
     scene._floor_level, scene._pressure, scene._load = rest.floor, rest.pressure, rest.load
-    scene._laid, scene._dissipated, scene.energies = rest.laid, rest.dissipated, rest.energies
+    scene.net.laid, scene.net.removed_dissipation = rest.laid, rest.dissipated
+    scene.energies = rest.energies
     scene._dead_forces = None
     if fields.dead_forces is not None and rest.intensity is not None:
         from crms_fenicsx.energies.dead_load import DeadForces
@@ -263,8 +265,8 @@ def _give(scene: Scene, fields: Fields, rest: _Rest, file: Path) -> None:
         scene._dead_forces = DeadForces(fields.dead_forces, rest.intensity)
     for own, cable in zip(scene.cables, rest.cables, strict=False):
         own.state = cable.state
-    scene._cables = scene.cables or Cables.of(scene, rest.cables)
-    scene.crossings = rest.crossings
+    scene.net.cables = scene.net.cables or tuple(rest.cables)
+    scene.net.crossings = rest.crossings
     scene.changes += 1
 
 
@@ -272,7 +274,7 @@ def _strip(scene: Scene, rest: _Rest) -> Strip | None:
     """The cells around the cables; None if one lies on none of them. Collective."""
     from crms_fenicsx.cables.strip_gather import cells_at
 
-    strip = cells_at(scene, rest.complete)
+    strip = cells_at(scene.membrane, rest.complete)
     points = (node.point for cable in rest.cables for node in cable.nodes)
     on_cells = (bool(strip.rows(point.support)) for point in points if point is not None)
     return strip if all(on_cells) else None

@@ -8,24 +8,39 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
+from crms_fenicsx.cables.cable_net import CableNet
+from crms_fenicsx.cables.points_on_edges import bends, nodes_on_edges
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact import lift_off as contact
 from crms_fenicsx.contact.crossing_contact import joins, parting
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.paths.creased_surface import bends, nodes_on_edges
-from crms_fenicsx.surface.points import Edge, EdgePoint, VertexPoint
+from crms_fenicsx.surface.points import Edge, EdgePoint, Support, VertexPoint
 
-if TYPE_CHECKING:
-    from crms_fenicsx.paths.retrace import ContactKey, Retracer
-    from crms_fenicsx.scene import Scene
-
+ContactKey = tuple[str, Support] | tuple[str, str]
+"""A cable and its place on the mesh, or the upper and the lower one of two cables that cross."""
 
 MAX_SWITCHES = 6
 """How often each cable may turn from slack to taut or back in one solve."""
+
+
+class ContactMemory(Protocol):
+    """What is known of the contacts in the last load step.
+
+    Attributes
+    ----------
+    released, settled
+        Where contacts have been released, and where they then stay closed however the cable pulls.
+    """
+
+    released: set[ContactKey]
+    settled: set[ContactKey]
+
+    def has_rested(self, cable: LaidCable) -> bool:
+        """Return whether a cable is as the last load step has found it."""
 
 
 class ActiveSet:
@@ -33,38 +48,38 @@ class ActiveSet:
 
     Parameters
     ----------
-    scene
-        The scene; its cables and crossings are changed.
-    paths
-        What is remembered of the cables' last load step; None where they stay in their cells.
+    net
+        The cables and crossings, which are changed.
+    memory
+        None where cables stay in their cells.
     """
 
-    def __init__(self, scene: Scene, paths: Retracer | None) -> None:
-        self.scene, self._paths = scene, paths
+    def __init__(self, net: CableNet, memory: ContactMemory | None) -> None:
+        self.net, self._memory = net, memory
         self._switches: Counter[str] = Counter()
         self._first_look = True
         self._released, self._settled = (
-            (set(), set()) if paths is None else (paths.released, paths.settled)
+            (set(), set()) if memory is None else (memory.released, memory.settled)
         )
 
     def tighten(self) -> list[str]:
         """Switch cables between slack and taut for their current lengths; say which. Collective."""
-        shape = StripShape.of(self.scene)
-        return [text for cable in self.scene.cables for text in self._switch(cable, shape, False)]
+        shape = self.net.strip_shape()
+        return [text for cable in self.net.cables for text in self._switch(cable, shape, False)]
 
     def update(self) -> list[str]:
         """Switch what a solved state asks for; say what, in words. Collective."""
         if self._first_look:
             self._forget()
-        scene, shape = self.scene, StripShape.of(self.scene)
-        changes = [text for cable in scene.cables for text in self._switch(cable, shape, True)]
+        net, shape = self.net, self.net.strip_shape()
+        changes = [text for cable in net.cables for text in self._switch(cable, shape, True)]
         if not changes:
-            tops, on_edges = self._tops(), nodes_on_edges(scene.cables)
-            for c, cable in enumerate(scene.cables):
+            tops, on_edges = self._tops(), nodes_on_edges(net.cables)
+            for c, cable in enumerate(net.cables):
                 if cable.taut and not cable.sleeve:
                     covered = {v for v, top in tops.items() if top > (cable.level, c)}
                     changes += self._contacts(cable, shape, covered, on_edges)
-        if not changes and scene.crossings:
+        if not changes and net.crossings:
             changes = self._crossings(shape)
         return changes
 
@@ -74,13 +89,13 @@ class ActiveSet:
         What has settled in the state that is there would settle again.
         """
         self._first_look = False
-        moved = {cable.name for cable in self.scene.cables if not self._rested(cable)}
+        moved = {cable.name for cable in self.net.cables if not self._rested(cable)}
         for keys in (self._released, self._settled):
             keys -= {key for key in keys if not moved.isdisjoint(key)}
 
     def _rested(self, cable: LaidCable) -> bool:
         """Whether a cable is as the last load step has found it."""
-        return self._paths is not None and self._paths.has_rested(cable)
+        return self._memory is not None and self._memory.has_rested(cable)
 
     def restless(self) -> str:
         """A cable that keeps turning from slack to taut and back; empty if there is none."""
@@ -123,7 +138,7 @@ class ActiveSet:
             off = [cable.nodes[k].point for k in np.flatnonzero(cable.lifted)]
             edges = [point.edge for point in off if isinstance(point, EdgePoint)]
             near = {edge: on_edges[edge] for edge in edges if edge in on_edges}
-            folds = bends(self.scene.cables, near, but=cable)
+            folds = bends(self.net.cables, near, but=cable)
             places = contact.captured(cable, shape, folds)
             unclear = cable.slides_freely and not self._rested(cable)
             if unclear and not free and not places:
@@ -139,7 +154,7 @@ class ActiveSet:
     def _tops(self) -> dict[int, tuple[int, int]]:
         """The uppermost cable in tension on each vertex that one touches: its level and number."""
         tops: dict[int, tuple[int, int]] = {}
-        for c, cable in enumerate(self.scene.cables):
+        for c, cable in enumerate(self.net.cables):
             for k in cable.contacts() if cable.taut else []:
                 point = cable.nodes[k].point
                 if isinstance(point, VertexPoint):
@@ -149,16 +164,16 @@ class ActiveSet:
 
     def _crossings(self, shape: StripShape) -> list[str]:
         changes = []
-        scene = self.scene
-        apart = {id(k) for k in parting(scene.crossings, scene.cables, shape)}
-        for crossing in scene.crossings:
-            names = scene.cables[crossing.upper].name, scene.cables[crossing.lower].name
+        net = self.net
+        apart = {id(k) for k in parting(net.crossings, net.cables, shape)}
+        for crossing in net.crossings:
+            names = net.cables[crossing.upper].name, net.cables[crossing.lower].name
             # Not by place: a crossing may come back in another cell than that where it was left.
             if id(crossing) in apart and names not in self._settled:
                 crossing.apart = True
                 self._released.add(names)
                 changes.append("{} lifts off {}".format(*names))
-            elif joins(crossing, scene.cables, shape):
+            elif joins(crossing, net.cables, shape):
                 crossing.apart = False
                 if names in self._released:
                     self._settled.add(names)

@@ -41,4 +41,4 @@ def force_per_area(scene: Scene, potential: Potential) -> float:
     unknowns.gather_forces(potential.g_vector, g)
     g[: unknowns.n_owned][unknowns.held[: unknowns.n_owned]] = 0.0
     sizes = np.linalg.norm(g[: unknowns.n_owned], axis=1)
-    return float(scene.comm.allreduce(float(sizes.sum()))) / scene.size**2
+    return float(scene.comm.allreduce(float(sizes.sum()))) / scene.membrane.size**2

@@ -6,11 +6,9 @@ import logging
 
 import numpy as np
 
-from crms_fenicsx.cables.crossings import arrange
 from crms_fenicsx.cables.element_tables import CableTables, cable_tables, damping
 from crms_fenicsx.cables.node_positions import Whereabouts
 from crms_fenicsx.cables.numbering import Network
-from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contributions.contribution import Contribution
 from crms_fenicsx.contributions.folds import FoldContribution
 from crms_fenicsx.contributions.loads import PressureContribution
@@ -65,10 +63,10 @@ class CableContribution(Contribution):
     def __init__(
         self, scene: Scene, membrane: MembraneContribution, pressure: PressureContribution
     ) -> None:
-        assert scene.strip is not None
         self.scene = scene
-        scene.crossings = arrange(scene.cables, scene.strip, scene.crossings)
-        self.network = Network(scene.cables, scene.strip, scene.u)
+        scene.net.arrange_crossings()
+        assert scene.net.strip is not None
+        self.network = Network(scene.cables, scene.net.strip, scene.u)
         self.unknowns = self.network.unknowns()
         self.network.hold(self.unknowns)
         self.whereabouts = Whereabouts(self.network, self.unknowns)
@@ -79,7 +77,7 @@ class CableContribution(Contribution):
         self.capstan: CapstanTension | None = None
         self.tables: CableTables | None = None
         if self.taut:
-            self.tables = cable_tables(self.network, membrane.energy, scene.pressed)
+            self.tables = cable_tables(self.network, membrane.energy, scene.membrane.pressed)
             membrane.fold(self.tables.folded.cells)
         self.folds = FoldContribution(scene, membrane, pressure, self.tables)
 
@@ -99,7 +97,7 @@ class CableContribution(Contribution):
         if self.tables is not None and self.gripped:
             for cable in self.gripped:
                 align_axial(cable)
-            grips = grip_table(self.network, StripShape.of(self.scene))
+            grips = grip_table(self.network, self.scene.net.strip_shape())
             L0 = np.array([cable.L0 + cable.excess for cable in self.gripped])
             self.capstan = CapstanTension(chain_table(self.network, self.tables), grips, L0)
             terms.append(self.capstan)

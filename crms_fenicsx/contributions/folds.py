@@ -74,7 +74,7 @@ class FoldContribution(Contribution):
     def _pressure_term(self, tables: CableTables) -> EnergyTerm:
         pressure = self.pressure
         if self.scene.pressure_law == "total":
-            return FoldedFollowerPressure(tables.facets, pressure.value, self.scene.centre)
+            return FoldedFollowerPressure(tables.facets, pressure.value, self.scene.membrane.centre)
         return FoldedStepPressure(tables.facets, pressure.value, pressure.folded_volume)
 
     def caught_nodes(self, limit: float) -> set[Member]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contributions.cables import CableContribution
 from crms_fenicsx.contributions.contribution import Contribution
 from crms_fenicsx.dofs.layout import Unknowns
@@ -50,7 +49,7 @@ class FrictionContribution(Contribution):
             return []
         for cable in self.cables.taut:
             lateral.align(cable)
-        network, shape = self.cables.network, StripShape.of(self.scene)
+        network, shape = self.cables.network, self.scene.net.strip_shape()
         terms: list[EnergyTerm] = []
         if "coulomb" in laws:
             self.stick_slip = StickSlip(slip_table(network, shape))
@@ -64,7 +63,7 @@ class FrictionContribution(Contribution):
         capstan = self.cables.capstan
         if self.stick_slip is None is self.elements and capstan is None:
             return
-        network, shape = self.cables.network, StripShape.of(self.scene)
+        network, shape = self.cables.network, self.scene.net.strip_shape()
         if self.stick_slip is not None:
             self.stick_slip.renew(slip_table(network, shape))
         if self.elements is not None:
@@ -75,7 +74,7 @@ class FrictionContribution(Contribution):
     def write_scene(self, potential: Potential) -> None:
         energies = self.scene.energies
         if "friction" in energies:  # the state has what it stores; the rest is heat
-            shape = StripShape.of(self.scene)
+            shape = self.scene.net.strip_shape()
             energies["friction"] = sum(lateral.energies(c, shape)[0] for c in self.scene.cables)
         if self.cables.capstan is not None:
             self._write_gripped(self.cables.capstan, potential)
@@ -96,7 +95,7 @@ class FrictionContribution(Contribution):
         held_along = [cable for cable in self.scene.cables if cable.axial is not None]
         if not gripped and not held_along:
             return
-        shape = StripShape.of(self.scene)
+        shape = self.scene.net.strip_shape()
         for cable in gripped:
             lateral.commit(cable, shape)
         for cable in held_along:

@@ -16,7 +16,7 @@ from crms_fenicsx.energies.dead_load import DeadLoad
 from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.energies.paper.step_pressure import StepPressure
 from crms_fenicsx.energies.pressure import FollowerPressure
-from crms_fenicsx.energies.pressure_rim import RimPressure
+from crms_fenicsx.energies.pressure_rim import RimPressure, rim_of
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.scene import Scene
@@ -62,7 +62,7 @@ class PressureContribution(Contribution):
         return self.scene.pressure_law == "step"
 
     def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
-        self.cells.x.array[:] = self.membrane.energy.plain.x.array * self.scene.pressed
+        self.cells.x.array[:] = self.membrane.energy.plain.x.array * self.scene.membrane.pressed
         if self.term is None:
             if self.scene.pressure == 0.0 and "pressure" not in self.scene.energies:
                 return []
@@ -77,16 +77,16 @@ class PressureContribution(Contribution):
     def _make_term(self) -> FollowerPressure | StepPressure:
         scene = self.scene
         if scene.pressure_law == "total":
-            return FollowerPressure(scene.u, self.cells, self.value, scene.centre)
+            return FollowerPressure(scene.u, self.cells, self.value, scene.membrane.centre)
         term = StepPressure(scene.u, self.cells, self.value)
         term.volume_n = self._history.volume
         return term
 
     def _rim_terms(self) -> list[EnergyTerm]:
-        rim = self.scene.rim()
+        rim = rim_of(self.scene.membrane)
         if self.scene.comm.allreduce(len(rim.sliding), op=MPI.SUM) == 0:
             return []
-        return [RimPressure(rim, self.value, self.scene.centre)]
+        return [RimPressure(rim, self.value, self.scene.membrane.centre)]
 
     def read_scene(self, potential: Potential) -> None:
         self.value.value = self.scene.pressure

@@ -40,7 +40,7 @@ class MembraneContribution(Contribution):
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         law = MembraneEnergy if scene.strain_law == "total" else StepMembraneEnergy
-        self.energy = law(scene.u, scene.materials, scene.cell_tags)
+        self.energy = law(scene.u, scene.materials, scene.membrane.cell_tags)
         self.folded_energy = np.zeros(1)
         self.has_folds = False
         history = scene.step_history
@@ -101,4 +101,4 @@ def tiny_force(scene: Scene) -> float:
         return 0.0
     materials = scene.materials.values()
     section = max(m.reference_modulus + float(m.prestress_vector.max()) for m in materials)
-    return 1e-12 * section * scene.size
+    return 1e-12 * section * scene.membrane.size

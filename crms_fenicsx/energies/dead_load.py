@@ -10,17 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, raised_together
-
-if TYPE_CHECKING:
-    from crms_fenicsx.scene import Scene
 
 Traction = Sequence[float] | Array | Callable[[Array, Array], Array]
 """Force per area, (3,), or a function of points and unit normals, both (3, n), giving (3, n)."""
@@ -42,8 +39,8 @@ class DeadForces:
     intensity: float
 
 
-def dead_forces(scene: Scene, traction: Traction) -> DeadForces:
-    """Forces of a load on the scene's current shape. Collective.
+def dead_forces(membrane: Membrane, traction: Traction) -> DeadForces:
+    """Forces of a load on the membrane's current shape. Collective.
 
     A cell gives a third of its load, taken at its centre, to each of its vertices. That a cable
     folds it changes nothing: the load goes by the triangle of its corners, and together these
@@ -54,19 +51,19 @@ def dead_forces(scene: Scene, traction: Traction) -> DeadForces:
     InputError
         As `Scene.put_load`.
     """
-    cells = scene.V.dofmap.list[: scene.mesh.mesh.topology.index_map(2).size_local]
-    corners = scene.positions()[cells]
+    cells = membrane.V.dofmap.list[: membrane.mesh.mesh.topology.index_map(2).size_local]
+    corners = membrane.positions()[cells]
     sides = corners[:, 1:] - corners[:, :1]
     vectors = np.cross(sides[:, 0], sides[:, 1]) / 2
     areas = np.linalg.norm(vectors, axis=1)
     loads = np.zeros_like(vectors)
-    with raised_together(scene.comm):
+    with raised_together(membrane.comm):
         loads[:] = _tractions(traction, corners.mean(axis=1), vectors / areas[:, None])
         loads *= areas[:, None]
-    forces = np.zeros((len(scene.held), 3))
+    forces = np.zeros((len(membrane.held), 3))
     np.add.at(forces, cells, loads[:, None] / 3)
     local = np.array([np.linalg.norm(loads, axis=1).sum(), areas.sum()])
-    total, area = scene.comm.allreduce(local)
+    total, area = membrane.comm.allreduce(local)
     return DeadForces(forces, float(total / area))
 
 

@@ -49,7 +49,7 @@ class FoldedCells:
     side_vectors : (n, 3, 2)
         Stress-free sides in the material axes.
     laws : (n,), parameters : (n, N_PARAMETERS)
-        Stress law and `Membrane.parameters`.
+        Stress law and `MembraneMaterial.parameters`.
     """
 
     cells: Indices

@@ -10,11 +10,11 @@ import ufl
 from dolfinx import fem
 
 from crms_fenicsx.meshes.cell_geometry import cell_normals
-from crms_fenicsx.model.materials import Membrane
+from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.runtime.errors import InputError, raised_together
 
 
-def warp_field(mesh: Any, material: Membrane, cells: npt.NDArray[np.int32]) -> fem.Function:
+def warp_field(mesh: Any, material: MembraneMaterial, cells: npt.NDArray[np.int32]) -> fem.Function:
     """Unit warp directions in the surface, one per cell (piecewise constant).
 
     Raises

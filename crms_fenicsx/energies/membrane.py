@@ -22,7 +22,7 @@ from crms_fenicsx.model.materials import (
     LINEAR,
     ORTHOTROPIC_TENSION_FIELD,
     LawTerms,
-    Membrane,
+    MembraneMaterial,
     law_terms,
 )
 from crms_fenicsx.runtime.arrays import Array
@@ -64,7 +64,7 @@ class MembraneEnergy(EnergyTerm):
     def __init__(
         self,
         u: fem.Function,
-        materials: Mapping[int, Membrane],
+        materials: Mapping[int, MembraneMaterial],
         cell_tags: Any = None,
     ) -> None:
         V, mesh = u.function_space, u.function_space.mesh

@@ -26,11 +26,11 @@ from dolfinx import fem, la
 
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.meshes.cell_geometry import OpenEdges
+from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime.arrays import Array, Indices
 
 PLANE = 1e-9
-"""Largest distance of a plane edge's vertices from their plane, relative to the scene's size."""
+"""Largest distance of a plane edge's vertices from their plane, relative to the membrane's size."""
 
 
 @dataclass(frozen=True)
@@ -56,28 +56,10 @@ class Rim:
     sliding: Indices
 
 
-def rim_of(
-    edges: OpenEdges,
-    V: fem.FunctionSpace,
-    held: npt.NDArray[np.bool_],
-    places: Array,
-    size: float,
-) -> Rim:
-    """Sort the open edges by how they are held. Collective.
-
-    Parameters
-    ----------
-    edges
-        Where the cells under pressure do not cancel.
-    V
-        Vertex displacements.
-    held
-        Held components of the vertices by local degree of freedom, (n, 3).
-    places
-        Current positions, (n, 3).
-    size
-        Size of the scene (length).
-    """
+def rim_of(membrane: Membrane) -> Rim:
+    """Sort the open edges of a membrane by how they are held in its current shape. Collective."""
+    edges, V, held = membrane.open_edges, membrane.V, membrane.held
+    places, size = membrane.positions(), membrane.size
     pairs, senses = edges.vertices, edges.senses
     both = held[pairs].all(axis=1)
     level = np.abs(places[pairs[:, 0]] - places[pairs[:, 1]]) <= PLANE * size
@@ -139,6 +121,7 @@ class RimPressure(EnergyTerm):
 
     def attach(self, unknowns: Unknowns) -> None:
         """Use this layout."""
+        super().attach(unknowns)
         vertex, direction = np.divmod(self.rim.components, 3)
         self._at = 3 * unknowns.vertex_blocks()[vertex] + direction
         self._X = (unknowns.X - self.origin).reshape(-1)[self._at]

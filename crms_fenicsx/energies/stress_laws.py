@@ -75,9 +75,9 @@ def orthotropic_flag(laws: npt.ArrayLike) -> bool | None:
 def stress(law, p, e, s, orthotropic):  # type: ignore[no-untyped-def]
     """Energy per area; section forces (S11, S22, S12) into s. Returns (energy, state).
 
-    `p` is `Membrane.parameters`, e the strain (E11, E22, 2 E12); state is 2 taut, 1 wrinkled,
-    0 slack. Where `orthotropic` is None, and not True, the orthotropic tension field is not
-    compiled: its iteration takes longer than all the rest.
+    `p` is `MembraneMaterial.parameters`, e the strain (E11, E22, 2 E12); state is 2 taut,
+    1 wrinkled, 0 slack. Where `orthotropic` is None, and not True, the orthotropic tension field
+    is not compiled: its iteration takes longer than all the rest.
     """
     # Taut: without the energy at rest, S^2 / E t, in which small changes would be lost.
     energy = 0.0

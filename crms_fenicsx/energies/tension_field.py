@@ -72,7 +72,7 @@ class TensionField:
     axes : (n, 2, 3)
         Their material axes.
     parameters : (k, N_PARAMETERS)
-        `Membrane.parameters` of the materials.
+        `MembraneMaterial.parameters` of the materials.
     row : (n,)
         Row of `parameters` of each cell.
     """
@@ -110,7 +110,7 @@ class TensionField:
         Parameters
         ----------
         parameters
-            `Membrane.parameters` of one material as an indexable UFL vector.
+            `MembraneMaterial.parameters` of one material as an indexable UFL vector.
         """
         values, tangents = self.values, self.tangents
         D = ufl.as_matrix([[parameters[3 * i + j] for j in range(3)] for i in range(3)])

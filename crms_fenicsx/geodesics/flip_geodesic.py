@@ -18,9 +18,10 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterator, Sequence, Set
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 
+from crms_fenicsx.geodesics.bends import TIE, Flip, Hold, compatible, ordered
 from crms_fenicsx.geodesics.corridor import (
     Corridor,
     cell_between,
@@ -30,20 +31,17 @@ from crms_fenicsx.geodesics.corridor import (
     without_detours,
 )
 from crms_fenicsx.geodesics.funnel import TautString, corner_angle, pull_taut
+from crms_fenicsx.geodesics.vertex_flip import Arcs, EdgeLengths
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import MeshError, PathError
 from crms_fenicsx.surface.intrinsic import MissingStars, Ring, Surface
 from crms_fenicsx.surface.points import (
     CellPoint,
-    Edge,
     EdgePoint,
     Support,
     SurfacePoint,
     VertexPoint,
-    edge_of,
 )
-
-__all__ = ["Corridor", "MissingStars", "Ring", "Shortened", "Surface", "corridor", "shorten"]
 
 STRAIGHT = 1e-7
 """Angle (rad) by which the other side of a vertex must be less than pi for a flip.
@@ -51,20 +49,8 @@ STRAIGHT = 1e-7
 A flip by less would shorten the cable by a fraction below 1e-14, which no length computed here can
 show; the rounding of angles is far below it (1e-12 where cells are as thin as 1e-4).
 """
-TIE = 1e-6
-"""Difference (rad) below which two angles count as equal.
-
-A symmetric shape that a solver has found is symmetric only to the solver's tolerance. A cable left
-on a ridge that is less uneven than this is at rest to the same accuracy.
-"""
 LONGER = 1e-12
 """Growth of the length, relative, that rounding may cause: some 1e-16 for each cell unfolded."""
-TOGETHER = 0.5
-"""Part of the sharpest turn from which on others are flipped with it in one sweep.
-
-On a surface that curves outward there is a geodesic on either side of a vertex. Flipping all at
-once ends more often in the longer one (by about 1e-4), and one by one takes ten times as long.
-"""
 LEAST, MOST = sys.float_info.min, 1.0 - sys.float_info.epsilon / 2
 """Fractions of points at an edge's ends, where the string touches a vertex."""
 
@@ -149,7 +135,7 @@ def shorten(
     """
     limit = None if max_flips is None else checks.whole("shorten: max_flips", max_flips, 0)
     _check(points, surface)
-    state = _State(points, surface, refused, grip, held_at)
+    state = _GeodesicPath(points, surface, refused, grip, held_at)
     state.pull(corridor(points))
     before = state.length
     flips: list[int] = []
@@ -161,200 +147,7 @@ def shorten(
     return Shortened(state.points(), tuple(flips), state.length, before)
 
 
-@dataclass(frozen=True)
-class OtherSide:
-    """The way around a vertex on the side where a corridor does not go.
-
-    Attributes
-    ----------
-    corridor
-        With the new way.
-    left, taken
-        The edges that are crossed around the vertex, or the vertex that is visited, and what is
-        crossed instead.
-    """
-
-    corridor: Corridor
-    left: Corridor
-    taken: Corridor
-
-
-def other_side(
-    supports: Corridor, surface: Surface, vertex: int, upward: bool | None = None
-) -> OtherSide | None:
-    """Lead a corridor around the other side of a vertex.
-
-    Parameters
-    ----------
-    supports
-        A corridor.
-    surface
-        Neighbours.
-    vertex
-        A vertex whose edges the corridor crosses, or that it visits.
-    upward
-        Whether to go around the vertex in the order of its ring, or against it; None: on the side
-        where the corridor does not go. A visit needs to be told.
-
-    Returns
-    -------
-    None if no cable could follow it.
-
-    Raises
-    ------
-    MissingStars
-        The surface does not know all cells around the vertex.
-    """
-    run = [i for i, s in enumerate(supports) if vertex in s and len(s) < 3]
-    inner = [i for i in run if 0 < i < len(supports) - 1]
-    visits = [i for i in inner if len(supports[i]) == 1]
-    if visits:
-        inner = visits
-    if not inner or inner != list(range(inner[0], inner[-1] + 1)):
-        return None
-    first, last = inner[0], inner[-1]
-    ring = surface.ring(vertex)
-    if not {*supports[first - 1], *supports[last + 1]} <= {vertex, *ring.neighbours}:
-        return None
-    arcs = _Arcs(vertex, ring, supports[first - 1], supports[last + 1])
-    own = supports[first : last + 1]
-    if upward is None:
-        upward = arcs.up != own
-    other = arcs.up if upward else arcs.down
-    if other is None or other == own:
-        return None
-    new = without_detours([*supports[:first], *other, *supports[last + 1 :]])
-    if flaw(new, surface.thirds) is not None:
-        return None
-    return OtherSide(new, own, other)
-
-
-class _Lengths(dict[Edge, float]):
-    """Lengths of the edges asked for so far."""
-
-    def __init__(self, surface: Surface) -> None:
-        super().__init__()
-        self._surface = surface
-
-    def __missing__(self, edge: Edge) -> float:
-        value = self[edge] = float(self._surface.length(edge))
-        if not 0.0 < value < math.inf:
-            raise PathError(
-                f"edge {edge} near a path has length {value}; "
-                "give a surface whose edges have positive, finite lengths"
-            )
-        return value
-
-
-@dataclass(frozen=True)
-class _Flip:
-    """A way around a vertex that would make the string shorter.
-
-    Attributes
-    ----------
-    angle
-        Angle at the vertex on that side (rad).
-    vertex
-        Its id.
-    first, last
-        The supports to be replaced, both included.
-    spokes
-        The edges to cross instead.
-    cells
-        The cells and edges through which the path would go.
-    """
-
-    angle: float
-    vertex: int
-    first: int
-    last: int
-    spokes: Corridor
-    cells: frozenset[Support]
-
-
-@dataclass(frozen=True)
-class _Hold:
-    """A vertex that may hold the string: a bend of it, or a visit of the path.
-
-    Attributes
-    ----------
-    vertex
-        Its id.
-    first, last
-        The supports of the path at the vertex, both included.
-    strip_angle
-        Angle (rad) on the strip's side of a bend; None for a visit.
-    arriving, leaving
-        Angles (rad) of the string before and after a visit to edges at the vertex.
-    """
-
-    vertex: int
-    first: int
-    last: int
-    strip_angle: float | None
-    arriving: dict[int, float] = field(default_factory=dict)
-    leaving: dict[int, float] = field(default_factory=dict)
-
-
-class _Arcs:
-    """The two ways around a vertex from one support next to it to another.
-
-    Places around the ring are numbered: 2 i at neighbour i, 2 i + 1 in the cell between the
-    neighbours i and i + 1. `up` goes with the numbers, `down` against them; None stands for a
-    way outside the surface.
-    """
-
-    def __init__(self, vertex: int, ring: Ring, a: Support, b: Support) -> None:
-        self.vertex, self.ring = vertex, ring
-        p, q = self._place(a), self._place(b)
-        self.reversed = not ring.closed and p > q
-        if self.reversed:
-            p, q = q, p
-        self._ends = p, q
-        n = len(ring.neighbours)
-        up = self._spokes(p, q if q >= p else q + 2 * n)
-        down = self._spokes(q, p if p >= q else p + 2 * n)[::-1] if ring.closed else None
-        self.up: Corridor | None = up
-        self.down: Corridor | None = down
-        if self.reversed:
-            self.up, self.down = None, up[::-1]
-
-    def _place(self, support: Support) -> int:
-        neighbours = self.ring.neighbours
-        at = sorted(neighbours.index(v) for v in support if v != self.vertex)
-        if len(at) == 1:
-            return 2 * at[0]
-        return 2 * at[0] + 1 if at[1] == at[0] + 1 else 2 * at[1] + 1
-
-    def _spokes(self, p: int, q: int) -> Corridor:
-        neighbours = self.ring.neighbours
-        return tuple(
-            edge_of(self.vertex, neighbours[i % len(neighbours)])
-            for i in range(p // 2 + 1, (q + 1) // 2)
-        )
-
-    def angle(
-        self, lengths: _Lengths, arriving: dict[int, float], leaving: dict[int, float]
-    ) -> float:
-        """Return the angle of the one way inside the surface, or of that up (rad)."""
-        p, q = self._ends
-        neighbours = self.ring.neighbours
-        n = len(neighbours)
-        if self.reversed:
-            arriving, leaving = leaving, arriving
-        i, j = (p + 1) // 2, (q if q >= p else q + 2 * n) // 2
-        parts = [
-            corner_angle(self.vertex, neighbours[k % n], neighbours[(k + 1) % n], lengths)
-            for k in range(i, j)
-        ]
-        if p % 2:
-            parts.append(arriving[neighbours[i % n]])
-        if q % 2:
-            parts.append(leaving[neighbours[j % n]])
-        return math.fsum(parts)
-
-
-class _State:
+class _GeodesicPath:
     """A path on its way to a geodesic."""
 
     def __init__(
@@ -369,7 +162,7 @@ class _State:
         self.start, self.end = points[0], points[-1]
         self.surface, self.refused = surface, refused
         self.grip = {False: STRAIGHT, True: max(grip, STRAIGHT)}  # of bends and of visits
-        self.lengths = _Lengths(surface)
+        self.lengths = EdgeLengths(surface)
         self.corridor: Corridor = ()
         self.visited: set[Corridor] = set()
         self.length = math.inf
@@ -408,23 +201,23 @@ class _State:
     def sweep(self, limit: int | None) -> list[int]:
         """Flip as many vertices as go together, `limit` at most; return them."""
         flips = self._flips()
-        together = self._compatible(flips)[:limit]
+        together = compatible(flips)[:limit]
         if not together:
             return []
         if self._accept(together):
             return [flip.vertex for flip in together]
         possible = [flip for flip in flips if self._corridor_after([flip]) is not None]
         if len(possible) < len(flips):
-            together = self._compatible(possible)[:limit]
+            together = compatible(possible)[:limit]
             if together and self._accept(together):
                 return [flip.vertex for flip in together]
         return next(([flip.vertex] for flip in possible if self._accept([flip])), [])
 
-    def _accept(self, flips: Sequence[_Flip]) -> bool:
+    def _accept(self, flips: Sequence[Flip]) -> bool:
         new = self._corridor_after(flips)
         return new is not None and self.pull(new)
 
-    def _corridor_after(self, flips: Sequence[_Flip]) -> Corridor | None:
+    def _corridor_after(self, flips: Sequence[Flip]) -> Corridor | None:
         """Return the corridor that flips lead to; None if it cannot be taken."""
         new = list(self.corridor)
         for flip in sorted(flips, key=lambda flip: flip.first, reverse=True):
@@ -434,30 +227,9 @@ class _State:
             return None
         return None if tied(result, self.surface.thirds) in self.refused else result
 
-    def _compatible(self, flips: Sequence[_Flip]) -> list[_Flip]:
-        """Return the first flip and those that turn nearly as sharply and share no cell with it.
-
-        Nor with each other.
-        """
-        chosen: list[_Flip] = []
-        least = TOGETHER * (math.pi - flips[0].angle) - TIE if flips else 0.0
-        busy: set[int] = set()
-        cells: set[Support] = set()
-        for flip in flips:
-            if math.pi - flip.angle < least:
-                continue
-            # supports that stay may be shared: the string goes through both sides of them
-            own = range(flip.first, flip.last + 1)
-            around = range(flip.first - 1, flip.last + 2)
-            if busy.isdisjoint(around) and cells.isdisjoint(flip.cells):
-                chosen.append(flip)
-                busy.update(own)
-                cells |= flip.cells
-        return chosen
-
-    def _flips(self) -> list[_Flip]:
+    def _flips(self) -> list[Flip]:
         """Return all flips that would shorten the string, in the order of their merits."""
-        flips: list[_Flip] = []
+        flips: list[Flip] = []
         missing: list[int] = []
         for hold in self._holds():
             if self.held_at is not None and hold.vertex not in self.held_at:
@@ -470,38 +242,27 @@ class _State:
                 continue  # where several sheets of membrane meet the vertex holds
         if missing:
             raise MissingStars(missing)
-        return self._ordered(flips)
+        return ordered(flips, len(self.corridor) - 1)
 
-    def _ordered(self, flips: list[_Flip]) -> list[_Flip]:
-        """Order by angle; equal ones from the middle of the path to its ends."""
-        flips = sorted(flips, key=lambda flip: (flip.angle, flip.first))
-        rank = dict.fromkeys(range(len(flips)), 0)
-        for i in range(1, len(flips)):
-            equal = flips[i].angle <= flips[rank[i - 1]].angle + TIE
-            rank[i] = rank[i - 1] if equal else i
-        middle = len(self.corridor) - 1
-        keys = [(rank[i], abs(f.first + f.last - middle), f.first) for i, f in enumerate(flips)]
-        return [flips[i] for i in sorted(range(len(flips)), key=keys.__getitem__)]
-
-    def _holds(self) -> Iterator[_Hold]:
+    def _holds(self) -> Iterator[Hold]:
         """Return what holds the string, in order."""
         previous: TautString | None = None
         for i, string in self._strings:
             if previous is not None:
                 vertex = self.corridor[i][0]
-                yield _Hold(vertex, i, i, None, previous.arriving, string.leaving)
+                yield Hold(vertex, i, i, None, previous.arriving, string.leaving)
             for bend in string.bends:
                 first, last = i + 1 + bend.first, i + 1 + bend.last
-                yield _Hold(bend.vertex, first, last, bend.angle)
+                yield Hold(bend.vertex, first, last, bend.angle)
             previous = string
 
-    def _ways_around(self, hold: _Hold) -> list[_Flip]:
+    def _ways_around(self, hold: Hold) -> list[Flip]:
         """Return the flips over a vertex that would shorten the string."""
         ring, total = self.star(hold.vertex)
         before, after = self.corridor[hold.first - 1], self.corridor[hold.last + 1]
         if not {*before, *after} <= {hold.vertex, *ring.neighbours}:
             return []  # the path comes from beyond the boundary, past this vertex
-        arcs = _Arcs(hold.vertex, ring, before, after)
+        arcs = Arcs(hold.vertex, ring, before, after)
         if hold.strip_angle is not None:
             own = self.corridor[hold.first : hold.last + 1]
             other = arcs.down if arcs.up == own else arcs.up
@@ -517,7 +278,7 @@ class _State:
             if len(sides) == 2 and angles[1] < math.pi - STRAIGHT and angles[1] - angles[0] <= TIE:
                 return []
         return [
-            _Flip(
+            Flip(
                 angle,
                 hold.vertex,
                 hold.first,

@@ -25,7 +25,7 @@ LINEAR, TENSION_FIELD, ORTHOTROPIC_TENSION_FIELD = 0, 1, 2
 """Codes of the stress laws, shared with the kernels of `crms_fenicsx.energies.stress_laws`."""
 
 N_PARAMETERS = 18
-"""Length of `Membrane.parameters`."""
+"""Length of `MembraneMaterial.parameters`."""
 
 UNSTRAINED = 1e-12
 """Strain that is rounding. Where a membrane starts without strain its tangent is that of the taut
@@ -37,7 +37,7 @@ def _check_positive(owner: str, **values: float) -> None:
         checks.positive(f"{owner}: {name}", value)
 
 
-class Membrane(ABC):
+class MembraneMaterial(ABC):
     """A membrane material. Its axes 1 (warp) and 2 (weft) lie in the surface."""
 
     prestress: float | tuple[float, float]
@@ -101,7 +101,7 @@ class Membrane(ABC):
 
 
 @dataclass(frozen=True)
-class IsotropicMembrane(Membrane):
+class IsotropicMembrane(MembraneMaterial):
     """Isotropic membrane, equation (2.3-12), St. Venant-Kirchhoff in Green-Lagrange strain.
 
     Parameters
@@ -162,7 +162,7 @@ class IsotropicMembrane(Membrane):
 
 
 @dataclass(frozen=True)
-class OrthotropicMembrane(Membrane):
+class OrthotropicMembrane(MembraneMaterial):
     """Orthotropic membrane, equation (2.3-13), St. Venant-Kirchhoff in Green-Lagrange strain.
 
     Parameters
@@ -269,7 +269,8 @@ def law_terms(law: int, E: Any, p: Any) -> LawTerms:
     E
         Green-Lagrange strain in the material axes, UFL, (2, 2).
     p
-        `Membrane.parameters` as an indexable UFL vector (a constant: values do not recompile).
+        `MembraneMaterial.parameters` as an indexable UFL vector (a constant: values do not
+        recompile).
 
     Notes
     -----

@@ -21,10 +21,9 @@ def cable_lines(scene: Scene) -> list[Line]:
     """
     if not scene.cables:
         return []
-    from crms_fenicsx.cables.strip_positions import StripShape
     from crms_fenicsx.contact.contact_force import contact_forces
 
-    shape = StripShape.of(scene)
+    shape = scene.net.strip_shape()
     return [
         Line(
             cable.line,

@@ -159,10 +159,10 @@ class Recorder:
         scene = self.scene
         if scene.pressure_law == "total" and scene.pressure != 0.0:
             return -scene.energies["pressure"] / scene.pressure
-        return gained_volume(scene)
+        return gained_volume(scene.net)
 
     def _surface(self, system: System) -> Surface:
-        surface, results = current_surface(self.scene), membrane_results(system)
+        surface, results = current_surface(self.scene.net), membrane_results(system)
         return Surface(
             surface.points,
             surface.triangles,

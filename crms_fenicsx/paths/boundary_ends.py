@@ -9,17 +9,17 @@ The path of a cable with an anchor over the membrane ends in the cell below, whi
 from __future__ import annotations
 
 import itertools
-from typing import TYPE_CHECKING
 
 import numpy as np
 from dolfinx.mesh import entities_to_geometry
 from mpi4py import MPI
 
-from crms_fenicsx.cables.strip_gather import grow
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.gap import size_at
 from crms_fenicsx.contact.span_projection import shadow
 from crms_fenicsx.model.laid_cable import COINCIDENT, CableNode, LaidCable
+from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.paths.path_change import PathChange
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.runtime.errors import PathError
@@ -34,11 +34,6 @@ from crms_fenicsx.surface.points import (
 )
 from crms_fenicsx.surface.triangles import cross
 
-if TYPE_CHECKING:
-    from crms_fenicsx.paths.retrace import Retracer
-    from crms_fenicsx.scene import Scene
-
-
 ASIDE = 0.1
 """Sideways movement of an anchor in a load step, relative to the cells' size, from which on the
 cable is laid anew."""
@@ -47,7 +42,7 @@ FARTHEST = 1000
 """How many edges of the boundary an end may pass in one load step."""
 
 
-def renew_ends(paths: Retracer) -> bool:
+def renew_ends(change: PathChange) -> bool:
     """Bring the ends of all paths to where moved anchors are; say if any changed. Collective.
 
     Raises
@@ -56,11 +51,11 @@ def renew_ends(paths: Retracer) -> bool:
         An anchor has come to a part of the boundary that cannot be reached along it.
     """
     changed = False
-    shape = StripShape.of(paths.scene)
-    for cable in paths.scene.cables:
-        led = [_renew(paths, cable, last) for last in (False, True)]
+    shape = change.net.strip_shape()
+    for cable in change.net.cables:
+        led = [_renew(change, cable, last) for last in (False, True)]
         if any(led):  # it may lie over other cells now
-            changed, shape = True, StripShape.of(paths.scene)
+            changed, shape = True, change.net.strip_shape()
         if cable.taut and any(_moved_aside(cable, k, shape) for k in (0, -1)):
             cable.state.traced = False
     return changed
@@ -86,21 +81,21 @@ def _moved_aside(cable: LaidCable, k: int, shape: StripShape) -> bool:
     return abs(moved) > ASIDE * size_at(shape, point.support) * length
 
 
-def _renew(paths: Retracer, cable: LaidCable, last: bool) -> bool:
+def _renew(change: PathChange, cable: LaidCable, last: bool) -> bool:
     anchor, beside = (-1, -2) if last else (0, 1)
     node = cable.nodes[beside]
     if cable.nodes[anchor].kind != "anchor":
         return False
     led = False
     if isinstance(node.point, CellPoint):
-        led = _follow(paths, cable, last)
+        led = _follow(change, cable, last)
         node = cable.nodes[beside]
         if isinstance(node.point, CellPoint):
             return led
     away = float(np.linalg.norm(cable.positions[anchor] - cable.positions[beside]))
     if away <= COINCIDENT * cable.length and node.kind != "rail":
         return False
-    found = _edge_at(paths.scene, cable.positions[anchor], COINCIDENT * cable.length)
+    found = _edge_at(change.net.membrane, cable.positions[anchor], COINCIDENT * cable.length)
     if found is None:
         if node.kind != "rider":
             return led
@@ -110,16 +105,16 @@ def _renew(paths: Retracer, cable: LaidCable, last: bool) -> bool:
         return True
     points = list(cable.path.points)
     points = points[::-1] if last else points
-    way = _way(paths, points, *found)
+    way = _way(change, points, *found)
     before, after = cable.ends
     if last:
-        paths.lead(cable, way[::-1], (before, "held"))
+        change.move_ends(cable, way[::-1], (before, "held"))
     else:
-        paths.lead(cable, way, ("held", after))
+        change.move_ends(cable, way, ("held", after))
     return True
 
 
-def _follow(paths: Retracer, cable: LaidCable, last: bool) -> bool:
+def _follow(change: PathChange, cable: LaidCable, last: bool) -> bool:
     """Lead a path's end to the cell under an anchor that has been moved, or off the membrane.
 
     Pulled taut to where the anchor was, the path would go there and back.
@@ -131,57 +126,57 @@ def _follow(paths: Retracer, cable: LaidCable, last: bool) -> bool:
     foot = cable.nodes[beside]
     ids, weights = foot.masters()
     for rings in itertools.count(1):
-        shape = paths.surface(ids).shape
+        shape = change.surface(ids).shape
         start = np.dot(weights, [shape.at(i) for i in ids])
         try:
             way = shadow(shape, foot, start, cable.nodes[anchor], place)
             break
         except MissingStars as missing:
-            grow(paths.scene, missing.vertices, rings)
+            change.net.grow_strip(missing.vertices, rings)
     if way is None or set(way[-1].support) == set(ids):
         return False
     points = list(cable.path.points)
     ends = list(cable.ends)
     ends[anchor] = "held" if isinstance(way[-1], CellPoint) else "off"
     points = [*points[:-1], *way] if last else [*way[::-1], *points[1:]]
-    paths.lead(cable, points, (ends[0], ends[1]))
+    change.move_ends(cable, points, (ends[0], ends[1]))
     return True
 
 
-def _edge_at(scene: Scene, place: Array, tolerance: float) -> tuple[Edge, float] | None:
+def _edge_at(membrane: Membrane, place: Array, tolerance: float) -> tuple[Edge, float] | None:
     """The held edge of the boundary that a place lies on, and where on it; None if on none."""
-    mesh = scene.mesh.mesh
-    boundary = scene.mesh.edges["boundary"]
-    boundary = boundary[scene.held_edges[boundary]]
-    behind = mesh.topology.connectivity(2, 1).array.reshape(-1, 3)[scene.mesh.hidden]
+    mesh = membrane.mesh.mesh
+    boundary = membrane.mesh.edges["boundary"]
+    boundary = boundary[membrane.held_edges[boundary]]
+    behind = mesh.topology.connectivity(2, 1).array.reshape(-1, 3)[membrane.mesh.hidden]
     boundary = np.setdiff1d(boundary, behind)
     nodes = np.zeros((0, 2), dtype=np.int32)
     if len(boundary):  # DOLFINx divides by the number
         nodes = entities_to_geometry(mesh, 1, boundary).reshape(-1, 2)
     cells = geometry_dofmap(mesh)
     dof_of = np.zeros(len(mesh.geometry.x), dtype=np.int64)
-    dof_of[cells] = scene.V.dofmap.list
-    ends = scene.positions()[dof_of[nodes]]
+    dof_of[cells] = membrane.V.dofmap.list
+    ends = membrane.positions()[dof_of[nodes]]
     sides = ends[:, 1] - ends[:, 0]
     lengths = np.sum(sides**2, axis=1)
     s = np.clip(np.sum((place - ends[:, 0]) * sides, axis=1) / lengths, 0.0, 1.0)
     gaps = np.linalg.norm(ends[:, 0] + s[:, None] * sides - place, axis=1)
     k = int(np.argmin(gaps)) if len(gaps) else -1
     least = float(gaps[k]) if k >= 0 else np.inf
-    gap, rank = scene.comm.allreduce((least, scene.comm.rank), op=MPI.MINLOC)
+    gap, rank = membrane.comm.allreduce((least, membrane.comm.rank), op=MPI.MINLOC)
     if gap > tolerance:
         return None
     ids = mesh.geometry.input_global_indices
     mine = None
-    if scene.comm.rank == rank:
+    if membrane.comm.rank == rank:
         a, b = (int(ids[node]) for node in nodes[k])
         mine = (edge_of(a, b), float(s[k] if a < b else 1 - s[k]))
-    found: tuple[Edge, float] = scene.comm.bcast(mine, root=rank)
+    found: tuple[Edge, float] = membrane.comm.bcast(mine, root=rank)
     return found
 
 
 def _way(
-    paths: Retracer, points: list[SurfacePoint], edge: Edge, fraction: float
+    change: PathChange, points: list[SurfacePoint], edge: Edge, fraction: float
 ) -> list[SurfacePoint]:
     """The path with a new first point on an edge of the boundary, along which it gets there."""
     ends = [p for p, at in zip(edge, (0.0, 1.0), strict=True) if abs(fraction - at) < 1e-9]
@@ -190,7 +185,7 @@ def _way(
         return [first, *points[1:]]
     best: list[SurfacePoint] | None = None
     for side in (0, 1):
-        way = _walk(paths, points, first, side)
+        way = _walk(change, points, first, side)
         if way is not None and (best is None or len(way) < len(best)):
             best = way
     if best is None:
@@ -202,14 +197,14 @@ def _way(
 
 
 def _walk(
-    paths: Retracer, points: list[SurfacePoint], goal: SurfacePoint, side: int
+    change: PathChange, points: list[SurfacePoint], goal: SurfacePoint, side: int
 ) -> list[SurfacePoint] | None:
     """Lead the path's first point along the boundary; None if it does not get to the goal."""
     start, rest = points[0].support, list(points[1:])
     at = start[0] if len(start) == 1 else start[side]
     behind = start[1 - side] if len(start) == 2 else -1
     for _ in range(FARTHEST):
-        surface = paths.surface([at])
+        surface = change.surface([at])
         around = list(surface.ring(at).neighbours)
         if behind < 0:  # from a vertex: one of its two ways
             around = around[::-1] if side else around

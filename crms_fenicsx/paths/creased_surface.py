@@ -7,7 +7,6 @@ as long as the way through the fold points on it.
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from types import MappingProxyType
@@ -15,49 +14,10 @@ from types import MappingProxyType
 import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.intrinsic import MissingStars, Ring, ring_of
-from crms_fenicsx.surface.points import Edge, EdgePoint
+from crms_fenicsx.surface.points import Edge
 from crms_fenicsx.surface.triangles import norm
-
-
-def nodes_on_edges(cables: Sequence[LaidCable]) -> dict[Edge, list[tuple[int, int]]]:
-    """Nodes of cables in tension on each edge, lifted ones too: numbers of cables and nodes."""
-    found: dict[Edge, list[tuple[int, int]]] = defaultdict(list)
-    for c, cable in enumerate(cables):
-        for k, node in enumerate(cable.nodes) if cable.taut else ():
-            if isinstance(node.point, EdgePoint) and node.kind != "crossing":
-                found[node.point.edge].append((c, k))
-    return found
-
-
-def bends(
-    cables: Sequence[LaidCable],
-    nodes: Mapping[Edge, Sequence[tuple[int, int]]] | None = None,
-    but: LaidCable | None = None,
-) -> dict[Edge, list[Array]]:
-    """Positions of the points of cables in tension on each edge, in order.
-
-    Parameters
-    ----------
-    cables
-        All cables.
-    nodes
-        Those to look at, as in `nodes_on_edges`; None: all.
-    but
-        A cable to leave out.
-    """
-    found: dict[Edge, list[Array]] = {}
-    for edge, members in (nodes_on_edges(cables) if nodes is None else nodes).items():
-        touching = sorted(
-            (float(cables[c].fractions[k]), c, k)
-            for c, k in members
-            if not cables[c].lifted[k] and cables[c] is not but
-        )
-        if touching:
-            found[edge] = [cables[c].positions[k] for _, c, k in touching]
-    return found
 
 
 class FoldedSurface:

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.model.laid_cable import COINCIDENT
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import SurfacePoint
 from crms_fenicsx.surface.triangles import norm, vectors
 
-if TYPE_CHECKING:
-    from crms_fenicsx.scene import Scene
 
-
-def unfolded(scene: Scene, route: Array) -> tuple[Array, dict[int, SurfacePoint], list[Array]]:
+def unfolded(net: CableNet, route: Array) -> tuple[Array, dict[int, SurfacePoint], list[Array]]:
     """Bring a route in space from the points of other cables to the unfolded cells. Collective.
 
     Parameters
     ----------
-    scene
-        The scene, in its current shape.
+    net
+        The cables, on the current shape of their membrane.
     route
         Points in plan, (k, 2), or in space, (k, 3).
 
@@ -36,12 +31,12 @@ def unfolded(scene: Scene, route: Array) -> tuple[Array, dict[int, SurfacePoint]
     folds
         Where these points are in the folds, in the order of `known`.
     """
-    if route.shape[1] == 2 or scene.strip is None:
+    if route.shape[1] == 2 or net.strip is None:
         return route, {}, []
-    shape = StripShape.of(scene)
+    shape = net.strip_shape()
     contacts = [
         (cable, k)
-        for cable in scene.cables
+        for cable in net.cables
         for k in cable.contacts()
         if cable.nodes[k].point is not None
     ]
@@ -50,7 +45,7 @@ def unfolded(scene: Scene, route: Array) -> tuple[Array, dict[int, SurfacePoint]
     known: dict[int, SurfacePoint] = {}
     folds: list[Array] = []
     for target in vectors(route):
-        at = np.flatnonzero(norm(x - target) <= COINCIDENT * scene.size)
+        at = np.flatnonzero(norm(x - target) <= COINCIDENT * net.membrane.size)
         if len(at):
             cable, k = contacts[at[0]]
             if cable.nodes[k].kind == "crossing":

@@ -2,7 +2,7 @@
 
 A cable with friction does not lie along a geodesic, and pulling it taut would let it slide where
 it sticks. It changes its path only where friction gives way: a fold point that slides and has run
-into a vertex is led around its other side, a node on a vertex leaves it when the cable pulls it
+into a vertex is moved around its other side, a node on a vertex leaves it when the cable pulls it
 sideways by more than friction holds. The new path is kept if the energy falls, with the work of
 friction in it; see `crms_fenicsx.equilibrium.search`.
 """
@@ -14,21 +14,24 @@ from collections.abc import Iterable, Sequence
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.paths.held_vertices import HeldVertex, Run, held_vertices
-from crms_fenicsx.paths.retrace import Retracer
-from crms_fenicsx.paths.vertex_passing import straighten, take, way_past
+from crms_fenicsx.paths.path_change import PathChange
+from crms_fenicsx.paths.tried_paths import TriedPaths
+from crms_fenicsx.paths.vertex_passing import adopt, straighten, way_past
 
 THERE_AND_BACK = 3
-"""How often in a load step a cable is led around a vertex to either side: on each side friction may
-have bounds with which the other one is better."""
+"""How often in a load step a cable is moved around a vertex to either side: on each side friction
+may have bounds with which the other one is better."""
 
 
-def give_way(paths: Retracer, most: int | None = None) -> int:
-    """Lead cables with friction over the vertices that they have run into. Collective.
+def pass_vertices(change: PathChange, tried: TriedPaths, most: int | None = None) -> int:
+    """Move cables with friction over the vertices that they have run into. Collective.
 
     Parameters
     ----------
-    paths
-        The scene's paths.
+    change
+        Changes the paths of the cables.
+    tried
+        Which ways past vertices have been tried.
     most
         How many vertices each may pass; None: as many as it takes.
 
@@ -36,16 +39,16 @@ def give_way(paths: Retracer, most: int | None = None) -> int:
     -------
     How many vertices the cable that has passed most has.
     """
-    paths.offered = set()
-    held = _held(paths.scene.cables)
+    tried.proposed = set()
+    held = _held(change.net.cables)
     if not held:
         return 0
-    shape, passed = StripShape.of(paths.scene), 0
+    shape, passed = change.net.strip_shape(), 0
     for cable in held.values():
         done = 0
         for one in sorted(_run_into(cable, shape), key=lambda one: -one.excess):
             if most is None or done < most:
-                done += _pass(paths, cable, Run.of([one]))
+                done += _pass(change, tried, cable, Run.of([one]))
         passed = max(passed, done)
     return passed
 
@@ -59,7 +62,9 @@ def _held(cables: Sequence[LaidCable]) -> dict[int, LaidCable]:
     }
 
 
-def relax(paths: Retracer, kinked: Iterable[tuple[int, int]]) -> bool:
+def straighten_kinks(
+    change: PathChange, tried: TriedPaths, kinked: Iterable[tuple[int, int]]
+) -> bool:
     """Put caught fold points of cables with friction back on straight edges. Collective.
 
     Two points on edges that meet in a vertex may have closed in on each other away from it, so that
@@ -69,8 +74,10 @@ def relax(paths: Retracer, kinked: Iterable[tuple[int, int]]) -> bool:
 
     Parameters
     ----------
-    paths
-        The scene's paths.
+    change
+        Changes the paths of the cables.
+    tried
+        Which ways past vertices have been tried.
     kinked
         Cables and their nodes at kinks, by number.
 
@@ -79,25 +86,25 @@ def relax(paths: Retracer, kinked: Iterable[tuple[int, int]]) -> bool:
     Whether any was moved that has not been before in this load step from the same place on the
     path: if that has raised the energy, it does with other friction forces, too.
     """
-    shape, caught = StripShape.of(paths.scene), set(kinked)
-    for c, cable in _held(paths.scene.cables).items():
+    shape, caught = change.net.strip_shape(), set(kinked)
+    for c, cable in _held(change.net.cables).items():
         for one in _run_into(cable, shape):
             caught |= {(c, k) for k in one.nodes if not cable.lifted[k]}
     moved = False
     for c, k in sorted(caught):
-        cable = paths.scene.cables[c]
+        cable = change.net.cables[c]
         if cable.slides_freely or not cable.nodes[k].slides:
             continue
         rim = cable.rim()
         i = rim.index(k)
         way = cable.name, tuple(cable.nodes[m].support for m in rim[max(i - 1, 0) : i + 2])
-        if way in paths.put_back:
+        if way in tried.straightened:
             continue
-        paths.put_back.add(way)
+        tried.straightened.add(way)
         contacts = [j for j, m in enumerate(rim) if not cable.lifted[m]]
         at = contacts.index(i)
         first, last = contacts[max(at - 2, 0)], contacts[min(at + 2, len(contacts) - 1)]
-        moved |= straighten(paths, cable, rim[first : last + 1])
+        moved |= straighten(change, cable, rim[first : last + 1])
     return moved
 
 
@@ -106,19 +113,19 @@ def _run_into(cable: LaidCable, shape: StripShape) -> list[HeldVertex]:
     return [one for one in held_vertices(cable, shape) if one.excess > 0.0]
 
 
-def _pass(paths: Retracer, cable: LaidCable, run: Run) -> int:
-    """Lead a cable with friction past a vertex, if it may; return how many it has passed."""
+def _pass(change: PathChange, tried: TriedPaths, cable: LaidCable, run: Run) -> int:
+    """Move a cable with friction past a vertex, if it may; return how many it has passed."""
     here = (cable.name, run.vertices[0], run.to_left)
     back = (cable.name, run.vertices[0], not run.to_left)
-    if min(paths.led[here], paths.led[back]) >= THERE_AND_BACK:
+    if min(tried.passes[here], tried.passes[back]) >= THERE_AND_BACK:
         return 0
-    found = way_past(paths, cable, run)
+    found = way_past(change, cable, run)
     if found is None:
         return 0
     way = cable.name, found.replaced
-    if way in paths.withheld or way in paths.offered:
+    if way in tried.rejected or way in tried.proposed:
         return 0
-    take(paths, cable, found)
-    paths.offered.add(way)
-    paths.led[here] += 1
+    adopt(change, cable, found)
+    tried.proposed.add(way)
+    tried.passes[here] += 1
     return 1

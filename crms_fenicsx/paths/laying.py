@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import count
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.cables.strip_gather import cells_at, cells_near
 from crms_fenicsx.cables.strip_positions import StripShape
@@ -21,23 +21,20 @@ from crms_fenicsx.model.laid_cable import (
     StepStart,
     polyline_length,
 )
+from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.paths.follow import unfolded
 from crms_fenicsx.paths.seam_checks import refuse_forks, refuse_places_behind
 from crms_fenicsx.paths.typed_nodes import fractions_of, nodes_of
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, PathError
-from crms_fenicsx.scene import Cables
 from crms_fenicsx.surface.path import Path
 from crms_fenicsx.surface.points import EdgePoint, SurfacePoint, VertexPoint
 from crms_fenicsx.surface.trace import trace
 
-if TYPE_CHECKING:
-    from crms_fenicsx.scene import Scene
-
 
 def lay(
-    scene: Scene,
+    net: CableNet,
     cable: Cable,
     path: Sequence[Sequence[float]] | Array,
     *,
@@ -47,15 +44,15 @@ def lay(
     level: int,
     name: str | None,
 ) -> LaidCable:
-    """Trace the path, decide what each of its points is, and add the cable to the scene.
+    """Trace the path, decide what each of its points is, and add the cable to the net.
 
     See `Scene.lay_cable`. Everything here is the same on all ranks.
     """
     if not isinstance(cable, Cable):
         raise InputError(f"lay_cable: {cable!r} is no Cable; write Cable(EA=...).")
-    taken = {other.name for other in scene.cables}
+    taken = {other.name for other in net.cables}
     if name is None:
-        numbers = count(scene._laid + 1)  # not that of a cable that has been removed
+        numbers = count(net.laid + 1)  # not that of a cable that has been removed
         name = next(f"cable {n}" for n in numbers if f"cable {n}" not in taken)
     if not isinstance(name, str) or not name or name != name.strip():
         raise InputError(f"lay_cable: name = {name!r}; tables need text without blanks around it.")
@@ -66,19 +63,19 @@ def lay(
     for key, value in (("L0", L0), ("tension", tension)):
         if value is not None:
             checks.positive(f"lay_cable: {name!r} with {key}", value)
-    route, known, folds = unfolded(scene, _route(path))
-    refuse_places_behind(scene, route, name)
-    near = cells_near(scene, route)
-    shape = StripShape.of(scene, near)
+    route, known, folds = unfolded(net, _route(path))
+    refuse_places_behind(net.membrane, route, name)
+    near = cells_near(net.membrane, route)
+    shape = StripShape.of(net.membrane, near)
     rows = np.searchsorted(near.vertices, near.cells)
     try:
         traced = trace(near.vertices, shape.current, rows, route, known=known)
     except PathError as error:
         raise PathError(f"lay_cable: {name!r}: {error}") from None
-    strip = cells_at(scene, [v for point in traced.points for v in point.support])
-    shape = StripShape.of(scene, strip)
+    strip = cells_at(net.membrane, [v for point in traced.points for v in point.support])
+    shape = StripShape.of(net.membrane, strip)
     refuse_forks(traced, shape, name)
-    nodes = nodes_of(traced.points, strip, _ends(scene, strip, traced))
+    nodes = nodes_of(traced.points, strip, _ends(net.membrane, strip, traced))
     positions = np.array([_position(node, k, traced, shape) for k, node in enumerate(nodes)])
     off = np.zeros(len(nodes), dtype=bool)
     state = CableState(nodes, positions, fractions_of(nodes), off, 1.0, 0.0, 0.0)
@@ -105,9 +102,7 @@ def lay(
         from crms_fenicsx.friction.axial import laid_grip
 
         state.axial = laid_grip(laid, shape)
-    scene.strip = strip if scene.strip is None else scene.strip.merged(strip)
-    scene._cables = Cables.of(scene, (*scene.cables, laid))
-    scene._laid += 1
+    net.add(laid, strip)
     return laid
 
 
@@ -126,17 +121,19 @@ def _route(path: Sequence[Sequence[float]] | Array) -> Array:
     return route
 
 
-def _ends(scene: Scene, strip: Strip, path: Path) -> tuple[End, End]:
+def _ends(membrane: Membrane, strip: Strip, path: Path) -> tuple[End, End]:
     """How the cable's first and last end are held."""
     held = {
         vertex: False for point in (path.points[0], path.points[-1]) for vertex in point.support
     }
-    own = strip.owner == scene.comm.rank
-    dofs = scene.V.dofmap.list[strip.local[own]]
+    own = strip.owner == membrane.comm.rank
+    dofs = membrane.V.dofmap.list[strip.local[own]]
     for vertex, dof in zip(strip.cells[own].ravel(), dofs.ravel(), strict=True):
         if int(vertex) in held:
-            held[int(vertex)] = bool(scene.held[dof].all())
-    vertices = {v for part in scene.comm.allgather(held) for v, is_held in part.items() if is_held}
+            held[int(vertex)] = bool(membrane.held[dof].all())
+    vertices = {
+        v for part in membrane.comm.allgather(held) for v, is_held in part.items() if is_held
+    }
 
     def end(anchor: object, point: SurfacePoint) -> End:
         if anchor is not None:

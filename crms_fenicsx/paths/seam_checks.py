@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from crms_fenicsx.cables.strip_gather import own_surface
 from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError, as_text
 from crms_fenicsx.surface.closest_point import ON_SURFACE, foot_of
 from crms_fenicsx.surface.path import Path
 from crms_fenicsx.surface.triangles import vectors
 
-if TYPE_CHECKING:
-    from crms_fenicsx.scene import Scene
 
-
-def refuse_places_behind(scene: Scene, route: Array, name: str) -> None:
+def refuse_places_behind(membrane: Membrane, route: Array, name: str) -> None:
     """Refuse a route with a point on cells behind a seam, and on no others. Collective.
 
     Parameters
     ----------
-    scene
-        The scene, in its current shape.
+    membrane
+        The membrane, in its current shape.
     route
         Points in plan, (k, 2), or in space, (k, 3).
     name
@@ -35,9 +31,9 @@ def refuse_places_behind(scene: Scene, route: Array, name: str) -> None:
     PathError
         Naming the point, or all cells lie behind seams.
     """
-    positions, cells = own_surface(scene)
-    hidden = np.isin(np.arange(len(cells)), scene.mesh.hidden)
-    behind, outer = scene.comm.allreduce(np.array([hidden.sum(), (~hidden).sum()]))
+    positions, cells = own_surface(membrane)
+    hidden = np.isin(np.arange(len(cells)), membrane.mesh.hidden)
+    behind, outer = membrane.comm.allreduce(np.array([hidden.sum(), (~hidden).sum()]))
     if outer == 0:
         raise PathError(
             f"lay_cable: {name!r} finds no outer side of the membrane: each of its pieces meets "
@@ -48,8 +44,8 @@ def refuse_places_behind(scene: Scene, route: Array, name: str) -> None:
     if route.shape[1] == 2:
         positions = positions * (1.0, 1.0, 0.0)
     for i, point in enumerate(vectors(np.pad(route, ((0, 0), (0, 3 - route.shape[1]))))):
-        on_hidden = foot_of(positions, cells[hidden], point, scene.comm)
-        on_outer = foot_of(positions, cells[~hidden], point, scene.comm)
+        on_hidden = foot_of(positions, cells[hidden], point, membrane.comm)
+        on_outer = foot_of(positions, cells[~hidden], point, membrane.comm)
         reach = ON_SURFACE * on_hidden.size
         if on_hidden.distance <= reach and on_outer.distance > max(reach, on_hidden.distance):
             raise PathError(

@@ -8,46 +8,42 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from crms_fenicsx.cables.strip_gather import grow
 from crms_fenicsx.geodesics.corridor import Corridor, corridor, flaw
-from crms_fenicsx.geodesics.flip_geodesic import other_side, shorten
+from crms_fenicsx.geodesics.flip_geodesic import shorten
+from crms_fenicsx.geodesics.vertex_flip import other_side
 from crms_fenicsx.model.laid_cable import CableNode, LaidCable
 from crms_fenicsx.paths.creased_surface import FoldedSurface
 from crms_fenicsx.paths.held_vertices import Run
+from crms_fenicsx.paths.path_change import PathChange
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import MeshError
 from crms_fenicsx.surface.intrinsic import MissingStars
 from crms_fenicsx.surface.points import Edge, EdgePoint
 
-if TYPE_CHECKING:
-    from crms_fenicsx.paths.retrace import Retracer
-
-
 BEYOND = 0.01
 """Part of an edge: where a path starts on the other side, off the smoothing."""
 
 
-def lead_past(paths: Retracer, number: int, run: Run) -> bool:
-    """Lead a cable past the vertices of a run; say whether any way goes there. Collective.
+def pass_run(change: PathChange, number: int, run: Run) -> bool:
+    """Move a cable past the vertices of a run; say whether any path goes there. Collective.
 
     Parameters
     ----------
-    paths
-        The scene's paths.
+    change
+        Changes the paths of the cables.
     number
         The cable's.
     run
         The vertices and the side.
     """
-    cable = paths.scene.cables[number]
-    found = way_past(paths, cable, run)
+    cable = change.net.cables[number]
+    found = way_past(change, cable, run)
     if found is None:
         return False
-    take(paths, cable, found)
+    adopt(change, cable, found)
     return True
 
 
@@ -73,13 +69,13 @@ class WayPast:
     surface: FoldedSurface
 
 
-def way_past(paths: Retracer, cable: LaidCable, run: Run) -> WayPast | None:
+def way_past(change: PathChange, cable: LaidCable, run: Run) -> WayPast | None:
     """Find the way of a cable past a run. Collective.
 
     Parameters
     ----------
-    paths
-        The scene's paths.
+    change
+        Changes the paths of the cables.
     cable
         A cable.
     run
@@ -90,8 +86,8 @@ def way_past(paths: Retracer, cable: LaidCable, run: Run) -> WayPast | None:
     None where there is none for any of the vertices.
     """
     string: Corridor = tuple(cable.nodes[k].support for k in cable.rim())
-    joined = paths.with_anchors(cable, paths.surface(run.vertices))
-    n = paths.scene.V.dofmap.index_map.size_global
+    joined = change.with_anchors(cable, change.surface(run.vertices))
+    n = change.n_vertices
     first, last = n in joined.anchors, n + 1 in joined.anchors
     string = (((n,),) if first else ()) + string + (((n + 1,),) if last else ())
     replaced: Corridor = ()
@@ -104,8 +100,8 @@ def way_past(paths: Retracer, cable: LaidCable, run: Run) -> WayPast | None:
                 found = other_side(string, joined, vertex, upward)
                 break
             except MissingStars as missing:
-                grow(paths.scene, missing.vertices, rings)
-                joined = paths.with_anchors(cable, paths.surface())
+                change.net.grow_strip(missing.vertices, rings)
+                joined = change.with_anchors(cable, change.surface())
             except MeshError:
                 break  # where several sheets of membrane meet the vertex holds
         # Beside the membrane, between its boundary and an anchor, no cable lies.
@@ -119,14 +115,14 @@ def way_past(paths: Retracer, cable: LaidCable, run: Run) -> WayPast | None:
     return WayPast(kept, frozenset(passed), replaced, joined)
 
 
-def take(paths: Retracer, cable: LaidCable, way: WayPast) -> None:
+def adopt(change: PathChange, cable: LaidCable, way: WayPast) -> None:
     """Give a cable a way past vertices; all nodes that it had stay where they are."""
     supports, rim = way.supports, cable.rim()
-    grow(paths.scene, [v for support in supports for v in support])
-    strip = paths.scene.strip
+    change.net.grow_strip([v for support in supports for v in support])
+    strip = change.net.strip
     assert strip is not None
     old = {cable.nodes[k].support: k for k in rim}
-    least = BEYOND * (1 + 0.02 * paths.scene.cables.index(cable))
+    least = BEYOND * (1 + 0.02 * change.net.cables.index(cable))
 
     def kept(k: int) -> tuple[CableNode, Array, float, bool]:
         fraction, lifted = float(cable.fractions[k]), bool(cable.lifted[k])
@@ -147,17 +143,17 @@ def take(paths: Retracer, cable: LaidCable, way: WayPast) -> None:
     rim = cable.rim()
     added = [i for i, k in enumerate(rim) if cable.nodes[k].support not in old]
     if added:  # along the membrane's boundary there may only be fewer
-        straighten(paths, cable, rim[max(added[0] - 1, 0) : added[-1] + 2])
+        straighten(change, cable, rim[max(added[0] - 1, 0) : added[-1] + 2])
 
 
-def straighten(paths: Retracer, cable: LaidCable, part: list[int]) -> bool:
+def straighten(change: PathChange, cable: LaidCable, part: list[int]) -> bool:
     """Pull a part of a cable, given by nodes, taut between its ends, in the cells that it crosses.
 
     Collective. Says whether that can be done.
     """
     path = dict(zip(cable.rim(), cable.path.points, strict=True))
     points = [path[k] for k in part]
-    surface = paths.surface([v for point in points for v in point.support])
+    surface = change.surface([v for point in points for v in point.support])
     if len(points) < 3 or flaw(corridor(points), surface.thirds):
         return False
     string = shorten(points, surface, max_flips=0).points

@@ -1,22 +1,20 @@
 """Vertices that hold cables are left in runs, where that lowers the energy.
 
 The string of `retrace` does not tell where a cable goes that is held by vertices: in the valley
-that it presses into a line of the mesh it is the shortest. Its forces do (see `held`), and whether
-it gets free the energy tells. Friction carries its part of the forces; vertices that hold a cable
-beyond that have been left one by one before (see `give_way`), which is not always enough.
+that it presses into a line of the mesh it is the shortest. Its forces do (see `held_vertices`), and
+whether it gets free the energy tells. Friction carries its part of the forces; vertices that hold a
+cable beyond that have been left one by one before (see `friction_release`), which is not always
+enough.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
-from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.paths.held_vertices import Run, held_runs
-from crms_fenicsx.paths.vertex_passing import lead_past
-
-if TYPE_CHECKING:
-    from crms_fenicsx.paths.retrace import Retracer
+from crms_fenicsx.paths.path_change import PathChange
+from crms_fenicsx.paths.tried_paths import TriedPaths
+from crms_fenicsx.paths.vertex_passing import pass_run
 
 HALVINGS = 2
 """How often runs that were left together, and did not lower the energy, are tried by halves."""
@@ -37,18 +35,20 @@ class VertexTrials:
 
     Parameters
     ----------
-    paths
-        The paths of the cables.
+    change
+        Changes the paths of the cables.
+    tried
+        Which runs have been tried.
     """
 
-    def __init__(self, paths: Retracer) -> None:
-        self.paths = paths
+    def __init__(self, change: PathChange, tried: TriedPaths) -> None:
+        self.change, self.tried = change, tried
         self._groups: list[tuple[int, list[Trial]]] = []  # with how often halved
         self._energy = math.inf
         self._halved = 0
 
     def next(self, energy: float, scale: float) -> list[Trial]:
-        """Lead cables past runs of vertices that hold them. Collective.
+        """Move cables past runs of vertices that hold them. Collective.
 
         Parameters
         ----------
@@ -59,9 +59,8 @@ class VertexTrials:
 
         Returns
         -------
-        What was led; none where there is nothing left to try.
+        What was moved; nothing where there is nothing left to try.
         """
-        paths = self.paths
         while runs := self._held():
             if not self._groups:
                 if self._energy - energy < GAIN * scale:
@@ -72,27 +71,27 @@ class VertexTrials:
             self._halved, group = self._groups.pop()
             known = {self._key(trial) for trial in group}
             group = [trial for trial in runs if self._key(trial) in known]
-            led = [(c, run) for c, run in group if lead_past(paths, c, run)]
-            self._note([trial for trial in group if trial not in led])
-            if led:
-                return led
+            moved = [(c, run) for c, run in group if pass_run(self.change, c, run)]
+            self._note([trial for trial in group if trial not in moved])
+            if moved:
+                return moved
         return []
 
-    def halve(self, led: list[Trial]) -> bool:
+    def halve(self, moved: list[Trial]) -> bool:
         """Try the halves of what was rejected later, or never again; say whether the former."""
-        half = len(led) // 2
+        half = len(moved) // 2
         if half == 0 or self._halved == HALVINGS:
-            self._note(led)
+            self._note(moved)
             return False
-        self._groups += [(self._halved + 1, part) for part in (led[half:], led[:half])]
+        self._groups += [(self._halved + 1, part) for part in (moved[half:], moved[:half])]
         return True
 
     def _held(self) -> list[Trial]:
         """Runs that hold cables, and have not been tried."""
-        scene = self.paths.scene
-        shape = StripShape.of(scene)
+        net = self.change.net
+        shape = net.strip_shape()
         found: list[Trial] = []
-        for c, cable in enumerate(scene.cables):
+        for c, cable in enumerate(net.cables):
             if not cable.taut:
                 continue
             least = 1
@@ -102,13 +101,13 @@ class VertexTrials:
                 if cable.grip is None or not cable.grip.known:
                     continue
                 align(cable)
-                least = 2  # single vertices have been tried by `give_way`
+                least = 2  # single vertices have been passed by `friction_release`
             runs = (run for run in held_runs(cable, shape) if len(run.vertices) >= least)
             found += [(c, run) for run in runs]
         return [trial for trial in found if self._key(trial)[1] not in self._tried(trial[0])]
 
     def _tried(self, c: int) -> set[tuple[int, ...]]:
-        return self.paths.left.setdefault(self.paths.scene.cables[c].name, set())
+        return self.tried.runs_left(self.change.net.cables[c])
 
     def _note(self, trials: list[Trial]) -> None:
         """Do not try these again while the cable stays where it is."""

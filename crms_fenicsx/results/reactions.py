@@ -11,7 +11,8 @@ from crms_fenicsx.runtime.arrays import Array, Integers
 
 if TYPE_CHECKING:
     from crms_fenicsx.equilibrium.system import System
-    from crms_fenicsx.scene import Marker, Scene
+    from crms_fenicsx.model.membrane import Marker
+    from crms_fenicsx.scene import Scene
 
 
 @dataclass(frozen=True)

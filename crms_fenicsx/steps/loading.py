@@ -11,7 +11,8 @@ import numpy.typing as npt
 from dolfinx.fem import locate_dofs_topological
 from mpi4py import MPI
 
-from crms_fenicsx.cables.state import State
+from crms_fenicsx.energies.pressure_rim import rim_of
+from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
@@ -92,7 +93,7 @@ def checked_target(
     InputError
         A load that cannot be applied, on all ranks.
     """
-    scene.check_finite("advance")
+    scene.membrane.check_finite("advance")
     if not scene.comm.allreduce(int(scene.held.any())):
         raise InputError(
             "advance: nothing of the membrane is held; hold its boundary with "
@@ -227,18 +228,18 @@ def has_free_rim(scene: Scene) -> bool:
     """Whether the paper's pressure acts on a membrane with edges that are free. Collective."""
     if scene.pressure_law == "total" or scene.pressure == 0.0:
         return False
-    return bool(scene.comm.allreduce(len(scene.rim().free)))
+    return bool(scene.comm.allreduce(len(rim_of(scene.membrane).free)))
 
 
 def _check_rim(scene: Scene) -> None:
     """The exact follower pressure has a potential only if its rim is held or slides in planes."""
     if scene.pressure_law != "total":
         return
-    rim = scene.rim()
+    rim = rim_of(scene.membrane)
     boundary = locate_dofs_topological(scene.V, 1, scene.mesh.edges["boundary"])
     with raised_together(scene.comm):
         if len(rim.free):
-            place = scene.stress_free[rim.free[0]]
+            place = scene.membrane.stress_free[rim.free[0]]
             what, remedy = (
                 (
                     "whose boundary is free at",
@@ -255,7 +256,7 @@ def _check_rim(scene: Scene) -> None:
                 f"advance: pressure on a membrane {what} {as_text(place)}: the follower pressure "
                 f'needs it held ({remedy}); with free edges use Scene(..., pressure="step").'
             )
-        edges = scene.open_edges
+        edges = scene.membrane.open_edges
         sliding = {(int(a), int(b)) for a, b in edges.ids[np.isin(edges.numbers, rim.sliding)]}
         for cable in scene.cables:
             for node in cable.nodes:

@@ -136,11 +136,11 @@ class CableVerifier:
         if network is not self._network:
             self._network = network
             self._nodes = [_Nodes.of(cable, network) for cable in scene.cables]
-        shape = StripShape.of(scene)
+        shape = scene.net.strip_shape()
         parts, pulls = _parts_and_pulls(system)
         found: dict[str, tuple[float, str]] = {}
         for c, (cable, nodes) in enumerate(zip(scene.cables, self._nodes, strict=True)):
-            values = _places(cable, nodes, ends[c], scene.size, shape)
+            values = _places(cable, nodes, ends[c], scene.membrane.size, shape)
             values["breaks in the path"] = float(nodes.breaks)
             if cable.taut:
                 values |= _tensions(cable, parts[c])
@@ -162,7 +162,7 @@ class CableVerifier:
             for pair in _crossings(scene.cables)
         ]
         if apart:
-            found["crossing cables apart"] = max(apart) / scene.size, ""
+            found["crossing cables apart"] = max(apart) / scene.membrane.size, ""
         names = [name for name in LIMITS if name in found]
         worst = np.array([found[name][0] for name in names])
         scene.comm.Allreduce(MPI.IN_PLACE, worst, op=MPI.MAX)

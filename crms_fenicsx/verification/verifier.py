@@ -76,7 +76,7 @@ class Verifier:
     def __init__(self, scene: Scene) -> None:
         self.scene, self.comm = scene, scene.comm
         self._random = np.random.default_rng((2026, scene.comm.rank))
-        self._prescribed = np.zeros((0, 3)), np.zeros((0, 2, 3))
+        self._prescribed: tuple[Array, Array] = np.zeros((0, 3)), np.zeros((0, 2, 3))
         self._cables: CableVerifier | None = None
         self._shake = np.zeros(0)
         self._saved: Array = np.zeros((0, 3))
@@ -148,10 +148,12 @@ class Verifier:
         prestress = max(float(np.abs(m.prestress_vector).max()) for m in materials)
         cells = scene.mesh.mesh.topology.index_map(2).size_global
         step = SHAKE * force / ((modulus + prestress) * np.sqrt(3.0 * unknowns.n_global))
-        largest = min(LARGEST_SHAKE * scene.size / np.sqrt(cells), SMALLEST_SLIP * self._slip())
+        largest = min(
+            LARGEST_SHAKE * scene.membrane.size / np.sqrt(cells), SMALLEST_SLIP * self._slip()
+        )
         way *= np.sqrt(12.0)
         shake = way.reshape(n, 3)
-        self._spare_small_cells(system, scene.size / np.sqrt(cells), shake)
+        self._spare_small_cells(system, scene.membrane.size / np.sqrt(cells), shake)
         fixed: npt.NDArray[np.bool_] = np.array(unknowns.held[:n])
         if unknowns.bounds is not None:
             fixed |= potential.x[:n] <= unknowns.bounds[0][:n]
@@ -183,10 +185,10 @@ class Verifier:
         reach = 1.0
         if not scene.cables:
             largest = float(np.abs(scene.u.x.array).max(initial=0.0))
-            reach = 4 * self.comm.allreduce(largest, op=MPI.MAX) / scene.size
-        forces = prestress * scene.size
+            reach = 4 * self.comm.allreduce(largest, op=MPI.MAX) / scene.membrane.size
+        forces = prestress * scene.membrane.size
         forces += np.sqrt(2 * modulus * abs(energies.get("membrane", 0.0)))
-        forces *= reach * scene.size
+        forces *= reach * scene.membrane.size
         forces += sum(abs(cable.tension) * cable.length for cable in scene.cables)
         return float(forces + sum(abs(energy) for energy in energies.values()))
 
@@ -215,7 +217,7 @@ class Verifier:
         if self._share is None:  # on all ranks, also those without a vertex
             mesh = scene.mesh.mesh
             cells = scene.V.dofmap.list[: mesh.topology.index_map(2).size_local]
-            corners = scene.stress_free[cells]
+            corners = scene.membrane.stress_free[cells]
             sides = np.roll(corners, -1, axis=1) - corners
             areas = np.linalg.norm(area_vectors(mesh)[: len(cells)], axis=1)
             longest = np.linalg.norm(sides, axis=-1).max(axis=1, initial=0.0)
@@ -245,7 +247,7 @@ class Verifier:
     def _balance(self, system: System, outcome: Outcome, force: float) -> list[Check]:
         """Unbalanced forces, and supports against loads, the loads taken from the geometry."""
         scene, potential, unknowns = self.scene, system.potential, system.unknowns
-        n, size = unknowns.n_owned, scene.size
+        n, size = unknowns.n_owned, scene.membrane.size
         x = unknowns.X + potential.x
         loads = self._loads(system)
         g = potential.g  # free between two solves
@@ -264,8 +266,8 @@ class Verifier:
         free[rails] = g[rails]
         moved, _ = self._prescribed
         local = np.concatenate([
-            supports.sum(axis=0), _moment(x[:n] - scene.centre, supports),
-            loads.sum(axis=0), _moment(x - scene.centre, loads),
+            supports.sum(axis=0), _moment(x[:n] - scene.membrane.centre, supports),
+            loads.sum(axis=0), _moment(x - scene.membrane.centre, loads),
             [np.abs(supports).sum() + np.abs(loads).sum(), np.sum(free * free)],
         ])  # fmt: skip
         total = np.zeros_like(local)

@@ -21,7 +21,7 @@ import ufl
 from dolfinx import fem
 
 from crms_fenicsx.energies.membrane import MembraneEnergy
-from crms_fenicsx.model.materials import LINEAR, Membrane
+from crms_fenicsx.model.materials import LINEAR, MembraneMaterial
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.compat import geometry_dofmap, interpolation_points
 from crms_fenicsx.runtime.errors import InputError
@@ -125,7 +125,7 @@ class StepMembraneEnergy(MembraneEnergy):
     has_history = True
 
     def __init__(
-        self, u: fem.Function, materials: Mapping[int, Membrane], cell_tags: Any = None
+        self, u: fem.Function, materials: Mapping[int, MembraneMaterial], cell_tags: Any = None
     ) -> None:
         for material in materials.values():
             if material.law != LINEAR:

@@ -136,7 +136,7 @@ def draw_scene(
     scene, named = system.scene, units(unit, force)
     if _too_large(scene, f"{filename} is not drawn"):
         return
-    surface = current_surface(scene)
+    surface = current_surface(scene.net)
     values: Array = np.empty(0)
     if colour is not None:
         chosen = COLOURS[colour]
@@ -211,7 +211,7 @@ def draw_scene_paths(
     parts = None
     if not _too_large(scene, f"{filename} is drawn without the mesh"):
         cells = scene.V.dofmap.list[: scene.mesh.mesh.topology.index_map(2).size_local]
-        parts = scene.comm.gather((scene.stress_free, cells))
+        parts = scene.comm.gather((scene.membrane.stress_free, cells))
     with raised_together(scene.comm):
         if parts is not None:
             ends = np.cumsum([len(points) for points, _ in parts])

@@ -1,0 +1,136 @@
+"""The cables on a membrane: their crossings, and the strip of cells that all ranks know of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from crms_fenicsx.cables.crossings import arrange
+from crms_fenicsx.cables.strip import EMPTY, Strip
+from crms_fenicsx.cables.strip_gather import cells_at
+from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.model.crossing import Crossing
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.runtime.errors import InputError
+
+
+class CableNet:
+    """The laid cables of a membrane, the same on all ranks.
+
+    Parameters
+    ----------
+    membrane
+        What the cables lie on.
+
+    Attributes
+    ----------
+    cables
+        In the order of laying.
+    strip
+        Cells around the cables' paths; None before the first cable is laid.
+    crossings
+        Where cables in tension cross.
+    laid
+        How many cables have been laid, those that have been removed included.
+    removed_dissipation
+        Energy that friction of the cables that have been removed has dissipated (force x length).
+    """
+
+    def __init__(self, membrane: Membrane) -> None:
+        self.membrane = membrane
+        self.cables: tuple[LaidCable, ...] = ()
+        self.strip: Strip | None = None
+        self.crossings: list[Crossing] = []
+        self.laid = 0
+        self.removed_dissipation = 0.0
+
+    @property
+    def dissipated(self) -> float:
+        """Energy that friction has dissipated in all load steps (force x length)."""
+        return self.removed_dissipation + sum(cable.dissipated for cable in self.cables)
+
+    @property
+    def has_friction(self) -> bool:
+        """Whether friction holds some cable sideways; without it nothing of it is loaded."""
+        return not all(cable.slides_freely for cable in self.cables)
+
+    def cable(self, name: str) -> LaidCable:
+        """The cable with a name.
+
+        Raises
+        ------
+        InputError
+            There is none.
+        """
+        for cable in self.cables:
+            if cable.name == name:
+                return cable
+        names = ", ".join(repr(cable.name) for cable in self.cables) or "none"
+        raise InputError(f"cable: there is no cable {name!r}; there are {names}.")
+
+    def strip_shape(self) -> StripShape:
+        """Gather the current positions of the strip's vertices. Collective."""
+        assert self.strip is not None
+        return StripShape.of(self.membrane, self.strip)
+
+    def grow_strip(self, vertices: npt.ArrayLike, rings: int = 1) -> None:
+        """Add the cells around some vertices to the strip. Collective.
+
+        Parameters
+        ----------
+        vertices
+            Ids, the same on all ranks.
+        rings
+            How many rings of cells to add.
+        """
+        strip = self.strip or EMPTY
+        wanted = np.unique(np.asarray(vertices, dtype=np.int64))
+        for _ in range(rings):
+            lacking = [int(v) for v in wanted if int(v) not in strip.complete]
+            if lacking:
+                strip = strip.merged(cells_at(self.membrane, lacking))
+            wanted = np.unique(strip.cells[np.isin(strip.cells, wanted).any(axis=1)])
+        self.strip = strip
+
+    def arrange_crossings(self) -> None:
+        """Find the crossings of the cables in tension, and insert their points into the cables."""
+        if self.strip is not None:
+            self.crossings = arrange(self.cables, self.strip, self.crossings)
+
+    def add(self, cable: LaidCable, strip: Strip) -> None:
+        """Add a cable that has been laid over the cells of `strip`."""
+        self.strip = strip if self.strip is None else self.strip.merged(strip)
+        self.cables = (*self.cables, cable)
+        self.laid += 1
+
+    def remove(self, cable: LaidCable | str) -> None:
+        """Take a cable away, and the crossings of others with it. Collective.
+
+        Parameters
+        ----------
+        cable
+            One of `cables`, or its name.
+
+        Raises
+        ------
+        InputError
+            On all ranks: there is no such cable.
+        """
+        gone = self.cable(cable) if isinstance(cable, str) else cable
+        if not isinstance(gone, LaidCable) or gone not in self.cables:
+            raise InputError(
+                f"remove: {gone!r} is not a cable of this scene; give one of scene.cables, or its "
+                "name."
+            )
+        number = self.cables.index(gone)
+        self.crossings = [k for k in self.crossings if number not in (k.lower, k.upper)]
+        for crossing in self.crossings:
+            crossing.lower -= crossing.lower > number
+            crossing.upper -= crossing.upper > number
+        self.removed_dissipation += gone.dissipated
+        self.cables = tuple(own for own in self.cables if own is not gone)
+        points = (node.point for own in self.cables for node in own.nodes)
+        vertices = [vertex for point in points if point is not None for vertex in point.support]
+        self.strip = cells_at(self.membrane, vertices) if vertices else None
+        self.arrange_crossings()

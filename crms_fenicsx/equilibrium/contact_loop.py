@@ -1,0 +1,117 @@
+"""The equilibrium on given paths: minimise, change what is active, minimise again.
+
+Active are the cables in tension, the contacts of each with the membrane, and those of two cables
+where they cross. All this is decided from a solved state; a lifted part of a cable also keeps its
+path under its span.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+
+from crms_fenicsx.contact.active_set import ActiveSet
+from crms_fenicsx.equilibrium.state import State
+from crms_fenicsx.equilibrium.system import System
+from crms_fenicsx.minimization.outcome import Outcome
+from crms_fenicsx.paths.retrace import Retracer
+
+logger = logging.getLogger("crms_fenicsx")
+
+MAX_PROJECTIONS = 60
+"""How often the paths of lifted parts are brought under their spans in one load step."""
+
+
+class ContactLoop:
+    """Solves one load step on given paths.
+
+    Parameters
+    ----------
+    system
+        The scene's potential.
+    active
+        Decides what is active.
+    retracer
+        Pulls paths taut that have not been in equilibrium yet; None where cables stay in the cells
+        that they cross.
+    start
+        The state at the start of the load step.
+    """
+
+    def __init__(
+        self, system: System, active: ActiveSet, retracer: Retracer | None, start: State
+    ) -> None:
+        self.system, self.scene = system, system.scene
+        self.active, self.retracer, self.start = active, retracer, start
+        self._projections = 0
+
+    def solve_in_cells(self, h0_prestress: tuple[float, ...], rough: bool) -> Outcome:
+        """Find the equilibrium on the paths that there are; a state near it if `rough`."""
+        return self.solve(h0_prestress, (lambda: True) if rough else None)
+
+    def solve(
+        self, h0_prestress: tuple[float, ...], look: Callable[[], bool] | None = None
+    ) -> Outcome:
+        """Find the equilibrium on the paths that there are. Collective.
+
+        Parameters
+        ----------
+        h0_prestress
+            As for `Minimizer.solve`.
+        look
+            Called once the active set has settled, near the equilibrium; if it returns true, the
+            solve ends there.
+        """
+        system, active = self.system, self.active
+        system.read_scene()
+        system.locate_cables()
+        changes = active.tighten()  # contacts can be judged on a solved state only
+        if self.retracer is not None and not changes and self.retracer.straighten():
+            changes = ["paths pulled taut"]
+        total: Outcome | None = None
+        looked = False
+
+        def interrupt() -> bool:
+            nonlocal changes, looked
+            system.write_scene()
+            changes = self._changes()
+            if changes:
+                return True
+            looked = True
+            return look is not None and look()
+
+        while True:
+            if changes:
+                logger.debug("%s", "; ".join(changes))
+                if self.retracer is not None:
+                    self.retracer.straighten()
+                system.rebuild()
+                system.read_scene()
+            if system.has_history:  # the step starts there for all its terms
+                self.start.restore_positions(self.scene)
+                system.read_scene()
+            changes = []
+            outcome = system.minimize(h0_prestress, interrupt)
+            h0_prestress = (0.0,)  # the membrane has stresses now
+            total = outcome if total is None else total + outcome
+            if not outcome.converged:
+                return total
+            if outcome.reason != "interrupted":
+                system.write_scene()
+                changes = self._changes()
+            if not changes:
+                if not looked and look is not None:
+                    look()
+                return total
+            if active.restless():
+                reason = f"{active.restless()} keeps turning from slack to taut and back"
+                return replace(total, converged=False, reason=reason)
+
+    def _changes(self) -> list[str]:
+        """Change what the solved state asks for; return the changes in words."""
+        changes = self.active.update()
+        if self.retracer is not None and not changes and self._projections < MAX_PROJECTIONS:
+            changes = self.retracer.renew_shadows()
+            self._projections += len(changes)
+        return changes

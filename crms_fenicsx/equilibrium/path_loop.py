@@ -1,0 +1,209 @@
+"""The equilibrium with the paths that have the least energy: change paths while it falls.
+
+What is tried is worked out near its equilibrium only, where energies can be compared; the last
+digits come at the end.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from crms_fenicsx.cables.crossings import tangled
+from crms_fenicsx.contact.lift_off import sunk
+from crms_fenicsx.equilibrium.contact_loop import ContactLoop
+from crms_fenicsx.equilibrium.state import State
+from crms_fenicsx.minimization.outcome import Outcome
+from crms_fenicsx.paths.path_change import PathChange
+from crms_fenicsx.paths.tried_paths import TriedPaths
+from crms_fenicsx.paths.vertex_trials import Trial, VertexTrials
+
+CAUGHT, STUCK = 0.05, 0.15
+"""Kinks of a folded edge (rad) from which on its cable is laid anew, and the state is refused.
+
+Two fold points on edges that meet in a vertex can close in on each other away from it: their chord
+has no direction any more, and a cable caught there can look as if it were in equilibrium. Kinks
+of sound states are below 0.01 on meshes of 9 cells a side.
+"""
+
+TENSE = 0.01
+"""Kinks (rad) from which on the fold points of a cable with friction are put back in place."""
+
+MAX_PATHS = 60
+"""How many sets of paths are tried in one load step before it is given up."""
+
+
+@dataclass(frozen=True)
+class _Try:
+    """The equilibrium on some paths, perhaps not to the last digit, and how they want to change.
+
+    Attributes
+    ----------
+    outcome
+        What came of the minimisation.
+    state
+        The state before its paths were changed.
+    energy
+        Potential energy in it (force x length).
+    flips
+        How many vertices the paths have passed since.
+    """
+
+    outcome: Outcome
+    state: State
+    energy: float
+    flips: int
+
+
+class PathLoop:
+    """Solves one load step of cables that slide sideways, and finds their paths.
+
+    Parameters
+    ----------
+    contacts
+        Solves on given paths.
+    change
+        Changes the paths of the scene's cables.
+    tried
+        Which paths have been tried.
+    """
+
+    def __init__(self, contacts: ContactLoop, change: PathChange, tried: TriedPaths) -> None:
+        assert contacts.retracer is not None
+        self.contacts, self.retracer = contacts, contacts.retracer
+        self.system, self.scene = contacts.system, contacts.scene
+        self.change, self.tried = change, tried
+
+    def solve(self, h0_prestress: tuple[float, ...], rough: bool) -> Outcome:
+        """Find the equilibrium and the paths of the cables. Collective.
+
+        Parameters
+        ----------
+        h0_prestress
+            As for `Minimizer.solve`.
+        rough
+            Whether a state near the equilibrium is enough.
+        """
+        tried, trials = self.tried, VertexTrials(self.change, self.tried)
+        best = self._try(h0_prestress, rough)
+        total, flips = best.outcome, best.flips
+        laid_again: set[int] = set()
+        tries = 0
+        while best.outcome.converged:
+            moved: list[Trial] = []
+            if not flips:
+                caught, sunken = self._caught(CAUGHT), self._sunk()
+                caught = self._sliding(caught | sunken) - laid_again
+                # Through the membrane a cable is shorter: that energy is none to fall below.
+                energy = math.inf if sunken & caught else self.system.objective
+                best = replace(best, state=State.of(self.scene), energy=energy)
+                if caught:
+                    laid_again |= caught
+                    self.retracer.lay_again(caught)
+                else:
+                    scale = sum(map(abs, self.scene.energies.values()))
+                    if tries < MAX_PATHS:
+                        moved = trials.next(best.energy, scale)
+                    if not moved:
+                        flips = self._pass_vertices(None)
+                        if not flips and not self._straighten_kinks():
+                            break
+            if tries == MAX_PATHS:
+                reason = f"after {tries} changes the paths of the cables still want to change"
+                return replace(total, converged=False, reason=reason)
+            tries += 1
+            proposed, refused = tried.proposed, tried.refused_paths()
+            self.system.rebuild()
+            new = self._try((0.0,), rough=True)
+            total = total + new.outcome
+            if new.outcome.converged and new.energy < best.energy:
+                best, flips = new, new.flips
+                if moved:
+                    laid_again.clear()
+                continue
+            if not moved:
+                tried.count_misled()
+            elif trials.halve(moved):
+                tried.refused = refused
+            best.state.restore(self.scene)
+            # Half of the flips; one alone cannot be halved.
+            flips = self._change_paths(flips // 2)
+            if not flips:
+                tried.rejected |= proposed
+                self.system.rebuild()
+                total = total + self.contacts.solve((0.0,), lambda: True)
+                best = replace(best, outcome=total)
+        return self._accepted(total, rough)
+
+    def _accepted(self, total: Outcome, rough: bool) -> Outcome:
+        """Work out the last digits, unless all shall be `rough`, and refuse what is not sound."""
+        if total.converged and not rough and total.residual > total.tolerance:
+            total = total + self.contacts.solve((0.0,))
+        if not total.converged:
+            return total
+        self.retracer.check_on_membrane()
+        caught = self.system.caught_cables(STUCK) | self._sunk()
+        if caught:
+            names = ", ".join(self.scene.cables[c].name for c in sorted(caught))
+            reason = f"{names}: caught between edges of the mesh; make it finer there"
+            return replace(total, converged=False, reason=reason)
+        return total
+
+    def _try(self, h0_prestress: tuple[float, ...], rough: bool) -> _Try:
+        """Solve on the paths that there are; the scene then has those to try next.
+
+        Parameters
+        ----------
+        h0_prestress
+            As for `Minimizer.solve`.
+        rough
+            Whether to stop near the equilibrium.
+        """
+        flips = 0
+        state, energy = self.contacts.start, 0.0
+
+        def look() -> bool:
+            nonlocal flips, state, energy
+            state, energy = State.of(self.scene), self.system.objective
+            flips = self._change_paths(None)
+            return rough or flips > 0
+
+        outcome = self.contacts.solve(h0_prestress, look)
+        return _Try(replace(outcome, flips=flips), state, energy, flips)
+
+    def _change_paths(self, most: int | None) -> int:
+        """Move the cables over vertices, `most` at most each; return over how many."""
+        if most == 0:
+            return 0
+        return max(self.retracer.retrace(most), self._pass_vertices(most))
+
+    def _pass_vertices(self, most: int | None) -> int:
+        """Move cables with friction over the vertices that they have run into."""
+        if not self.scene.net.has_friction:
+            return 0
+        from crms_fenicsx.paths.friction_release import pass_vertices
+
+        return pass_vertices(self.change, self.tried, most)
+
+    def _straighten_kinks(self) -> bool:
+        """Put caught fold points of cables with friction back on straight edges."""
+        if not self.scene.net.has_friction:
+            return False
+        from crms_fenicsx.paths.friction_release import straighten_kinks
+
+        return straighten_kinks(self.change, self.tried, self.system.caught_nodes(TENSE))
+
+    def _caught(self, limit: float) -> set[int]:
+        """Numbers of the cables that kink edges by more than a limit (rad), or are tangled."""
+        return self.system.caught_cables(limit) | tangled(self.scene.net.crossings)
+
+    def _sliding(self, numbers: set[int]) -> set[int]:
+        """Those cables, by number, that slide without friction."""
+        return {c for c in numbers if self.scene.cables[c].slides_freely}
+
+    def _sunk(self) -> set[int]:
+        """Numbers of the cables that run through the membrane beside a vertex. Collective."""
+        cables = self.scene.cables
+        if not any(cable.lifted.any() for cable in cables):
+            return set()
+        return sunk(cables, self.scene.net.strip_shape())

@@ -1,0 +1,86 @@
+"""Snapshots of a scene's state, to go back to when a load step fails."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.scene import Scene
+
+if TYPE_CHECKING:
+    from crms_fenicsx.model.crossing import Crossing
+    from crms_fenicsx.model.laid_cable import CableNode, CableState
+
+
+@dataclass(frozen=True)
+class State:
+    """Displacements, cables and loads of a scene at one moment."""
+
+    u: Array
+    pressure: float
+    load: float
+    energies: dict[str, float]
+    cables: tuple[CableState, ...]
+    crossings: tuple[tuple[Crossing, bool], ...]
+
+    @classmethod
+    def of(cls, scene: Scene) -> State:
+        """The scene's current state."""
+        return cls(
+            scene.u.x.array.copy(),
+            scene.pressure,
+            scene.load,
+            dict(scene.energies),
+            tuple(cable.state.copy() for cable in scene.cables),
+            tuple((crossing, crossing.apart) for crossing in scene.net.crossings),
+        )
+
+    def restore_shape(self, scene: Scene) -> None:
+        """Bring the positions of membrane and cables, and the paths, back to this state."""
+        scene.u.x.array[:] = self.u
+        for cable, was in zip(scene.cables, self.cables, strict=True):
+            cable.set_nodes(
+                was.nodes, was.positions.copy(), was.fractions.copy(), was.lifted.copy()
+            )
+            cable.material[:] = was.material
+            cable.state.grip, cable.state.axial = was.grip, was.axial
+        scene.net.crossings = [crossing for crossing, _ in self.crossings]
+        for crossing, apart in self.crossings:
+            crossing.apart = apart
+
+    def restore_positions(self, scene: Scene) -> None:
+        """Bring membrane and cables to where they were, the cables on their new paths. Collective.
+
+        Points that the paths had are where they were; others lie on the membrane of then.
+        """
+        scene.u.x.array[:] = self.u
+        shape = scene.net.strip_shape()
+        for cable, was in zip(scene.cables, self.cables, strict=True):
+            known = {_key(was.nodes, k): k for k in range(len(was.nodes)) if not was.lifted[k]}
+            for k in range(len(cable.nodes)):
+                old = known.get(_key(cable.nodes, k))
+                if old is not None:
+                    cable.positions[k], cable.fractions[k] = was.positions[old], was.fractions[old]
+                else:
+                    ids, weights = cable.masters(k)
+                    cable.positions[k] = np.dot(weights, [shape.at(i) for i in ids])
+
+    def restore(self, scene: Scene) -> None:
+        """Bring the scene back to this state."""
+        self.restore_shape(scene)
+        scene._pressure, scene._load = self.pressure, self.load
+        scene.energies = dict(self.energies)
+        for cable, was in zip(scene.cables, self.cables, strict=True):
+            cable.state = was.copy()
+
+
+def _key(nodes: Sequence[CableNode], k: int) -> object:
+    """What a node is known by while a path changes."""
+    point = nodes[k].point
+    if point is None:
+        return "end", k > 0
+    return nodes[k].kind, point.support if nodes[k].slides else point

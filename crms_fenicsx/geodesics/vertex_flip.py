@@ -1,0 +1,155 @@
+"""Ways around a vertex: on which side a corridor passes it, and the angle there."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from crms_fenicsx.geodesics.corridor import Corridor, flaw, without_detours
+from crms_fenicsx.geodesics.funnel import corner_angle
+from crms_fenicsx.runtime.errors import PathError
+from crms_fenicsx.surface.intrinsic import Ring, Surface
+from crms_fenicsx.surface.points import Edge, Support, edge_of
+
+
+@dataclass(frozen=True)
+class OtherSide:
+    """The way around a vertex on the side where a corridor does not go.
+
+    Attributes
+    ----------
+    corridor
+        With the new way.
+    left, taken
+        The edges that are crossed around the vertex, or the vertex that is visited, and what is
+        crossed instead.
+    """
+
+    corridor: Corridor
+    left: Corridor
+    taken: Corridor
+
+
+def other_side(
+    supports: Corridor, surface: Surface, vertex: int, upward: bool | None = None
+) -> OtherSide | None:
+    """Lead a corridor around the other side of a vertex.
+
+    Parameters
+    ----------
+    supports
+        A corridor.
+    surface
+        Neighbours.
+    vertex
+        A vertex whose edges the corridor crosses, or that it visits.
+    upward
+        Whether to go around the vertex in the order of its ring, or against it; None: on the side
+        where the corridor does not go. A visit needs to be told.
+
+    Returns
+    -------
+    None if no cable could follow it.
+
+    Raises
+    ------
+    MissingStars
+        The surface does not know all cells around the vertex.
+    """
+    run = [i for i, s in enumerate(supports) if vertex in s and len(s) < 3]
+    inner = [i for i in run if 0 < i < len(supports) - 1]
+    visits = [i for i in inner if len(supports[i]) == 1]
+    if visits:
+        inner = visits
+    if not inner or inner != list(range(inner[0], inner[-1] + 1)):
+        return None
+    first, last = inner[0], inner[-1]
+    ring = surface.ring(vertex)
+    if not {*supports[first - 1], *supports[last + 1]} <= {vertex, *ring.neighbours}:
+        return None
+    arcs = Arcs(vertex, ring, supports[first - 1], supports[last + 1])
+    own = supports[first : last + 1]
+    if upward is None:
+        upward = arcs.up != own
+    other = arcs.up if upward else arcs.down
+    if other is None or other == own:
+        return None
+    new = without_detours([*supports[:first], *other, *supports[last + 1 :]])
+    if flaw(new, surface.thirds) is not None:
+        return None
+    return OtherSide(new, own, other)
+
+
+class EdgeLengths(dict[Edge, float]):
+    """Lengths of the edges asked for so far."""
+
+    def __init__(self, surface: Surface) -> None:
+        super().__init__()
+        self._surface = surface
+
+    def __missing__(self, edge: Edge) -> float:
+        value = self[edge] = float(self._surface.length(edge))
+        if not 0.0 < value < math.inf:
+            raise PathError(
+                f"edge {edge} near a path has length {value}; "
+                "give a surface whose edges have positive, finite lengths"
+            )
+        return value
+
+
+class Arcs:
+    """The two ways around a vertex from one support next to it to another.
+
+    Places around the ring are numbered: 2 i at neighbour i, 2 i + 1 in the cell between the
+    neighbours i and i + 1. `up` goes with the numbers, `down` against them; None stands for a
+    way outside the surface.
+    """
+
+    def __init__(self, vertex: int, ring: Ring, a: Support, b: Support) -> None:
+        self.vertex, self.ring = vertex, ring
+        p, q = self._place(a), self._place(b)
+        self.reversed = not ring.closed and p > q
+        if self.reversed:
+            p, q = q, p
+        self._ends = p, q
+        n = len(ring.neighbours)
+        up = self._spokes(p, q if q >= p else q + 2 * n)
+        down = self._spokes(q, p if p >= q else p + 2 * n)[::-1] if ring.closed else None
+        self.up: Corridor | None = up
+        self.down: Corridor | None = down
+        if self.reversed:
+            self.up, self.down = None, up[::-1]
+
+    def _place(self, support: Support) -> int:
+        neighbours = self.ring.neighbours
+        at = sorted(neighbours.index(v) for v in support if v != self.vertex)
+        if len(at) == 1:
+            return 2 * at[0]
+        return 2 * at[0] + 1 if at[1] == at[0] + 1 else 2 * at[1] + 1
+
+    def _spokes(self, p: int, q: int) -> Corridor:
+        neighbours = self.ring.neighbours
+        return tuple(
+            edge_of(self.vertex, neighbours[i % len(neighbours)])
+            for i in range(p // 2 + 1, (q + 1) // 2)
+        )
+
+    def angle(
+        self, lengths: EdgeLengths, arriving: dict[int, float], leaving: dict[int, float]
+    ) -> float:
+        """Return the angle of the one way inside the surface, or of that up (rad)."""
+        p, q = self._ends
+        neighbours = self.ring.neighbours
+        n = len(neighbours)
+        if self.reversed:
+            arriving, leaving = leaving, arriving
+        i, j = (p + 1) // 2, (q if q >= p else q + 2 * n) // 2
+        parts = [
+            corner_angle(self.vertex, neighbours[k % n], neighbours[(k + 1) % n], lengths)
+            for k in range(i, j)
+        ]
+        if p % 2:
+            parts.append(arriving[neighbours[i % n]])
+        if q % 2:
+            parts.append(leaving[neighbours[j % n]])
+        return math.fsum(parts)

@@ -1,0 +1,270 @@
+"""The membrane: its mesh, displacements, supports and materials, and where pressure acts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from dolfinx.mesh import MeshTags, meshtags
+
+from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.meshes.cell_geometry import OpenEdges, area_vectors, open_edges
+from crms_fenicsx.model.materials import MembraneMaterial
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.errors import InputError, collective, raised_together
+
+Marker = Callable[[Array], npt.NDArray[np.bool_]]
+"""A function of stress-free coordinates (3, n) that returns (n,) booleans."""
+COMPONENTS = {"x": 0, "y": 1, "z": 2}
+
+
+class Membrane:
+    """A membrane and its current shape.
+
+    Parameters
+    ----------
+    mesh
+        The stress-free membrane.
+    material
+        Material of the membrane, or of each of its parts by name.
+    pressure_on
+        The parts of the mesh on which pressure acts; None: all of it.
+
+    Attributes
+    ----------
+    V, u
+        Space and function of the vertices' displacements from the stress-free shape (length).
+    held : (n, 3)
+        Held components of the vertices, by local degree of freedom.
+    held_edges : (m,)
+        Whether each edge is held over its whole length, by local number.
+    pressed : (k,)
+        Whether pressure acts on each local cell.
+    materials, cell_tags
+        Materials by number, and the number of each cell's; no tags if there is one for all.
+
+    Raises
+    ------
+    InputError
+        A material for a part that does not exist, cells without a material or with several, or
+        pressure on a part that does not exist.
+    """
+
+    def __init__(
+        self,
+        mesh: MembraneMesh,
+        material: MembraneMaterial | Mapping[str, MembraneMaterial],
+        pressure_on: Sequence[str] | None = None,
+    ) -> None:
+        self.mesh, self.comm = mesh, mesh.comm
+        self.cell_tags, self.materials = _assign_materials(mesh, material)
+        self.pressed = _pressed_cells(mesh, pressure_on)
+        self.V = fem.functionspace(mesh.mesh, ("Lagrange", 1, (3,)))
+        self.u = fem.Function(self.V, name="displacement")
+        self.held = np.zeros((len(self.u.x.array) // 3, 3), dtype=bool)
+        edges = mesh.mesh.topology.index_map(1)
+        self.held_edges = np.zeros(edges.size_local + edges.num_ghosts, dtype=bool)
+
+    @cached_property
+    def open_edges(self) -> OpenEdges:
+        """Edges that pressure needs to be held. Collective."""
+        return open_edges(self.V, self.pressed)
+
+    @cached_property
+    def stress_free(self) -> Array:
+        """Stress-free positions (length) of the vertices by degree of freedom, (n, 3), read-only.
+
+        With ghosts, as `positions`.
+        """
+        positions: Array = self.V.tabulate_dof_coordinates()
+        positions.flags.writeable = False
+        return positions
+
+    @cached_property
+    def centre(self) -> Array:
+        """Mean stress-free position (length), from which volumes count. Collective."""
+        vertices = self.V.dofmap.index_map
+        total = self.comm.allreduce(self.stress_free[: vertices.size_local].sum(axis=0))
+        return np.asarray(total / vertices.size_global)
+
+    @cached_property
+    def size(self) -> float:
+        """Square root of the stress-free area (length). Collective."""
+        owned = self.mesh.mesh.topology.index_map(2).size_local
+        areas = np.linalg.norm(area_vectors(self.mesh.mesh)[:owned], axis=1)
+        return float(np.sqrt(self.comm.allreduce(float(areas.sum()))))
+
+    def positions(self) -> Array:
+        """Current positions of the vertices by local degree of freedom, (n, 3), with ghosts."""
+        return self.stress_free + self.u.x.array.reshape(-1, 3)
+
+    def check_finite(self, purpose: str) -> None:
+        """Refuse to go on from a displacement that is not finite.
+
+        Parameters
+        ----------
+        purpose
+            What needs it, for the message.
+
+        Raises
+        ------
+        InputError
+            On all ranks, naming a place.
+        """
+        with raised_together(self.comm):
+            u = self.u.x.array.reshape(-1, 3)
+            bad = ~np.isfinite(u).all(axis=1)
+            if bad.any():
+                first = int(np.argmax(bad))
+                raise InputError(
+                    f"{purpose}: scene.u is {u[first]} at the vertex "
+                    f"{self.stress_free[first]}; set it to finite displacements."
+                )
+
+    @collective
+    def vertices(self, where: str | Marker) -> npt.NDArray[np.int32]:
+        """Local degrees of freedom of the vertices of a named group or marked by a function.
+
+        Parameters
+        ----------
+        where
+            Name of a group of edges or points, or a function of stress-free coordinates (3, n)
+            that returns (n,) booleans.
+
+        Raises
+        ------
+        InputError
+            No such group, or no vertex is marked.
+        """
+        checks.same(self.comm, "vertices", where=where)
+        mesh = self.mesh
+        dofs: npt.NDArray[np.int32] = np.zeros(0, dtype=np.int32)
+        with raised_together(self.comm):
+            if callable(where):
+                marks = np.asarray(where(self.V.tabulate_dof_coordinates().T))
+                if marks.shape != (len(self.held),) or marks.dtype != bool:
+                    raise InputError(
+                        f"vertices: the marker returned {marks.dtype} of shape {marks.shape}; it "
+                        f"must return booleans of shape {(len(self.held),)}."
+                    )
+                dofs = np.flatnonzero(marks).astype(np.int32)
+            elif not isinstance(where, str):
+                raise InputError(
+                    f"vertices: {where!r} is no group; give the name of one group or a function "
+                    "of coordinates."
+                )
+            elif where not in mesh.edges and where not in mesh.points:
+                names = ", ".join(sorted({*mesh.edges, *mesh.points}))
+                raise InputError(
+                    f"vertices: the mesh has no group of edges or points {where!r}; it has {names}."
+                )
+        if not callable(where):
+            dimension, members = (
+                (1, mesh.edges[where]) if where in mesh.edges else (0, mesh.points[where])
+            )
+            dofs = fem.locate_dofs_topological(self.V, dimension, members)
+        found = self.comm.allreduce(len(dofs))
+        if found == 0:
+            what = "the marker function" if callable(where) else f"the group {where!r}"
+            raise InputError(f"vertices: {what} marks no vertex of the membrane; mark one or more.")
+        return dofs
+
+    def hold(self, where: str | Marker, directions: str, new_edges: bool) -> None:
+        """Hold vertices at their current displacement, and edges over their length. Collective.
+
+        Parameters
+        ----------
+        where, directions
+            As for `Scene.fix`.
+        new_edges
+            Whether edges that have been free may be held: cables on the membrane fold those only.
+
+        Raises
+        ------
+        InputError
+            No such vertices or directions, or edges that must stay free.
+        """
+        if not isinstance(directions, str) or not directions or set(directions) - set(COMPONENTS):
+            raise InputError(
+                f"fix: directions = {directions!r} must be made of the letters x, y and z."
+            )
+        dofs = self.vertices(where)
+        edges: npt.NDArray[np.int32] = np.zeros(0, dtype=np.int32)
+        if isinstance(where, str) and where in self.mesh.edges and set(directions) == set("xyz"):
+            edges = self.mesh.edges[where]
+        new = self.comm.allreduce(int(np.count_nonzero(~self.held_edges[edges])))
+        if new and not new_edges:
+            raise InputError(
+                f"fix: {where!r} would be held after cables have been laid, which slide along held "
+                "edges without folding them; hold edges first."
+            )
+        for letter in directions:
+            self.held[dofs, COMPONENTS[letter]] = True
+        self.held_edges[edges] = True
+
+
+def _assign_materials(
+    mesh: MembraneMesh, material: MembraneMaterial | Mapping[str, MembraneMaterial]
+) -> tuple[MeshTags | None, dict[int, MembraneMaterial]]:
+    """Cell tags of the parts with a material of their own (None if there is one for all)."""
+    if isinstance(material, MembraneMaterial):
+        return None, {0: material}
+    if not isinstance(material, Mapping):
+        raise InputError(
+            f"Scene: material = {material!r} is none; give a membrane such as IsotropicMembrane, "
+            "or a mapping from the mesh's parts to membranes."
+        )
+    given = sorted(material.items(), key=lambda item: repr(item[0]))  # alike on all ranks
+    n = mesh.mesh.topology.index_map(2).size_local + mesh.mesh.topology.index_map(2).num_ghosts
+    tags = np.full(n, -1, dtype=np.int32)
+    with raised_together(mesh.comm):
+        for k, (part, value) in enumerate(given):
+            if part not in mesh.parts:
+                raise InputError(
+                    f"Scene: the mesh has no part {part!r}; it has "
+                    f"{', '.join(sorted(mesh.parts)) or 'none'}."
+                )
+            if not isinstance(value, MembraneMaterial):
+                raise InputError(
+                    f"Scene: the material of part {part!r} is {value!r}, no MembraneMaterial."
+                )
+            own = mesh.parts[part]
+            if np.any(tags[own] >= 0):
+                shared = next(p for p, _ in given[:k] if np.isin(mesh.parts[p], own).any())
+                raise InputError(
+                    f"Scene: part {part!r} shares cells with part {shared!r}, which has a material "
+                    "as well; give each cell one material."
+                )
+            tags[own] = k
+        if np.any(tags < 0):
+            raise InputError(
+                f"Scene: {np.count_nonzero(tags < 0)} cells have no material; give one for "
+                "every part of the mesh."
+            )
+    cells = np.arange(n, dtype=np.int32)
+    return meshtags(mesh.mesh, 2, cells, tags), {k: value for k, (_, value) in enumerate(given)}
+
+
+def _pressed_cells(mesh: MembraneMesh, pressure_on: Sequence[str] | None) -> npt.NDArray[np.bool_]:
+    """Whether pressure acts on each local cell, (n,)."""
+    cells = mesh.mesh.topology.index_map(2)
+    n = cells.size_local + cells.num_ghosts
+    if pressure_on is None:
+        return np.ones(n, dtype=bool)
+    if isinstance(pressure_on, str) or not isinstance(pressure_on, Sequence):
+        raise InputError(
+            f'Scene: pressure_on = {pressure_on!r} is no list of parts; write pressure_on=["roof"].'
+        )
+    pressed = np.zeros(n, dtype=bool)
+    for part in pressure_on:
+        if part not in mesh.parts:
+            raise InputError(
+                f"Scene: pressure_on has {part!r}, but the mesh has the parts "
+                f"{', '.join(sorted(mesh.parts)) or '(none)'}; name some of these."
+            )
+        pressed[mesh.parts[part]] = True
+    return pressed

@@ -1,0 +1,193 @@
+"""Changes of a cable's path: the surface that it lies on, and the path put in place of another.
+
+A path is first a sequence of points on the current surface, of which those on edges are anywhere.
+Given to a cable it keeps the points that it had before on the same edges, where equilibrium has
+put them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from crms_fenicsx.cables.cable_net import CableNet
+from crms_fenicsx.cables.crossings import note_places
+from crms_fenicsx.cables.points_on_edges import bends
+from crms_fenicsx.contact.gap import INSIDE
+from crms_fenicsx.model.laid_cable import CableNode, End, LaidCable
+from crms_fenicsx.paths.creased_surface import FoldedSurface
+from crms_fenicsx.paths.typed_nodes import fractions_of, nodes_of
+from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.errors import PathError
+from crms_fenicsx.surface.path import without_backtracking
+from crms_fenicsx.surface.points import EdgePoint, SurfacePoint, VertexPoint
+
+NEAR = 0.1
+"""Part of an edge by which a point of a cable with friction may have to move on a new path, and
+still stays where it is: others are those that are put back in place."""
+
+
+class PathChange:
+    """Changes the paths of cables on the current surface.
+
+    Parameters
+    ----------
+    net
+        The cables, which are changed.
+    """
+
+    def __init__(self, net: CableNet) -> None:
+        self.net = net
+
+    @property
+    def n_vertices(self) -> int:
+        """Number of the membrane's vertices: ids from here on are those of anchors."""
+        return self.net.membrane.V.dofmap.index_map.size_global
+
+    def surface(self, vertices: Sequence[int] = ()) -> FoldedSurface:
+        """The current surface, with all cells around some vertices. Collective."""
+        self.net.grow_strip(vertices)
+        return FoldedSurface(self.net.strip_shape(), bends(self.net.cables))
+
+    def with_anchors(self, cable: LaidCable, surface: FoldedSurface) -> FoldedSurface:
+        """The surface with the triangles between its boundary and a cable's anchors."""
+        anchors = self.anchors(cable, surface)
+        if not anchors:
+            return surface
+        n, path = self.n_vertices, cable.path.points
+        ends = {k: path[n - k].support for k in anchors}  # n is the first, n + 1 the last
+        return FoldedSurface(surface.shape, surface.bends, anchors, ends)
+
+    def anchors(self, cable: LaidCable, surface: FoldedSurface) -> dict[int, Array]:
+        """Positions of a cable's anchors off the membrane, by ids that no vertex has.
+
+        Not of one that a cable in a sleeve has left at a corner of the membrane, as at a mast that
+        has been moved: pulled straight to it the cable would leave the membrane.
+        """
+        n, path = self.n_vertices, cable.path.points
+        return {
+            n + k: cable.positions[-k]
+            for k in (0, 1)
+            if cable.ends[k] == "off" and not (cable.sleeve and _is_corner(path[-k], surface))
+        }
+
+    def beyond(
+        self,
+        cable: LaidCable,
+        surface: FoldedSurface,
+        path: Sequence[SurfacePoint],
+        run: Sequence[int],
+    ) -> tuple[list[SurfacePoint], list[SurfacePoint]]:
+        """What a run of contacts is pulled between, before and after it."""
+        before, after = path[: run[0]][-1:], path[run[-1] + 1 :][:1]
+        anchors, n = self.anchors(cable, surface), self.n_vertices
+        if not before and n in anchors and surface.is_boundary(path[0].support):
+            before = [VertexPoint(n)]
+        if not after and n + 1 in anchors and surface.is_boundary(path[-1].support):
+            after = [VertexPoint(n + 1)]
+        return list(before), list(after)
+
+    def move_ends(
+        self, cable: LaidCable, points: Sequence[SurfacePoint], ends: tuple[End, End]
+    ) -> None:
+        """Give a cable a path whose ends have been moved along the boundary. Collective.
+
+        It is to be straightened then: with its old folds it would cut into the membrane.
+        """
+        surface = self.surface([v for point in points for v in point.support])
+        off = {
+            node.point.support
+            for node, lifted in zip(cable.nodes, cable.lifted, strict=True)
+            if lifted and node.point is not None
+        }
+        way = without_backtracking(points, surface.strip.outer_cells)
+        self.replace(cable, way, [point.support in off for point in way], surface, ends)
+        cable.state.traced = False
+
+    def replace(
+        self,
+        cable: LaidCable,
+        points: Sequence[SurfacePoint],
+        lifted: Sequence[bool],
+        surface: FoldedSurface,
+        ends: tuple[End, End] | None = None,
+    ) -> None:
+        """Give a cable a new path; points on edges that it crossed before stay where they are.
+
+        Before the first equilibrium they go to the string's places: the way in which a cable was
+        laid is none in which it could be taut.
+        """
+        before = {
+            _key(node): k
+            for k, node in enumerate(cable.nodes)
+            if node.kind != "crossing"
+            and (cable.traced or not cable.slides_freely or not node.slides)
+        }
+        ends = cable.ends if ends is None else ends
+        first, last = (int(end != "off") for end in ends)
+        slides = range(first, len(points) - last)
+        clipped = [self._clipped(cable, p) if k in slides else p for k, p in enumerate(points)]
+        nodes = nodes_of(clipped, surface.strip, ends)
+        fractions = fractions_of(nodes)
+        flags = np.zeros(len(nodes), dtype=bool)
+        flags[[k for k, node in enumerate(nodes) if node.point is not None]] = lifted
+        positions = np.zeros((len(nodes), 3))
+        for k, node in enumerate(nodes):
+            old = before.get(_key(node))
+            if node.kind == "anchor":
+                positions[k] = cable.positions[0 if k == 0 else -1]
+            elif old is not None and _stays(cable, old, node):
+                positions[k], fractions[k] = cable.positions[old], cable.fractions[old]
+            elif isinstance(node.point, EdgePoint):
+                positions[k] = surface.place(node.point.edge, node.point.fraction)
+            else:
+                ids, weights = node.masters()
+                positions[k] = np.dot(weights, [surface.shape.at(i) for i in ids])
+        note_places(cable)
+        cable.set_nodes(nodes, positions, fractions, flags)
+
+    def _clipped(self, cable: LaidCable, point: SurfacePoint) -> SurfacePoint:
+        """Keep a point of a string off the vertices.
+
+        Strings of several cables may touch one vertex: there, too, no two of their points may be
+        in one place, and their order must be the same all around.
+        """
+        if not isinstance(point, EdgePoint):
+            return point
+        least = INSIDE * (1 + 0.02 * self.net.cables.index(cable))
+        return EdgePoint(point.edge, min(max(point.fraction, least), 1 - least))
+
+
+def slid_off(cable: LaidCable, place: Array) -> PathError:
+    """The error of a cable that no membrane is left for, with its last place (3,) (length)."""
+    return PathError(
+        f"{cable.name!r} has slid off the membrane's edge at {place}; hold it there by a "
+        "sleeve or an anchor, or load it less."
+    )
+
+
+def _key(node: CableNode) -> object:
+    """What a node is known by while a path changes: its edge if it slides, else its place."""
+    return None if node.point is None else node.point.support if node.slides else node.point
+
+
+def _is_corner(point: SurfacePoint, surface: FoldedSurface) -> bool:
+    """Whether a point is a vertex at which the membrane's boundary turns by 60 degrees or more."""
+    if not isinstance(point, VertexPoint) or point.vertex not in surface.strip.complete:
+        return False
+    if not surface.is_boundary(point.support):
+        return False
+    around = surface.membrane_ring(point.vertex).neighbours
+    at = surface.shape.at(point.vertex)
+    a, b = (surface.shape.at(v) - at for v in (around[0], around[-1]))
+    return bool(a @ b > -0.5 * np.linalg.norm(a) * np.linalg.norm(b))
+
+
+def _stays(cable: LaidCable, old: int, node: CableNode) -> bool:
+    """Whether a point that the path had before stays where equilibrium has put it."""
+    if not node.slides or not isinstance(node.point, EdgePoint):
+        return True
+    fraction = float(cable.fractions[old])
+    moved = 0.0 if cable.slides_freely else abs(fraction - node.point.fraction)
+    return moved <= NEAR and INSIDE <= fraction <= 1 - INSIDE

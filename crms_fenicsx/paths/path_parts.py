@@ -1,0 +1,41 @@
+"""Parts of a cable's path: lifted ones, those near vertices, those at crossings."""
+
+from __future__ import annotations
+
+import itertools
+
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.surface.points import EdgePoint
+
+
+def is_crossed(cable: LaidCable) -> bool:
+    """Whether a cable is in contact with another one that crosses it.
+
+    The surface on which geodesics are found does not have the points inside cells where cables
+    press each other in. So geodesics know where cables bend to within the angles by which they do
+    so there only, and propose paths on fine meshes where cables would not go.
+    """
+    return any(node.crossing is not None for node in cable.nodes)
+
+
+def lifted_runs(cable: LaidCable) -> list[tuple[bool, range]]:
+    """The parts of a path that are lifted, and those that are not: indices of their points."""
+    off = [
+        bool(lifted)
+        for lifted, node in zip(cable.lifted, cable.nodes, strict=True)
+        if node.point is not None and node.kind != "crossing"
+    ]
+    starts = [k for k in range(len(off)) if k == 0 or off[k] != off[k - 1]]
+    return [(off[a], range(a, b)) for a, b in itertools.pairwise([*starts, len(off)])]
+
+
+def vertices_near(cable: LaidCable, near: float) -> set[int]:
+    """Vertices near which a cable's points slide, within a part of the edge."""
+    found = set()
+    for k in cable.contacts():
+        point = cable.nodes[k].point
+        if cable.nodes[k].slides and isinstance(point, EdgePoint):
+            fraction = float(cable.fractions[k])
+            if min(fraction, 1 - fraction) < near:
+                found.add(point.edge[int(fraction > 0.5)])
+    return found

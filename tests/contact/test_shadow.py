@@ -1,0 +1,106 @@
+"""The cells under free spans, against the section that `trace` finds with planes and graphs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cabled_square import clamped
+from reference_meshes import square
+
+from crms_fenicsx import Scene
+from crms_fenicsx.cables.strip_gather import cells_near
+from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.contact.span_projection import shadow
+from crms_fenicsx.model.laid_cable import CableNode
+from crms_fenicsx.paths.creased_surface import FoldedSurface
+from crms_fenicsx.surface.intrinsic import MissingStars
+from crms_fenicsx.surface.points import CellPoint, EdgePoint
+from crms_fenicsx.surface.trace import trace
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def whole(comm, kind: str) -> tuple[Scene, StripShape]:
+    """A flat square, all of whose cells are known."""
+    scene = clamped(square(comm, 7, kind))
+    ids = cells_near(scene.membrane, np.array([(0.0, 0.0, 0.0), (100.0, 100.0, 0.0)]))
+    scene.net.grow_strip(ids.vertices, rings=12)
+    assert scene.net.strip is not None
+    return scene, StripShape.of(scene.membrane, scene.net.strip)
+
+
+def route(shape: StripShape, start, end) -> tuple:
+    cells = np.searchsorted(shape.strip.vertices, shape.strip.cells)
+    return trace(shape.strip.vertices, shape.current, cells, [start, end]).points
+
+
+@pytest.mark.parametrize("kind", ["structured", "unstructured", "rotated"])
+def test_shadows_are_sections(comm, kind: str) -> None:
+    """From the first to the last point inside: in both directions, the same points between."""
+    _, shape = whole(comm, kind)
+    for start, end in [((0, 13), (100, 71)), ((7, 100), (83, 0)), ((0, 52), (100, 45))]:
+        points = route(shape, start, end)[1:-1]
+        first, last = (CableNode("fold", points[k]) for k in (0, -1))
+        a, b = (node_place(shape, node) for node in (first, last))
+        found = shadow(shape, first, a + 3 * UP, last, b + 3 * UP)
+        back = shadow(shape, last, b + 3 * UP, first, a + 3 * UP)
+        assert found is not None and back is not None
+        for way in (found, back[::-1]):
+            assert [p.support for p in way] == [p.support for p in points[1:-1]]
+            wanted = [p.fraction for p in points[1:-1]]
+            np.testing.assert_allclose([p.fraction for p in way], wanted, atol=1e-9)
+
+
+def node_place(shape: StripShape, node: CableNode) -> np.ndarray:
+    ids, weights = node.masters()
+    return np.dot(weights, [shape.at(i) for i in ids])
+
+
+def test_towards_anchors(comm) -> None:
+    """Beyond the boundary the shadow ends on it; above the membrane it ends at the foot."""
+    _, shape = whole(comm, "unstructured")
+    points = route(shape, (0, 13), (100, 71))
+    node = CableNode("fold", points[len(points) // 2])
+    at = node_place(shape, node)
+    along = np.array([100.0, 58.0, 0.0])
+    found = shadow(shape, node, at, CableNode("anchor"), at + along + 9 * UP)
+    assert found is not None
+    assert [p.support for p in found] == [p.support for p in points[len(points) // 2 + 1 :]]
+    foot = shadow(shape, node, at, CableNode("anchor"), at + 0.2 * along + 9 * UP)
+    assert foot is not None and isinstance(foot[-1], CellPoint)
+    place = node_place(shape, CableNode("rider", foot[-1]))
+    np.testing.assert_allclose(place, at + 0.2 * along, atol=1e-9)
+
+
+def test_unknown_cells_are_asked_for(comm) -> None:
+    scene = clamped(square(comm, 7, "unstructured"))
+    near = cells_near(scene.membrane, np.array([(0.0, 20.0, 0.0), (100.0, 20.0, 0.0)]))
+    points = route(StripShape.of(scene.membrane, near), (0, 20), (100, 20))
+    scene.net.grow_strip(points[1].support)
+    assert scene.net.strip is not None
+    shape = StripShape.of(scene.membrane, scene.net.strip)
+    first, last = CableNode("fold", points[1]), CableNode("fold", points[-2])
+    with pytest.raises(MissingStars):
+        shadow(shape, first, node_place(shape, first), last, np.array([95.0, 20.0, 0.0]))
+
+
+def test_bent_edges_and_anchors_of_the_folded_surface(comm) -> None:
+    _, shape = whole(comm, "structured")
+    points = route(shape, (0, 13), (100, 71))
+    edge = points[3].edge
+    bend = shape.at(edge[0]) + np.array([1.0, 2.0, -2.0])
+    surface = FoldedSurface(shape, {edge: [bend]})
+    parts = [np.linalg.norm(bend - shape.at(v)) for v in edge]
+    assert surface.length(edge) == pytest.approx(sum(parts), rel=1e-14)
+    half = surface.place(edge, parts[0] / sum(parts))
+    np.testing.assert_allclose(half, bend, atol=1e-12)
+
+    rim = points[0].support
+    anchor = 10**6
+    joined = FoldedSurface(shape, {}, {anchor: np.array([-20.0, 13.0, 4.0])}, {anchor: rim})
+    assert surface.is_boundary(rim) and len(surface.thirds(rim)) == 1
+    assert joined.thirds(rim) == (*surface.thirds(rim), anchor)
+    assert not surface.ring(rim[0]).closed and joined.ring(rim[0]).closed
+    away = np.linalg.norm(shape.at(rim[0]) - np.array([-20.0, 13.0, 4.0]))
+    assert joined.length((rim[0], anchor)) == pytest.approx(away)
+    assert isinstance(points[0], EdgePoint)

@@ -1,0 +1,194 @@
+"""Dead load: forces cell by cell, exact deflection, reactions, cables, load steps, bad input."""
+
+import itertools
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from taylor import OnMesh, gradient_order, noise
+from term_scene import (
+    ISOTROPIC,
+    SIDE,
+    cable_square,
+    corners,
+    directions,
+    displaced,
+    irregular_square,
+    on_mesh,
+)
+
+from crms_fenicsx import Cable, ConvergenceError, InputError, Scene, Solver
+from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.energies.dead_load import DeadLoad, dead_forces
+from crms_fenicsx.minimization.minimizer import Minimizer
+from crms_fenicsx.minimization.outcome import Outcome
+
+
+def lifted_scene(comm):
+    scene = Scene(irregular_square(comm, 20.0), ISOTROPIC)
+    scene.fix("boundary")
+    return scene
+
+
+def wavy(points, normals):
+    return np.sin(0.1 * points) + 2 * normals * points[:1]
+
+
+def owned_sum(scene, forces):
+    """Forces of all ranks' cells on the owned vertices, (n, 3)."""
+    unknowns = Unknowns(scene.V)
+    vector, g = unknowns.vector()
+    unknowns.add_to_vertices(forces, g)
+    unknowns.add_ghosts(vector)
+    return g[: unknowns.n_owned].copy()
+
+
+def forces_one_by_one(scene, traction):
+    """The slow twin of `dead_forces`: cell after cell."""
+    forces = np.zeros((len(scene.held), 3))
+    _, now = corners(scene)
+    for dofs, (a, b, c) in zip(scene.V.dofmap.list, now, strict=False):
+        area = np.cross(b - a, c - a) / 2
+        size = np.linalg.norm(area)
+        point, normal = ((a + b + c) / 3)[:, None], (area / size)[:, None]
+        for dof in dofs:
+            forces[dof] += traction(point, normal)[:, 0] * size / 3
+    return forces
+
+
+@pytest.mark.parametrize("moved", [0.0, 5.0])
+def test_forces_of_the_current_shape(comm, moved):
+    scene = lifted_scene(comm)
+    scene.u.x.array[:] = moved * noise(scene.V.tabulate_dof_coordinates(), 4).ravel()
+    load = dead_forces(scene.membrane, wavy)
+    np.testing.assert_allclose(load.forces, forces_one_by_one(scene, wavy), atol=1e-10)
+
+
+def test_a_vector_is_a_force_on_every_cell(comm):
+    scene = lifted_scene(comm)
+    load = dead_forces(scene.membrane, (1.0, -2.0, 0.5))
+    twin = forces_one_by_one(scene, lambda x, n: np.array([[1.0], [-2.0], [0.5]]))
+    np.testing.assert_allclose(load.forces, twin, atol=1e-12)
+    assert load.intensity == pytest.approx(np.sqrt(5.25), rel=1e-12)
+
+
+def test_gradient_and_energy(comm):
+    """Linear: the energy is minus the forces' work, and a Taylor remainder is nothing at all."""
+    scene = lifted_scene(comm)
+    term = DeadLoad(dead_forces(scene.membrane, wavy))
+    term.factor = 0.7
+    f = OnMesh(Unknowns(scene.V), scene.u, [term])
+    X = f.unknowns.X[: f.unknowns.n_owned]
+    forces = owned_sum(scene, term.forces)
+    x = 3 * noise(X, 1)
+    energy, g = f.value(x)
+    np.testing.assert_allclose(g, -0.7 * forces, atol=1e-12)
+    assert energy == pytest.approx(-0.7 * f.dot(forces, x), rel=1e-11)
+
+
+def test_gradient_beside_cables(comm):
+    """With all the other terms around it and ghosts, riders and fold points among the unknowns."""
+    system = cable_square(comm)
+    system.scene.put_load(wavy)
+    system.scene._load = 0.01
+    system.prepare()
+    system.read_scene()
+    f = on_mesh(system)
+    assert any(isinstance(term, DeadLoad) for term in f.potential.terms)
+    x = displaced(f.unknowns, 0.3)
+    for name, d in directions(f.unknowns).items():
+        assert gradient_order(f, x, d) == pytest.approx(2, abs=0.03), name
+
+
+def test_a_scene_without_a_load_has_none(comm):
+    names = {term.name for term in cable_square(comm).potential.terms}
+    assert "dead load" not in names
+
+
+def test_supports_carry_the_load(comm):
+    """The reactions balance weight to the solver's tolerance; so do they with cables that fold."""
+    scene = Scene(irregular_square(comm), ISOTROPIC)
+    scene.fix("boundary")
+    scene.put_load((0.0, 0.0, -0.01))
+    cable = scene.lay_cable(Cable(32000.0), [(0, 31), (SIDE, 52)], sleeve=True, L0=SIDE)
+    solver = Solver(scene)
+    solver.advance(load=1.0)
+    assert cable.tension > 1.0
+    total = solver.reactions("boundary").total + cable.start.reaction + cable.end.reaction
+    np.testing.assert_allclose(total, [0.0, 0.0, 0.01 * SIDE**2], atol=1e-6)
+    assert scene.energies["dead load"] < 0.0
+
+
+def test_a_uniform_suction_put_again_comes_to_the_pressure(comm):
+    """Wind that is uniform is a pressure, whose exact forces are known: the error shrinks each
+    time that the load is put anew on the shape that it led to."""
+
+    def top(solver):
+        return solver.scene.comm.allreduce(float(solver.scene.positions()[:, 2].max()), MPI.MAX)
+
+    def square():
+        scene = Scene(irregular_square(comm, 10.0), ISOTROPIC)
+        scene.fix("boundary")
+        return Solver(scene)
+
+    exact = square()
+    exact.advance(pressure=0.01)
+    solver = square()
+    errors = []
+    for _ in range(4):
+        solver.scene.put_load(lambda x, n: 0.01 * n)
+        solver.advance(load=1.0)
+        errors.append(abs(top(solver) / top(exact) - 1))
+    assert errors[0] > 1e-3, "there is an error to remove"
+    assert all(new < 0.5 * old for old, new in itertools.pairwise(errors)), errors
+
+
+def test_load_steps_and_history(comm):
+    scene = lifted_scene(comm)
+    solver = Solver(scene)
+    solver.advance(pressure=0.005)
+    scene.put_load((0.0, 0.0, -0.001))
+    solver.advance(load=2.0, steps=2)
+    solver.advance(pressure=0.01)
+    np.testing.assert_allclose(solver.history["load"], [np.nan, 1.0, 2.0, 2.0])
+    np.testing.assert_allclose(solver.history["pressure"], [0.005, 0.005, 0.005, 0.01])
+    assert scene.load == 2.0
+
+
+def test_no_equilibrium_leaves_the_load_of_the_last_good_state(comm, monkeypatch):
+    scene = lifted_scene(comm)
+    solver = Solver(scene, max_halvings=1)
+    scene.put_load((0.0, 0.0, -0.001))
+    solver.advance(load=0.5)
+    monkeypatch.setattr(
+        Minimizer, "solve", lambda self, *_: Outcome(False, "no", 1.0, 0.0, 1, 1, 1)
+    )
+    with pytest.raises(ConvergenceError):
+        solver.advance(load=1.0)
+    assert scene.load == 0.5
+
+
+@pytest.mark.parametrize(
+    ("force", "message"),
+    [
+        ((0.0, 1.0), "three finite numbers"),
+        ((0.0, 1.0, np.nan), "three finite numbers"),
+        (lambda x, n: n[:2], r"shape \(3, "),
+        (lambda x, n: "wind", "type"),
+        (lambda x, n: np.where(x[:1] > 70, np.inf, n), "finite forces per area"),
+    ],
+)
+def test_bad_forces(comm, force, message):
+    scene = lifted_scene(comm)
+    with pytest.raises(InputError, match=message):
+        scene.put_load(force)
+    assert scene.dead_forces is None
+
+
+def test_bad_factors(comm):
+    scene = lifted_scene(comm)
+    with pytest.raises(InputError, match=r"put one there with scene\.put_load"):
+        Solver(scene).advance(load=1.0)
+    scene.put_load((0.0, 0.0, 1.0))
+    with pytest.raises(InputError, match="load = nan is not finite"):
+        Solver(scene).advance(load=np.nan)

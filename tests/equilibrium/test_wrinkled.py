@@ -1,0 +1,83 @@
+"""Membranes most of which is wrinkled or slack: the solver gets there, and soon."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from crms_fenicsx import Cable, IsotropicMembrane, PathError, Scene, Solver, meshes
+from crms_fenicsx.model.laid_cable import LaidCable
+
+TENT = Path(__file__).parents[2] / "meshes" / "hypar_tent.geo"
+CORNERS = [(0.0, 0.0, 0.0), (10.0, 0.0, 3.0), (10.0, 10.0, 0.0), (0.0, 10.0, 3.0)]
+
+
+def evaluations(solver: Solver) -> int:
+    """Of all load steps."""
+    return sum(step.outcome.evaluations for step in solver.steps)
+
+
+def test_a_sheared_square(comm: MPI.Intracomm) -> None:
+    """One side moved along itself by a fifth of its length; half of that or all at once."""
+    energies = []
+    for steps in (1, 2):
+        mesh = meshes.rectangle(comm, width=10.0, depth=10.0, size=0.5)
+        scene = Scene(mesh, IsotropicMembrane(E=500e3, nu=0.3, thickness=1e-3))
+        scene.fix("left")
+        scene.fix("right")
+        solver = Solver(scene, max_halvings=0)
+        solver.advance(move={"right": (0.0, 2.0, 0.0)}, steps=steps)
+        assert evaluations(solver) < 1500
+        energies.append(scene.energy)
+    assert energies[1] == pytest.approx(energies[0], rel=1e-9)
+
+
+def tent(
+    comm: MPI.Intracomm, tension: float, sleeve: bool = True
+) -> tuple[Solver, list[LaidCable]]:
+    """A four-point tent with edge cables, before its first equilibrium."""
+    material = IsotropicMembrane(E=500e3, nu=0.3, thickness=1e-3, prestress=1.0)
+    scene = Scene(meshes.from_file(comm, TENT), material)
+    scene.fix("high")
+    scene.fix("low")
+    cables = [
+        scene.lay_cable(Cable(5e3), [CORNERS[k - 1], CORNERS[k]], sleeve=sleeve, tension=tension)
+        for k in range(4)
+    ]
+    return Solver(scene, max_halvings=0), cables
+
+
+@pytest.mark.parametrize("tension", [5.0, 8.0, 12.0])
+def test_forming_a_tent(comm: MPI.Intracomm, tension: float) -> None:
+    """Its edges give way by 2 cm, by which it has lost most of its prestress."""
+    solver, cables = tent(comm, tension)
+    solver.advance()
+    assert evaluations(solver) < 3000
+    for cable in cables:
+        assert tension < cable.tension < 1.01 * tension
+
+
+@pytest.mark.parametrize("way", [(0.0, 0.0, 0.1), (0.0, 0.0, -0.1), (0.1, 0.0, 0.0)])
+def test_moving_the_masts_of_a_tent(comm: MPI.Intracomm, way: tuple[float, float, float]) -> None:
+    """The cables' ends stay, and the cables still run to the masts and along the edges."""
+    solver, cables = tent(comm, 5.0)
+    solver.advance()
+    solver.advance(move={"high": way})
+    assert evaluations(solver) < 3000
+    for cable in cables:
+        points = cable.path.points
+        assert len(points) >= 12 and len(points[0].support) == len(points[-1].support) == 1
+    if way[2] > 0.0:
+        lengths = np.array([cable.length for cable in cables])
+        assert np.all(lengths > np.linalg.norm(np.subtract(CORNERS[1], CORNERS[0])) + 0.1)
+
+
+def test_a_cable_without_sleeve_slides_off_when_a_mast_is_moved(comm: MPI.Intracomm) -> None:
+    """It says so."""
+    solver, _ = tent(comm, 5.0, sleeve=False)
+    solver.advance()
+    with pytest.raises(PathError, match=r"'cable 1' has slid off .* sleeve"):
+        solver.advance(move={"high": (0.0, 0.0, 0.1)})

@@ -1,0 +1,169 @@
+"""Full disks, folders that go away, a rank that dies: what was complete stays, and runs go on."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from processes import MPIRUN, run
+from vtu_file import read_vtu
+
+from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.checkpoint import folder as checkpoint_folder
+from crms_fenicsx.checkpoint.folder import complete
+from crms_fenicsx.output import History, shared_file
+from crms_fenicsx.runtime import files
+
+pytestmark = pytest.mark.usefixtures("comm")
+
+COMM = MPI.COMM_WORLD
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return Path(COMM.bcast(str(tmp_path)))
+
+
+def scene_of(comm: MPI.Intracomm) -> Scene:
+    mesh = meshes.rectangle(comm, 100.0, 100.0, size=100 / 3, structured=True)
+    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
+    scene.fix("boundary")
+    return scene
+
+
+def script(folder: Path, resume: bool) -> Solver:
+    """Two calls, three load steps and a cable."""
+    scene = scene_of(COMM)
+    solver = Solver(scene, results=folder, resume=resume)
+    solver.advance(pressure=0.01)
+    scene.lay_cable(Cable(9000.0), [(0, 33), (100, 41)], tension=20.0)
+    solver.advance(pressure=0.012, steps=2)
+    return solver
+
+
+def assert_whole(folder: Path) -> None:
+    """All files that have their names can be read."""
+    if COMM.rank > 0:
+        return
+    if (folder / "history.csv").exists():
+        assert np.isfinite(History.read(folder / "history.csv")["energy"]).all()
+    for series in folder.glob("*.pvd"):
+        for entry in ElementTree.parse(series).getroot().iter("DataSet"):
+            read_vtu(folder / entry.attrib["file"])
+    for step in folder.glob("steps/[sc]*.vtu"):
+        read_vtu(step)
+    for call in ("0001", "0002"):
+        place = complete(folder / "checkpoints" / call)
+        if place.exists():
+            Solver(scene_of(MPI.COMM_SELF)).load(place)
+
+
+def full_at(count: int, whole: Callable[..., Any]) -> Callable[..., Any]:
+    """Let the system refuse a call, the first time that it has been called so often."""
+    left = count
+
+    def refused(*arguments: Any, **options: Any) -> Any:
+        nonlocal left
+        left -= 1
+        if left == 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return whole(*arguments, **options)
+
+    return refused
+
+
+@pytest.mark.parametrize("call", ["flush", "replace", "write"])
+def test_a_disk_that_is_full_at_some_write(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, call: str
+) -> None:
+    """On rank 0, or of a file that all write together on the last one."""
+    due = script(folder / "due", False).history["energy"]
+    refusals = 0
+    for count in (1, 2, 4, 7, 12, 18, 30) if COMM.size == 1 else (4, 12):
+        place = folder / f"{count}"
+        with monkeypatch.context() as patch:
+            if call == "flush":
+                for module in (files, checkpoint_folder):
+                    patch.setattr(module, "flush", full_at(count, files.flush))
+            elif call == "replace":
+                patch.setattr(os, "replace", full_at(count, os.replace))
+            elif COMM.rank == COMM.size - 1:
+                patch.setattr(shared_file, "_write", full_at(count, shared_file._write))
+            try:
+                script(place, False)
+            except InputError as error:
+                assert "cannot be written (No space left on device): free some space" in str(error)
+                refusals += 1
+        COMM.barrier()
+        assert_whole(place)
+        COMM.barrier()
+        np.testing.assert_allclose(script(place, True).history["energy"], due, rtol=1e-7)
+    assert refusals >= (3 if COMM.size == 1 else 2)
+
+
+def test_a_folder_that_goes_away(folder: Path) -> None:
+    """In the middle of the run a file is where the folder was; the scene is as it was computed."""
+    scene = scene_of(COMM)
+    solver = Solver(scene, results=folder / "out", resume=False)
+    solver.advance(pressure=0.01)
+    COMM.barrier()
+    if COMM.rank == 0:
+        shutil.move(folder / "out", folder / "moved")
+        (folder / "out").write_text("something else")
+    COMM.barrier()
+    with pytest.raises(InputError, match=r"out.* cannot be written .*: (free some|give another)"):
+        solver.advance(pressure=0.011)
+    assert scene.pressure == 0.011 and np.isfinite(scene.energy)
+    assert_whole(folder / "moved")
+    if COMM.rank == 0:
+        assert (folder / "out").read_text() == "something else"
+        (folder / "out").unlink()
+        shutil.move(folder / "moved", folder / "out")
+    del solver
+    COMM.barrier()
+    again = Solver(scene_of(COMM), results=folder / "out", resume=True)
+    again.advance(pressure=0.01)
+    again.advance(pressure=0.011)
+    assert again.scene.energy == pytest.approx(scene.energy, rel=1e-9)
+
+
+DYING = """
+import os, sys
+from pathlib import Path
+sys.path.insert(0, {tests!r})
+from test_faults import COMM, script
+from crms_fenicsx.output import shared_file
+
+whole, left = shared_file._write, {count}
+
+def write(*arguments):
+    global left
+    left -= 1
+    if left == 0 and COMM.rank == 1:
+        os._exit(9)
+    whole(*arguments)
+
+shared_file._write = write
+script(Path({folder!r}), {resume})
+"""
+
+
+def test_a_rank_that_dies(tmp_path: Path) -> None:
+    """In the middle of writing: the others end too, and the run can be resumed."""
+    if COMM.size > 1:
+        pytest.skip("it starts its own processes")
+    due = script(tmp_path / "due", False).history["energy"]
+    text = {"tests": str(Path(__file__).parent), "folder": str(tmp_path / "out")}
+    died = run(DYING.format(count=30, resume=False, **text), *MPIRUN)
+    assert died.returncode != 0
+    assert list((tmp_path / "out" / "checkpoints").iterdir()), "it died after its first steps"
+    assert_whole(tmp_path / "out")
+    np.testing.assert_allclose(script(tmp_path / "out", True).history["energy"], due, rtol=1e-7)

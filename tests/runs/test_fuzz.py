@@ -1,0 +1,81 @@
+"""A few of the random scenes of benchmarks/fuzz.py, and of hypothesis' own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fuzzing import runs, scenes
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+
+KNOWN = (
+    1,  # a slack cable whose points were not where it said
+    110,  # tensions of 1e4 where the membrane's forces are of size 1
+    182,  # a slack cable that touches down next to a vertex
+    620,  # friction along a cable that ends on a held vertex
+    1310,  # and the vertex moves off the cable's end
+    659,  # friction forces that go round in circles
+    4136,  # a node that begins to hold a cable between two passes
+    1978,  # a cable with friction along the boundary that is led past a vertex of it
+)
+
+
+class Drawn:
+    """Choices that hypothesis makes, and shrinks."""
+
+    def __init__(self, data: st.DataObject) -> None:
+        self.data = data
+
+    def integer(self, low: int, high: int) -> int:
+        """A number from low to high."""
+        return self.data.draw(st.integers(low, high))
+
+    def real(self, low: float, high: float) -> float:
+        """A number between low and high."""
+        return self.data.draw(st.floats(low, high))
+
+
+@pytest.mark.parametrize("number", KNOWN)
+def test_scenes_that_have_failed(number: int) -> None:
+    """Each for a reason of its own."""
+    result = runs.run(scenes.scene(number))
+    assert result.outcome != "failed", result.problems
+
+
+@settings(
+    max_examples=12,
+    derandomize=True,
+    deadline=None,
+    database=None,
+    phases=[Phase.generate, Phase.shrink],
+    suppress_health_check=list(HealthCheck),
+)
+@given(st.data())
+def test_random_scenes(data: st.DataObject) -> None:
+    """They converge or are refused, with all that is checked of their answers."""
+    result = runs.run(scenes.drawn(Drawn(data)))
+    assert result.outcome != "failed", result.problems
+
+
+@pytest.mark.parametrize("kind", ["turned", "mirrored", "renumbered", "units"])
+def test_twins_are_the_same_scene(kind: str) -> None:
+    """What a twin changes it changes everywhere; its answer is the same."""
+    data = scenes.scene(5)
+    other, unit, _ = runs.twin(replace(data, twin=kind))
+    assert other is not None and other.points.shape == data.points.shape
+
+    def area(mesh: scenes.SceneData) -> float:
+        a, b, c = mesh.points[mesh.cells].transpose(1, 0, 2)
+        return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+
+    assert area(other) == pytest.approx(area(data) * unit**2)
+    result = runs.run(replace(data, twin=kind))
+    assert result.outcome == "converged" and not result.notes, result
+
+
+def test_a_scene_follows_from_its_number() -> None:
+    """So that what fails can be run again."""
+    a, b = scenes.scene(77), scenes.scene(77)
+    assert np.array_equal(a.points, b.points) and repr(a.events) == repr(b.events)

@@ -1,0 +1,32 @@
+"""A few of the random scenes of benchmarks/ways.py: one equilibrium whatever the way, at rest."""
+
+from __future__ import annotations
+
+import pytest
+import ways
+
+ALIKE = (
+    1,  # a cap whose mesh has meridians
+    8,  # a gmsh mesh with the cable's line in it, cable nearly slack
+    151,  # a jiggled mesh
+    152,  # along a row of a turned lattice
+    155,  # diagonals to the left
+    165,  # a tight cable on a gmsh mesh
+)
+
+
+@pytest.mark.parametrize("number", ALIKE)
+def test_one_equilibrium_whatever_the_way(number: int) -> None:
+    """Six ways, and the same load once more."""
+    result = ways.run(number)
+    assert not result.refused
+    for way in ways.WAYS:
+        assert result.within(way) and result.rests(way), ways.line(result)
+        assert result.tightened[way] < 1e-9
+    assert result.again_evaluations <= 5 * len(ways.WAYS)
+
+
+def test_the_same_load_moves_nothing() -> None:
+    """A round of held runs that gained little had left some of them for the next load step."""
+    result = ways.run(66, ["out"])
+    assert result.rests("out") and result.again_evaluations <= 5, ways.line(result)

@@ -1,0 +1,271 @@
+"""All public calls, with good arguments and with bad values for each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx import (
+    Cable,
+    Friction,
+    InputError,
+    IsotropicMembrane,
+    LaidCable,
+    OrthotropicMembrane,
+    Scene,
+    Solver,
+    meshes,
+)
+
+NAN, INF = float("nan"), float("inf")
+FOIL = {"E": 300.0, "nu": 0.25, "thickness": 0.08}
+FABRIC = {"E1": 1394.0, "E2": 140.0, "G12": 12.0, "nu21": 0.065, "thickness": 1.0}
+ACROSS = [(0.0, 47.0), (100.0, 52.0)]
+CORNERS = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)]
+UP = (0.0, 0.0, 1.0)
+
+Values = Sequence[Any]
+
+NO_NUMBERS: Values = (
+    NAN, INF, -INF, "x", b"1", [1.0], (1.0, 2.0), {}, 1j, np.array([NAN]), object(), 10**400,
+)  # fmt: skip
+NEGATIVE: Values = (*NO_NUMBERS, -1.0, -1e300)
+NOT_POSITIVE: Values = (*NEGATIVE, 0.0, -0.0)
+NO_SIZES: Values = (*NOT_POSITIVE, None, 1e300, 1e-300)
+NO_PLACES: Values = (
+    (NAN, 0.0, 0.0), (0.0, INF, 0.0), (0.0,) * 4, "up", 3.0, (UP,), (), (1j, 0.0, 0.0),
+    ("x", "y", "z"), {}, np.zeros((3, 3)), (0.0, None, 1.0), object(), (10**400, 0.0, 0.0),
+)  # fmt: skip
+NO_VECTORS: Values = (*NO_PLACES, (0.0, 0.0))
+NO_COUNTS: Values = (-1, 1.5, "2", None, True, NAN, INF, [1], object())
+NO_TEXTS: Values = ("unknown", "", 3, None, NAN, ["left", "right"], {}, b"left", object())
+NO_GROUPS: Values = (*NO_TEXTS, np.array([1, 2]))
+NO_PATHS: Values = (
+    [], [(0.0, 47.0)], [(0.0, 47.0), (NAN, 52.0)], [(0.0, 47.0), (INF, 52.0)], "left", None, 7.0,
+    [(0.0, 50.0), (0.0, 50.0)], [(0.0, 50.0), (90.0, 50.0, 0.0)], [(0.0, 1.0, 2.0, 3.0)] * 2, {},
+    [(0.0, 50.0), (1e300, 50.0)], [(200.0, 47.0), (300.0, 52.0)], [("x", "y"), (1.0, 2.0)],
+    [(-3.0, 50.0), (100.0, 50.0)], np.zeros((2, 2, 2)), np.zeros((0, 2)), object(),
+    [(1j, 50.0), (100.0, 50.0)], [(0.0, 47.0), (50.0, 50.0, -9.0), (100.0, 52.0)],
+)  # fmt: skip
+
+
+def snapshot(scene: Scene) -> list[Any]:
+    """All that a refused call must not have changed."""
+    cables = [
+        (c.name, c.L0, c.length, c.tension, c.taut, c.positions.tolist(), len(c.nodes))
+        for c in scene.cables
+    ]
+    strip = None if scene.net.strip is None else len(scene.net.strip.cells)
+    u = [repr(x) for x in scene.u.x.array.tolist()]  # NaN equals itself as text
+    held = scene.held.tolist(), scene.membrane.held_edges.tolist()
+    return [
+        u,
+        held,
+        scene.pressure,
+        scene.floor_level,
+        cables,
+        strip,
+        scene.energies,
+        scene.changes,
+    ]
+
+
+def failing(x: object) -> None:
+    """What a user's function may do; his error is passed on."""
+    raise InputError("of the user's own")
+
+
+NO_MARKERS: Sequence[Callable[[Any], Any]] = (
+    failing, lambda x: None, lambda x: True, lambda x: x[0], lambda x: x > 0.0,
+    lambda x: x[0, 1:] > 0.0, lambda x: "left", lambda x: np.array([]),
+)  # fmt: skip
+NO_FIELDS: Sequence[Callable[[Any], Any]] = (
+    failing, lambda x: None, lambda x: np.full_like(x, NAN), lambda x: x[:2],
+    lambda x: np.ones(4), lambda x: "up", lambda x: x[:, 1:], lambda x: np.full_like(x, INF),
+    lambda x: x * 1j,
+)  # fmt: skip
+
+
+@dataclass
+class Function:
+    """A function of points that a user gives, bad on one rank or on all (`rank` None)."""
+
+    good: Callable[[Any], Any]
+    bad: Callable[[Any], Any]
+    rank: int | None
+
+    def __call__(self, x: Any, *normals: Any) -> Any:
+        return (self.bad if self.rank in (None, MPI.COMM_WORLD.rank) else self.good)(x)
+
+    def __repr__(self) -> str:
+        return f"<function that is bad on rank {self.rank}>"
+
+
+def functions(
+    comm: MPI.Intracomm, good: Callable[[Any], Any], bad: Iterable[Callable[[Any], Any]]
+) -> list[Function]:
+    """Bad functions, on all ranks and on the last."""
+    return [Function(good, one, rank) for one in bad for rank in (None, comm.size - 1)]
+
+
+@dataclass
+class Call:
+    """A public call.
+
+    Attributes
+    ----------
+    function
+        What is called, by keywords.
+    good
+        Arguments that it takes; others have defaults.
+    bad
+        Values that it must refuse, by argument.
+    together
+        Whether the ranks compare their arguments, so that one alone may have a bad one.
+    """
+
+    name: str
+    function: Callable[..., Any]
+    good: dict[str, Any]
+    bad: dict[str, Values]
+    together: bool = True
+
+
+def data() -> list[Call]:
+    """What needs no mesh: cables and materials."""
+    none = (*NEGATIVE, None)
+    sheet = {"thickness": NOT_POSITIVE, "prestress": (*NO_NUMBERS[:4], -1.0, (1.0, 2.0, 3.0))}
+    friction = {
+        "mu": none, "static": (*NEGATIVE, 0.1), "along": none, "law": NO_TEXTS,
+        "tolerance": (*NOT_POSITIVE, 0.2, None),
+    }  # fmt: skip
+    isotropic = {"E": NOT_POSITIVE, "nu": (*NO_NUMBERS, 1.0, -1.0, None)} | sheet
+    orthotropic = {name: NOT_POSITIVE for name in ("E1", "E2", "G12")} | sheet
+    orthotropic |= {"nu21": (*NO_NUMBERS, 9.0), "warp": (*NO_VECTORS, (0.0, 0.0, 0.0))}
+    cable = {"EA": NOT_POSITIVE, "law": NO_TEXTS, "friction": none}
+    return [
+        Call("Cable", Cable, {"EA": 1.0}, cable, False),
+        Call("Friction", Friction, {"mu": 0.3}, friction, False),
+        Call("IsotropicMembrane", IsotropicMembrane, FOIL, isotropic, False),
+        Call("OrthotropicMembrane", OrthotropicMembrane, FABRIC, orthotropic, False),
+    ]
+
+
+def generators(comm: MPI.Intracomm) -> list[Call]:
+    """The meshes; rank 0 alone makes them and looks at their arguments."""
+    more = {"refinements": (3, "x", [3], [None])}
+    plane, centre = {"corner": NO_PLACES, **more}, {"center": NO_PLACES, **more}
+    points = (*NO_PATHS[:7], [(0.0, NAN)] * 4, [("a", "b")] * 4)
+    cells = (
+        [], [(0, 1)], [(0, 1, 9)], [(0, 1, 1)], [(0, 1, -1)], "x", None, [(0.5, 1, 2)],
+        [(0, 1, 2), (0, 1, 2)], {}, [(0, 1, NAN)], [("a", "b", "c")],
+    )  # fmt: skip
+    groups = (3, "x", {"a": "x"}, {"a": [99]}, {"a": [0.5]}, {3: [0]}, {"": [0]}, {"a": None})
+    wanted: list[tuple[str, dict[str, Any], dict[str, Values]]] = [
+        ("rectangle", {"width": 1.0, "depth": 1.0, "size": 0.5}, plane),
+        ("ellipse", {"a": 1.0, "b": 1.0, "size": 0.5}, centre),
+        ("circle", {"radius": 1.0, "size": 0.5}, centre),
+        ("spherical_cap", {"radius": 1.0, "height": 0.5, "size": 0.3}, centre),
+        ("air_hall", {"width": 1.0, "depth": 2.0, "height": 0.4, "size": 0.3}, plane),
+        ("polygon", {"corners": CORNERS, "size": 0.5}, {"names": (["a"], 3, [1, 2, 3, 4]), **more}),
+    ]
+    found = []
+    for name, good, bad in wanted:
+        sizes = {key: NO_PATHS if key == "corners" else NO_SIZES for key in good}
+        found.append(Call(f"meshes.{name}", getattr(meshes, name), good, sizes | bad, False))
+    arrays = {"points": CORNERS, "cells": [(0, 1, 2), (0, 2, 3)]}
+    bad = {"points": points, "cells": cells, "outside": (*NO_VECTORS, (0.0, 0.0, 0.0))}
+    bad |= {"parts": groups, "edges": groups, "point_groups": groups}
+    found.append(Call("meshes.from_arrays", meshes.from_arrays, arrays, bad, False))
+    files = {"path": ("nowhere.msh", "", 3, None, "/", __file__)}
+    found.append(Call("meshes.from_file", meshes.from_file, {}, files, False))
+    for call in found:
+        call.good = {"comm": comm, **call.good}
+    return found
+
+
+def scenes(scene: Scene, other: Scene, solver: Solver, cable: LaidCable) -> list[Call]:
+    """What is called on a scene with a cable, and on another one without, of the same mesh."""
+    comm, foil = scene.comm, IsotropicMembrane(**FOIL)
+    where = (*NO_GROUPS, *functions(comm, lambda x: x[0] < 1.0, NO_MARKERS))
+    fields = functions(comm, lambda x: np.ones_like(x), NO_FIELDS)
+    material = (None, "fabric", 3.0, {}, {"roof": foil}, {"roof": None}, [foil], Cable(1.0))
+    moves = [{key: v} for key in ("left", cable, cable.start) for v in NO_VECTORS]
+    moves += [{key: UP} for key in (3, "unknown", None, other)]
+    lengths = [{cable: v} for v in (*NOT_POSITIVE, None)] + [{"left": 1.0}, {None: 1.0}]
+    names = ("", 3, cable.name, NAN, ["a"], {})
+    return [
+        Call(
+            "Scene",
+            Scene,
+            {"mesh": scene.mesh, "material": foil},
+            {
+                "material": material, "strain": NO_TEXTS, "pressure": NO_TEXTS,
+                "penalty": (*NOT_POSITIVE, None), "literal_penalty": NOT_POSITIVE,
+            },
+        ),
+        Call("vertices", scene.vertices, {"where": "left"}, {"where": where}),
+        Call(
+            "fix",
+            other.fix,
+            {"where": "left"},
+            {"where": where, "directions": (*NO_TEXTS, "xq")},
+        ),
+        Call("floor", scene.floor, {"z": -9.0}, {"z": (*NO_NUMBERS, None, 1.0, 1e300)}),
+        Call("put_load", scene.put_load, {"force": UP}, {"force": (*NO_VECTORS, None, *fields)}),
+        Call(
+            "lay_cable",
+            scene.lay_cable,
+            {"cable": Cable(1.0), "path": ACROSS},
+            {
+                "cable": (None, 3.0, "x", Cable), "path": NO_PATHS, "L0": NOT_POSITIVE,
+                "tension": NOT_POSITIVE, "level": NO_COUNTS, "name": names, "unknown": (1,),
+            },
+        ),
+        Call(
+            "remove",
+            other.remove,
+            {"cable": cable},
+            {"cable": (None, 3, NAN, "", "unknown", Cable(1.0), other, {}, [cable], cable.start)},
+        ),
+        Call(
+            "Solver",
+            Solver,
+            {"scene": scene},
+            {
+                "results": (3, NAN, ["a"], "/proc/nowhere", __file__),
+                "rtol": (*NOT_POSITIVE, None, 1.0, 2.0), "prefix": ("-crms_", 3, None, NAN, ["a"]),
+                "max_halvings": NO_COUNTS, "unknown": (1,),
+            },
+        ),
+        Call(
+            "advance",
+            solver.advance,
+            {"pressure": 0.01},
+            {
+                "pressure": NO_NUMBERS, "load": (*NO_NUMBERS, 1.0), "steps": (*NO_COUNTS, 0),
+                "move": (3, "x", [("left", UP)], [3], *moves), "L0": (3, "x", [cable], *lengths),
+                "unknown": (1,),
+            },
+        ),
+        Call("reactions", solver.reactions, {"where": "left"}, {"where": where}),
+        Call(
+            "contact_forces",
+            solver.contact_forces,
+            {"cable": cable},
+            {"cable": (None, 3, "cable 1", Cable(1.0), other, {}, [cable])},
+        ),
+        Call(
+            "draw",
+            solver.draw,
+            {"filename": "/nowhere/a.png"},
+            {
+                "filename": ("/nowhere/a.xyz", 3, None, "", NAN, "/"), "unknown": (1,),
+                "colour": ("red", 3, NAN, [1.0], {}), "view": (3, "nowhere", NAN, [1.0]),
+            },
+        ),
+    ]  # fmt: skip
