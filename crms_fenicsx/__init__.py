@@ -12,6 +12,7 @@ from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import IsotropicMembrane, OrthotropicMembrane
+from crms_fenicsx.model.ufl_material import UflMembrane
 from crms_fenicsx.runtime.errors import (
     ConvergenceError,
     FrictionWarning,
@@ -46,6 +47,7 @@ __all__ = [
     "Solver",
     "Step",
     "TaylorRates",
+    "UflMembrane",
     "meshes",
     "taylor_test",
 ]

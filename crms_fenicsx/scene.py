@@ -20,7 +20,7 @@ from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.materials import LINEAR, MembraneMaterial
+from crms_fenicsx.model.materials import LINEAR, UFL_LAW, MembraneMaterial
 from crms_fenicsx.model.membrane import Marker, Membrane
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
@@ -150,7 +150,13 @@ class Scene:
         self._literal_penalty = literal_penalty
         self.membrane = Membrane(mesh, material, pressure_on)
         self._warn_of_penalty()
-        for own in self.materials.values():
+        for number, own in self.materials.items():
+            if strain == "step" and own.law == UFL_LAW:
+                raise InputError(
+                    'Scene: strain="step" has a linear law of its own, but '
+                    f"{self.membrane.owner_of_material(number)} has a UflMembrane; use "
+                    'strain="total", or give it an IsotropicMembrane or OrthotropicMembrane.'
+                )
             if strain == "step" and own.law != LINEAR:
                 raise InputError(
                     f'Scene: strain="step" has no wrinkling model, but the material is {own}; '

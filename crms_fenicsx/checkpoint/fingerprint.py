@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.model.materials import MembraneMaterial
+from crms_fenicsx.model.ufl_material import UflMembrane
 from crms_fenicsx.output.npy import digest
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.scene import Scene
@@ -93,7 +94,10 @@ def _same(a: object, b: object) -> bool:
 def _described(material: MembraneMaterial) -> list[Any]:
     warp = material.warp
     direction = "a function" if callable(warp) else warp if warp is None else [*map(float, warp)]
-    return [type(material).__name__, [float(value) for value in material.parameters], direction]
+    values = [float(value) for value in material.parameters]
+    if isinstance(material, UflMembrane):
+        values += material.samples
+    return [type(material).__name__, values, direction]
 
 
 def mixed(scene: Scene, rows: npt.NDArray[np.int64]) -> str:

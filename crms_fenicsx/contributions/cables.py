@@ -78,7 +78,9 @@ class CableContribution(Contribution):
         self.tables: CableTables | None = None
         if self.taut:
             self.tables = cable_tables(self.network, membrane.energy, scene.membrane.pressed)
-            membrane.fold(self.tables.folded.cells)
+            folded = self.tables.folded.cells
+            scene.membrane.refuse_folds(folded, "a cable has slid too far")
+            membrane.fold(folded)
         self.folds = FoldContribution(scene, membrane, pressure, self.tables)
 
     def damping(self) -> Damping | None:

@@ -21,10 +21,12 @@ from crms_fenicsx.meshes.cell_geometry import area_vectors, cell_normals
 from crms_fenicsx.model.materials import (
     LINEAR,
     ORTHOTROPIC_TENSION_FIELD,
+    UFL_LAW,
     LawTerms,
     MembraneMaterial,
     law_terms,
 )
+from crms_fenicsx.model.ufl_material import UflMembrane
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.compat import geometry_dofmap
 
@@ -93,6 +95,8 @@ class MembraneEnergy(EnergyTerm):
             if material.law == ORTHOTROPIC_TENSION_FIELD:
                 assert self.tension_field is not None
                 law = self.tension_field.terms(parameters)
+            elif isinstance(material, UflMembrane):
+                law = material.law_terms(kinematics.strain(), parameters)
             else:
                 law = law_terms(material.law, kinematics.strain(), parameters)
             self.terms[tag] = (law, kinematics)
@@ -121,7 +125,8 @@ class MembraneEnergy(EnergyTerm):
         for tag, (law, kinematics) in self.terms.items():
             linear = self.materials[tag].law == LINEAR
             a, b = kinematics.strain_variation(v), kinematics.strain_variation(du)
-            S = tensile_part(law.stress) if linear else law.stress
+            compressible = linear or self.materials[tag].law == UFL_LAW
+            S = tensile_part(law.stress) if compressible else law.stress
             S = S + self.stiffening.prestress * ufl.Identity(2)
             dv = [ufl.dot(ufl.grad(v), e) for e in kinematics.basis]
             ddu = [ufl.dot(ufl.grad(du), e) for e in kinematics.basis]

@@ -84,6 +84,7 @@ def lay(
     for k, node in enumerate(nodes):
         if node.point in in_fold:
             laid.positions[k] = in_fold[node.point]
+    _refuse_folds(net.membrane, strip, laid)
     if not sleeve:
         drape(laid, shape)
     length = polyline_length(laid.positions[laid.contacts()])
@@ -104,6 +105,14 @@ def lay(
         state.axial = laid_grip(laid, shape)
     net.add(laid, strip)
     return laid
+
+
+def _refuse_folds(membrane: Membrane, strip: Strip, cable: LaidCable) -> None:
+    """Refuse a cable that would fold cells whose material has no compiled law. Collective."""
+    edges = {node.point.edge for node in cable.nodes if isinstance(node.point, EdgePoint)}
+    rows = {row for edge in edges - strip.held_edges for row in strip.rows(edge)}
+    mine = [row for row in sorted(rows) if strip.owners[row] == membrane.comm.rank]
+    membrane.refuse_folds(strip.local[mine].astype(np.int32), f"lay_cable: {cable.name!r}")
 
 
 def _route(path: Sequence[Sequence[float]] | Array) -> Array:
