@@ -120,9 +120,9 @@ class UflMembrane(MembraneMaterial):
     def samples(self) -> tuple[float, ...]:
         """Values at some strains (force / length), which tell one density from another."""
         values = []
-        for probe in list(_probes()):
-            x, y, half = map(float, probe * (1.0, 1.0, 0.5))
-            E = ufl.as_matrix([[x, half], [half, y]])
+        probes: list[list[float]] = [[*map(float, e)] for e in zip(*_probes().T, strict=True)]
+        for x, y, shear in probes:
+            E = ufl.as_matrix([[x, shear / 2], [shear / 2, y]])
             try:
                 values.append(float(self._energy(E)))
             except (TypeError, ValueError, ArithmeticError) as error:
