@@ -32,7 +32,7 @@ from mpi4py import MPI
 
 from crms_fenicsx import Cable, Friction, InputError, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.checkpoint.state import signed
-from crms_fenicsx.meshes import foreign
+from crms_fenicsx.meshes import isolated_reader
 from crms_fenicsx.meshes.files import SUFFIXES
 from crms_fenicsx.output import History
 from crms_fenicsx.runtime.errors import ConvergenceError
@@ -264,7 +264,7 @@ def run_of_two_calls(folder: Path, resume: bool) -> Solver:
     solver.advance(pressure=0.01, load=1.0)
     rough = Cable(9000.0, friction=Friction(0.2, along=0.1))
     scene.lay_cable(rough, [(0, 33), (100, 41)], tension=20.0, name="rough")
-    scene.lay_cable(Cable(9000.0), [(30, 0), (42, 100)], tension=20.0, name="smooth", level=1)
+    scene.lay_cable(Cable(9000.0), [(30, 0), (42, 100)], tension=20.0, name="smooth", layer=1)
     solver.advance(pressure=0.011)
     return solver
 
@@ -409,7 +409,7 @@ def spoil_run(good: Path, folder: Path, rng: Random) -> tuple[str, str, Path]:
 def main(count: int = 200, seed: int = 0) -> int:
     """Spoil that many files; returns how many ended badly."""
     warnings.simplefilter("ignore")
-    foreign.SECONDS = WAIT // 4
+    isolated_reader.SECONDS = WAIT // 4
     outcomes: dict[str, Counter[str]] = {"file": Counter(), "mutation": Counter()}
     wrong = 0
     with tempfile.TemporaryDirectory() as name:

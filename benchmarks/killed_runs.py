@@ -36,7 +36,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "scenes"))
 from vtu_file import read_vtu
 
 from crms_fenicsx import Cable, Friction, InputError, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.output import History
+from crms_fenicsx.output import History, draw
 
 PHASES = ("start", "solve", "results", "checkpoint", "picture", "replay", "between")
 """What a run is doing."""
@@ -110,12 +110,12 @@ def run(folder: Path, resume: bool) -> None:
     scene = scene_of(comm)
     solver = Solver(scene, results=folder / "out", resume=resume)
     solver.advance(pressure=0.01, steps=2)
-    solver.draw(folder / "out" / "inflated.png", dpi=50)
+    draw(solver, folder / "out" / "inflated.png", dpi=50)
     rough = scene.lay_cable(Cable(9000.0, friction=Friction(0.3)), [(0, 33), (100, 41)], tension=15)
     smooth = scene.lay_cable(Cable(9000.0), [(30, -20, 0), (42, 120, 0)], tension=15.0)
     solver.advance(move={smooth: (5.0, 0.0, -3.0), rough.end: (0.0, 0.0, -2.0)}, steps=3)
     solver.advance(L0={rough: 0.995 * rough.L0}, pressure=0.012, steps=2)
-    solver.draw(folder / "out" / "tightened.png", dpi=50)
+    draw(solver, folder / "out" / "tightened.png", dpi=50)
     if comm.rank == 0:
         numbers = (rough.tension, smooth.tension, scene.energy, *solver.history["energy"])
         print("result", *map(repr, map(float, numbers)), flush=True)

@@ -263,9 +263,9 @@ def nets(count: int, most: int, n: int = 17) -> None:
     for number in range(count):
         kind = str(rng.choice(KINDS))
         scene = sheet(n, kind)
-        for path, level in net(rng, most):
+        for path, layer in net(rng, most):
             chord = float(np.linalg.norm(np.subtract(*path)))
-            scene.lay_cable(CABLE, path, L0=chord * rng.uniform(1.0, 1.01), level=level)
+            scene.lay_cable(CABLE, path, L0=chord * rng.uniform(1.0, 1.01), layer=layer)
         try:
             step = Solver(scene).advance(pressure=PRESSURE)
         except ConvergenceError as error:
@@ -276,7 +276,7 @@ def nets(count: int, most: int, n: int = 17) -> None:
         outcomes["cables"] += len(scene.cables)
         outcomes["halved"] += step.halvings > 0
         outcomes["crossings"] += len(scene.net.crossings)
-        outcomes["apart"] += sum(crossing.apart for crossing in scene.net.crossings)
+        outcomes["apart"] += sum(crossing.separated for crossing in scene.net.crossings)
         work.append((step.outcome.solves, step.outcome.factorizations, step.outcome.evaluations))
     say(f"\n{count} random nets: {dict(outcomes)}; mean solves, factorisations, evaluations: "
         f"{np.mean(work, axis=0).round(1)}; {time.perf_counter() - began:.0f} s")  # fmt: skip

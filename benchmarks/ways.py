@@ -341,9 +341,9 @@ class Ways:
         p = given.pressure
         if way == "after":
             solver.advance(pressure=p)
-        for level, (path, L0) in enumerate(zip(given.paths, self.L0, strict=True)):
+        for layer, (path, L0) in enumerate(zip(given.paths, self.L0, strict=True)):
             route = detour(path, 2.7 * given.h) if way == "detour" else path
-            scene.lay_cable(Cable(32000.0), route, L0=L0, level=level)
+            scene.lay_cable(Cable(32000.0), route, L0=L0, layer=layer)
         if way == "beyond":
             solver.advance(pressure=3 * p)
         if way == "out":

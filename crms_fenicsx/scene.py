@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
@@ -20,17 +19,16 @@ from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.materials import LINEAR, UFL_LAW, MembraneMaterial
+from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.membrane import Marker, Membrane
+from crms_fenicsx.model.penalty import warn_of_penalty
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.runtime.errors import InputError, PenaltyWarning, collective, raised_together
+from crms_fenicsx.runtime.errors import InputError, collective, raised_together
 from crms_fenicsx.runtime.readonly import ReadOnly
 
 Law = Literal["total", "step"]
 
-STABLE_PENALTY = (1e-3, 1.0)
-"""Penalty factors between which folded cells are stable and do not lock."""
 ANOTHER = "make another Scene(...)"
 """What to do instead of assigning what a scene is made of."""
 
@@ -149,19 +147,10 @@ class Scene:
             literal_penalty = checks.positive("Scene: literal_penalty", literal_penalty)
         self._literal_penalty = literal_penalty
         self.membrane = Membrane(mesh, material, pressure_on)
-        self._warn_of_penalty()
-        for number, own in self.materials.items():
-            if strain == "step" and own.law == UFL_LAW:
-                raise InputError(
-                    'Scene: strain="step" has a linear law of its own, but '
-                    f"{self.membrane.owner_of_material(number)} has a UflMembrane; use "
-                    'strain="total", or give it an IsotropicMembrane or OrthotropicMembrane.'
-                )
-            if strain == "step" and own.law != LINEAR:
-                raise InputError(
-                    f'Scene: strain="step" has no wrinkling model, but the material is {own}; '
-                    "give it wrinkling=False."
-                )
+        if literal_penalty is None:
+            warn_of_penalty(self.comm, self.penalty)
+        if strain == "step":
+            self.membrane.refuse_step_strain()
         self.net = CableNet(self.membrane)
         self._floor_level: float | None = None
         self._pressure = self._load = 0.0
@@ -198,23 +187,6 @@ class Scene:
     def positions(self) -> Array:
         """Current positions of the vertices by local degree of freedom, (n, 3), with ghosts."""
         return self.membrane.positions()
-
-    def _warn_of_penalty(self) -> None:
-        lower, upper = STABLE_PENALTY
-        if self.literal_penalty is not None or lower <= self.penalty <= upper:
-            return
-        if self.comm.rank == 0:
-            happens = (
-                "folded cells are unstable, as sides in compression repel their fold points"
-                if self.penalty < lower
-                else "folded cells lock and cables come out too tight"
-            )
-            warnings.warn(
-                f"Scene: penalty = {self.penalty:g} lies outside {lower:g} ... {upper:g}: "
-                f"{happens}; give one in this range.",
-                PenaltyWarning,
-                stacklevel=3,
-            )
 
     def vertices(self, where: str | Marker) -> npt.NDArray[np.int32]:
         """Local degrees of freedom of the vertices of a named group or marked by a function.
@@ -341,7 +313,7 @@ class Scene:
         L0: float | None = None,
         tension: float | None = None,
         sleeve: bool = False,
-        level: int = 0,
+        layer: int = 0,
         name: str | None = None,
     ) -> LaidCable:
         """Lay a cable on the membrane's current shape.
@@ -369,8 +341,8 @@ class Scene:
             Tension at laying (force), from which the unstressed length follows.
         sleeve
             Whether a sleeve holds the cable to the membrane: it slides, but cannot lift off.
-        level
-            Of two cables that cross the one with the higher level lies on top; of equal ones the
+        layer
+            Of two cables that cross the one with the higher layer lies on top; of equal ones the
             one laid later.
         name
             Name in results; "cable 1", "cable 2" ... by default.
@@ -392,11 +364,11 @@ class Scene:
         from crms_fenicsx.paths.laying import lay
 
         given: dict[str, Any] = {
-            "L0": L0, "tension": tension, "sleeve": sleeve, "level": level, "name": name
+            "L0": L0, "tension": tension, "sleeve": sleeve, "layer": layer, "name": name
         }  # fmt: skip
         checks.same(self.comm, "lay_cable", cable=cable, path=path, **given)
         self.membrane.check_finite("lay_cable")
-        given["level"] = checks.whole("lay_cable: level", level, 0)
+        given["layer"] = checks.whole("lay_cable: layer", layer, 0)
         laid = lay(self.net, cable, path, **given)
         self.changes += 1
         return laid

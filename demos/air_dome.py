@@ -19,7 +19,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.output import join_pictures
+from crms_fenicsx.output import draw, join_pictures
 
 RESULTS = "results/air_dome"
 RADIUS, HEIGHT = 100.0, 28.0
@@ -48,7 +48,7 @@ LOOK = {
 tensions = {}
 for name, pressure in (("calm", CALM), ("storm", STORM)):
     solver.advance(pressure=pressure)
-    solver.draw(f"{RESULTS}/{name}.png", title=f"{name.title()}: {pressure} kPa inside", **LOOK)
+    draw(solver, f"{RESULTS}/{name}.png", title=f"{name.title()}: {pressure} kPa inside", **LOOK)
     tensions[name] = np.array([cable.tension for cable in scene.cables])
 
 rim = solver.reactions("boundary").total[2]

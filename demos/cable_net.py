@@ -19,7 +19,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.output import Line, join_pictures
+from crms_fenicsx.output import Line, draw, draw_paths, join_pictures
 
 RESULTS = "results/cable_net"
 RADIUS, HEIGHT = 20.0, 10.0
@@ -48,8 +48,10 @@ def on_fabric(name):
     """Where the cables touch the fabric, on the stress-free dome."""
     lines = []
     for cable in scene.cables:
-        gaps = np.flatnonzero(np.isnan(cable.material[:, 0]))
-        lines += [part[np.isfinite(part[:, 0])] for part in np.split(cable.material, gaps)]
+        gaps = np.flatnonzero(np.isnan(cable.reference_positions[:, 0]))
+        lines += [
+            part[np.isfinite(part[:, 0])] for part in np.split(cable.reference_positions, gaps)
+        ]
     return [Line(part, name=name) for part in lines if len(part) > 1]
 
 
@@ -72,7 +74,7 @@ for angle in np.radians([30.0, -30.0]):
         scene.lay_cable(Cable(EA=30e3), path=meshes.great_circle(RADIUS, HEIGHT, angle, offset))
 
 solver.advance(pressure=PRESSURE, steps=2)
-solver.draw(f"{RESULTS}/calm.png", title="Inflated: 0.4 kPa", **LOOK)
+draw(solver, f"{RESULTS}/calm.png", title="Inflated: 0.4 kPa", **LOOK)
 calm, path = np.array([cable.tension for cable in scene.cables]), on_fabric("calm")
 shape = scene.positions()
 
@@ -81,9 +83,9 @@ solver.advance(load=1.0, steps=2)
 once = np.array([cable.tension for cable in scene.cables])
 scene.put_load(wind)  # along the normals that the surface has now
 solver.advance(load=1.0)
-solver.draw(f"{RESULTS}/wind.png", title="Wind of 0.75 kPa along x", **LOOK)
+draw(solver, f"{RESULTS}/wind.png", title="Wind of 0.75 kPa along x", **LOOK)
 windy, moved = np.array([cable.tension for cable in scene.cables]), on_fabric("under the wind")
-solver.draw_paths(f"{RESULTS}/paths.png", path + moved, unit="m", title="The net on the fabric")
+draw_paths(scene, f"{RESULTS}/paths.png", path + moved, unit="m", title="The net on the fabric")
 
 way = scene.comm.allreduce(np.linalg.norm(scene.positions() - shape, axis=1).max(), MPI.MAX)
 slid = farthest(moved, path)

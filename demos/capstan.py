@@ -20,7 +20,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, Friction, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.output import History, draw_history, join_pictures
+from crms_fenicsx.output import History, draw, draw_history, join_pictures
 
 RESULTS = "results/capstan"
 MU, EA = 0.3, 3000.0
@@ -64,7 +64,7 @@ places, profiles, ends = np.linspace(0.0, 1.0, 81), {}, {}
 for what, length, steps in (("taken in", 0.25, 5), ("let out", -0.10, 4)):
     wind(length, steps)
     picture = f"{RESULTS}/{what.replace(' ', '_')}.png"
-    solver.draw(picture, title=f"{abs(length):.2f} m {what} at the right", **look)
+    draw(solver, picture, title=f"{abs(length):.2f} m {what} at the right", **look)
     profiles[what], profiles[f"{what}, free"] = (profile(c, places) for c in (rough, free))
     T, angle = rough.tensions, turned(rough)
     ends[what] = T[0], T.max(), T[-1], T[-1] / T[0] / np.exp(MU * angle)
@@ -82,7 +82,7 @@ if scene.comm.rank == 0:
         row = {f"tension {what}": float(values[k]) for what, values in profiles.items()}
         table.append({"distance from the far end": float(place * rough.length)} | row)
     draw_history(
-        f"{RESULTS}/profile.png", table, "distance from the far end",
+        table, f"{RESULTS}/profile.png", "distance from the far end",
         [[f"tension {what}" for what in profiles]], title="Tension along the cables", width=6.8,
         units={"tension": "kN", "distance from the far end": "m"}, dpi=100,
     )  # fmt: skip

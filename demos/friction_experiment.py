@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, OrthotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.output import join_pictures
+from crms_fenicsx.output import draw, join_pictures
 
 RESULTS = "results/friction_experiment"
 SIZE = float(next((word for word in sys.argv[1:] if word != "--resume"), 5.0))
@@ -54,9 +54,9 @@ def experiment(name):
         x, y, z = cable.line.T
         places.append((np.interp(ALONG, x, y) - 50.0, np.interp(ALONG, x, z)))
         tensions.append(cable.tension)
-    solver.draw(
-        f"{RESULTS}/{name}.png", colour="stress", view=(-65.0, 35.0), unit="cm", force="kgf",
-        title=RUNS[name][1], width=6.0, dpi=100,
+    draw(
+        solver, f"{RESULTS}/{name}.png", colour="stress", view=(-65.0, 35.0), unit="cm",
+        force="kgf", title=RUNS[name][1], width=6.0, dpi=100,
     )  # fmt: skip
     return np.array(places), np.array(tensions), solver
 

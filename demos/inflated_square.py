@@ -16,7 +16,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.output import join_pictures
+from crms_fenicsx.output import draw, draw_history, join_pictures
 
 RESULTS = "results/inflated_square"
 LOOK = {
@@ -36,13 +36,13 @@ scene.fix("boundary")
 solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)
 
 solver.advance(pressure=0.01, steps=5)
-solver.draw(f"{RESULTS}/inflated.png", title="Inflated: 0.01 kgf/cm²", **LOOK)
+draw(solver, f"{RESULTS}/inflated.png", title="Inflated: 0.01 kgf/cm²", **LOOK)
 top, inflated = scene.comm.allreduce(scene.positions()[:, 2].max(), MPI.MAX), scene.energy
 
 cable = scene.lay_cable(Cable(EA=32000.0), path=[(-80.0, 50.0, 0.0), (180.0, 50.0, 0.0)])
 solver.advance(move={cable: (0.0, 0.0, -15.0)}, steps=5)
-solver.draw(f"{RESULTS}/tightened.png", title="Tightened: cable ends 15 cm lower", **LOOK)
-solver.draw_history(f"{RESULTS}/history.png", unit="cm", force="kgf")
+draw(solver, f"{RESULTS}/tightened.png", title="Tightened: cable ends 15 cm lower", **LOOK)
+draw_history(solver.history, f"{RESULTS}/history.png", unit="cm", force="kgf")
 middle = np.interp(50.0, cable.line[:, 0], cable.line[:, 2])
 
 if scene.comm.rank == 0:

@@ -14,7 +14,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.output import Line, draw_path
+from crms_fenicsx.output import Line, draw, draw_path
 
 CORNERS = [(0.0, 0.0), (25.0, 60.0), (70.0, 0.0)]
 PATH = [(-20.0, 30.0, 0.0), (90.0, 24.0, 0.0)]  # both ends are anchors beside the triangle
@@ -39,9 +39,9 @@ for name, lift in (("up", 12.0), ("down", -12.0)):
     tracks += [Line(nodes[:, k], name=f"node {k + 2}, {name}") for k in (0, 1)]
     cables.append(Line(positions[-1]))
     tensions.append(cable.tension)
-    solver.draw(
-        f"{RESULTS}/{name}.png", title=f"Cable ends moved {name} by 12 cm", colour="stress",
-        ghost=True, view=(-60.0, 20.0), unit="cm", force="kgf",
+    draw(
+        solver, f"{RESULTS}/{name}.png", title=f"Cable ends moved {name} by 12 cm",
+        colour="stress", ghost=True, view=(-60.0, 20.0), unit="cm", force="kgf",
     )  # fmt: skip
 
 if MPI.COMM_WORLD.rank == 0:

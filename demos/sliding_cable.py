@@ -17,7 +17,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.output import Line, join_pictures
+from crms_fenicsx.output import Line, draw, draw_paths, join_pictures
 
 RESULTS = "results/sliding_cable"
 
@@ -40,7 +40,7 @@ def middle(points):
 ways = []
 for pressure in np.linspace(0.0, 0.01, 6):
     step = solver.advance(pressure=pressure)
-    ways.append((middle(cable.line), middle(cable.material)))
+    ways.append((middle(cable.line), middle(cable.reference_positions)))
     if scene.comm.rank == 0:
         took = f"{step.outcome.solves} solves, {step.outcome.evaluations} evaluations"
         print(f"pressure {pressure:.3f}: tension {cable.tension:7.3f} kgf,", end=" ")
@@ -48,8 +48,9 @@ for pressure in np.linspace(0.0, 0.01, 6):
         print(f"({took})")
 (_, y, z), (_, on_fabric, _) = ways[-1]
 
-fabric = cable.material[np.isfinite(cable.material[:, 0])]
-solver.draw_paths(
+fabric = cable.reference_positions[np.isfinite(cable.reference_positions[:, 0])]
+draw_paths(
+    scene,
     f"{RESULTS}/paths.png",
     [start, Line(cable.line, name="inflated"), Line(fabric, name="inflated: on the fabric")],
     [
@@ -59,10 +60,9 @@ solver.draw_paths(
     title="Paths of the cable, in plan",
     closeups={"the middle, inflating": [0, 1]}, unit="cm", width=7.0, dpi=100,
 )  # fmt: skip
-solver.draw(
-    f"{RESULTS}/inflated.png", colour="height", view=(-60.0, 40.0), unit="cm", force="kgf",
-    title="Inflated: 0.01 kgf/cm²",
-    width=6.8, dpi=100,
+draw(
+    solver, f"{RESULTS}/inflated.png", colour="height", view=(-60.0, 40.0), unit="cm",
+    force="kgf", title="Inflated: 0.01 kgf/cm²", width=6.8, dpi=100,
 )  # fmt: skip
 if scene.comm.rank == 0:
     join_pictures(f"{RESULTS}/both.png", [f"{RESULTS}/paths.png", f"{RESULTS}/inflated.png"])

@@ -16,6 +16,20 @@ FLOORS = (
 ).split()
 """Ground first: a module imports from its own package and from those before it."""
 
+DOORS = (
+    "energies.membrane cables.deformed_surface scene contributions equilibrium.search "
+    "verification.verifier output.recorder output.cable_lines checkpoint solver"
+).split()
+"""Where functions may import modules of the package: kernels, and what most runs do not need."""
+
+MOST_LINES, MOST_CODE = 400, 60
+"""Lines of a file, and lines of code of a function."""
+
+TO_DIVIDE = (
+    "equilibrium.system model.laid_cable minimization.minimizer output.figures.surface solver"
+).split()
+"""Modules that do not keep these rules yet."""
+
 
 def modules() -> dict[str, ast.Module]:
     """The syntax trees of all modules, by their names without the package's."""
@@ -62,3 +76,85 @@ def test_imports_go_down() -> None:
         if floor(other) > floor(module)
     ]
     assert not wrong, "\n".join(wrong)
+
+
+def circles() -> set[frozenset[str]]:
+    """Sets of modules each of which imports the others, by way of others or not."""
+    below = {module: {other for other in imports(module) if other != module} for module in MODULES}
+    for module in MODULES:  # what is imported by way of it
+        for others in below.values():
+            if module in others:
+                others |= below[module]
+    return {
+        frozenset(other for other in below[module] if module in below[other])
+        for module in MODULES
+        if module in below[module]
+    }
+
+
+def test_no_imports_go_in_circles() -> None:
+    found = circles()
+    assert not found, "\n".join(" and ".join(sorted(circle)) for circle in found)
+
+
+def test_functions_import_at_the_doors_only() -> None:
+    wrong = [
+        f"{module}, line {node.lineno}, imports {node.module}"
+        for module, tree in MODULES.items()
+        for function in functions(tree)
+        for node in ast.walk(function)
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("crms_fenicsx")
+        if not any(f"{module}.".startswith(f"{door}.") for door in (*DOORS, *TO_DIVIDE))
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_files_are_short() -> None:
+    lengths = {module: len(text(module).splitlines()) for module in MODULES}
+    long = [module for module, n in lengths.items() if n > MOST_LINES and module not in TO_DIVIDE]
+    assert not long, long
+
+
+def test_functions_are_short() -> None:
+    long = [
+        f"{module}.{function.name} has {n} lines of code"
+        for module, tree in MODULES.items()
+        if module not in TO_DIVIDE
+        for function in functions(tree)
+        if not any("jit" in ast.unparse(decorator) for decorator in function.decorator_list)
+        if (n := lines_of_code(function, text(module))) > MOST_CODE
+    ]
+    assert not long, "\n".join(long)
+
+
+def text(module: str) -> str:
+    """The text of a module."""
+    return PACKAGE.joinpath(*module.split(".")).with_suffix(".py").read_text()
+
+
+def functions(tree: ast.Module) -> list[ast.FunctionDef]:
+    """The functions and methods of a module, those inside of others too."""
+    return [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+
+
+def lines_of_code(function: ast.FunctionDef, source: str) -> int:
+    """Lines of a function's body that are neither empty nor a docstring or a comment."""
+    assert function.end_lineno is not None
+    described = {
+        line
+        for node in ast.walk(function)
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+        for line in range(node.lineno, (node.end_lineno or node.lineno) + 1)
+    }
+    lines = source.splitlines()
+    body = range(function.body[0].lineno, function.end_lineno + 1)
+    code = [lines[k - 1].strip() for k in body if k not in described]
+    return sum(line != "" and not line.startswith("#") for line in code)
+
+
+def test_tests_lie_where_what_they_test_does() -> None:
+    """In the folder of its package; only what belongs to none lies beside these."""
+    tests = Path(__file__).parent
+    folders = {path.parent.relative_to(tests).as_posix() for path in tests.rglob("test_*.py")}
+    packages = {path.parent.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py")}
+    assert folders - {"runs"} <= packages

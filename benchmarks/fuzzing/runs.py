@@ -239,7 +239,7 @@ def play(data: SceneData, comm: MPI.Intracomm, result: Result) -> None:
                     result.verification += sum(s.verification.seconds for s in new)  # type: ignore[union-attr]
                 inspect(solver, result)
     finally:
-        if solver._system is not None:
+        if solver._increments._system is not None:
             solver.system.destroy()
 
 
@@ -248,7 +248,7 @@ def lay(scene: Scene, data: CableData) -> None:
     friction: Any = 0.0 if data.friction is None else Friction(**data.friction)
     scene.lay_cable(
         Cable(data.EA, data.law, friction),  # type: ignore[arg-type]
-        data.path, L0=data.L0, tension=data.tension, sleeve=data.sleeve, level=data.level,
+        data.path, L0=data.L0, tension=data.tension, sleeve=data.sleeve, layer=data.layer,
     )  # fmt: skip
 
 

@@ -53,7 +53,7 @@ class CableData:
     L0: float | None = None
     tension: float | None = None
     sleeve: bool = False
-    level: int = 0
+    layer: int = 0
 
 
 @dataclass(frozen=True)

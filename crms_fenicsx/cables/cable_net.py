@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 
@@ -41,7 +43,7 @@ class CableNet:
         self.membrane = membrane
         self.cables: tuple[LaidCable, ...] = ()
         self.strip: Strip | None = None
-        self.crossings: list[Crossing] = []
+        self.crossings: tuple[Crossing, ...] = ()
         self.laid = 0
         self.removed_dissipation = 0.0
 
@@ -95,8 +97,9 @@ class CableNet:
 
     def arrange_crossings(self) -> None:
         """Find the crossings of the cables in tension, and insert their points into the cables."""
-        if self.strip is not None:
-            self.crossings = arrange(self.cables, self.strip, self.crossings)
+        self.crossings = (
+            () if self.strip is None else arrange(self.cables, self.strip, self.crossings)
+        )
 
     def add(self, cable: LaidCable, strip: Strip) -> None:
         """Add a cable that has been laid over the cells of `strip`."""
@@ -124,10 +127,13 @@ class CableNet:
                 "name."
             )
         number = self.cables.index(gone)
-        self.crossings = [k for k in self.crossings if number not in (k.lower, k.upper)]
-        for crossing in self.crossings:
-            crossing.lower -= crossing.lower > number
-            crossing.upper -= crossing.upper > number
+
+        def renumbered(c: int) -> int:
+            return -1 if c == number else c - (c > number)  # -1: of a cable that is gone
+
+        self.crossings = tuple(  # the nodes refer to them by number until they are arranged anew
+            replace(k, lower=renumbered(k.lower), upper=renumbered(k.upper)) for k in self.crossings
+        )
         self.removed_dissipation += gone.dissipated
         self.cables = tuple(own for own in self.cables if own is not gone)
         points = (node.point for own in self.cables for node in own.nodes)

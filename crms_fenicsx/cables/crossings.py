@@ -10,14 +10,16 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations, pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from crms_fenicsx.cables.strip import Strip
+from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.crossing import Crossing, Member
-from crms_fenicsx.model.laid_cable import CableNode, LaidCable
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint
 
@@ -35,7 +37,9 @@ class _Meeting(NamedTuple):
     point: CellPoint | EdgePoint
 
 
-def arrange(cables: Sequence[LaidCable], strip: Strip, known: Sequence[Crossing]) -> list[Crossing]:
+def arrange(
+    cables: Sequence[LaidCable], strip: Strip, known: Sequence[Crossing]
+) -> tuple[Crossing, ...]:
     """Find the crossings of the cables in tension, and insert their points into the cables.
 
     Parameters
@@ -45,40 +49,40 @@ def arrange(cables: Sequence[LaidCable], strip: Strip, known: Sequence[Crossing]
     strip
         Cells around them.
     known
-        The crossings before: which of them are apart is kept.
+        The crossings before: which of them are separated is kept.
 
     What the last solve has found of a cable's points stays where these are as before.
     """
-    before = [(_points(cable), cable.material, cable.blocked) for cable in cables]
+    before = [(_points(cable), cable.reference_positions, cable.blocked) for cable in cables]
     for cable in cables:
-        _remove_crossings(cable)
+        known = _remove_crossings(cable, known)
     meetings = _meetings(cables, strip)
     inserted: dict[Member, list[tuple[float, CableNode, Array]]] = defaultdict(list)
     left = list(known)
-    crossings = []
+    crossings: list[Crossing] = []
     for first, second, along, point in sorted(meetings, key=lambda m: (m.first, m.along[0])):
         links = [_link(cables, member) for member in (first, second)]
         places = [a + t * (b - a) for (a, b), t in zip(links, along, strict=True)]
         (lower, t_lower), (upper, t_upper) = sorted(
-            zip((first, second), along, strict=True), key=lambda side: _level(cables, side[0][0])
+            zip((first, second), along, strict=True), key=lambda side: _order(cables, side[0][0])
         )
         crossing = Crossing(
             lower[0], upper[0], point.support, (lower[1], upper[1]), np.mean(places, axis=0)
         )
-        _inherit(crossing, left, cables)
+        crossing, number = _inherited(crossing, left, cables), len(crossings)
         crossings.append(crossing)
-        if crossing.apart:
+        if crossing.separated:
             continue
-        node = CableNode("crossing", point, crossing)
+        node = CableNode("crossing", point, number)
         for member, t in ((lower, t_lower), (upper, t_upper)):
-            if not _give(cables, member, crossing, point):
+            if not _is_fold_point(cables, member, number, point):
                 inserted[member].append((t, node, crossing.place))
     for c, cable in enumerate(cables):
         _insert(cable, {k: new for (d, k), new in inserted.items() if d == c})
-        points, material, blocked = before[c]
+        points, reference_positions, blocked = before[c]
         if _points(cable) == points:
-            cable.state.material, cable.state.blocked = material, blocked
-    return crossings
+            cable.update(reference_positions=reference_positions, blocked=blocked)
+    return tuple(crossings)
 
 
 def _points(cable: LaidCable) -> list[tuple[str, tuple[int, ...]]]:
@@ -96,8 +100,8 @@ def tangled(crossings: Sequence[Crossing]) -> set[int]:
     return found
 
 
-def _level(cables: Sequence[LaidCable], c: int) -> tuple[int, int]:
-    return cables[c].level, c
+def _order(cables: Sequence[LaidCable], c: int) -> tuple[int, int]:
+    return cables[c].layer, c
 
 
 def _link(cables: Sequence[LaidCable], member: Member) -> tuple[Array, Array]:
@@ -105,22 +109,20 @@ def _link(cables: Sequence[LaidCable], member: Member) -> tuple[Array, Array]:
     return cables[c].positions[k], cables[c].positions[min(k + 1, len(cables[c].nodes) - 1)]
 
 
-def _inherit(crossing: Crossing, left: list[Crossing], cables: Sequence[LaidCable]) -> None:
+def _inherited(crossing: Crossing, left: list[Crossing], cables: Sequence[LaidCable]) -> Crossing:
     """Go on from the nearest known crossing of these cables; a new one starts as they lie."""
     same = [k for k in left if (k.lower, k.upper) == (crossing.lower, crossing.upper)]
     if not same:
         upper, k = cables[crossing.upper], crossing.links[1]
-        crossing.apart = all(upper.lifted[k : k + 2])
-        return
+        return replace(crossing, separated=all(upper.lifted[k : k + 2]))
     old = min(same, key=lambda k: float(np.linalg.norm(k.place - crossing.place)))
     left.remove(old)
-    crossing.apart = old.apart
-    if old.support == crossing.support:
-        crossing.place = old.place
+    place = old.place if old.support == crossing.support else crossing.place
+    return replace(crossing, separated=old.separated, place=place)
 
 
-def _give(
-    cables: Sequence[LaidCable], member: Member, crossing: Crossing, point: CellPoint | EdgePoint
+def _is_fold_point(
+    cables: Sequence[LaidCable], member: Member, number: int, point: CellPoint | EdgePoint
 ) -> bool:
     """Let a fold point on an edge that another cable follows be the crossing's point."""
     cable, k = cables[member[0]], member[1]
@@ -128,30 +130,33 @@ def _give(
     if not isinstance(point, EdgePoint) or node.kind == "vertex":
         return False
     nodes = list(cable.nodes)
-    nodes[k] = CableNode(node.kind, node.point, crossing)
-    cable.state.nodes = tuple(nodes)
+    nodes[k] = CableNode(node.kind, node.point, number)
+    cable.update(nodes=tuple(nodes))
     return True
 
 
-def note_places(cable: LaidCable) -> None:
-    """Let a cable's crossings know where they are now, before its nodes are replaced."""
+def at_nodes(crossings: Sequence[Crossing], cable: LaidCable) -> tuple[Crossing, ...]:
+    """The crossings with the places of a cable's nodes, for when its nodes are replaced."""
+    found = list(crossings)
     for k, node in enumerate(cable.nodes):
         if node.crossing is not None:
-            node.crossing.place = cable.positions[k].copy()
+            place = cable.positions[k].copy()
+            found[node.crossing] = replace(found[node.crossing], place=place)
+    return tuple(found)
 
 
-def _remove_crossings(cable: LaidCable) -> None:
+def _remove_crossings(cable: LaidCable, known: Sequence[Crossing]) -> Sequence[Crossing]:
+    """Take the crossings out of a cable's nodes; return them with the places of these."""
     keep = np.array([node.kind != "crossing" for node in cable.nodes])
-    if not keep.all() or any(node.crossing for node in cable.nodes):
-        note_places(cable)
-        cable.set_nodes(
-            [
-                CableNode(node.kind, node.point)
-                for node, kept in zip(cable.nodes, keep, strict=True)
-                if kept
-            ],
-            cable.positions[keep], cable.fractions[keep], cable.lifted[keep],
-        )  # fmt: skip
+    if keep.all() and all(node.crossing is None for node in cable.nodes):
+        return known
+    known = at_nodes(known, cable)
+    nodes = [node for node, kept in zip(cable.nodes, keep, strict=True) if kept]
+    cable.set_nodes(
+        [CableNode(node.kind, node.point) for node in nodes],
+        cable.positions[keep], cable.fractions[keep], cable.lifted[keep],
+    )  # fmt: skip
+    return known
 
 
 def _insert(cable: LaidCable, new: dict[int, list[tuple[float, CableNode, Array]]]) -> None:

@@ -68,6 +68,7 @@ def folded_shape(net: CableNet) -> FoldedShape:
     places, stress_free = membrane.positions(), membrane.stress_free
     if net.strip is None or not any(cable.taut for cable in net.cables):
         return FoldedShape(places, stress_free, [])
+    from crms_fenicsx.cables.cell_cuts import pieces
     from crms_fenicsx.cables.numbering import Network
 
     network = Network(net.cables, net.strip, membrane.u)
@@ -78,16 +79,14 @@ def folded_shape(net: CableNet) -> FoldedShape:
             return network.dof(corner)
         return added.setdefault(corner, len(places) + len(added))
 
-    pieces = network.pieces(number)
+    cut = pieces(network, number)
     new, new_free = np.zeros((len(added), 3)), np.zeros((len(added), 3))
     for i, (c, k) in enumerate(added):
         cable = net.cables[c]
         vertices, weights = cable.nodes[k].masters(_fraction(cable.fractions[k]))
         new[i] = cable.positions[k]
         new_free[i] = np.dot(weights, stress_free[[network.dof(v) for v in vertices]])
-    return FoldedShape(
-        np.concatenate([places, new]), np.concatenate([stress_free, new_free]), pieces
-    )
+    return FoldedShape(np.concatenate([places, new]), np.concatenate([stress_free, new_free]), cut)
 
 
 def _fraction(value: float) -> float | None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from crms_fenicsx.cables.cell_cuts import chords_by_row, cut, folded_rows
 from crms_fenicsx.cables.numbering import Link, Network
 from crms_fenicsx.energies.fold_penalty import Kinks
 from crms_fenicsx.energies.folded_membrane import FoldedCells
@@ -82,7 +83,7 @@ def cable_tables(
     sizes[rows] = np.sqrt(2 * areas)
     own = [k for k in network.links if k.cable in taut and network.link_owner(k) == network.rank]
     segments = [(network.block(c, k), network.block(c, m)) for c, k, m, _ in own]
-    cells = _FoldedCellsOf(network, set(taut))
+    cells = _FoldedCellsOf(network)
     return CableTables(
         np.array(segments, dtype=np.int32).reshape(-1, 2),
         np.array([_smoothing(network, link, sizes) for link in own]),
@@ -115,10 +116,10 @@ def _smoothing(network: Network, link: Link, sizes: Array) -> float:
 class _FoldedCellsOf:
     """This rank's cells that the cables in tension fold, cell by cell."""
 
-    def __init__(self, network: Network, taut: set[int]) -> None:
+    def __init__(self, network: Network) -> None:
         self.network = network
-        self.chords = network.chords_by_row(taut)
-        self.rows = network.folded_rows()
+        self.chords = chords_by_row(network)
+        self.rows = folded_rows(network)
 
     def sides(self, row: int) -> list[Edge]:
         """The three sides of a cell."""
@@ -184,7 +185,7 @@ class _FoldedCellsOf:
         polygons: list[list[int]] = []
         for row in rows:
             chords = [[network.block(*k) for k in chord] for chord in self.chords.get(row, [])]
-            polygons += network.cut(row, network.blocks_along, chords)
+            polygons += cut(network, row, network.blocks_along, chords)
         corners, weights = fan_facets(polygons)
         plain = [[network.vertex(v) for v in network.strip.corners[row]] for row in rows]
         return Facets(corners, weights, np.array(plain, dtype=np.int32).reshape(-1, 3))
@@ -192,9 +193,8 @@ class _FoldedCellsOf:
 
 def damping(network: Network, segments: Indices) -> Damping:
     """What holds back the points of the cables in tension, with this rank's segments (m, 2)."""
-    taut = {c for c, cable in enumerate(network.cables) if cable.taut}
     sliders, fractions = [], []
-    for edge, points in network.points_by_edge(taut).items():
+    for edge, points in network.on_edge.items():
         for fraction, c, k in points:
             own = network.owners[network.numbers[c, k]] == network.rank
             if own and network.cables[c].nodes[k].slides:

@@ -62,9 +62,11 @@ class Whereabouts:
                 on_lines.append([self._starts[c] + k for _, c, k in points])
         self._lines = _Lines(lines)
         self._on_lines = np.array([m for line in on_lines for m in line], dtype=np.int64)
-        mine = [n for n, (c, k) in enumerate(network.rails) if network.is_mine(c, k)]
+        mine = [n for n, (c, k) in enumerate(network.rails.members) if network.is_mine(c, k)]
         self._own_rails = np.array(mine, dtype=np.int64)
-        self._rails = np.array([self._starts[c] + k for c, k in network.rails], dtype=np.int64)
+        self._rails = np.array(
+            [self._starts[c] + k for c, k in network.rails.members], dtype=np.int64
+        )
 
     def _list_links(self) -> None:
         """Links with crossings on them, and which two nodes each crossing is."""
@@ -84,7 +86,7 @@ class Whereabouts:
                     links.append([start + k for k in range(a, b + 1)])
             for k, node in enumerate(cable.nodes):
                 if node.crossing is not None:
-                    shared[id(node.crossing)].append(start + k)
+                    shared[node.crossing].append(start + k)
         self._told, self._slides = np.array(told, dtype=bool), np.array(slides, dtype=bool)
         self._free = np.array(free, dtype=bool)
         self._links = _Lines(links)
@@ -104,7 +106,7 @@ class Whereabouts:
         position[self._own] = places[self._blocks]
         fraction[self._on_lines] = self._lines.shares(places)
         if len(self._rails):
-            found = network.rail_fractions(unknowns, x)
+            found = network.rails.fractions(unknowns, x)
             fraction[self._rails[self._own_rails]] = found[self._own_rails]
         # whoever owns a sliding point has found its place on its edge, too
         before = np.concatenate([cable.fractions for cable in network.cables])
@@ -122,14 +124,17 @@ class Whereabouts:
         for (start, end), cable in zip(pairwise(self._starts), network.cables, strict=True):
             part, slides = total[start:end], self._slides[start:end] & ~cable.lifted
             known = ~cable.lifted if cable.taut else slice(None)
-            cable.positions[known] = part[known, :3]
+            positions, fractions = cable.positions.copy(), cable.fractions.copy()
+            positions[known] = part[known, :3]
             if cable.taut:
-                cable.fractions[slides] = part[slides, 3]
-            close = (cable.fractions < BLOCKED) | (cable.fractions > 1 - BLOCKED)
-            cable.state.blocked = tuple(
-                int(k) for k in np.flatnonzero(slides & close) if cable.taut
+                fractions[slides] = part[slides, 3]
+            close = (fractions < BLOCKED) | (fractions > 1 - BLOCKED)
+            cable.update(
+                positions=positions,
+                fractions=fractions,
+                reference_positions=part[:, 4:].copy(),
+                blocked=tuple(int(k) for k in np.flatnonzero(slides & close) if cable.taut),
             )
-            cable.state.material = part[:, 4:].copy()
 
     def _set_material(self, total: Array) -> None:
         """Find the nodes' places on the stress-free membrane; none where a cable is off it.

@@ -8,22 +8,23 @@ cables' paths and the strip of crossed cells, so they number alike without commu
 from __future__ import annotations
 
 import itertools
-from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from dolfinx import fem
 
+from crms_fenicsx.cables.points_on_edges import points_by_edge
+from crms_fenicsx.cables.rails import Rails
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.segments import SMOOTHING
+from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.crossing import Member
-from crms_fenicsx.model.laid_cable import CableNode, LaidCable
-from crms_fenicsx.runtime.arrays import Array, Indices
-from crms_fenicsx.surface.points import Edge, EdgePoint, SurfacePoint
-from crms_fenicsx.surface.polygons import split_polygon
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.surface.points import Edge, SurfacePoint
 
 Corner = int | tuple[int, int]
 """A corner of a piece of a folded cell: a vertex by its id, or a cable's point (cable, node)."""
@@ -89,7 +90,7 @@ class Network:
                     continue
                 number = len(self._first)
                 if node.crossing is not None:
-                    number = shared.setdefault(id(node.crossing), number)
+                    number = shared.setdefault(node.crossing, number)
                 if number == len(self._first):
                     self._first.append((c, k))
                 self.numbers[c, k] = number
@@ -231,7 +232,8 @@ class Network:
             return self.vertex(point.masters()[0][0])
         return int(self.blocks[self.numbers[c, k]])
 
-    def _corner(self, c: int, k: int) -> Corner:
+    def corner(self, c: int, k: int) -> Corner:
+        """A cable's node as a corner, the same one for both cables of a crossing."""
         node = self.cables[c].nodes[k]
         return node.masters()[0][0] if node.kind == "vertex" else self._first[self.numbers[c, k]]
 
@@ -242,7 +244,7 @@ class Network:
         """
         loaded: list[tuple[int, list[int], list[float]]] = []
         idle: list[tuple[int, list[int], list[float]]] = []
-        self.rails: list[Member] = []
+        rails: list[Member] = []
         for (c, k), number in self.numbers.items():
             block, cable = int(self.blocks[number]), self.cables[c]
             if block < 0:
@@ -250,7 +252,7 @@ class Network:
             node = cable.nodes[k]
             unknowns.held[block] = node.kind == "anchor"
             if node.kind == "rail" and cable.taut:
-                self.rails.append((c, k))
+                rails.append((c, k))
             if node.kind == "rider" or (node.slides and not cable.taut):
                 ids, share = node.masters(cable.fractions[k] if node.slides else None)
                 own = [self.vertex(i) for i in ids]
@@ -263,59 +265,26 @@ class Network:
             np.array([weights for _, _, weights in riders], dtype=float).reshape(-1, 3),
             len(loaded),
         )
+        self.rails = Rails(
+            self.cables,
+            rails,
+            np.array([self.block(c, k) for c, k in rails], dtype=np.int32),
+            np.array(
+                [[self.vertex(v) for v in self.cables[c].nodes[k].masters()[0]] for c, k in rails],
+                dtype=np.int32,
+            ).reshape(-1, 2),
+        )
         if any(n.kind == "rail" for cable in self.cables if cable.taut for n in cable.nodes):
             vector, x = unknowns.vector()
             x[unknowns.vertex_blocks()] = self.u.x.array.reshape(-1, 3)
             unknowns.update_ghosts(vector)  # on far vertices
-            self.place_rails(unknowns, x)
+            self.rails.place(unknowns, x)
             vector.destroy()
-
-    def rail_table(self) -> tuple[Indices, Indices, Array]:
-        """Rails: blocks (n,), blocks of their edges' ends (n, 2), places on the edges (n,)."""
-        edges = [self.cables[c].nodes[k].masters()[0] for c, k in self.rails]
-        ends = [(self.vertex(a), self.vertex(b)) for a, b in edges]
-        return (
-            np.array([self.block(c, k) for c, k in self.rails], dtype=np.int32),
-            np.array(ends, dtype=np.int32).reshape(-1, 2),
-            np.array([self.cables[c].fractions[k] for c, k in self.rails], dtype=float),
-        )
-
-    def place_rails(self, unknowns: Unknowns, x: Array) -> None:
-        """Put the rails where they were on their edges, which may have been moved with x."""
-        if not self.rails:
-            return
-        blocks, ends, fractions = self.rail_table()
-        places = unknowns.X[ends] + x[ends]
-        sides = places[:, 1] - places[:, 0]
-        unknowns.X[blocks] = places[:, 0] + fractions[:, None] * sides
-        x[blocks] = 0.0
-        unknowns.set_rails(blocks, sides / np.linalg.norm(sides, axis=1)[:, None])
-
-    def rail_fractions(self, unknowns: Unknowns, x: Array) -> Array:
-        """Current places of the rails on their edges, (n,)."""
-        blocks, ends, _ = self.rail_table()
-        start, end = (unknowns.X[own] + x[own] for own in ends.T)
-        side, way = end - start, unknowns.X[blocks] + x[blocks] - start
-        fractions: Array = np.sum(way * side, axis=1) / np.sum(side**2, axis=1)
-        return fractions
-
-    def points_by_edge(self, cables: set[int]) -> dict[Edge, list[tuple[float, int, int]]]:
-        """Points (fraction, cable, node) on each edge, sorted from its first vertex to its last."""
-        table: dict[Edge, list[tuple[float, int, int]]] = defaultdict(list)
-        for c in cables:
-            cable = self.cables[c]
-            places = zip(cable.nodes, cable.fractions, cable.lifted, strict=True)
-            for k, (node, fraction, lifted) in enumerate(places):
-                point = node.point
-                if isinstance(point, EdgePoint) and node.kind != "crossing" and not lifted:
-                    place = fraction if node.slides else point.fraction
-                    table[point.edge].append((float(place), c, k))
-        return {edge: sorted(points) for edge, points in table.items()}
 
     @cached_property
     def on_edge(self) -> dict[Edge, list[tuple[float, int, int]]]:
         """Points of the cables in tension on each edge, in the order that they keep."""
-        return self.points_by_edge({c for c, cable in enumerate(self.cables) if cable.taut})
+        return points_by_edge(self.cables)
 
     def blocks_along(self, edge: Edge) -> list[int]:
         """Local blocks along an edge with the points of all cables in tension; see `line`."""
@@ -327,62 +296,3 @@ class Network:
         """Local blocks along an edge: its first vertex, its points in order, its last vertex."""
         inner = (self.block(c, k) for _, c, k in points)
         return [self.vertex(edge[0]), *inner, self.vertex(edge[1])]
-
-    def pieces(self, number: Callable[[Corner], int]) -> list[tuple[int, list[int]]]:
-        """Polygons into which the cables in tension cut this rank's folded cells.
-
-        Parameters
-        ----------
-        number
-            Gives the number of a corner in the caller's arrays.
-
-        Returns
-        -------
-        list of (cell, polygon)
-            Local cell number, and corners in the membrane's orientation, by number. Points on
-            sides that no chord leaves are corners too.
-        """
-        taut = {c for c, cable in enumerate(self.cables) if cable.taut}
-        chords = self.chords_by_row(taut)
-
-        def line(edge: Edge) -> list[int]:
-            inner = (number((c, k)) for _, c, k in self.on_edge.get(edge, []))
-            return [number(edge[0]), *inner, number(edge[1])]
-
-        pieces = []
-        for row in self.folded_rows():
-            own = [[number(self._corner(*k)) for k in chord] for chord in chords.get(row, [])]
-            cell = int(self.strip.local[row])
-            pieces += [(cell, polygon) for polygon in self.cut(row, line, own)]
-        return pieces
-
-    def chords_by_row(self, taut: set[int]) -> dict[int, list[list[Member]]]:
-        """Chords through the inside of this rank's cells, by row: nodes from rim to rim.
-
-        Between its two ends a chord has the crossings on it.
-        """
-        chords: dict[int, list[list[Member]]] = defaultdict(list)
-        for c, k, m, on in self.links:
-            if c in taut and on is not None and len(on) == 3:
-                row = self.strip.rows(on)[0]
-                if self.strip.owners[row] == self.rank:
-                    if chords[row] and chords[row][-1][-1] == (c, k):
-                        chords[row][-1].append((c, m))
-                    else:
-                        chords[row].append([(c, k), (c, m)])
-        return chords
-
-    def folded_rows(self) -> list[int]:
-        """Rows of this rank's cells with points on a side."""
-        strip = self.strip
-        rows = {row for edge in self.on_edge for row in strip.rows(edge)}
-        return sorted(row for row in rows if strip.owners[row] == self.rank)
-
-    def cut(
-        self, row: int, line: Callable[[Edge], list[int]], chords: Sequence[Sequence[int]]
-    ) -> list[list[int]]:
-        """Polygons of one cell; `line` gives the corners along an edge."""
-        around: list[int] = []
-        for edge, forward in self.strip.sides[row]:
-            around += line(edge)[:-1] if forward else line(edge)[:0:-1]
-        return split_polygon(around, chords)

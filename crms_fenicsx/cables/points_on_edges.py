@@ -20,12 +20,10 @@ def nodes_on_edges(cables: Sequence[LaidCable]) -> dict[Edge, list[tuple[int, in
     return found
 
 
-def bends(
-    cables: Sequence[LaidCable],
-    nodes: Mapping[Edge, Sequence[tuple[int, int]]] | None = None,
-    but: LaidCable | None = None,
-) -> dict[Edge, list[Array]]:
-    """Positions of the points of cables in tension on each edge, in order.
+def points_by_edge(
+    cables: Sequence[LaidCable], nodes: Mapping[Edge, Sequence[tuple[int, int]]] | None = None
+) -> dict[Edge, list[tuple[float, int, int]]]:
+    """Points of cables in tension on each edge, sorted from its first vertex to its last.
 
     Parameters
     ----------
@@ -33,16 +31,35 @@ def bends(
         All cables.
     nodes
         Those to look at, as in `nodes_on_edges`; None: all.
+
+    Returns
+    -------
+    Places on the edge (fractions) and numbers of cables and nodes; without lifted ones.
+    """
+    found = {
+        edge: sorted(
+            (float(cables[c].fractions[k]), c, k) for c, k in members if not cables[c].lifted[k]
+        )
+        for edge, members in (nodes_on_edges(cables) if nodes is None else nodes).items()
+    }
+    return {edge: points for edge, points in found.items() if points}
+
+
+def bends(
+    cables: Sequence[LaidCable],
+    nodes: Mapping[Edge, Sequence[tuple[int, int]]] | None = None,
+    but: LaidCable | None = None,
+) -> dict[Edge, list[Array]]:
+    """Positions (3,) of the points on each edge, in order; see `points_by_edge`.
+
+    Parameters
+    ----------
+    cables, nodes
+        As there.
     but
         A cable to leave out.
     """
-    found: dict[Edge, list[Array]] = {}
-    for edge, members in (nodes_on_edges(cables) if nodes is None else nodes).items():
-        touching = sorted(
-            (float(cables[c].fractions[k]), c, k)
-            for c, k in members
-            if not cables[c].lifted[k] and cables[c] is not but
-        )
-        if touching:
-            found[edge] = [cables[c].positions[k] for _, c, k in touching]
-    return found
+    return {
+        edge: [cables[c].positions[k] for _, c, k in points if cables[c] is not but]
+        for edge, points in points_by_edge(cables, nodes).items()
+    }

@@ -9,12 +9,12 @@
     dead_forces.npy     where there is a dead load
     cells.npy           state of the cells at the step's start, with the paper's incremental strain
 
-No rank ever has a whole field. Numbers survive to the last digit, and nothing that is read is
-executed. See `Solver.save` and `Solver.load`. `journal` keeps checkpoints of all calls of
+The first rank has one whole field at a time. Numbers survive to the last digit, and nothing that is
+read is executed. See `Solver.save` and `Solver.load`. `journal` keeps checkpoints of all calls of
 `Solver.advance`, for scripts that are started again.
 """
 
-from crms_fenicsx.checkpoint.run import Run
+from crms_fenicsx.checkpoint.contents import Run
 from crms_fenicsx.checkpoint.state import load, save
 
 __all__ = ["Run", "load", "save"]

@@ -9,10 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from crms_fenicsx.checkpoint.cables import plain_data
+from crms_fenicsx.checkpoint.codec import Plain, encode
 from crms_fenicsx.checkpoint.fields import dof_vertex_ids, edge_vertices
 from crms_fenicsx.checkpoint.fingerprint import fingerprint, mixed
-from crms_fenicsx.checkpoint.json_data import Plain
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
@@ -47,7 +46,7 @@ def _name(key: object) -> str:
     return f"cable {key.name!r}" if isinstance(key, LaidCable) else f"group {key!r}"
 
 
-def beginning(scene: Scene) -> Plain:
+def scene_record(scene: Scene) -> Plain:
     """Describe a scene by numbers and texts that hardly any change leaves alone. Collective.
 
     Of fields they are sums with weights, so that they are the same on any number of processes up to
@@ -97,9 +96,9 @@ def _described(cable: LaidCable) -> Plain:
     square += np.einsum("s,si,sj->ij", lengths, spans, spans) / 12
     return {
         "name": cable.name,
-        **plain_data(cable.cable),
+        **encode(cable.cable),
         "sleeve": bool(cable.sleeve),
-        "level": int(cable.level),
+        "layer": int(cable.layer),
         "L0, length": [float(cable.L0), float(cable.length)],
         "tension": float(cable.tension),
         "ends and middle": [float(x) for place in way for x in place],

@@ -107,7 +107,7 @@ def read_fields(
 
     def read(name: str, dtype: npt.DTypeLike = np.float64) -> npt.NDArray[Any]:
         file = folder / f"{name}.npy"
-        return read_rows(file, comm, ids, dtype, shape, digests.get(name, ""), own)
+        return read_rows(file, comm, ids, dtype, shape, digests.get(name, ""))
 
     X = read("positions")
     here, size = scene.membrane.stress_free, scene.membrane.size

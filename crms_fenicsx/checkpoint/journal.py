@@ -12,17 +12,17 @@ import logging
 import os
 import re
 import shutil
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from mpi4py import MPI
 
-from crms_fenicsx.checkpoint.call_record import beginning, difference
+from crms_fenicsx.checkpoint.call_record import difference, scene_record
+from crms_fenicsx.checkpoint.codec import Plain, decode, encode
+from crms_fenicsx.checkpoint.contents import Run
 from crms_fenicsx.checkpoint.fingerprint import refuse_history
 from crms_fenicsx.checkpoint.folder import ASIDE, complete
-from crms_fenicsx.checkpoint.json_data import Plain
-from crms_fenicsx.checkpoint.run import Run
-from crms_fenicsx.checkpoint.state import STATE, Saved, give, read, save, told
+from crms_fenicsx.checkpoint.state import STATE, Saved, read, reading, restore, save
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import PARTIAL, explained, make_writable, partial_of
 from crms_fenicsx.scene import Scene
@@ -110,15 +110,16 @@ class Journal:
         """
         refuse_history(scene)
         self._number += 1
-        call: Plain = {"solver": self.options, "advance": loads, "scene": beginning(scene)}
+        call: Plain = {"solver": self.options, "advance": loads, "scene": scene_record(scene)}
         saved = self._saved() if self._replaying else None
         if saved is None:
             self._replaying, self._call, self._outdated = False, call, self._number
             return Progress(), None
-        if saved.call is None:
+        before = saved.contents.call
+        if before is None:
             raise InputError(f"{saved.file} is no checkpoint of a call; take it away")
         for name, now in call.items():
-            found = difference(saved.call.get(name), now)
+            found = difference(before.get(name), now)
             if found is not None:
                 raise InputError(
                     f"resume: at call {self._number} of advance the script is not the one that "
@@ -126,11 +127,13 @@ class Journal:
                     f"resume=False, or delete {saved.file.parent} and those after it, to compute "
                     "from this call on anew."
                 )
-        with told(saved.file):
-            progress = _progress(saved.call["progress"], steps)
-            if progress.done > 0 and not saved.data["steps"]:
+        with reading(saved.file):
+            progress = decode(Progress, before["progress"])
+            if not (0 <= progress.done <= steps and 0 < progress.increment <= 1):
+                raise ValueError(f"{progress} of {steps} steps")
+            if progress.done > 0 and not saved.contents.run.steps:
                 raise ValueError(f"{progress.done} steps are done, but it has none")
-        run = give(saved, scene)
+        run = restore(saved, scene)
         self._call = call
         if progress.done < steps and progress.failure is None:
             self._replaying, self._outdated = False, self._number + 1
@@ -166,7 +169,7 @@ class Journal:
             On all ranks: it cannot be written; the one before is then still there.
         """
         self.make_way()
-        save(self._place(), scene, run, self._call | {"progress": asdict(progress)})
+        save(self._place(), scene, run, self._call | {"progress": encode(progress)})
 
     def _place(self) -> Path:
         return self.folder / f"{self._number:04d}"
@@ -178,15 +181,6 @@ class Journal:
             if self.comm.rank == 0:
                 there = os.path.lexists(place / STATE)
         return read(place, self.comm) if self.comm.bcast(there) else None
-
-
-def _progress(data: Plain, steps: int) -> Progress:
-    done, increment, failure = float(data["done"]), float(data["increment"]), data["failure"]
-    if not (0 <= done <= steps and 0 < increment <= 1):
-        raise ValueError(f"{done} of {steps} steps are done, the next one is {increment}")
-    if not isinstance(failure, str | None):
-        raise ValueError(f"it has given up because of {failure!r}")
-    return Progress(done, increment, failure)
 
 
 def _remove(path: Path, folder: Path) -> None:

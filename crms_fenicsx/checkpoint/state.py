@@ -7,20 +7,21 @@ import json
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 from mpi4py import MPI
 
+from crms_fenicsx.checkpoint.codec import Plain, decode, encode
+from crms_fenicsx.checkpoint.contents import Contents, Run, SavedCable
 from crms_fenicsx.checkpoint.fields import Fields, read_fields, write_fields
 from crms_fenicsx.checkpoint.fingerprint import check_same, fingerprint
 from crms_fenicsx.checkpoint.folder import complete, replaced_folder
-from crms_fenicsx.checkpoint.json_data import Plain, integers
-from crms_fenicsx.checkpoint.run import Run, plain_run, run_of
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.output.npy import read_rows, write_rows
+from crms_fenicsx.runtime.arrays import Integers
 from crms_fenicsx.runtime.checks import LONGEST
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import explained, read_text, readable
@@ -28,8 +29,6 @@ from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
     from crms_fenicsx.cables.strip import Strip
-    from crms_fenicsx.model.crossing import Crossing
-    from crms_fenicsx.model.laid_cable import LaidCable
 
 STATE, CELLS = "state.json", "cells.npy"
 FORMAT = "crms_fenicsx checkpoint 4"
@@ -54,8 +53,7 @@ def save(folder: str | Path, scene: Scene, run: Run, call: Plain | None = None) 
             ids, total = _cell_ids(scene)
             cells = run.step_history.cells
             digests["cells"] = write_rows(partial / CELLS, scene.comm, ids, cells, total)
-        data = {"scene": fingerprint(scene), "held edges": edges, "digests": digests}
-        data |= _plain_rest(scene) | plain_run(run) | {"call": call}
+        data = encode(_contents(scene, run, edges, digests, call))
         with raised_together(scene.comm), explained(partial / STATE):
             if scene.comm.rank == 0:
                 (partial / STATE).write_text(signed(data), encoding="utf-8")
@@ -73,25 +71,22 @@ def _digest(content: str) -> str:
 
 @dataclass(frozen=True)
 class Saved:
-    """What a checkpoint's file of plain data holds, the same on all ranks.
+    """What has been read of a checkpoint, the same on all ranks.
 
     Attributes
     ----------
     file
         The file.
-    data
-        All of it.
-    call
-        The call of `Solver.advance` that the checkpoint belongs to, if to one.
+    contents
+        All that it holds.
     """
 
     file: Path
-    data: Plain
-    call: Plain | None
+    contents: Contents
 
 
 def read(folder: Path, comm: MPI.Intracomm) -> Saved:
-    """Read the plain data of a checkpoint. Collective.
+    """Read a checkpoint, but for its fields. Collective.
 
     Raises
     ------
@@ -103,7 +98,8 @@ def read(folder: Path, comm: MPI.Intracomm) -> Saved:
         if comm.rank == 0:
             data = _read(folder / STATE)
     data = comm.bcast(data)
-    return Saved(folder / STATE, data, data["call"])
+    with reading(folder / STATE):
+        return Saved(folder / STATE, decode(Contents, data))
 
 
 def load(folder: str | Path, scene: Scene) -> Run:
@@ -114,10 +110,10 @@ def load(folder: str | Path, scene: Scene) -> Run:
     Run
         What its solver must know.
     """
-    return give(read(complete(Path(folder).resolve()), scene.comm), scene)
+    return restore(read(complete(Path(folder).resolve()), scene.comm), scene)
 
 
-def give(saved: Saved, scene: Scene) -> Run:
+def restore(saved: Saved, scene: Scene) -> Run:
     """Bring a scene to the state of a checkpoint. Collective.
 
     Parameters
@@ -137,150 +133,100 @@ def give(saved: Saved, scene: Scene) -> Run:
     InputError
         On all ranks: it is another scene's, or damaged. The scene is then as before.
     """
-    comm, data, place = scene.comm, saved.data, saved.file.parent
-    with told(saved.file):
-        fingerprint_of, digests = dict(data["scene"]), dict(data["digests"])
-        (edges,) = integers([data["held edges"]])
-        rest, run = _rest_of(data), run_of(data)
-        _check_ids(rest, scene)
-        if scene.cables and [c.name for c in scene.cables] != [c.name for c in rest.cables]:
-            raise ValueError(f"its cables are {rest.cables}, and the scene's {scene.cables}")
-    check_same(fingerprint_of, scene)
-    fields = read_fields(place, scene, edges, digests, rest.intensity is not None)
+    comm, contents, place = scene.comm, saved.contents, saved.file.parent
+    run, digests = contents.run, contents.digests
+    with reading(saved.file):
+        contents.check(scene.V.dofmap.index_map.size_global)
+        names = [cable.name for cable in contents.cables]
+        if scene.cables and [cable.name for cable in scene.cables] != names:
+            raise ValueError(f"its cables are {names}, and the scene's {scene.cables}")
+    check_same(contents.scene, scene)
+    dead_load = contents.intensity is not None
+    fields = read_fields(place, scene, contents.held_edges, digests, dead_load)
     if run.step_history is not None and scene.strain_law == "step":
         ids, total = _cell_ids(scene)
         due, shape = digests.get("cells", ""), (total, 6)
         run = run.with_cells(read_rows(place / CELLS, comm, ids, np.float64, shape, due))
-    _give(scene, fields, rest, saved.file)
+    _restore(scene, fields, saved)
     scene.step_history = run.step_history
     scene.commits += 1
     return run
 
 
-@dataclass(frozen=True)
-class _Rest:
-    """A scene's state but for its fields, the same on all ranks."""
-
-    pressure: float
-    load: float
-    floor: float | None
-    laid: int
-    dissipated: float
-    energies: dict[str, float]
-    intensity: float | None
-    cables: list[LaidCable]
-    crossings: list[Crossing]
-    complete: npt.NDArray[np.int64]
-
-
-def _plain_rest(scene: Scene) -> Plain:
-    data: Plain = {
-        "pressure": float(scene.pressure),
-        "load": float(scene.load),
-        "floor": scene.floor_level,
-        "laid": scene.net.laid,
-        "dissipated": float(scene.net.removed_dissipation),
-        "energies": {name: float(value) for name, value in scene.energies.items()},
-        "intensity": None if scene.dead_forces is None else scene.dead_forces.intensity,
-        "strip": [],
-        "cables": [],
-        "crossings": [],
-    }
-    if scene.cables and scene.net.strip is not None:
-        from crms_fenicsx.checkpoint.cables import plain_cable, plain_crossing
-
-        data["strip"] = sorted(scene.net.strip.complete)
-        data["cables"] = [plain_cable(cable, scene.net.crossings) for cable in scene.cables]
-        data["crossings"] = [plain_crossing(crossing) for crossing in scene.net.crossings]
-    return data
-
-
-def _rest_of(data: Plain) -> _Rest:
-    cables, crossings = [], []
-    if data["cables"]:
-        from crms_fenicsx.checkpoint.cables import cable_of, crossing_of
-
-        crossings = [crossing_of(one) for one in data["crossings"]]
-        cables = [cable_of(one, crossings) for one in data["cables"]]
-    floor, intensity = data["floor"], data["intensity"]
-    (laid,) = integers([data["laid"]])
-    if laid < len(cables):
-        raise ValueError(f"{laid} cables that have been laid, but {len(cables)} that are there")
-    if intensity is not None and not intensity >= 0:
-        raise ValueError(f"a dead load of the intensity {intensity}")
-    return _Rest(
-        float(data["pressure"]),
-        float(data["load"]),
-        None if floor is None else float(floor),
-        laid,
-        float(data["dissipated"]),
-        {str(name): float(value) for name, value in data["energies"].items()},
-        None if intensity is None else float(intensity),
-        cables,
-        crossings,
-        np.array(integers(data["strip"]), dtype=np.int64),
+def _contents(
+    scene: Scene, run: Run, edges: int, digests: dict[str, str], call: Plain | None
+) -> Contents:
+    """What is kept of a scene and its run besides the fields, with how many edges are held."""
+    steps = [replace(step, verification=None) for step in run.steps]
+    strip = scene.net.strip
+    return Contents(
+        scene=fingerprint(scene),
+        held_edges=edges,
+        digests=digests,
+        pressure=scene.pressure,
+        load=scene.load,
+        floor=scene.floor_level,
+        laid=scene.net.laid,
+        dissipated=scene.net.removed_dissipation,
+        energies=scene.energies,
+        intensity=None if scene.dead_forces is None else scene.dead_forces.intensity,
+        strip=() if strip is None else tuple(sorted(strip.complete)),
+        cables=tuple(
+            SavedCable(cable.name, cable.cable, cable.sleeve, cable.layer, cable.state)
+            for cable in scene.cables
+        ),
+        crossings=scene.net.crossings,
+        run=replace(run.with_cells(None), steps=steps),
+        call=call,
     )
 
 
-def _check_ids(rest: _Rest, scene: Scene) -> None:
-    """Refuse vertices that the mesh does not have, and crossings of cables that are not there."""
-    total = scene.V.dofmap.index_map.size_global
-    supports = [
-        node.point.support for c in rest.cables for node in c.nodes if node.point is not None
-    ]
-    supports += [crossing.support for crossing in rest.crossings]
-    ids = np.concatenate([rest.complete, *(np.array(support) for support in supports)])
-    if len(ids) and not 0 <= ids.min() <= ids.max() < total:
-        raise ValueError(f"vertices {ids.min()} to {ids.max()} of a mesh with {total}")
-    if any(
-        not 0 <= number < len(rest.cables)
-        for crossing in rest.crossings
-        for number in (crossing.lower, crossing.upper)
-    ):
-        raise ValueError("a crossing of cables that are not there")
-
-
-def _give(scene: Scene, fields: Fields, rest: _Rest, file: Path) -> None:
+def _restore(scene: Scene, fields: Fields, saved: Saved) -> None:
     """Bring the scene to a state that has been read."""
+    contents = saved.contents
     held_edges = scene.membrane.held_edges.copy()
     scene.membrane.held_edges[:] = fields.held_edges  # the strip's cells know them
-    if rest.cables:
-        strip = _strip(scene, rest)
+    if contents.cables:
+        strip = _strip(scene, contents)
         if strip is None:
             scene.membrane.held_edges[:] = held_edges
             raise InputError(
-                f"{file} is damaged: a cable does not lie on cells of the mesh; take another "
+                f"{saved.file} is damaged: a cable does not lie on cells of the mesh; take another "
                 "checkpoint"
             )
         scene.net.strip = strip
     scene.u.x.array[:] = fields.u.ravel()
     scene.held[:] = fields.held
-    scene._floor_level, scene._pressure, scene._load = rest.floor, rest.pressure, rest.load
-    scene.net.laid, scene.net.removed_dissipation = rest.laid, rest.dissipated
-    scene.energies = rest.energies
+    scene._floor_level, scene._pressure, scene._load = (
+        contents.floor, contents.pressure, contents.load,
+    )  # fmt: skip
+    scene.energies, net = contents.energies, scene.net
+    net.laid, net.removed_dissipation = contents.laid, contents.dissipated
     scene._dead_forces = None
-    if fields.dead_forces is not None and rest.intensity is not None:
+    if fields.dead_forces is not None and contents.intensity is not None:
         from crms_fenicsx.energies.dead_load import DeadForces
 
-        scene._dead_forces = DeadForces(fields.dead_forces, rest.intensity)
-    for own, cable in zip(scene.cables, rest.cables, strict=False):
+        scene._dead_forces = DeadForces(fields.dead_forces, contents.intensity)
+    for own, cable in zip(scene.cables, contents.cables, strict=False):
         own.state = cable.state
-    scene.net.cables = scene.net.cables or tuple(rest.cables)
-    scene.net.crossings = rest.crossings
+    net.cables = net.cables or tuple(
+        LaidCable(c.name, c.cable, c.state, c.sleeve, c.layer) for c in contents.cables
+    )
+    net.crossings = contents.crossings
     scene.changes += 1
 
 
-def _strip(scene: Scene, rest: _Rest) -> Strip | None:
+def _strip(scene: Scene, contents: Contents) -> Strip | None:
     """The cells around the cables; None if one lies on none of them. Collective."""
     from crms_fenicsx.cables.strip_gather import cells_at
 
-    strip = cells_at(scene.membrane, rest.complete)
-    points = (node.point for cable in rest.cables for node in cable.nodes)
+    strip = cells_at(scene.membrane, contents.strip)
+    points = (node.point for cable in contents.cables for node in cable.state.nodes)
     on_cells = (bool(strip.rows(point.support)) for point in points if point is not None)
     return strip if all(on_cells) else None
 
 
-def _cell_ids(scene: Scene) -> tuple[npt.NDArray[np.int64], int]:
+def _cell_ids(scene: Scene) -> tuple[Integers, int]:
     """Ids of this rank's cells, numbers in the mesh as it was given, and how many there are."""
     topology = scene.mesh.mesh.topology
     ids = np.asarray(topology.original_cell_index, dtype=np.int64)
@@ -290,15 +236,13 @@ def _cell_ids(scene: Scene) -> tuple[npt.NDArray[np.int64], int]:
 def _read(file: Path) -> Plain:
     with readable(file, "give the folder of a checkpoint"):
         text = read_text(file)
-    with told(file):
+    with reading(file):
         found = json.loads(text, parse_constant=_finite, parse_float=_finite)
         if found["format"] != FORMAT:
             raise ValueError(f"it is a {found['format']!r} where a {FORMAT!r} is due")
         data: Plain = found["content"]
         if _digest(json.dumps(data)) != found["digest"]:
             raise ValueError("its content is not what was written")
-        if not isinstance(data["call"], dict | None):
-            raise ValueError(f"it belongs to the call {data['call']!r}")
     return data
 
 
@@ -311,7 +255,7 @@ def _finite(text: str) -> float:
 
 
 @contextmanager
-def told(file: Path) -> Iterator[None]:
+def reading(file: Path) -> Iterator[None]:
     """Say of data that are not what they should be which file they are from."""
     try:
         yield

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -77,7 +78,7 @@ class ActiveSet:
             tops, on_edges = self._tops(), nodes_on_edges(net.cables)
             for c, cable in enumerate(net.cables):
                 if cable.taut and not cable.sleeve:
-                    covered = {v for v, top in tops.items() if top > (cable.level, c)}
+                    covered = {v for v, top in tops.items() if top > (cable.layer, c)}
                     changes += self._contacts(cable, shape, covered, on_edges)
         if not changes and net.crossings:
             changes = self._crossings(shape)
@@ -116,8 +117,8 @@ class ActiveSet:
         taut = cable.is_tight(nearly=not judged and not self._rested(cable))
         if taut == cable.taut:
             return []
-        cable.state.taut = taut
-        cable.state.traced &= taut  # it gets its folds back from the straight way
+        # One that slackens gets its folds back from the straight way.
+        cable.update(taut=taut, path_is_geodesic=taut and cable.path_is_geodesic)
         self._switches[cable.name] += 1
         return [f"{cable.name} {'tightens' if taut else 'slackens'}"]
 
@@ -144,7 +145,7 @@ class ActiveSet:
             if unclear and not free and not places:
                 nearly = contact.captured(cable, shape, folds, contact.NEARLY)
                 places = {k: place for k, place in nearly.items() if key(k) not in self._released}
-        cable.lifted[free] = True
+        contact.lift(cable, free)
         contact.touch(cable, places)
         self._settled |= {key(k) for k in places} & self._released
         self._released |= {key(k) for k in free}
@@ -152,30 +153,32 @@ class ActiveSet:
         return texts + [f"{cable.name} touches down at {cable.nodes[k].point}" for k in places]
 
     def _tops(self) -> dict[int, tuple[int, int]]:
-        """The uppermost cable in tension on each vertex that one touches: its level and number."""
+        """The uppermost cable in tension on each vertex that one touches: its layer and number."""
         tops: dict[int, tuple[int, int]] = {}
         for c, cable in enumerate(self.net.cables):
             for k in cable.contacts() if cable.taut else []:
                 point = cable.nodes[k].point
                 if isinstance(point, VertexPoint):
-                    order = (cable.level, c)
+                    order = (cable.layer, c)
                     tops[point.vertex] = max(order, tops.get(point.vertex, order))
         return tops
 
     def _crossings(self, shape: StripShape) -> list[str]:
         changes = []
         net = self.net
-        apart = {id(k) for k in parting(net.crossings, net.cables, shape)}
-        for crossing in net.crossings:
+        pulled = parting(net.crossings, net.cables, shape)
+        crossings = list(net.crossings)
+        for number, crossing in enumerate(net.crossings):
             names = net.cables[crossing.upper].name, net.cables[crossing.lower].name
             # Not by place: a crossing may come back in another cell than that where it was left.
-            if id(crossing) in apart and names not in self._settled:
-                crossing.apart = True
+            if number in pulled and names not in self._settled:
+                crossings[number] = replace(crossing, separated=True)
                 self._released.add(names)
                 changes.append("{} lifts off {}".format(*names))
             elif joins(crossing, net.cables, shape):
-                crossing.apart = False
+                crossings[number] = replace(crossing, separated=False)
                 if names in self._released:
                     self._settled.add(names)
                 changes.append("{} touches {}".format(*names))
+        net.crossings = tuple(crossings)
         return changes

@@ -298,5 +298,5 @@ def edge_directions(cable: LaidCable, nodes: Sequence[int] | Integers, shape: St
 
 def runs(cable: LaidCable) -> list[list[int]]:
     """Nodes of each part of a cable that lies on the membrane, crossings not counted."""
-    parts = itertools.groupby(cable.rim(), key=lambda k: bool(cable.lifted[k]))
+    parts = itertools.groupby(cable.path_nodes(), key=lambda k: bool(cable.lifted[k]))
     return [list(part) for lifted, part in parts if not lifted]

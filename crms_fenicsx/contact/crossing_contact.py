@@ -16,28 +16,27 @@ from crms_fenicsx.model.laid_cable import LaidCable
 
 def parting(
     crossings: Sequence[Crossing], cables: Sequence[LaidCable], shape: StripShape
-) -> list[Crossing]:
-    """The crossings at which the upper cable pulls the lower one up."""
-    by_upper: dict[int, list[Crossing]] = defaultdict(list)
-    for crossing in crossings:
-        if not crossing.apart:
-            by_upper[crossing.upper].append(crossing)
+) -> list[int]:
+    """Numbers of the crossings at which the upper cable pulls the lower one up."""
+    by_upper: dict[int, list[int]] = defaultdict(list)
+    for number, crossing in enumerate(crossings):
+        if not crossing.separated:
+            by_upper[crossing.upper].append(number)
     found = []
     for c, own in by_upper.items():
         upper = cables[c]
-        number = {id(node.crossing): k for k, node in enumerate(upper.nodes) if node.crossing}
-        nodes = [number[id(crossing)] for crossing in own]
+        at = {node.crossing: k for k, node in enumerate(upper.nodes)}
+        nodes = [at[number] for number in own]
         on = [n for n, k in enumerate(nodes) if not upper.lifted[k]]
-        pulls = outward_pulls(
-            upper, [nodes[n] for n in on], *shape.normals_and_sizes([own[n].support for n in on])
-        )
+        supports = [crossings[own[n]].support for n in on]
+        pulls = outward_pulls(upper, [nodes[n] for n in on], *shape.normals_and_sizes(supports))
         found += [own[n] for n, pull in zip(on, pulls, strict=True) if pull > PULL]
     return found
 
 
 def joins(crossing: Crossing, cables: Sequence[LaidCable], shape: StripShape) -> bool:
     """Whether two cables that have parted would run through each other."""
-    if not crossing.apart:
+    if not crossing.separated:
         return False
     normal = shape.normal(crossing.support)
     (a, b), (c, d) = (

@@ -130,27 +130,29 @@ def captured(
     Leaves the positions of lifted nodes on their span.
     """
     found = {}
+    positions, fractions = cable.positions.copy(), cable.fractions.copy()
     for a, b in spans(cable):
-        span = (cable.positions[a], cable.positions[b])
+        span = (positions[a], positions[b])
         passed: dict[int, Under] = {}
         for k in range(a + 1, b):
             node = cable.nodes[k]
             if node.kind == "crossing" or is_foot(cable, k):
-                cable.positions[k] = span[0] + (k - a) / (b - a) * (span[1] - span[0])
+                positions[k] = span[0] + (k - a) / (b - a) * (span[1] - span[0])
                 continue
             assert node.point is not None
             support = node.point.support
             on_edge = bends.get((support[0], support[1]), ()) if len(support) == 2 else ()
             place = under(node, span, shape, on_edge)
-            cable.positions[k] = place.above
+            positions[k] = place.above
             if node.slides:  # so that the path stays below the span
-                cable.fractions[k] = min(max(place.fraction, INSIDE), 1 - INSIDE)
+                fractions[k] = min(max(place.fraction, INSIDE), 1 - INSIDE)
             if place.gap < height * size_at(shape, support):
                 if place.inside:
                     found[k] = place
                 elif height < 0.0 and place.past >= 0:
                     passed[k] = place
         found |= {k: place for k, place in passed.items() if _passed_by_all(cable, k, passed)}
+    cable.update(positions=positions, fractions=fractions)
     return found
 
 
@@ -194,13 +196,24 @@ def sunk(cables: Sequence[LaidCable], shape: StripShape) -> set[int]:
     return found
 
 
+def lift(cable: LaidCable, nodes: Sequence[int]) -> None:
+    """Let the cable leave the membrane at some nodes."""
+    lifted = cable.lifted.copy()
+    lifted[nodes] = True
+    cable.update(lifted=lifted)
+
+
 def touch(cable: LaidCable, places: Mapping[int, Under]) -> None:
     """Let the cable touch the membrane at some nodes."""
+    lifted, positions, fractions = (
+        array.copy() for array in (cable.lifted, cable.positions, cable.fractions)
+    )
     for k, place in places.items():
-        cable.lifted[k] = False
-        cable.positions[k] = place.place
+        lifted[k] = False
+        positions[k] = place.place
         if cable.nodes[k].slides:
-            cable.fractions[k] = min(max(place.fraction, INSIDE), 1 - INSIDE)
+            fractions[k] = min(max(place.fraction, INSIDE), 1 - INSIDE)
+    cable.update(lifted=lifted, positions=positions, fractions=fractions)
 
 
 def link_at(cable: LaidCable, k: int) -> tuple[Array, Array]:
@@ -216,11 +229,13 @@ def drape(cable: LaidCable, shape: StripShape) -> None:
     """Find the contacts of a cable that is pulled over the membrane as if that were rigid."""
     for _ in range(len(cable.nodes) + 1):
         free = released(cable, shape)
-        cable.lifted[free] = True
+        lift(cable, free)
         places = {} if free else captured(cable, shape, {})
         touch(cable, places)
+        positions = cable.positions.copy()
         for k in places:  # nothing moves it from there to where it says that it is
             ids, weights = cable.masters(k)
-            cable.positions[k] = np.dot(weights, [shape.at(i) for i in ids])
+            positions[k] = np.dot(weights, [shape.at(i) for i in ids])
+        cable.update(positions=positions)
         if not free and not places:
             return

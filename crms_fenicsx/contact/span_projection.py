@@ -12,7 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.model.laid_cable import CableNode, LaidCable
+from crms_fenicsx.model.cable_state import CableNode
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.intrinsic import MissingStars
 from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint, SurfacePoint, edge_of
@@ -138,7 +139,7 @@ def with_shadows(
     -------
     None where nothing has changed.
     """
-    path = dict(zip(_own(cable), cable.path.points, strict=True))
+    path = dict(zip(cable.path_nodes(), cable.path.points, strict=True))
     contacts = cable.contacts()
     points: list[SurfacePoint] = []
     lifted: list[bool] = []
@@ -156,15 +157,6 @@ def with_shadows(
             points.append(path[b])
             lifted.append(False)
     return (points, lifted) if changed else None
-
-
-def _own(cable: LaidCable) -> list[int]:
-    """Nodes of the path: neither anchors nor crossings."""
-    return [
-        k
-        for k, node in enumerate(cable.nodes)
-        if node.point is not None and node.kind != "crossing"
-    ]
 
 
 def _supports(points: Sequence[SurfacePoint]) -> list[tuple[int, ...]]:

@@ -123,7 +123,7 @@ class CableContribution(Contribution):
             if block >= 0:
                 potential.x[block] = self.scene.cables[c].positions[k] - unknowns.X[block]
         unknowns.update_ghosts(potential.x_vector)  # far vertices, with rails on them
-        network.place_rails(unknowns, potential.x)
+        network.rails.place(unknowns, potential.x)
         if self.tension is not None:
             self.tension.L0[:] = [cable.L0 for cable in self.sliding]
             self.tension.excess[:] = [cable.excess for cable in self.sliding]
@@ -136,12 +136,12 @@ class CableContribution(Contribution):
     def write_scene(self, potential: Potential) -> None:
         self.locate(potential)
         for cable in self.scene.cables:
-            cable.state.length = polyline_length(cable.positions[cable.contacts()])
-            cable.state.tension = 0.0
+            length = polyline_length(cable.positions[cable.contacts()])
+            cable.update(length=length, tension=0.0)
         if self.tension is not None:
             forces = self.tension.tensions(potential.sums_of(self.tension))
             for cable, force in zip(self.sliding, forces, strict=True):
-                cable.state.tension = float(force)
+                cable.update(tension=float(force))
 
     def renew_excess(self, potential: Potential) -> bool:
         lengths: list[tuple[LaidCable, float]] = []
@@ -158,10 +158,13 @@ class CableContribution(Contribution):
             more = length - cable.length
             if abs(more) > UNSMOOTHED * cable.L0:
                 logger.debug("%s: smoothing adds %.3g to its length", cable.name, more)
-                cable.state.excess += more
+                cable.update(excess=cable.excess + more)
                 changed = True
         return changed
 
     def commit(self) -> None:
+        if self.tension is not None:
+            for cable, start in zip(self.sliding, self.tension.starts, strict=False):
+                cable.update(step_start=start)
         for cable in self.scene.cables:
-            cable.state.ends_before = cable.positions[[0, -1]].copy()
+            cable.update(ends_before=cable.positions[[0, -1]])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
@@ -10,6 +12,7 @@ from crms_fenicsx.dofs.block_patterns import SegmentPattern
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.segments import add_segment_forces, segment_lengths, segment_stiffness
 from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.model.cable_state import StepStart
 from crms_fenicsx.model.laid_cable import NEARLY_TAUT
 from crms_fenicsx.runtime.arrays import Array
 
@@ -36,6 +39,8 @@ class CableTension(EnergyTerm):
 
     name = "cables"
     has_dyads = True
+    starts: Sequence[StepStart | None] = ()
+    """States at the step's start of cables that have the step-wise law."""
 
     def __init__(
         self,

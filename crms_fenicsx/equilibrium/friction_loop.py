@@ -6,15 +6,12 @@ import logging
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from crms_fenicsx.equilibrium.contact_loop import ContactLoop
+from crms_fenicsx.friction.axial_iteration import AxialLag
+from crms_fenicsx.friction.lateral_iteration import NEARLY, Lag
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.paths.tried_paths import TriedPaths
-
-if TYPE_CHECKING:
-    from crms_fenicsx.friction.axial_iteration import AxialLag
-    from crms_fenicsx.friction.lateral_iteration import Lag
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -60,7 +57,6 @@ class FrictionLoop:
         outcome = solve(h0_prestress, bool(lags))
         if not lags:
             return outcome
-        from crms_fenicsx.friction.lateral_iteration import NEARLY
 
         rough = True
         change, least, waited = 0.0, math.inf, 0
@@ -99,11 +95,7 @@ class FrictionLoop:
         lags: list[Lag | AxialLag] = []
         for cable in self.scene.cables:
             if cable.has_coulomb:
-                from crms_fenicsx.friction.lateral_iteration import Lag
-
                 lags.append(Lag(cable))
             if cable.axial is not None:
-                from crms_fenicsx.friction.axial_iteration import AxialLag
-
                 lags.append(AxialLag(cable))
         return lags

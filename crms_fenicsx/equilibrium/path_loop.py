@@ -14,6 +14,7 @@ from crms_fenicsx.contact.lift_off import sunk
 from crms_fenicsx.equilibrium.contact_loop import ContactLoop
 from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.minimization.outcome import Outcome
+from crms_fenicsx.paths.friction_release import pass_vertices, straighten_kinks
 from crms_fenicsx.paths.path_change import PathChange
 from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.paths.vertex_trials import Trial, VertexTrials
@@ -181,7 +182,6 @@ class PathLoop:
         """Move cables with friction over the vertices that they have run into."""
         if not self.scene.net.has_friction:
             return 0
-        from crms_fenicsx.paths.friction_release import pass_vertices
 
         return pass_vertices(self.change, self.tried, most)
 
@@ -189,7 +189,6 @@ class PathLoop:
         """Put caught fold points of cables with friction back on straight edges."""
         if not self.scene.net.has_friction:
             return False
-        from crms_fenicsx.paths.friction_release import straighten_kinks
 
         return straighten_kinks(self.change, self.tried, self.system.caught_nodes(TENSE))
 

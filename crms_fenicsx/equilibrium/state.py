@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from crms_fenicsx.model.cable_state import CableNode, CableState
+from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
-
-if TYPE_CHECKING:
-    from crms_fenicsx.model.crossing import Crossing
-    from crms_fenicsx.model.laid_cable import CableNode, CableState
 
 
 @dataclass(frozen=True)
@@ -25,7 +22,7 @@ class State:
     load: float
     energies: dict[str, float]
     cables: tuple[CableState, ...]
-    crossings: tuple[tuple[Crossing, bool], ...]
+    crossings: tuple[Crossing, ...]
 
     @classmethod
     def of(cls, scene: Scene) -> State:
@@ -35,22 +32,9 @@ class State:
             scene.pressure,
             scene.load,
             dict(scene.energies),
-            tuple(cable.state.copy() for cable in scene.cables),
-            tuple((crossing, crossing.apart) for crossing in scene.net.crossings),
+            tuple(cable.state for cable in scene.cables),
+            scene.net.crossings,
         )
-
-    def restore_shape(self, scene: Scene) -> None:
-        """Bring the positions of membrane and cables, and the paths, back to this state."""
-        scene.u.x.array[:] = self.u
-        for cable, was in zip(scene.cables, self.cables, strict=True):
-            cable.set_nodes(
-                was.nodes, was.positions.copy(), was.fractions.copy(), was.lifted.copy()
-            )
-            cable.material[:] = was.material
-            cable.state.grip, cable.state.axial = was.grip, was.axial
-        scene.net.crossings = [crossing for crossing, _ in self.crossings]
-        for crossing, apart in self.crossings:
-            crossing.apart = apart
 
     def restore_positions(self, scene: Scene) -> None:
         """Bring membrane and cables to where they were, the cables on their new paths. Collective.
@@ -61,21 +45,24 @@ class State:
         shape = scene.net.strip_shape()
         for cable, was in zip(scene.cables, self.cables, strict=True):
             known = {_key(was.nodes, k): k for k in range(len(was.nodes)) if not was.lifted[k]}
+            positions, fractions = cable.positions.copy(), cable.fractions.copy()
             for k in range(len(cable.nodes)):
                 old = known.get(_key(cable.nodes, k))
                 if old is not None:
-                    cable.positions[k], cable.fractions[k] = was.positions[old], was.fractions[old]
+                    positions[k], fractions[k] = was.positions[old], was.fractions[old]
                 else:
                     ids, weights = cable.masters(k)
-                    cable.positions[k] = np.dot(weights, [shape.at(i) for i in ids])
+                    positions[k] = np.dot(weights, [shape.at(i) for i in ids])
+            cable.update(positions=positions, fractions=fractions)
 
     def restore(self, scene: Scene) -> None:
         """Bring the scene back to this state."""
-        self.restore_shape(scene)
+        scene.u.x.array[:] = self.u
         scene._pressure, scene._load = self.pressure, self.load
         scene.energies = dict(self.energies)
         for cable, was in zip(scene.cables, self.cables, strict=True):
-            cable.state = was.copy()
+            cable.state = was
+        scene.net.crossings = self.crossings
 
 
 def _key(nodes: Sequence[CableNode], k: int) -> object:

@@ -110,7 +110,7 @@ def align_axial(cable: LaidCable) -> None:
     for gone, new in heirs:
         bounds[new] += grip.bounds[gone].sum() / len(new)
         eps[new] += grip.eps[gone].sum() / len(new)
-    cable.state.axial = replace(grip, supports=now, bounds=bounds, eps=eps, slips=slips)
+    cable.update(axial=replace(grip, supports=now, bounds=bounds, eps=eps, slips=slips))
 
 
 def rest_places(cable: LaidCable, shape: StripShape) -> RestPlaces:
@@ -177,8 +177,7 @@ def found(
     """
     grip = cable.axial
     assert grip is not None
-    cable.state.tension = cable.cable.EA / cable.L0 * max(cable.length - cable.L0, 0.0)
-    cable.state.axial = replace(
+    axial = replace(
         grip,
         tensions=_by_link(cable, tensions),
         spans=spans.copy(),
@@ -186,6 +185,8 @@ def found(
         slips=slips.copy(),
         loss=loss,
     )
+    tension = cable.cable.EA / cable.L0 * max(cable.length - cable.L0, 0.0)
+    cable.update(tension=tension, axial=axial)
 
 
 def _by_link(cable: LaidCable, of_spans: Array) -> Array:
@@ -199,14 +200,14 @@ def commit_axial(cable: LaidCable, shape: StripShape) -> None:
     grip = cable.axial
     if grip is None:
         return
+    dissipated = grip.dissipated + grip.loss
     if not cable.taut:
-        cable.state.axial = replace(laid_grip(cable, shape), dissipated=grip.dissipated + grip.loss)
+        cable.update(axial=replace(laid_grip(cable, shape), dissipated=dissipated))
         return
     held = np.where(grip.bounds > 0, np.clip(grip.slips, -grip.eps, grip.eps), 0.0)
     curve, rest = _curve(cable, shape, gripped_nodes(cable), grip.arcs - held)
-    cable.state.axial = replace(
-        grip, curve=curve, rest=rest, slips=held, loss=0.0, dissipated=grip.dissipated + grip.loss
-    )
+    axial = replace(grip, curve=curve, rest=rest, slips=held, loss=0.0, dissipated=dissipated)
+    cable.update(axial=axial)
 
 
 def _curve(
@@ -217,7 +218,7 @@ def _curve(
     Places under the cable where it is off the membrane count as well: there it may touch down.
     """
     last = len(cable.nodes) - 1
-    on = [k for k in cable.rim() if not (0 < k < last and is_foot(cable, k))]
+    on = [k for k in cable.path_nodes() if not (0 < k < last and is_foot(cable, k))]
     points = np.array([material_place(cable, k, shape) for k in on]).reshape(-1, 3)
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     arc = np.concatenate([np.zeros(min(len(points), 1)), np.cumsum(steps)])

@@ -8,6 +8,7 @@ import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import wrap_angles
+from crms_fenicsx.energies.capstan_chain import LAW, find_slips
 from crms_fenicsx.friction.aitken import Pace
 from crms_fenicsx.friction.axial import LEAST_PART, _by_link, rest_places
 from crms_fenicsx.model.laid_cable import LaidCable
@@ -34,7 +35,6 @@ class AxialLag:
         -------
         Change of the tension that follows from them, relative to their sum.
         """
-        from crms_fenicsx.energies.capstan_chain import LAW, find_slips
 
         cable, grip = self.cable, self.cable.axial
         assert grip is not None
@@ -66,7 +66,7 @@ class AxialLag:
                 before = np.where(grip.bounds > 0.0, grip.eps, eps)
                 eps = (1 - part) * before + part * np.where(wrap > 0.0, eps, before)
                 bounds = (1 - part) * grip.bounds + part * bounds
-            cable.state.axial = replace(grip, bounds=bounds, eps=eps, tensions=tensions)
+            cable.update(axial=replace(grip, bounds=bounds, eps=eps, tensions=tensions))
         return change
 
 

@@ -29,13 +29,12 @@ def chain_table(network: Network, tables: CableTables) -> Chains:
         first[link.cable] + np.searchsorted(held[link.cable], link.first, side="right")
         for link in (tables.links[s] for s in own)
     ]
-    on_edge = network.points_by_edge({c for c, cable in enumerate(network.cables) if cable.taut})
     strip, pointers, places = network.strip, [0], []
     blocks: list[int] = []
     nodes: list[int] = []
     owned: list[bool] = []
     for n, c, i, edge in _fold_points(network):
-        line = network.line(edge, on_edge[edge])
+        line = network.blocks_along(edge)
         blocks += line
         pointers.append(len(blocks))
         places.append(line.index(network.block(c, held[c][i])))

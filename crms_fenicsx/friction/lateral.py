@@ -38,18 +38,18 @@ def begin(cable: LaidCable, shape: StripShape) -> None:
     if cable.cable.sideways is None:
         return
     if cable.grip is None:
-        cable.state.grip = Grip(material_curve(cable, shape), (), np.zeros(0), np.zeros(0))
+        cable.update(grip=Grip(material_curve(cable, shape), (), np.zeros(0), np.zeros(0)))
     align(cable)
     grip, friction = cable.grip, cable.cable.sideways
     assert grip is not None
     if friction.law == "step":
         bounds = friction.mu * paper_forces(cable)[held_nodes(cable)]
         ways = _ways(cable, grip, shape)
-        cable.state.grip = replace(grip, bounds=bounds, moving=ways, known=True)
+        cable.update(grip=replace(grip, bounds=bounds, moving=ways, known=True))
     elif not grip.known:
         elongation = polyline_length(cable.positions[cable.contacts()]) / cable.L0 - 1
         force = cable.cable.EA * max(elongation, LEAST_STRAIN)
-        cable.state.grip = replace(grip, bounds=np.full(len(grip.supports), force))
+        cable.update(grip=replace(grip, bounds=np.full(len(grip.supports), force)))
 
 
 def _ways(cable: LaidCable, grip: Grip, shape: StripShape) -> Array:
@@ -85,7 +85,7 @@ def align(cable: LaidCable) -> None:
         strongest = int(np.argmax(np.abs(grip.moving[gone])))
         for k in new:
             moving[k] = moving[k] or grip.moving[gone][strongest]
-    cable.state.grip = replace(grip, supports=now, bounds=bounds, moving=moving)
+    cable.update(grip=replace(grip, supports=now, bounds=bounds, moving=moving))
 
 
 def energies(cable: LaidCable, shape: StripShape) -> tuple[float, float]:
@@ -141,10 +141,11 @@ def commit(cable: LaidCable, shape: StripShape) -> None:
         slid = np.sign(slips.slip) * (np.abs(slips.slip) > SLIDES * slips.size)
         moving = dict(zip(slips.nodes, slid, strict=True))
     curve = material_curve(cable, shape, elastic, moving)
-    cable.state.grip = replace(
+    ended = replace(
         grip,
         curve=curve,
         moving=np.zeros_like(grip.moving),
         known=grip.known and cable.taut,
         dissipated=grip.dissipated + dissipated,
     )
+    cable.update(grip=ended)

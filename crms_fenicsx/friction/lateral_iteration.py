@@ -75,7 +75,7 @@ class Lag:
             change = found / total - shares
             part = self._pace.of(grip.supports, change)
             found = np.asarray(self._add_up(used, total) * (shares + part * change))
-        cable.state.grip = replace(grip, bounds=found, moving=moving, known=True)
+        cable.update(grip=replace(grip, bounds=found, moving=moving, known=True))
         return self.change
 
     def _add_up(self, used: float, found: float) -> float:

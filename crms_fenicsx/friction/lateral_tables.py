@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from crms_fenicsx.cables.numbering import Network
+from crms_fenicsx.cables.points_on_edges import points_by_edge
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import directions, turns
 from crms_fenicsx.energies.lateral_friction import Slips
@@ -19,7 +20,7 @@ from crms_fenicsx.model.laid_cable import LaidCable
 
 def slip_table(network: Network, shape: StripShape) -> Slips:
     """Nodes with stick and slip."""
-    on_edge = network.points_by_edge({c for c, cable in enumerate(network.cables) if cable.taut})
+    on_edge = points_by_edge(network.cables)  # rails may have passed others since the layout
     pointers, places, rows = [0], [], []
     blocks: list[int] = []
     for c, _, friction, grip, slips in _slips(network, shape, "coulomb"):

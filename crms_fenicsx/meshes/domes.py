@@ -8,19 +8,25 @@ from typing import Any
 
 import numpy as np
 from mpi4py import MPI
-from numpy.typing import NDArray
 
 from crms_fenicsx.meshes.arguments import check_point, check_positive, check_size
 from crms_fenicsx.meshes.gmsh_model import mesh_with_sizes, own_model, read_model
-from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, distributed
+from crms_fenicsx.meshes.membrane_mesh import mesh_generator
 from crms_fenicsx.meshes.partition import Ranks
-from crms_fenicsx.meshes.plane import RECTANGLE_CORNERS, RECTANGLE_SIDES, ellipse_arrays
+from crms_fenicsx.meshes.plane import (
+    RECTANGLE_CORNERS,
+    RECTANGLE_SIDES,
+    ellipse_arrays,
+    rectangle_corners,
+)
 from crms_fenicsx.meshes.refinement import Refinement, TargetSize
 from crms_fenicsx.meshes.surface import SurfaceArrays
 from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
 
 
+@mesh_generator
 def spherical_cap(
     comm: MPI.Intracomm,
     radius: float,
@@ -30,7 +36,7 @@ def spherical_cap(
     center: Sequence[float] = (0.0, 0.0),
     refinements: Sequence[Refinement] = (),
     ranks: Ranks | None = None,
-) -> MembraneMesh:
+) -> SurfaceArrays:
     """Mesh a spherical cap with its rim in the plane z = 0.
 
     A flat circle is meshed and mapped to the sphere by stereographic projection, which keeps
@@ -38,8 +44,6 @@ def spherical_cap(
 
     Parameters
     ----------
-    comm
-        Communicator of the mesh; the call is collective.
     radius
         Radius of the rim, not of the sphere (length).
     height
@@ -49,10 +53,8 @@ def spherical_cap(
         Edge length of the triangles (length).
     center
         Coordinates (x, y) of the rim's centre.
-    refinements
-        Where to make the mesh finer.
-    ranks
-        The rank that shall own each cell, as for `from_arrays`.
+    comm, refinements, ranks
+        As for `rectangle`.
 
     Raises
     ------
@@ -60,39 +62,31 @@ def spherical_cap(
         On all ranks, if an argument is not finite or positive, or `size` is more than
         `radius`.
     """
-    checks.same(
-        comm, "spherical_cap", radius=radius, height=height, size=size,
-        center=center, refinements=refinements,
-    )  # fmt: skip
+    check_positive("the spherical cap", radius=radius, height=height)
+    check_size("the spherical cap", size, radius, math.pi * (radius**2 + height**2))
+    x, y = check_point("the spherical cap's centre", center)
+    origin = np.array([x, y, 0.0])
+    diameter = (radius**2 + height**2) / height  # of the sphere
+    target = TargetSize(size, refinements)
 
-    def build() -> SurfaceArrays:
-        check_positive("the spherical cap", radius=radius, height=height)
-        check_size("the spherical cap", size, radius, math.pi * (radius**2 + height**2))
-        x, y = check_point("the spherical cap's centre", center)
-        origin = np.array([x, y, 0.0])
-        diameter = (radius**2 + height**2) / height  # of the sphere
-        target = TargetSize(size, refinements)
+    def lifted(flat: Array) -> Array:
+        """Project points of the plane that touches the top from the sphere's bottom."""
+        shrink = 1.0 / (1.0 + (flat[..., :1] ** 2 + flat[..., 1:2] ** 2) / diameter**2)
+        rise = height - diameter * (1.0 - shrink)
+        up: Array = np.concatenate([flat[..., :2] * shrink, rise], axis=-1)
+        return origin + up
 
-        def lifted(flat: NDArray[np.float64]) -> NDArray[np.float64]:
-            """Project points of the plane that touches the top from the sphere's bottom."""
-            shrink = 1.0 / (1.0 + (flat[..., :1] ** 2 + flat[..., 1:2] ** 2) / diameter**2)
-            rise = height - diameter * (1.0 - shrink)
-            up: NDArray[np.float64] = np.concatenate([flat[..., :2] * shrink, rise], axis=-1)
-            return origin + up
+    def flat_size(flat: Array) -> float:
+        return target(lifted(flat)) * (1.0 + float(flat[:2] @ flat[:2]) / diameter**2)
 
-        def flat_size(flat: NDArray[np.float64]) -> float:
-            return target(lifted(flat)) * (1.0 + float(flat[:2] @ flat[:2]) / diameter**2)
-
-        rim = diameter * height / radius
-        arrays = ellipse_arrays(0.0, 0.0, rim, rim, flat_size)
-        points = lifted(np.asarray(arrays.points))
-        points[np.abs(points[:, 2]) < 1e-10 * diameter, 2] = 0.0
-        return SurfaceArrays(points, arrays.cells)
-
-    return distributed(comm, build, ranks=ranks)
+    rim = diameter * height / radius
+    arrays = ellipse_arrays(0.0, 0.0, rim, rim, flat_size)
+    points = lifted(np.asarray(arrays.points))
+    points[np.abs(points[:, 2]) < 1e-10 * diameter, 2] = 0.0
+    return SurfaceArrays(points, arrays.cells)
 
 
-def great_circle(radius: float, height: float, angle: float, offset: float) -> NDArray[np.float64]:
+def great_circle(radius: float, height: float, angle: float, offset: float) -> Array:
     """Make a cable's path over a spherical cap: the shortest one between two points of its rim.
 
     Parameters
@@ -134,6 +128,7 @@ def great_circle(radius: float, height: float, angle: float, offset: float) -> N
     return np.asarray(way)
 
 
+@mesh_generator
 def air_hall(
     comm: MPI.Intracomm,
     width: float,
@@ -144,7 +139,7 @@ def air_hall(
     corner: Sequence[float] = (0.0, 0.0),
     refinements: Sequence[Refinement] = (),
     ranks: Ranks | None = None,
-) -> MembraneMesh:
+) -> SurfaceArrays:
     """Mesh an air hall: a half-cylinder with rounded ends over a rectangle in z = 0.
 
     With c = min(width, depth) / 2, and u, v the distances of a point of the plan from the nearer
@@ -161,8 +156,6 @@ def air_hall(
 
     Parameters
     ----------
-    comm
-        Communicator of the mesh; the call is collective.
     width, depth
         Extents of the plan in x and y (length).
     height
@@ -171,43 +164,28 @@ def air_hall(
         Edge length of the triangles (length).
     corner
         Coordinates (x, y) of the corner of the plan with the least x and y.
-    refinements
-        Where to make the mesh finer.
-    ranks
-        The rank that shall own each cell, as for `from_arrays`.
+    comm, refinements, ranks
+        As for `rectangle`.
 
     Raises
     ------
     InputError
         On all ranks, if an argument is not finite or positive, or `size` is more than a side.
     """
-    checks.same(
-        comm, "air_hall", width=width, depth=depth, height=height, size=size,
-        corner=corner, refinements=refinements,
-    )  # fmt: skip
-
-    def build() -> SurfaceArrays:
-        check_positive("the air hall", width=width, depth=depth, height=height)
-        area = width * depth + 2.0 * height * (width + depth)
-        check_size("the air hall", size, min(width, depth), area)
-        x, y = check_point("the air hall's corner", corner)
-        with own_model() as gmsh:
-            _add_hall(gmsh, x, y, width, depth, height)
-            mesh_with_sizes(gmsh, TargetSize(size, refinements))
-            arrays = read_model(gmsh)
-        points = np.array(arrays.points)
-        # the kernel's parametric curves miss the plan's lines by rounding
-        for name, axis, value in (
-            ("left", 0, x),
-            ("right", 0, x + width),
-            ("front", 1, y),
-            ("back", 1, y + depth),
-        ):
-            line = np.unique(np.asarray(arrays.edges[name]))
-            points[line, axis] = value
-        return SurfaceArrays(points, arrays.cells, arrays.edges, {}, arrays.point_groups)
-
-    return distributed(comm, build, ranks=ranks)
+    check_positive("the air hall", width=width, depth=depth, height=height)
+    area = width * depth + 2.0 * height * (width + depth)
+    check_size("the air hall", size, min(width, depth), area)
+    x, y = check_point("the air hall's corner", corner)
+    with own_model() as gmsh:
+        _add_hall(gmsh, x, y, width, depth, height)
+        mesh_with_sizes(gmsh, TargetSize(size, refinements))
+        arrays = read_model(gmsh)
+    points = np.array(arrays.points)
+    # the kernel's parametric curves miss the plan's lines by rounding
+    lines = {"left": (0, x), "right": (0, x + width), "front": (1, y), "back": (1, y + depth)}
+    for name, (axis, value) in lines.items():
+        points[np.unique(np.asarray(arrays.edges[name])), axis] = value
+    return SurfaceArrays(points, arrays.cells, arrays.edges, {}, arrays.point_groups)
 
 
 def _add_hall(gmsh: Any, x: float, y: float, width: float, depth: float, height: float) -> None:
@@ -226,19 +204,13 @@ def _add_hall(gmsh: Any, x: float, y: float, width: float, depth: float, height:
         for u, p in zip(along_x, rise_x, strict=True)
     ]
     surface = kernel.addBSplineSurface(
-        control,
-        len(along_x),
-        degreeU=2,
-        degreeV=2,
+        control, len(along_x), degreeU=2, degreeV=2, knotsU=knots_x, knotsV=knots_y,
         weights=np.outer(weight_y, weight_x).ravel().tolist(),
-        knotsU=knots_x,
-        knotsV=knots_y,
-        multiplicitiesU=multiplicity_x,
-        multiplicitiesV=multiplicity_y,
-    )
+        multiplicitiesU=multiplicity_x, multiplicitiesV=multiplicity_y,
+    )  # fmt: skip
     kernel.remove([(0, point) for point in control])
     kernel.synchronize()
-    corners = np.array([(x, y), (x + width, y), (x + width, y + depth), (x, y + depth)])
+    corners = rectangle_corners(x, y, width, depth)
     middles = (corners + np.roll(corners, -1, axis=0)) / 2
     for dim, places, names in ((1, middles, RECTANGLE_SIDES), (0, corners, RECTANGLE_CORNERS)):
         for _, tag in gmsh.model.getBoundary([(2, surface)], recursive=dim == 0):

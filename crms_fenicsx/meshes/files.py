@@ -11,8 +11,8 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from crms_fenicsx.meshes.foreign import read_apart
 from crms_fenicsx.meshes.gmsh_model import own_model, read_model, renumbered, surface_of_model
+from crms_fenicsx.meshes.isolated_reader import read_isolated
 from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, distributed
 from crms_fenicsx.meshes.orientation import UPWARD, Outside
 from crms_fenicsx.meshes.partition import Ranks
@@ -79,8 +79,8 @@ def from_file(
     gmsh reads .geo (and meshes its surfaces) and .msh; meshio reads .vtu, .vtk, .stl, .obj, .ply,
     .off, .xdmf, .med, .inp (Abaqus), .mesh and .meshb (Medit). A .geo file is a program: it can run
     commands of the operating system. Read only those that you trust. All other files are data, and
-    are read in a process of its own with limits of memory and time (`foreign`): a file that is
-    broken, or made to do harm, is refused.
+    are read in a process of their own with limits of memory and time: one that is broken, or made
+    to do harm, is refused.
 
     Groups are physical groups in gmsh's files (see `from_gmsh`). In the other files they are
     cell sets of triangles (`parts`), lines (`edges`) and vertices (`points`), point sets
@@ -150,12 +150,12 @@ def _read_msh(file: Path) -> SurfaceArrays:
                 f"'{file}' is no gmsh mesh, it does not begin with $MeshFormat: save it again "
                 "with gmsh"
             )
-    arrays = read_apart(file, "gmsh")
+    arrays = read_isolated(file, "gmsh")
     return _named(file, lambda: surface_of_model(arrays))
 
 
 def _read_by_meshio(file: Path) -> SurfaceArrays:
-    content = read_apart(file, "meshio")
+    content = read_isolated(file, "meshio")
     return _named(file, lambda: _surface_of(content))
 
 

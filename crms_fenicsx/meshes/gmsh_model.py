@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from crms_fenicsx.meshes.apart import gmsh_arrays
+from crms_fenicsx.meshes.reader_process import gmsh_arrays
 from crms_fenicsx.meshes.surface import SurfaceArrays
 from crms_fenicsx.runtime.arrays import Integers
 from crms_fenicsx.runtime.errors import MeshError
@@ -104,7 +104,7 @@ def read_model(gmsh: Any) -> SurfaceArrays:
 
 
 def surface_of_model(model: dict[str, Any]) -> SurfaceArrays:
-    """Take triangles and groups out of what `apart.gmsh_arrays` has of a model.
+    """Take triangles and groups out of what `reader_process.gmsh_arrays` has of a model.
 
     Raises
     ------

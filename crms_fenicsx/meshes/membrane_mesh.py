@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import ParamSpec
 
 import dolfinx.mesh
 import numpy as np
@@ -15,8 +18,11 @@ from crms_fenicsx.meshes.edge_table import edge_keys
 from crms_fenicsx.meshes.orientation import UPWARD, Outside
 from crms_fenicsx.meshes.partition import Ranks, cell_ranks, checked_ranks
 from crms_fenicsx.meshes.surface import EMPTY, SurfaceArrays, checked_surface
+from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.compat import create_mesh, geometry_dofmap
 from crms_fenicsx.runtime.errors import raised_together
+
+P = ParamSpec("P")
 
 
 @dataclass(frozen=True)
@@ -160,6 +166,32 @@ def distributed(
         _local_groups(comm, vertices, surface.point_groups),
         _local_groups(comm, topology.original_cell_index, {"hidden": surface.hidden})["hidden"],
     )
+
+
+def mesh_generator(shape: Callable[P, SurfaceArrays]) -> Callable[P, MembraneMesh]:
+    """Make of a function that meshes a shape on one rank a collective one that distributes it.
+
+    Parameters
+    ----------
+    shape
+        Called on rank 0 only, where it must not communicate; what it raises is raised on all
+        ranks. Its arguments are the same on all ranks. Those named ``comm`` and ``ranks`` are not
+        for itself, but as for `from_arrays`.
+    """
+    signature = inspect.signature(shape)
+
+    @functools.wraps(shape)
+    def generate(*args: P.args, **kwargs: P.kwargs) -> MembraneMesh:
+        given = signature.bind(*args, **kwargs)
+        given.apply_defaults()
+        comm, ranks = given.arguments.pop("comm"), given.arguments.pop("ranks")
+        checks.same(comm, shape.__name__, **given.arguments)
+        return distributed(comm, lambda: shape(*args, **kwargs), ranks=ranks)
+
+    generate.__signature__ = signature.replace(  # type: ignore[attr-defined]
+        return_annotation=MembraneMesh
+    )
+    return generate
 
 
 def vertex_nodes(mesh: dolfinx.mesh.Mesh) -> NDArray[np.int32]:

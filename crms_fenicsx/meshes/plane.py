@@ -7,22 +7,22 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from mpi4py import MPI
-from numpy.typing import NDArray
 
 from crms_fenicsx.meshes.arguments import check_point, check_positive, check_size
 from crms_fenicsx.meshes.gmsh_model import mesh_with_sizes, own_model, read_model
-from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, distributed
+from crms_fenicsx.meshes.membrane_mesh import mesh_generator
 from crms_fenicsx.meshes.outline import simple_outline
 from crms_fenicsx.meshes.partition import Ranks
 from crms_fenicsx.meshes.refinement import Refinement, TargetSize
 from crms_fenicsx.meshes.surface import SurfaceArrays
-from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
 
 RECTANGLE_SIDES = ("front", "right", "back", "left")
 RECTANGLE_CORNERS = ("front left", "front right", "back right", "back left")
 
 
+@mesh_generator
 def rectangle(
     comm: MPI.Intracomm,
     width: float,
@@ -33,7 +33,7 @@ def rectangle(
     structured: bool = False,
     refinements: Sequence[Refinement] = (),
     ranks: Ranks | None = None,
-) -> MembraneMesh:
+) -> SurfaceArrays:
     """Mesh a rectangle in the plane z = 0.
 
     Its sides are the edge groups "left" and "right" (least and greatest x), "front" and
@@ -63,29 +63,22 @@ def rectangle(
         On all ranks, if an argument is not finite or positive, `size` is more than a side, or
         a structured mesh is to be refined.
     """
-    checks.same(
-        comm, "rectangle", width=width, depth=depth, size=size, corner=corner,
-        structured=structured, refinements=refinements,
-    )  # fmt: skip
-
-    def build() -> SurfaceArrays:
-        check_positive("the rectangle", width=width, depth=depth)
-        check_size("the rectangle", size, min(width, depth), width * depth)
-        x, y = check_point("the rectangle's corner", corner)
-        if structured:
-            if refinements:
-                raise InputError(
-                    f"a structured rectangle cannot take {len(refinements)} refinement(s): "
-                    "use structured=False"
-                )
-            return _structured(x, y, width, depth, size)
-        corners = np.array([(x, y), (x + width, y), (x + width, y + depth), (x, y + depth)])
-        target = TargetSize(size, refinements)
-        return _polygon_arrays(corners, target, RECTANGLE_SIDES, RECTANGLE_CORNERS)
-
-    return distributed(comm, build, ranks=ranks)
+    check_positive("the rectangle", width=width, depth=depth)
+    check_size("the rectangle", size, min(width, depth), width * depth)
+    x, y = check_point("the rectangle's corner", corner)
+    if structured:
+        if refinements:
+            raise InputError(
+                f"a structured rectangle cannot take {len(refinements)} refinement(s): "
+                "use structured=False"
+            )
+        return _structured(x, y, width, depth, size)
+    corners = rectangle_corners(x, y, width, depth)
+    target = TargetSize(size, refinements)
+    return _polygon_arrays(corners, target, RECTANGLE_SIDES, RECTANGLE_CORNERS)
 
 
+@mesh_generator
 def ellipse(
     comm: MPI.Intracomm,
     a: float,
@@ -95,23 +88,19 @@ def ellipse(
     center: Sequence[float] = (0.0, 0.0),
     refinements: Sequence[Refinement] = (),
     ranks: Ranks | None = None,
-) -> MembraneMesh:
+) -> SurfaceArrays:
     """Mesh an ellipse in the plane z = 0; the ends of its axes are vertices.
 
     Parameters
     ----------
-    comm
-        Communicator of the mesh; the call is collective.
     a, b
         Semi-axes along x and y (length).
     size
         Edge length of the triangles (length).
     center
         Coordinates (x, y) of its centre.
-    refinements
-        Where to make the mesh finer.
-    ranks
-        The rank that shall own each cell, as for `from_arrays`.
+    comm, refinements, ranks
+        As for `rectangle`.
 
     Raises
     ------
@@ -119,17 +108,13 @@ def ellipse(
         On all ranks, if an argument is not finite or positive, or `size` is more than a
         semi-axis.
     """
-    checks.same(comm, "ellipse", a=a, b=b, size=size, center=center, refinements=refinements)
-
-    def build() -> SurfaceArrays:
-        check_positive("the ellipse", a=a, b=b)
-        check_size("the ellipse", size, min(a, b), math.pi * a * b)
-        x, y = check_point("the ellipse's centre", center)
-        return ellipse_arrays(x, y, a, b, TargetSize(size, refinements))
-
-    return distributed(comm, build, ranks=ranks)
+    check_positive("the ellipse", a=a, b=b)
+    check_size("the ellipse", size, min(a, b), math.pi * a * b)
+    x, y = check_point("the ellipse's centre", center)
+    return ellipse_arrays(x, y, a, b, TargetSize(size, refinements))
 
 
+@mesh_generator
 def circle(
     comm: MPI.Intracomm,
     radius: float,
@@ -138,23 +123,19 @@ def circle(
     center: Sequence[float] = (0.0, 0.0),
     refinements: Sequence[Refinement] = (),
     ranks: Ranks | None = None,
-) -> MembraneMesh:
+) -> SurfaceArrays:
     """Mesh a circle in the plane z = 0; its points on the axes are vertices.
 
     Parameters
     ----------
-    comm
-        Communicator of the mesh; the call is collective.
     radius
         Its radius (length).
     size
         Edge length of the triangles (length).
     center
         Coordinates (x, y) of its centre.
-    refinements
-        Where to make the mesh finer.
-    ranks
-        The rank that shall own each cell, as for `from_arrays`.
+    comm, refinements, ranks
+        As for `rectangle`.
 
     Raises
     ------
@@ -162,17 +143,13 @@ def circle(
         On all ranks, if an argument is not finite or positive, or `size` is more than the
         radius.
     """
-    checks.same(comm, "circle", radius=radius, size=size, center=center, refinements=refinements)
-
-    def build() -> SurfaceArrays:
-        check_positive("the circle", radius=radius)
-        check_size("the circle", size, radius, math.pi * radius**2)
-        x, y = check_point("the circle's centre", center)
-        return ellipse_arrays(x, y, radius, radius, TargetSize(size, refinements))
-
-    return distributed(comm, build, ranks=ranks)
+    check_positive("the circle", radius=radius)
+    check_size("the circle", size, radius, math.pi * radius**2)
+    x, y = check_point("the circle's centre", center)
+    return ellipse_arrays(x, y, radius, radius, TargetSize(size, refinements))
 
 
+@mesh_generator
 def polygon(
     comm: MPI.Intracomm,
     corners: Sequence[Sequence[float]],
@@ -181,15 +158,13 @@ def polygon(
     names: Sequence[str] | None = None,
     refinements: Sequence[Refinement] = (),
     ranks: Ranks | None = None,
-) -> MembraneMesh:
+) -> SurfaceArrays:
     """Mesh a polygon in the plane z = 0.
 
     Its corners are the point groups "corner 1", "corner 2", and so on.
 
     Parameters
     ----------
-    comm
-        Communicator of the mesh; the call is collective.
     corners
         Coordinates (x, y) of the corners in their order, either way around.
     size
@@ -197,10 +172,8 @@ def polygon(
     names
         Names of the sides' edge groups, the first for the side from corner 1 to corner 2. A
         name may be used again; "side 1", "side 2", and so on if not given.
-    refinements
-        Where to make the mesh finer.
-    ranks
-        The rank that shall own each cell, as for `from_arrays`.
+    comm, refinements, ranks
+        As for `rectangle`.
 
     Raises
     ------
@@ -209,32 +182,27 @@ def polygon(
         intersect or touch, the names are not as many as the sides, or `size` is not
         positive or more than the polygon's extent.
     """
-    checks.same(comm, "polygon", corners=corners, size=size, names=names, refinements=refinements)
-
-    def build() -> SurfaceArrays:
-        outline = simple_outline(corners)
-        if not isinstance(names, Sequence | None):
-            raise InputError(f"the names of the polygon's sides are {names!r}: give a list")
-        sides = [f"side {k}" for k in range(1, len(outline) + 1)] if names is None else list(names)
-        if len(sides) != len(outline):
-            raise InputError(
-                f"there are {len(sides)} names for the {len(outline)} sides of the polygon: give "
-                "one for each"
-            )
-        for name in sides:
-            if not isinstance(name, str) or not name.strip():
-                raise InputError(f"a side of the polygon has the name {name!r}: give a string")
-        x, y = outline.T
-        area = 0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))
-        check_size("the polygon", size, float(np.ptp(outline, axis=0).min()), area)
-        corner_names = [f"corner {k}" for k in range(1, len(outline) + 1)]
-        return _polygon_arrays(outline, TargetSize(size, refinements), sides, corner_names)
-
-    return distributed(comm, build, ranks=ranks)
+    outline = simple_outline(corners)
+    if not isinstance(names, Sequence | None):
+        raise InputError(f"the names of the polygon's sides are {names!r}: give a list")
+    sides = [f"side {k}" for k in range(1, len(outline) + 1)] if names is None else list(names)
+    if len(sides) != len(outline):
+        raise InputError(
+            f"there are {len(sides)} names for the {len(outline)} sides of the polygon: give "
+            "one for each"
+        )
+    for name in sides:
+        if not isinstance(name, str) or not name.strip():
+            raise InputError(f"a side of the polygon has the name {name!r}: give a string")
+    x, y = outline.T
+    area = 0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+    check_size("the polygon", size, float(np.ptp(outline, axis=0).min()), area)
+    corner_names = [f"corner {k}" for k in range(1, len(outline) + 1)]
+    return _polygon_arrays(outline, TargetSize(size, refinements), sides, corner_names)
 
 
 def ellipse_arrays(
-    x: float, y: float, a: float, b: float, target: Callable[[NDArray[np.float64]], float]
+    x: float, y: float, a: float, b: float, target: Callable[[Array], float]
 ) -> SurfaceArrays:
     """Mesh an ellipse about (x, y) with gmsh; `target` as for `mesh_with_sizes`."""
     with own_model() as gmsh:
@@ -250,6 +218,11 @@ def ellipse_arrays(
         geometry.synchronize()
         mesh_with_sizes(gmsh, target)
         return read_model(gmsh)
+
+
+def rectangle_corners(x: float, y: float, width: float, depth: float) -> Array:
+    """Return the corners of a rectangle in the order of `RECTANGLE_CORNERS`, (4, 2)."""
+    return np.array([(x, y), (x + width, y), (x + width, y + depth), (x, y + depth)])
 
 
 def _structured(x: float, y: float, width: float, depth: float, size: float) -> SurfaceArrays:
@@ -269,7 +242,7 @@ def _structured(x: float, y: float, width: float, depth: float, size: float) -> 
 
 
 def _polygon_arrays(
-    outline: NDArray[np.float64],
+    outline: Array,
     target: TargetSize,
     sides: Sequence[str],
     corner_names: Sequence[str],

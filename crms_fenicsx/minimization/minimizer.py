@@ -7,10 +7,8 @@ solve runs in *stages*. After a few iterations a stage ends, and H0 is rebuilt, 
 longer to the end than with a new H0; or when its line searches have cost as much as that. The next
 solve of the same potential, at other loads, begins with the H0 that is there.
 
-Where much of a membrane is wrinkled or slack, what the quasi-Newton updates have learnt is wrong as
-soon as some more cells have wrinkled. Once a stage has come to little, H0 without updates takes
-over, rebuilt in each iteration: Newton's method on an energy whose slope has kinks, with a part of
-the taut stiffness on top that grows where the energy falls less than promised, and shrinks else.
+Once a stage has come to little, as where much of a membrane is wrinkled or slack, Newton's method
+takes over, with H0 rebuilt in each iteration.
 
 Near the minimum the energy's differences drown in rounding, long before the forces balance to the
 tolerance. There a stage, which keeps the H0 of the one before, measures energy from its start x0 by
@@ -30,7 +28,9 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from crms_fenicsx.energies.stiffening import Stiffening
 from crms_fenicsx.minimization.initial_hessian import InitialHessian, at_bounds
+from crms_fenicsx.minimization.newton import PATIENCE, NewtonMethod
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.runtime.errors import InputError
@@ -56,24 +56,6 @@ ROUNDED = 1e-6
 
 COARSE = 1e-5
 """Residual, relative to the force scale, at which `solve` asks whether to go on."""
-
-STUBBORN, PATIENCE = 0.1, 8
-"""Reduction of the residual by a stage above which Newton's method takes over, after how many
-stages: cables that pass vertices take a few, and no Newton step makes that faster."""
-
-RESTRAINT = 1e-2
-"""Part of the taut stiffness that wrinkled cells have at first in Newton's method, relative to the
-root of the residual over the force scale."""
-
-NEWTON_STAGES = 20
-"""Iterations of Newton's method in which the residual must fall by more than that."""
-
-STEADY, RISE = 1e-10, 1e-11
-"""Fall of the energy, relative to it, below which the trapezoidal rule takes its place in Newton's
-method, and rise up to which: that much is rounding."""
-
-DESCENT, SHORTEST = 1e-4, 1e-3
-"""Least part of the descent promised that a Newton step must keep, and the shortest one tried."""
 
 TINY = 1e-300
 """What takes the place of zero where it would have no logarithm."""
@@ -136,7 +118,7 @@ class Minimizer:
         self._close = self._at_start = False
         self._energy0 = self._residual0 = self._tolerance = self._scale = self._near = 0.0
         self._evaluations0, self._length = 0, STAGE_LENGTHS[0]
-        self._restraint = RESTRAINT
+        self._newton_method = NewtonMethod(potential, self.h0)
         self._aged = True
         self._interrupt: Callable[[], bool] | None = None
         self._interrupted = False
@@ -207,33 +189,6 @@ class Minimizer:
             interrupt, self._interrupt = self._interrupt, None
             self._interrupted = interrupt()
 
-    def _newton_step(self) -> bool:
-        """Step by H0 alone from the state evaluated last, as far as the energy falls; if it did."""
-        part, kept, fallen = 2.0, 0.0, False
-        self.h0.solve(self._g0, self._step)
-        slope = -self._g0.dot(self._step)
-        while not fallen and part >= SHORTEST:
-            part *= 0.5
-            self._x.waxpy(-part, self._step, self._x0)
-            energy = self.potential.objective_gradient(None, self._x, self._g)
-            change = energy - self._energy0
-            if -STEADY * abs(energy) <= change <= RISE * abs(energy):
-                change = 0.5 * part * (slope - self._g.dot(self._step))
-            fallen = change <= DESCENT * part * slope
-            kept = change / (part * (1 - part / 2) * slope)  # of what H0 promises
-        if not fallen:
-            factor = 10.0
-            if not energy - self._energy0 <= RISE * abs(energy):
-                self.potential.place(self._x0)
-        elif part < 0.25 or kept < 0.25:
-            factor = 3.0
-        else:
-            factor = 0.1 if kept > 0.9 else 0.3 if kept > 0.6 else 1.0
-            factor = factor if part == 1.0 else 1.0
-        self._restraint = min(factor * self._restraint, 1.0)
-        self._ask(self._g.norm())
-        return fallen
-
     def _stage_is_over(self, iterations: int, residual: float) -> bool:
         """Whether energy is to be measured in another way, or H0 to be rebuilt."""
         if iterations == 0:
@@ -251,8 +206,12 @@ class Minimizer:
         rate = (math.log(self._residual0) - math.log(residual)) / iterations
         return left > rate * (REBUILD - left / math.log(FRESH))
 
-    def _run(self) -> int:
-        """Let TAO go on to the end of a stage; return why it has ended."""
+    def _run(self, residual: float) -> int:
+        """Let TAO go on from a residual to the end of a stage; return why it has ended."""
+        self._close = residual <= self._near
+        self._at_start = self._bounds is None
+        self._evaluations0 = self.potential.evaluations
+        self.tao.setTolerances(gatol=self._tolerance, grtol=0.0, gttol=0.0)
         try:
             self.tao.solve()
             ended = int(self.tao.getConvergedReason())
@@ -270,13 +229,25 @@ class Minimizer:
         """Begin the next solve with a new H0, as another process would."""
         self._aged = True
 
-    def _set_h0(self) -> None:
-        """Rebuild H0 at the current state, and hand it to TAO the first time."""
+    def _renew_h0(self, h0_prestress: tuple[float, ...], renewals: int, failures: int) -> None:
+        """Rebuild H0 at the current state, and hand it to TAO the first time.
+
+        `renewals` have been in this solve before; `failures` of line searches just now.
+        """
+        prestress = h0_prestress[min(renewals, len(h0_prestress) - 1)]
+        for stiffening in self._stiffenings():
+            stiffening.set(prestress, failures)
+            if self._newton_method.active:
+                stiffening.floor.value = self._newton_method.restraint
+        self._length = STAGE_LENGTHS[min(renewals, len(STAGE_LENGTHS) - 1)]
         self.h0.rebuild()
         if not self._h0_set:
             self.tao.setLMVMH0(self.h0.matrix)
             self.h0.solve_for(self.tao.getLMVMH0KSP())
             self._h0_set = True
+
+    def _stiffenings(self) -> list[Stiffening]:
+        return [t.stiffening for t in self.potential.terms if t.stiffening is not None]
 
     def _place_bounds(self) -> None:
         if self._bounds is not None:
@@ -314,72 +285,41 @@ class Minimizer:
         """
         potential = self.potential
         self._interrupt, self._interrupted, self._error = interrupt, False, None
-        may_be_newton = self.newton and self._uses_h0 and self._bounds is None
-        stiffened = [term.stiffening for term in potential.terms if term.stiffening is not None]
         self._place_bounds()
         potential.place()
-        iterations = factorizations = 0
-        start = potential.evaluations
-        reason, failures, best = "too many stages", 0, np.inf
-        newton, since, mark, stages = False, 0, 0.0, 0.0
+        iterations = factorizations = failures = 0
+        start, stages, best = potential.evaluations, 0.0, np.inf
+        reason = "too many stages"
+        self._newton_method.active = False
         # What lies on a floor is held in H0.
         self._aged |= h0_prestress[0] != 0.0 or self._bounds is not None
         self._length = STAGE_LENGTHS[0]
         while stages < self.max_stages:
-            self._energy0, self._scale = potential.evaluate_terms()
-            potential.free_gradient(self._g0)
-            rounding = potential.rounding()
-            tolerance = max(self.rtol * self._scale, self.atol, rounding)
-            tolerance = min(tolerance, max(ROUNDED, self.rtol) * self._scale + self.atol)
-            self._near = max(CLOSE * self._scale, NEAR * tolerance)
-            residual = self.residual()
-            if not np.isfinite([residual, self._energy0]).all():  # TAO would raise an error
-                reason = REASONS[-4]
-                break
-            if self._interrupted:
-                reason = "interrupted"
-                break
-            if residual <= tolerance:
-                reason = "converged"
-                break
-            if failures >= 3 and residual > 0.5 * best:
+            residual, tolerance, rounding = self._evaluate()
+            end = self._end(residual, tolerance)
+            if end or (failures >= 3 and residual > 0.5 * best):
+                reason = end or reason
                 break
             best = min(best, residual)
-            if newton:
-                since += 1
-                if since == NEWTON_STAGES:
-                    newton, since, mark = residual <= STUBBORN * mark, 0, residual
-            elif self._aged and may_be_newton and stages >= PATIENCE:
-                newton, since, mark = residual > STUBBORN * self._residual0, 0, residual
-                self._restraint = RESTRAINT * (residual / max(self._scale, residual)) ** 0.5
-            stages += 1 / 4 if newton else 1
+            self._choose_method(stages, residual)
+            stages += 1 / 4 if self._newton_method.active else 1
             if self._uses_h0 and self._aged:
-                prestress = h0_prestress[min(factorizations, len(h0_prestress) - 1)]
-                for stiffening in stiffened:
-                    stiffening.set(prestress, failures)
-                    if newton:
-                        stiffening.floor.value = self._restraint
-                self._length = STAGE_LENGTHS[min(factorizations, len(STAGE_LENGTHS) - 1)]
-                self._set_h0()
+                self._renew_h0(h0_prestress, factorizations, failures)
                 factorizations += 1
             potential.x_vector.copy(self._x)
             potential.x_vector.copy(self._x0)
             self._residual0, self._tolerance = residual, tolerance
-            if newton:
+            if self._newton_method.active:
                 iterations += 1
                 failures = 0 if self._newton_step() else failures + 1
                 continue
-            self._close = residual <= self._near
-            self._at_start = self._bounds is None
-            self._evaluations0 = potential.evaluations
-            self.tao.setTolerances(gatol=tolerance, grtol=0.0, gttol=0.0)
-            ended = self._run()
+            ended = self._run(residual)
             iterations += self.tao.getIterationNumber()
             potential.place(self._x)
             if ended < 0:
                 reason, self._aged = REASONS.get(ended, f"TAO reason {ended}"), True
             failures = failures + 1 if ended == SEARCH_FAILED else 0
-        for stiffening in stiffened:
+        for stiffening in self._stiffenings():
             stiffening.set(0.0)
         self._aged |= reason != "converged"
         if reason not in ("converged", "interrupted") and rounding > tolerance:
@@ -397,3 +337,37 @@ class Minimizer:
             factorizations,
             scale=max(self._scale, self.atol / self.rtol),
         )
+
+    def _evaluate(self) -> tuple[float, float, float]:
+        """Evaluate the potential; return the gradient's norm, its tolerance and its rounding."""
+        potential = self.potential
+        self._energy0, self._scale = potential.evaluate_terms()
+        potential.free_gradient(self._g0)
+        rounding = potential.rounding()
+        tolerance = max(self.rtol * self._scale, self.atol, rounding)
+        tolerance = min(tolerance, max(ROUNDED, self.rtol) * self._scale + self.atol)
+        self._near = max(CLOSE * self._scale, NEAR * tolerance)
+        return self.residual(), tolerance, rounding
+
+    def _end(self, residual: float, tolerance: float) -> str:
+        """Say why a solve ends in the state evaluated; "" if it goes on."""
+        if not np.isfinite([residual, self._energy0]).all():  # TAO would raise an error
+            return REASONS[-4]
+        if self._interrupted:
+            return "interrupted"
+        return "converged" if residual <= tolerance else ""
+
+    def _choose_method(self, stages: float, residual: float) -> None:
+        """Let Newton's method take over from slow stages, or these from it."""
+        possible = self.newton and self._uses_h0 and self._bounds is None
+        if self._newton_method.active:
+            self._newton_method.check_progress(residual)
+        elif possible and self._aged and stages >= PATIENCE:
+            self._newton_method.take_over(residual, self._residual0, self._scale)
+
+    def _newton_step(self) -> bool:
+        """Make a step of Newton's method; return whether the energy has fallen."""
+        vectors = self._x, self._g, self._step
+        fallen = self._newton_method.step(self._x0, self._g0, self._energy0, *vectors)
+        self._ask(self._g.norm())
+        return fallen

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from crms_fenicsx.runtime.arrays import Array
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class Crossing:
     """A place where two cables cross: one free point that both share.
+
+    The nodes of the cables refer to it by its number among the scene's crossings.
 
     Attributes
     ----------
@@ -21,7 +24,7 @@ class Crossing:
         Where it is on the lower and on the upper cable: after which node, crossings not counted.
     place : (3,)
         Where they cross, or would (length).
-    apart
+    separated
         Whether the upper cable has lifted off the lower one; they share no point then.
     """
 
@@ -29,8 +32,8 @@ class Crossing:
     upper: int
     support: tuple[int, ...]
     links: tuple[int, int]
-    place: Array
-    apart: bool = False
+    place: Annotated[Array, 3]
+    separated: bool = False
 
 
 Member = tuple[int, int]

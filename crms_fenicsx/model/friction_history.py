@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.surface.points import Support
 
 
@@ -30,13 +30,13 @@ class MaterialCurve:
         In which direction they slid in the last load step: 1 left, -1 right, 0 not.
     """
 
-    points: Array
-    arc: Array
-    part: npt.NDArray[np.int64]
-    elastic: Array
-    moving: Array
+    points: Annotated[Array, "m", 3]
+    arc: Annotated[Array, "m"]
+    part: Annotated[Integers, "m"]
+    elastic: Annotated[Array, "m"]
+    moving: Annotated[Array, "m"]
 
-    def nearest(self, places: Array) -> tuple[Array, Array, npt.NDArray[np.int64]]:
+    def nearest(self, places: Array) -> tuple[Array, Array, Integers]:
         """Arc lengths (n,), places (n, 3) and parts (n,) of the points nearest to places (n, 3).
 
         An arc length lies beyond the ends of its part by what the place does. Where the curve is
@@ -61,7 +61,7 @@ class MaterialCurve:
         share = np.where(begins | ends, t, at)
         return self.arc[first] + share * length, feet[rows, best], part
 
-    def tangents(self, at: Array, parts: npt.NDArray[np.int64], reach: Array) -> Array:
+    def tangents(self, at: Array, parts: Integers, reach: Array) -> Array:
         """Mean directions between a distance `reach` (n,) before and after places, unit (n, 3).
 
         Points that lie close together have none of their own that means anything.
@@ -77,7 +77,7 @@ class MaterialCurve:
                     found[rows, i] += sign * np.interp(u, arc, points[:, i])
         return np.asarray(found / np.linalg.norm(found, axis=1)[:, None])
 
-    def elastic_at(self, at: Array, parts: npt.NDArray[np.int64]) -> Array:
+    def elastic_at(self, at: Array, parts: Integers) -> Array:
         """Elastic slips at places, (n,) (length)."""
         found = np.zeros(len(at))
         for part in np.unique(parts):
@@ -85,7 +85,7 @@ class MaterialCurve:
             found[rows] = np.interp(at[rows], self.arc[own], self.elastic[own])
         return found
 
-    def moving_at(self, at: Array, parts: npt.NDArray[np.int64]) -> Array:
+    def moving_at(self, at: Array, parts: Integers) -> Array:
         """Directions in which the nearest points slid in the last load step, (n,)."""
         found = np.zeros(len(at))
         for part in np.unique(parts):
@@ -116,9 +116,9 @@ class Grip:
     """
 
     curve: MaterialCurve
-    supports: tuple[Support, ...]
-    bounds: Array
-    moving: Array
+    supports: Annotated[tuple[Support, ...], "n"]
+    bounds: Annotated[Array, "n"]
+    moving: Annotated[Array, "n"]
     dissipated: float = 0.0
     known: bool = False
 
@@ -159,13 +159,13 @@ class AxialGrip:
     """
 
     curve: MaterialCurve
-    rest: Array
-    supports: tuple[Support, ...]
-    bounds: Array
-    eps: Array
-    tensions: Array
-    spans: Array
-    arcs: Array
-    slips: Array
+    rest: Annotated[Array, "p"]
+    supports: Annotated[tuple[Support, ...], "n"]
+    bounds: Annotated[Array, "n"]
+    eps: Annotated[Array, "n"]
+    tensions: Annotated[Array, "m"]
+    spans: Annotated[Array, "s"]
+    arcs: Annotated[Array, "a"]
+    slips: Annotated[Array, "n"]
     loss: float = 0.0
     dissipated: float = 0.0

@@ -1,26 +1,21 @@
-"""A cable's data, and a cable that has been laid on a membrane."""
+"""A cable that has been laid on a membrane."""
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.model.cable import Cable
-from crms_fenicsx.model.crossing import Crossing
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.model.cable_state import CableNode, CableState, End, StepStart
+from crms_fenicsx.model.friction_history import AxialGrip, Grip
+from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.runtime.readonly import ReadOnly
 from crms_fenicsx.surface.path import Path
-from crms_fenicsx.surface.points import EdgePoint, SurfacePoint, VertexPoint
-
-if TYPE_CHECKING:
-    from crms_fenicsx.model.friction_history import AxialGrip, Grip
-
+from crms_fenicsx.surface.points import EdgePoint, SurfacePoint
 
 LEAST, MOST = float(np.finfo(float).tiny), float(1.0 - np.finfo(float).epsneg)
 """Places on an edge of points that run into its ends."""
@@ -37,61 +32,6 @@ NEARLY_TAUT = 2e-3
 BULGE, MOST_BULGE = 1.2, 0.02
 """The same, where folds bulge: relative to the square of the turns (rad) at a cable's nodes, and at
 most. On cells of 9 a side cables keep some tension up to 1.0."""
-
-
-End = Literal["tied", "held", "off"]
-"""How a cable's end is held: tied to a place of the membrane, held at its place on a held part of
-the membrane, or by an anchor off the membrane."""
-
-
-@dataclass(frozen=True)
-class CableNode:
-    """A point of a cable's polyline.
-
-    Attributes
-    ----------
-    kind
-        "vertex": a mesh vertex. "fold": slides freely on an edge, which folds there. "rail":
-        slides freely along an edge that is held, and so stays straight. "rider": is tied to a
-        place of the membrane. "anchor": held in space. "crossing": free, shared with another
-        cable.
-    point
-        Its place on the mesh; None for an anchor.
-    crossing
-        The crossing that it belongs to; a fold point on an edge that another cable follows has one
-        as well.
-    """
-
-    kind: Literal["vertex", "fold", "rail", "rider", "anchor", "crossing"]
-    point: SurfacePoint | None = None
-    crossing: Crossing | None = None
-
-    @property
-    def slides(self) -> bool:
-        """Whether its place on its edge is an unknown."""
-        return self.kind in ("fold", "rail")
-
-    @property
-    def support(self) -> tuple[int, ...]:
-        """Ids of the vertices on which it lies, or between which; it is no anchor."""
-        assert self.point is not None, "an anchor has no place on the mesh"
-        return self.point.support
-
-    @property
-    def touches_cable(self) -> bool:
-        """Whether another cable lies over or under it."""
-        return self.kind == "crossing" or self.crossing is not None
-
-    def masters(self, fraction: float | None = None) -> tuple[tuple[int, ...], tuple[float, ...]]:
-        """Vertices (ids) and weights that give the place on the unfolded mesh."""
-        point = self.point
-        if isinstance(point, VertexPoint):
-            return (point.vertex,), (1.0,)
-        if isinstance(point, EdgePoint):
-            s = point.fraction if fraction is None else fraction
-            return point.edge, (1 - s, s)
-        assert point is not None, "an anchor has no place on the mesh"
-        return point.cell, point.weights
 
 
 @dataclass(frozen=True)
@@ -130,56 +70,16 @@ class CableEnd:
         return np.asarray(tension * outward[first] / away[first])
 
 
-@dataclass
-class StepStart:
-    """State of a cable with the step-wise law at the start of a step, (2.2-2, 3)."""
-
-    tension: float
-    length: float
-    energy: float
-
-
-@dataclass
-class CableState:
-    """What changes of a laid cable; see the attributes of `LaidCable`."""
-
-    nodes: tuple[CableNode, ...]
-    positions: Array
-    fractions: Array
-    lifted: npt.NDArray[np.bool_]
-    L0: float
-    length: float
-    tension: float
-    step_start: StepStart | None = None
-    taut: bool = False
-    traced: bool = False
-    ends_before: Array | None = None
-    blocked: tuple[int, ...] = ()
-    grip: Grip | None = None
-    axial: AxialGrip | None = None
-    excess: float = 0.0
-    material: Array = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.material = np.full_like(self.positions, np.nan)
-
-    def copy(self) -> CableState:
-        """A state that stays as it is when this one changes."""
-        new = copy.copy(self)
-        for name in ("positions", "fractions", "lifted", "material", "step_start"):
-            setattr(new, name, copy.copy(getattr(self, name)))
-        return new
-
-
 class LaidCable:
     """A cable on its path over the membrane. Made by `Scene.lay_cable`, and read-only.
 
     Parameters
     ----------
-    name, cable, sleeve, level
+    name, cable, sleeve, layer
         As the attributes.
     state
-        What changes of it; the package writes it, and users read its parts as attributes.
+        All that changes of it. The package replaces it, see `update`; users read its parts as
+        attributes.
 
     Attributes
     ----------
@@ -198,9 +98,9 @@ class LaidCable:
     lifted : (n,) bool
         Internal: nodes at which the cable is off the membrane. They take no part: it passes them
         straight.
-    material : (n, 3)
-        Where the nodes are on the stress-free membrane: the cable's material curve. NaN where the
-        cable is off the membrane.
+    reference_positions : (n, 3)
+        Positions of the nodes on the stress-free membrane: the cable's material curve (length). NaN
+        where the cable is off the membrane.
     L0
         Unstressed length (length).
     length, tension
@@ -213,10 +113,10 @@ class LaidCable:
         Whether it has tension; the sliding points of a slack cable take no part.
     sleeve
         Whether a sleeve holds it to the membrane, so that it slides but cannot lift off.
-    level
-        Of two cables that cross the one with the higher level lies on top; of equal ones the one
+    layer
+        Of two cables that cross the one with the higher layer lies on top; of equal ones the one
         laid later.
-    traced
+    path_is_geodesic
         Whether its path has been pulled taut once: it has been in tension, free to slide.
     ends_before : (2, 3)
         Where its ends were in the last equilibrium; None before the first.
@@ -234,18 +134,18 @@ class LaidCable:
     name: ReadOnly[str] = ReadOnly("_name", "scene.lay_cable(..., name=...) gives a name")
     cable: ReadOnly[Cable] = ReadOnly("_cable", RELAY)
     sleeve: ReadOnly[bool] = ReadOnly("_sleeve", RELAY)
-    level: ReadOnly[int] = ReadOnly("_level", RELAY)
+    layer: ReadOnly[int] = ReadOnly("_layer", RELAY)
     L0: ReadOnly[float] = ReadOnly("state.L0", "call solver.advance(L0={cable: length})")
     nodes: ReadOnly[tuple[CableNode, ...]] = ReadOnly("state.nodes", FOUND)
     positions: ReadOnly[Array] = ReadOnly("state.positions", FOUND)
     fractions: ReadOnly[Array] = ReadOnly("state.fractions", FOUND)
-    lifted: ReadOnly[npt.NDArray[np.bool_]] = ReadOnly("state.lifted", FOUND)
-    material: ReadOnly[Array] = ReadOnly("state.material", FOUND)
+    lifted: ReadOnly[Booleans] = ReadOnly("state.lifted", FOUND)
+    reference_positions: ReadOnly[Array] = ReadOnly("state.reference_positions", FOUND)
     length: ReadOnly[float] = ReadOnly("state.length", FOUND)
     tension: ReadOnly[float] = ReadOnly("state.tension", FOUND)
     step_start: ReadOnly[StepStart | None] = ReadOnly("state.step_start", FOUND)
     taut: ReadOnly[bool] = ReadOnly("state.taut", FOUND)
-    traced: ReadOnly[bool] = ReadOnly("state.traced", FOUND)
+    path_is_geodesic: ReadOnly[bool] = ReadOnly("state.path_is_geodesic", FOUND)
     ends_before: ReadOnly[Array | None] = ReadOnly("state.ends_before", FOUND)
     blocked: ReadOnly[tuple[int, ...]] = ReadOnly("state.blocked", FOUND)
     grip: ReadOnly[Grip | None] = ReadOnly("state.grip", FOUND)
@@ -253,10 +153,14 @@ class LaidCable:
     excess: ReadOnly[float] = ReadOnly("state.excess", FOUND)
 
     def __init__(
-        self, name: str, cable: Cable, state: CableState, sleeve: bool = False, level: int = 0
+        self, name: str, cable: Cable, state: CableState, sleeve: bool = False, layer: int = 0
     ) -> None:
         self._name, self._cable, self.state = name, cable, state
-        self._sleeve, self._level = sleeve, level
+        self._sleeve, self._layer = sleeve, layer
+
+    def update(self, **changes: Any) -> None:
+        """Replace parts of its state, by name; arrays among them become read-only."""
+        self.state = replace(self.state, **changes)
 
     @property
     def slides_freely(self) -> bool:
@@ -283,7 +187,7 @@ class LaidCable:
         return np.asarray(self.positions[self.line_nodes()])
 
     @property
-    def free_spans(self) -> npt.NDArray[np.bool_]:
+    def free_spans(self) -> Booleans:
         """Which of the n - 1 parts of its `line` are off the membrane."""
         nodes = self.line_nodes()
         anchors = [self.nodes[k].kind == "anchor" for k in nodes]
@@ -316,7 +220,7 @@ class LaidCable:
     @property
     def path(self) -> Path:
         """Its way over the mesh as it is now; where it is lifted, over the cells under it."""
-        points = [self.point(k) for k in self.rim()]
+        points = [self.point(k) for k in self.path_nodes()]
         first, last = (
             tuple(self.positions[k].tolist()) if self.nodes[k].kind == "anchor" else None
             for k in (0, -1)
@@ -336,13 +240,17 @@ class LaidCable:
         nodes: Sequence[CableNode],
         positions: Array,
         fractions: Array,
-        lifted: npt.NDArray[np.bool_],
+        lifted: Booleans,
     ) -> None:
         """Replace the points of the polyline."""
-        state = self.state
-        state.nodes, state.positions = tuple(nodes), positions
-        state.fractions, state.lifted = fractions, lifted
-        state.material, state.blocked = np.full_like(positions, np.nan), ()
+        self.update(
+            nodes=tuple(nodes),
+            positions=positions,
+            fractions=fractions,
+            lifted=lifted,
+            reference_positions=np.full_like(positions, np.nan),
+            blocked=(),
+        )
 
     @property
     def ends(self) -> tuple[End, End]:
@@ -362,8 +270,8 @@ class LaidCable:
         fraction = float(self.fractions[k])
         return self.nodes[k].masters(None if np.isnan(fraction) else fraction)
 
-    def rim(self) -> list[int]:
-        """Nodes of its way over the mesh, in order: no anchors, no crossings."""
+    def path_nodes(self) -> list[int]:
+        """Nodes of its `path` over the mesh, in order: no anchors, no crossings."""
         return [
             k
             for k, node in enumerate(self.nodes)

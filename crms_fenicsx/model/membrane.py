@@ -12,7 +12,7 @@ from dolfinx.mesh import MeshTags, meshtags
 
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.meshes.cell_geometry import OpenEdges, area_vectors, open_edges
-from crms_fenicsx.model.materials import UFL_LAW, MembraneMaterial
+from crms_fenicsx.model.materials import LINEAR, UFL_LAW, MembraneMaterial
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Indices
 from crms_fenicsx.runtime.errors import InputError, PathError, collective, raised_together
@@ -180,6 +180,27 @@ class Membrane:
     def owner_of_material(self, number: int) -> str:
         """Name what has a material, for messages."""
         return f"part {self.parts[number]!r}" if self.parts else "the membrane"
+
+    def refuse_step_strain(self) -> None:
+        """Refuse materials that the paper's step-wise strain does not know.
+
+        Raises
+        ------
+        InputError
+            One that wrinkles, or a user's own.
+        """
+        for number, own in self.materials.items():
+            if own.law == UFL_LAW:
+                raise InputError(
+                    'Scene: strain="step" has a linear law of its own, but '
+                    f"{self.owner_of_material(number)} has a UflMembrane; use "
+                    'strain="total", or give it an IsotropicMembrane or OrthotropicMembrane.'
+                )
+            if own.law != LINEAR:
+                raise InputError(
+                    f'Scene: strain="step" has no wrinkling model, but the material is {own}; '
+                    "give it wrinkling=False."
+                )
 
     def refuse_folds(self, cells: Indices, cable: str) -> None:
         """Refuse cables over cells whose material has no compiled law. Collective.

@@ -1,9 +1,10 @@
-"""What a run leaves behind: its history, files for ParaView, and pictures. All from arrays."""
+"""What a run leaves behind: its history, files for ParaView, and pictures."""
 
 from crms_fenicsx.output.data import Line, Surface
 from crms_fenicsx.output.figures.history import draw_history
 from crms_fenicsx.output.figures.montage import join_pictures
 from crms_fenicsx.output.figures.paths import draw_path
+from crms_fenicsx.output.figures.scene import draw, draw_paths
 from crms_fenicsx.output.figures.surface import draw_shape
 from crms_fenicsx.output.history import History
 from crms_fenicsx.output.paraview import Series
@@ -13,8 +14,10 @@ __all__ = [
     "Line",
     "Series",
     "Surface",
+    "draw",
     "draw_history",
     "draw_path",
+    "draw_paths",
     "draw_shape",
     "join_pictures",
 ]

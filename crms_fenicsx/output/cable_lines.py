@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from crms_fenicsx.contact.contact_force import contact_forces
 from crms_fenicsx.output.data import Line
-
-if TYPE_CHECKING:
-    from crms_fenicsx.scene import Scene
+from crms_fenicsx.scene import Scene
 
 
 def cable_lines(scene: Scene) -> list[Line]:
-    """The scene's cables as lines, the same on all ranks. Collective.
+    """Return the scene's cables as lines, the same on all ranks. Collective.
 
-    They know their tension, of each segment where friction along the cable makes it vary, which
-    segments are "lifted" off the membrane, and how hard they press on it at their points: "contact
-    force", per length of cable, zero where they do not touch it.
+    Their data are "tension", of each segment where friction along the cable makes it vary, "lifted"
+    segments off the membrane, and "contact force" at their points: the normal force per length of
+    cable, zero where they do not touch the membrane.
     """
     if not scene.cables:
         return []
-    from crms_fenicsx.contact.contact_force import contact_forces
-
     shape = scene.net.strip_shape()
     return [
         Line(

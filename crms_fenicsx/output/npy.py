@@ -1,7 +1,7 @@
 """Arrays in numpy's format (.npy) whose rows are spread over the ranks.
 
-Rows have global ids, so that any number of ranks can write them and any other read them. Nobody has
-the whole array: for writing, each rank is sent the rows of its slab of ids.
+Rows have global ids, so that any number of ranks can write them and any other read them. The first
+rank has the whole array while it writes or reads the file.
 """
 
 from __future__ import annotations
@@ -14,10 +14,9 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from crms_fenicsx.output.shared_file import write_together
 from crms_fenicsx.runtime.arrays import Integers
 from crms_fenicsx.runtime.errors import InputError, raised_together
-from crms_fenicsx.runtime.files import readable, size_of_file
+from crms_fenicsx.runtime.files import readable, replaced, size_of_file
 
 Rows = npt.NDArray[Any]
 
@@ -29,14 +28,14 @@ FACTOR = np.uint64(0x9E3779B97F4A7C15)
 
 
 def write_rows(path: Path, comm: MPI.Intracomm, ids: Integers, values: Rows, total: int) -> str:
-    """Write an array to which every rank has some rows. Collective.
+    """Write an array of which every rank has some rows. Collective.
 
     Parameters
     ----------
     path
-        The file; its folder exists.
+        The file; its folder exists. It is replaced when the new one is complete.
     comm
-        Its ranks write together.
+        Its ranks have the rows.
     ids : (n,)
         Which rows of the file this rank has, from 0 to total - 1, in any order.
     values : (n,) or (n, c)
@@ -53,23 +52,17 @@ def write_rows(path: Path, comm: MPI.Intracomm, ids: Integers, values: Rows, tot
     InputError
         On all ranks, when the file cannot be written.
     """
-    rows = values.astype(values.dtype.newbyteorder("<"), copy=False)
-    shape = (total, *rows.shape[1:])
-    slab = max(-(-total // comm.size), 1)
-    first, last = (min(rank * slab, total) for rank in (comm.rank, comm.rank + 1))
-    order = np.argsort(ids, kind="stable")
-    own = np.zeros((last - first, *shape[1:]), dtype=rows.dtype)
-    counts = np.bincount(ids // slab, minlength=comm.size)
-    their_ids, their_rows = (_sent(part[order], counts, comm) for part in (ids, rows))
-    np.add.at(own, their_ids - first, their_rows)
-
-    text = _header(rows.dtype, shape)
-    row_size = rows.dtype.itemsize * int(np.prod(shape[1:]))
-    parts = [(len(text) + first * row_size, own)]
-    if comm.rank == 0:
-        parts.append((0, np.frombuffer(text, dtype=np.uint8)))
-    write_together(path, comm, len(text) + total * row_size, parts)
-    return digest(comm, first + np.arange(last - first), own)
+    parts, found = comm.gather((ids, values)), ""
+    with raised_together(comm):
+        if parts is not None:
+            whole = np.zeros((total, *values.shape[1:]), dtype=values.dtype.newbyteorder("<"))
+            for rows, own in parts:
+                np.add.at(whole, rows, own)
+            with replaced(path) as partial, open(partial, "wb") as file:
+                file.write(_header(whole.dtype, whole.shape))
+                file.write(whole.data if whole.size else b"")
+            found = digest(MPI.COMM_SELF, np.arange(total), whole)
+    return comm.bcast(found)
 
 
 def _header(dtype: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
@@ -99,17 +92,6 @@ def digest(comm: MPI.Intracomm, ids: Integers, values: Rows) -> str:
     return f"{comm.allreduce(int(numbers.sum())) % 2**64:016x}"
 
 
-def _sent(rows: Rows, counts: Integers, comm: MPI.Intracomm) -> Rows:
-    """Send each rank its share of the rows, one share after the other; return what has come."""
-    coming = np.zeros_like(counts)
-    comm.Alltoall(counts, coming)
-    received = np.zeros((int(coming.sum()), *rows.shape[1:]), dtype=rows.dtype)
-    row = MPI.BYTE.Create_contiguous(rows.dtype.itemsize * int(np.prod(rows.shape[1:]))).Commit()
-    comm.Alltoallv([np.ascontiguousarray(rows), counts, row], [received, coming, row])
-    row.Free()
-    return received
-
-
 def read_rows(
     path: Path,
     comm: MPI.Intracomm,
@@ -117,24 +99,21 @@ def read_rows(
     dtype: npt.DTypeLike,
     shape: tuple[int, ...],
     due: str,
-    owned: int | None = None,
 ) -> Rows:
-    """Read some rows of an array. Collective, for errors.
+    """Read some rows of an array. Collective.
 
     Parameters
     ----------
     path
         The file.
     comm
-        Its ranks read together, each its own rows.
+        Its ranks want rows, each its own.
     ids : (n,)
         Which rows; None: all.
     dtype, shape
         Those of the whole array; a file with others is not read.
     due
         The `digest` that the file has if it is as it was written.
-    owned
-        How many rows, the first ones, this rank owns: each is owned by one rank. None: all.
 
     Returns
     -------
@@ -145,44 +124,31 @@ def read_rows(
     InputError
         On all ranks: the file is missing, or not what it should be.
     """
-    on_disk = np.dtype(dtype).newbyteorder("<")
-    found: Rows = np.zeros((0, *shape[1:]), dtype=on_disk)
+    wanted, parts = comm.gather(ids), None
     with raised_together(comm):
-        start = _checked(path, on_disk, shape)
-        if shape[0] > 0:  # an empty file cannot be mapped
-            whole = np.memmap(path, on_disk, "r", start, shape)
-            found = np.array(whole if ids is None else whole[ids])
-    if ids is None:  # all ranks have all
-        has = digest(MPI.COMM_SELF, np.arange(len(found)), found)
-    else:
-        has = digest(comm, ids[:owned], found[:owned])
-    with raised_together(comm):
-        if has != due:
-            raise InputError(
-                f"{path} is damaged: its numbers are not those that were written; take another "
-                "checkpoint"
-            )
-    return found.astype(dtype)
+        if wanted is not None:
+            whole = _checked(path, np.dtype(dtype).newbyteorder("<"), shape, due).astype(dtype)
+            parts = [whole if rows is None else whole[rows] for rows in wanted]
+    return comm.scatter(parts)
 
 
-def _checked(path: Path, dtype: np.dtype[Any], shape: tuple[int, ...]) -> int:
-    """Where the numbers begin in a file that has the type and shape wanted (bytes).
+def _checked(path: Path, dtype: np.dtype[Any], shape: tuple[int, ...], due: str) -> Rows:
+    """Read an array of the type, shape and `digest` wanted, or raise `InputError`.
 
-    Nothing that it says of itself is interpreted: it begins with what was written, or is refused.
+    Nothing that the file says of itself is interpreted: it begins as it was written, or is refused.
     """
-    header = _header(dtype, shape)
+    wrong, size = "", HEADER + dtype.itemsize * math.prod(shape)
     with readable(path, "give a checkpoint that is complete"):
-        size = size_of_file(path)
+        found = size_of_file(path)
         with open(path, "rb") as file:
-            begins = file.read(HEADER)
-    if begins != header:
-        raise InputError(
-            f"{path} is damaged: it does not begin like numbers of type {dtype} and shape {shape}; "
-            "take another checkpoint"
-        )
-    wanted = HEADER + dtype.itemsize * math.prod(shape)
-    if size != wanted:
-        raise InputError(
-            f"{path} is damaged: it has {size} bytes instead of {wanted}; take another checkpoint"
-        )
-    return HEADER
+            if file.read(HEADER) != _header(dtype, shape):
+                wrong = f"it does not begin like numbers of type {dtype} and shape {shape}"
+            elif found != size:
+                wrong = f"it has {found} bytes instead of {size}"
+            else:
+                values = np.fromfile(file, dtype).reshape(shape)
+    if not wrong and digest(MPI.COMM_SELF, np.arange(len(values)), values) != due:
+        wrong = "its numbers are not those that were written"
+    if wrong:
+        raise InputError(f"{path} is damaged: {wrong}; take another checkpoint")
+    return values

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -12,18 +11,16 @@ import numpy.typing as npt
 from crms_fenicsx.cables.deformed_surface import current_surface
 from crms_fenicsx.cables.enclosed_volume import gained_volume
 from crms_fenicsx.dofs.layout import vertex_starts
+from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.output.cable_lines import cable_lines
 from crms_fenicsx.output.data import Surface
 from crms_fenicsx.output.history import History, Value
 from crms_fenicsx.output.lock import FolderLock
+from crms_fenicsx.output.paraview import Series
 from crms_fenicsx.results.membrane_results import membrane_results
 from crms_fenicsx.runtime.errors import InputError, raised_together
-
-if TYPE_CHECKING:
-    from crms_fenicsx.equilibrium.system import System
-    from crms_fenicsx.output.paraview import Series
-    from crms_fenicsx.scene import Scene
-    from crms_fenicsx.steps.load_step import Step
+from crms_fenicsx.scene import Scene
+from crms_fenicsx.steps.load_step import Step
 
 
 class Recorder:
@@ -62,8 +59,6 @@ class Recorder:
         self._lock: FolderLock | None = None
         self.history = History(None if folder is None else Path(folder) / "history.csv", scene.comm)
         if folder is not None:
-            from crms_fenicsx.output.paraview import Series
-
             self.series = Series(folder, scene.comm)
             self._lock = FolderLock(self.series.folder, scene.comm)
 

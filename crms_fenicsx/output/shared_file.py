@@ -51,13 +51,13 @@ def write_together(path: Path, comm: MPI.Intracomm, size: int, parts: Sequence[P
             if comm.rank == 0:
                 with open(partial, "wb") as new:
                     new.truncate(size)
-        with raised_together(comm), explained(path), _told_by_system(path):
+        with raised_together(comm), explained(path), _as_system_error(path):
             file = MPI.File.Open(comm, os.fspath(partial), MPI.MODE_WRONLY)
         try:
-            with raised_together(comm), explained(path), _told_by_system(path):
+            with raised_together(comm), explained(path), _as_system_error(path):
                 for offset, array in parts:
                     _write(file, offset, array)
-            with raised_together(comm), explained(path), _told_by_system(path):
+            with raised_together(comm), explained(path), _as_system_error(path):
                 file.Sync()  # now it is on the disk
         finally:
             file.Close()
@@ -100,7 +100,7 @@ def _write(file: MPI.File, offset: int, array: NDArray[Any]) -> None:
 
 
 @contextmanager
-def _told_by_system(path: Path) -> Iterator[None]:
+def _as_system_error(path: Path) -> Iterator[None]:
     """Let an error of MPI be one of the system, of which MPI does not tell the reason."""
     try:
         yield

@@ -17,7 +17,8 @@ from mpi4py import MPI
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.gap import size_at
 from crms_fenicsx.contact.span_projection import shadow
-from crms_fenicsx.model.laid_cable import COINCIDENT, CableNode, LaidCable
+from crms_fenicsx.model.cable_state import CableNode
+from crms_fenicsx.model.laid_cable import COINCIDENT, LaidCable
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.paths.path_change import PathChange
 from crms_fenicsx.runtime.arrays import Array
@@ -57,7 +58,7 @@ def renew_ends(change: PathChange) -> bool:
         if any(led):  # it may lie over other cells now
             changed, shape = True, change.net.strip_shape()
         if cable.taut and any(_moved_aside(cable, k, shape) for k in (0, -1)):
-            cable.state.traced = False
+            cable.update(path_is_geodesic=False)
     return changed
 
 
@@ -101,7 +102,7 @@ def _renew(change: PathChange, cable: LaidCable, last: bool) -> bool:
             return led
         nodes = list(cable.nodes)  # it has been moved off, and slides along its edge now
         nodes[beside] = CableNode("rail", node.point)
-        cable.state.nodes = tuple(nodes)
+        cable.update(nodes=tuple(nodes))
         return True
     points = list(cable.path.points)
     points = points[::-1] if last else points

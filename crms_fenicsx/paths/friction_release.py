@@ -95,7 +95,7 @@ def straighten_kinks(
         cable = change.net.cables[c]
         if cable.slides_freely or not cable.nodes[k].slides:
             continue
-        rim = cable.rim()
+        rim = cable.path_nodes()
         i = rim.index(k)
         way = cable.name, tuple(cable.nodes[m].support for m in rim[max(i - 1, 0) : i + 2])
         if way in tried.straightened:

@@ -22,7 +22,9 @@ import numpy as np
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import forces_at
 from crms_fenicsx.energies.segments import SMOOTHING
-from crms_fenicsx.model.laid_cable import CableNode, LaidCable
+from crms_fenicsx.friction.lateral import friction_forces
+from crms_fenicsx.model.cable_state import CableNode
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import Support, edge_of
 from crms_fenicsx.surface.triangles import norm
@@ -131,8 +133,6 @@ def held_vertices(cable: LaidCable, shape: StripShape) -> list[HeldVertex]:
     press, pull = (dict(zip(nodes, f, strict=True)) for f in forces_at(cable, nodes, shape))
     bound: dict[int, float] = {}
     if cable.grip is not None:
-        from crms_fenicsx.friction.lateral import friction_forces
-
         carried = friction_forces(cable, shape)
         for k in nodes:
             row = cable.grip.row_of.get(cable.nodes[k].support)
@@ -208,7 +208,7 @@ def _string(places: Array, forces: Array) -> Array:
 
 def _rows(held: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]]:
     """Vertices in a row."""
-    at = {k: i for i, k in enumerate(cable.rim())}
+    at = {k: i for i, k in enumerate(cable.path_nodes())}
     rows: list[list[HeldVertex]] = []
     for one in held:
         if rows and at[one.nodes[0]] - at[rows[-1][-1].nodes[-1]] <= APART:
@@ -249,7 +249,7 @@ def _at(cable: LaidCable) -> dict[int, list[int]]:
 def _between_ends(cable: LaidCable) -> Iterator[tuple[int, Support]]:
     """Nodes on the mesh between the cable's ends, and their places."""
     nodes = cable.nodes
-    for k in cable.rim():
+    for k in cable.path_nodes():
         if 0 < k < len(nodes) - 1:
             yield k, nodes[k].support
 

@@ -12,15 +12,10 @@ from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.cables.strip_gather import cells_at, cells_near
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.lift_off import drape
+from crms_fenicsx.friction.axial import laid_grip
 from crms_fenicsx.model.cable import Cable
-from crms_fenicsx.model.laid_cable import (
-    CableNode,
-    CableState,
-    End,
-    LaidCable,
-    StepStart,
-    polyline_length,
-)
+from crms_fenicsx.model.cable_state import CableNode, CableState, End, StepStart
+from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.paths.follow import unfolded
 from crms_fenicsx.paths.seam_checks import refuse_forks, refuse_places_behind
@@ -41,7 +36,7 @@ def lay(
     L0: float | None,
     tension: float | None,
     sleeve: bool,
-    level: int,
+    layer: int,
     name: str | None,
 ) -> LaidCable:
     """Trace the path, decide what each of its points is, and add the cable to the net.
@@ -77,13 +72,13 @@ def lay(
     refuse_forks(traced, shape, name)
     nodes = nodes_of(traced.points, strip, _ends(net.membrane, strip, traced))
     positions = np.array([_position(node, k, traced, shape) for k, node in enumerate(nodes)])
-    off = np.zeros(len(nodes), dtype=bool)
-    state = CableState(nodes, positions, fractions_of(nodes), off, 1.0, 0.0, 0.0)
-    laid = LaidCable(name, cable, state, bool(sleeve), level)
     in_fold = dict(zip(known.values(), folds, strict=True))
     for k, node in enumerate(nodes):
         if node.point in in_fold:
-            laid.positions[k] = in_fold[node.point]
+            positions[k] = in_fold[node.point]
+    off, nowhere = np.zeros(len(nodes), dtype=bool), np.full_like(positions, np.nan)
+    state = CableState(nodes, positions, fractions_of(nodes), off, nowhere, 1.0, 0.0, 0.0)
+    laid = LaidCable(name, cable, state, bool(sleeve), layer)
     _refuse_folds(net.membrane, strip, laid)
     if not sleeve:
         drape(laid, shape)
@@ -92,17 +87,13 @@ def lay(
         raise PathError(f"lay_cable: the path of {name!r} has no length.")
     if tension is not None:
         L0 = length / (1 + tension / cable.EA)
-    state.L0 = length if L0 is None else float(L0)
-    state.length = length
-    state.tension = cable.EA / state.L0 * max(length - state.L0, 0.0)
+    L0 = length if L0 is None else float(L0)
+    force = cable.EA / L0 * max(length - L0, 0.0)
+    laid.update(L0=L0, length=length, tension=force, taut=cable.law == "step" or force > 0)
     if cable.law == "step":
-        energy = state.tension * (length - state.L0) / 2
-        state.step_start = StepStart(state.tension, length, energy)
-    state.taut = cable.law == "step" or state.tension > 0
+        laid.update(step_start=StepStart(force, length, force * (length - L0) / 2))
     if cable.along > 0:
-        from crms_fenicsx.friction.axial import laid_grip
-
-        state.axial = laid_grip(laid, shape)
+        laid.update(axial=laid_grip(laid, shape))
     net.add(laid, strip)
     return laid
 

@@ -12,10 +12,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from crms_fenicsx.cables.cable_net import CableNet
-from crms_fenicsx.cables.crossings import note_places
+from crms_fenicsx.cables.crossings import at_nodes
 from crms_fenicsx.cables.points_on_edges import bends
 from crms_fenicsx.contact.gap import INSIDE
-from crms_fenicsx.model.laid_cable import CableNode, End, LaidCable
+from crms_fenicsx.model.cable_state import CableNode, End
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.paths.creased_surface import FoldedSurface
 from crms_fenicsx.paths.typed_nodes import fractions_of, nodes_of
 from crms_fenicsx.runtime.arrays import Array
@@ -103,7 +104,7 @@ class PathChange:
         }
         way = without_backtracking(points, surface.strip.outer_cells)
         self.replace(cable, way, [point.support in off for point in way], surface, ends)
-        cable.state.traced = False
+        cable.update(path_is_geodesic=False)
 
     def replace(
         self,
@@ -122,7 +123,7 @@ class PathChange:
             _key(node): k
             for k, node in enumerate(cable.nodes)
             if node.kind != "crossing"
-            and (cable.traced or not cable.slides_freely or not node.slides)
+            and (cable.path_is_geodesic or not cable.slides_freely or not node.slides)
         }
         ends = cable.ends if ends is None else ends
         first, last = (int(end != "off") for end in ends)
@@ -144,7 +145,7 @@ class PathChange:
             else:
                 ids, weights = node.masters()
                 positions[k] = np.dot(weights, [surface.shape.at(i) for i in ids])
-        note_places(cable)
+        self.net.crossings = at_nodes(self.net.crossings, cable)
         cable.set_nodes(nodes, positions, fractions, flags)
 
     def _clipped(self, cable: LaidCable, point: SurfacePoint) -> SurfacePoint:

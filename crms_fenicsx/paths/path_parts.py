@@ -20,11 +20,7 @@ def is_crossed(cable: LaidCable) -> bool:
 
 def lifted_runs(cable: LaidCable) -> list[tuple[bool, range]]:
     """The parts of a path that are lifted, and those that are not: indices of their points."""
-    off = [
-        bool(lifted)
-        for lifted, node in zip(cable.lifted, cable.nodes, strict=True)
-        if node.point is not None and node.kind != "crossing"
-    ]
+    off = [bool(cable.lifted[k]) for k in cable.path_nodes()]
     starts = [k for k in range(len(off)) if k == 0 or off[k] != off[k - 1]]
     return [(off[a], range(a, b)) for a, b in itertools.pairwise([*starts, len(off)])]
 

@@ -59,28 +59,28 @@ class Retracer:
         fresh = [
             cable
             for cable in self.net.cables
-            if cable.taut and not cable.traced and cable.slides_freely
+            if cable.taut and not cable.path_is_geodesic and cable.slides_freely
         ]
         if not fresh:
             return False
         others = [cable for cable in self.net.cables if cable not in fresh]
         for cable in fresh:
-            cable.lifted[:] = False
+            cable.update(lifted=cable.lifted & False)
         self._retrace(fresh, folded_by=others, fresh=True)
         shape = self.net.strip_shape()
         for cable in fresh:
             if not cable.sleeve:
                 drape(cable, shape)
             # Pulled straight it may turn out to be too long for its path: slack after all.
-            cable.state.taut = cable.is_tight(nearly=True)
-            cable.state.traced = cable.taut
+            taut = cable.is_tight(nearly=True)
+            cable.update(taut=taut, path_is_geodesic=taut)
         return True
 
     def lay_again(self, numbers: Set[int]) -> None:
         """Forget where the fold points of some cables are, given by number, so that `straighten`
         puts them on straight edges."""
         for c in numbers:
-            self.net.cables[c].state.traced = False
+            self.net.cables[c].update(path_is_geodesic=False)
 
     def renew_shadows(self) -> list[str]:
         """Bring the paths of lifted parts under their spans; say which changed. Collective."""
@@ -206,5 +206,5 @@ class Retracer:
             points += new
             lifted += [is_off] * len(new)
         if len(points) < 2 or any(max(point.support) >= self.change.n_vertices for point in points):
-            raise slid_off(cable, cable.positions[cable.rim()[0]])
+            raise slid_off(cable, cable.positions[cable.path_nodes()[0]])
         return points, lifted, passed

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from crms_fenicsx.cables.strip import Strip
-from crms_fenicsx.model.laid_cable import CableNode, End
+from crms_fenicsx.model.cable_state import CableNode, End
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint
 

@@ -14,7 +14,8 @@ import numpy as np
 from crms_fenicsx.geodesics.corridor import Corridor, corridor, flaw
 from crms_fenicsx.geodesics.flip_geodesic import shorten
 from crms_fenicsx.geodesics.vertex_flip import other_side
-from crms_fenicsx.model.laid_cable import CableNode, LaidCable
+from crms_fenicsx.model.cable_state import CableNode
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.paths.creased_surface import FoldedSurface
 from crms_fenicsx.paths.held_vertices import Run
 from crms_fenicsx.paths.path_change import PathChange
@@ -85,7 +86,7 @@ def way_past(change: PathChange, cable: LaidCable, run: Run) -> WayPast | None:
     -------
     None where there is none for any of the vertices.
     """
-    string: Corridor = tuple(cable.nodes[k].support for k in cable.rim())
+    string: Corridor = tuple(cable.nodes[k].support for k in cable.path_nodes())
     joined = change.with_anchors(cable, change.surface(run.vertices))
     n = change.n_vertices
     first, last = n in joined.anchors, n + 1 in joined.anchors
@@ -117,7 +118,7 @@ def way_past(change: PathChange, cable: LaidCable, run: Run) -> WayPast | None:
 
 def adopt(change: PathChange, cable: LaidCable, way: WayPast) -> None:
     """Give a cable a way past vertices; all nodes that it had stay where they are."""
-    supports, rim = way.supports, cable.rim()
+    supports, rim = way.supports, cable.path_nodes()
     change.net.grow_strip([v for support in supports for v in support])
     strip = change.net.strip
     assert strip is not None
@@ -140,7 +141,7 @@ def adopt(change: PathChange, cable: LaidCable, way: WayPast) -> None:
     rows += [kept(last)] if rim[-1] < last else []
     nodes, positions, fractions, lifted = zip(*rows, strict=True)
     cable.set_nodes(nodes, np.array(positions), np.array(fractions), np.array(lifted))
-    rim = cable.rim()
+    rim = cable.path_nodes()
     added = [i for i, k in enumerate(rim) if cable.nodes[k].support not in old]
     if added:  # along the membrane's boundary there may only be fewer
         straighten(change, cable, rim[max(added[0] - 1, 0) : added[-1] + 2])
@@ -151,17 +152,19 @@ def straighten(change: PathChange, cable: LaidCable, part: list[int]) -> bool:
 
     Collective. Says whether that can be done.
     """
-    path = dict(zip(cable.rim(), cable.path.points, strict=True))
+    path = dict(zip(cable.path_nodes(), cable.path.points, strict=True))
     points = [path[k] for k in part]
     surface = change.surface([v for point in points for v in point.support])
     if len(points) < 3 or flaw(corridor(points), surface.thirds):
         return False
     string = shorten(points, surface, max_flips=0).points
+    positions, fractions = cable.positions.copy(), cable.fractions.copy()
     for k, point in zip(part[1:-1], string[1:-1], strict=True):
         if cable.nodes[k].slides and isinstance(point, EdgePoint):
             fraction = min(max(point.fraction, BEYOND), 1 - BEYOND)
-            cable.fractions[k] = fraction
-            cable.positions[k] = surface.place(point.edge, fraction)
+            fractions[k] = fraction
+            positions[k] = surface.place(point.edge, fraction)
+    cable.update(positions=positions, fractions=fractions)
     return True
 
 

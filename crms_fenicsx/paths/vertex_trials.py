@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 
+from crms_fenicsx.friction.lateral import align
 from crms_fenicsx.paths.held_vertices import Run, held_runs
 from crms_fenicsx.paths.path_change import PathChange
 from crms_fenicsx.paths.tried_paths import TriedPaths
@@ -96,8 +97,6 @@ class VertexTrials:
                 continue
             least = 1
             if not cable.slides_freely:
-                from crms_fenicsx.friction.lateral import align
-
                 if cable.grip is None or not cable.grip.known:
                     continue
                 align(cable)

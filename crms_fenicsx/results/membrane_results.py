@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
+from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.compat import geometry_dofmap
-
-if TYPE_CHECKING:
-    from crms_fenicsx.equilibrium.system import System
-    from crms_fenicsx.scene import Scene
-
+from crms_fenicsx.scene import Scene
 
 FLAT = 1e-12
 """Smallest squared stretch that a cell is taken to have, so that a collapsed one has directions."""

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from crms_fenicsx.equilibrium.system import System
+from crms_fenicsx.model.membrane import Marker
 from crms_fenicsx.runtime.arrays import Array, Integers
-
-if TYPE_CHECKING:
-    from crms_fenicsx.equilibrium.system import System
-    from crms_fenicsx.model.membrane import Marker
-    from crms_fenicsx.scene import Scene
+from crms_fenicsx.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -132,7 +129,8 @@ def _hand_on_rails(system: System, g: Array) -> None:
     """Give the forces of cables on held edges that they slide along to the edges' ends."""
     if system.unknowns.n_rails:
         assert system.cables is not None
-        blocks, ends, s = system.cables.network.rail_table()
+        rails = system.cables.network.rails
+        blocks, ends, s = rails.blocks, rails.ends, rails.known_fractions()
         share = np.stack([1 - s, s], axis=1)
         np.add.at(g, ends, share[:, :, None] * g[blocks][:, None, :])
         g[blocks] = 0.0

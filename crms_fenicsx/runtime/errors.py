@@ -116,18 +116,21 @@ def collective(method: Method) -> Method:
     Parameters
     ----------
     method
-        Of an object with a communicator ``comm``; all ranks call it together.
+        Method of an object with a communicator ``comm``, or function whose first argument is one;
+        all ranks call it together.
     """
 
     @functools.wraps(method)
-    def guarded(self: Any, *args: Any, **kwargs: Any) -> Any:
+    def guarded(*args: Any, **kwargs: Any) -> Any:
         try:
-            return method(self, *args, **kwargs)
+            return method(*args, **kwargs)
         except BaseException as error:
-            # A collective method that is called by another one has asked already.
-            if not getattr(error, "on_all_ranks", False):
-                if not all_failed(self.comm):
-                    end_all(self.comm, traceback.format_exc(), method.__qualname__)
+            # A collective method that is called by another one has asked already. What has no
+            # ranks is no object of the kind: an argument that was refused.
+            comm: Any = getattr(next(iter((*args, *kwargs.values())), None), "comm", None)
+            if not getattr(error, "on_all_ranks", comm is None):
+                if not all_failed(comm):
+                    end_all(comm, traceback.format_exc(), method.__qualname__)
                 error.on_all_ranks = True  # type: ignore[attr-defined]
             raise
 

@@ -57,16 +57,20 @@ class Target:
         scene._pressure = _between(*self.pressure, share)
         scene._load = _between(*self.load, share)
         u = scene.u.x.array.reshape(-1, 3)
-        for places in (u, *(cable.positions for cable in scene.cables)):
-            places += (share - before) * self.carried
+        u += (share - before) * self.carried
+        for cable in scene.cables:
+            cable.update(positions=cable.positions + (share - before) * self.carried)
         some = self.moved != 0.0
         u[some] = first.u.reshape(-1, 3)[some] + share * self.moved[some]
+        moved = {c: scene.cables[c].positions.copy() for c, _, _ in self.cable_ends}
         for c, k, _ in self.cable_ends:
-            scene.cables[c].positions[k] = first.cables[c].positions[k]
+            moved[c][k] = first.cables[c].positions[k]
         for c, k, displacement in self.cable_ends:
-            scene.cables[c].positions[k] += share * displacement
+            moved[c][k] += share * displacement
+        for c, positions in moved.items():
+            scene.cables[c].update(positions=positions)
         for c, start, end in self.lengths:
-            scene.cables[c].state.L0 = start + share * (end - start)
+            scene.cables[c].update(L0=start + share * (end - start))
 
 
 def _between(first: float, last: float, share: float) -> float:

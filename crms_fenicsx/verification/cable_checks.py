@@ -16,8 +16,13 @@ from mpi4py import MPI
 
 from crms_fenicsx.cables.numbering import Network
 from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.contact.contact_force import contact_forces, wrap_angles
 from crms_fenicsx.contact.gap import INSIDE
 from crms_fenicsx.contact.lift_off import is_foot, may_lift, outward_pulls
+from crms_fenicsx.friction.axial import gripped_nodes
+from crms_fenicsx.friction.gripped_nodes import held_nodes
+from crms_fenicsx.friction.lateral import energies
+from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.paths.held_vertices import held_runs
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
@@ -98,7 +103,7 @@ class _Nodes:
                 ids[k, : len(own)], weights[k, : len(own)] = own, share
             if node.kind == "fold" and isinstance(node.point, EdgePoint):
                 alone[k] = len(network.on_edge.get(node.point.edge, ())) == 1
-        rim = cable.rim()
+        rim = cable.path_nodes()
         supports = [p.support for k in rim if (p := cable.nodes[k].point) is not None]
         both = (tuple(sorted({*a, *b})) for a, b in itertools.pairwise(supports))
         return cls(
@@ -159,7 +164,7 @@ class CableVerifier:
                     found[name] = value, cable.name
         apart = [
             float(np.linalg.norm(np.diff([c.positions[k] for c, k in pair], axis=0)))
-            for pair in _crossings(scene.cables)
+            for pair in _crossings(scene.cables, scene.net.crossings)
         ]
         if apart:
             found["crossing cables apart"] = max(apart) / scene.membrane.size, ""
@@ -256,8 +261,6 @@ def _tensions(cable: LaidCable, parts: Array) -> dict[str, float]:
     spans: Array = np.zeros(0)
     of_part: Integers = np.zeros(0, dtype=np.int64)
     if cable.axial is not None and len(cable.axial.spans):
-        from crms_fenicsx.friction.axial import gripped_nodes
-
         passed = np.searchsorted(gripped_nodes(cable), cable.contacts()[:-1], side="right")
         of_part = passed.astype(np.int64)
         spans = np.asarray(np.bincount(of_part, parts), dtype=np.float64)
@@ -332,9 +335,6 @@ def _friction(cable: LaidCable, shape: StripShape, nodal: float) -> dict[str, fl
     friction = cable.cable.sideways
     if friction is None and cable.axial is None:
         return values
-    from crms_fenicsx.contact.contact_force import contact_forces, wrap_angles
-    from crms_fenicsx.friction.gripped_nodes import held_nodes
-    from crms_fenicsx.friction.lateral import energies
 
     if friction is not None and cable.has_coulomb and cable.grip is not None:
         forces = contact_forces(cable, shape)
@@ -346,15 +346,13 @@ def _friction(cable: LaidCable, shape: StripShape, nodal: float) -> dict[str, fl
             for k in held_nodes(cable)
             if cable.nodes[k].kind == "fold"
             and k not in cable.blocked
-            and not cable.nodes[k].crossing
+            and cable.nodes[k].crossing is None
         ]
         excess = np.maximum(np.abs(forces.lateral[free]) - bounds[free], 0.0).sum()
         values["friction beyond its bound"] = float(excess) / max(cable.tension, nodal)
         heat = energies(cable, shape)[1]
         values["negative dissipation"] = -heat / max(cable.tension * cable.length, 1e-300)
     if cable.axial is not None and len(cable.axial.spans):
-        from crms_fenicsx.friction.axial import gripped_nodes
-
         nodes, tensions = gripped_nodes(cable), cable.part_tensions
         at = np.searchsorted(cable.contacts(), nodes)
         before, after = tensions[at - 1], tensions[at]
@@ -368,12 +366,16 @@ def _friction(cable: LaidCable, shape: StripShape, nodal: float) -> dict[str, fl
     return values
 
 
-def _crossings(cables: Sequence[LaidCable]) -> list[list[tuple[LaidCable, int]]]:
+def _crossings(
+    cables: Sequence[LaidCable], crossings: Sequence[Crossing]
+) -> list[list[tuple[LaidCable, int]]]:
     """The two nodes of each crossing at which the cables touch each other."""
     nodes: dict[int, list[tuple[LaidCable, int]]] = {}
     for cable in cables:
         for k, node in enumerate(cable.nodes):
-            crossing = node.crossing
-            if crossing is not None and not crossing.apart and cable.taut and not cable.lifted[k]:
-                nodes.setdefault(id(crossing), []).append((cable, k))
+            number = node.crossing
+            if number is None or crossings[number].separated:
+                continue
+            if cable.taut and not cable.lifted[k]:
+                nodes.setdefault(number, []).append((cable, k))
     return [pair for pair in nodes.values() if len(pair) == 2]

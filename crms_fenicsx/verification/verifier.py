@@ -20,15 +20,15 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes.cell_geometry import area_vectors
+from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.results.reactions import pressed_facets
 from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.scene import Scene
 from crms_fenicsx.verification.report import Check, Verification
 
 if TYPE_CHECKING:
-    from crms_fenicsx.equilibrium.system import System
-    from crms_fenicsx.minimization.outcome import Outcome
-    from crms_fenicsx.scene import Scene
     from crms_fenicsx.verification.cable_checks import CableVerifier
 
 logger = logging.getLogger("crms_fenicsx")

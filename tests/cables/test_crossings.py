@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from fractions import Fraction
 from itertools import combinations, pairwise
 
 import numpy as np
 import numpy.typing as npt
 import pytest
+from cable_edits import put
 from mpi4py import MPI
 from scipy.spatial import Delaunay
 from term_scene import ISOTROPIC
@@ -21,7 +23,8 @@ from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.contact.lift_off import sunk
 from crms_fenicsx.energies.folded_pressure import FoldedFollowerPressure
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.model.laid_cable import CableNode, CableState, LaidCable, polyline_length
+from crms_fenicsx.model.cable_state import CableNode, CableState
+from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.surface.path import Path
@@ -51,7 +54,7 @@ def on(a: int, b: int, fraction: float) -> EdgePoint:
 
 
 def cable_over(
-    points: Sequence[SurfacePoint], places: Array = PLACES, *, level: int = 0, taut: bool = True
+    points: Sequence[SurfacePoint], places: Array = PLACES, *, layer: int = 0, taut: bool = True
 ) -> LaidCable:
     """A cable over these points, tied at its ends."""
     nodes = []
@@ -62,9 +65,10 @@ def cable_over(
     fractions = [p.fraction if isinstance(p, EdgePoint) else np.nan for p in points]
     state = CableState(
         tuple(nodes), np.array([np.dot(weights, places[list(ids)]) for ids, weights in masters]),
-        np.array(fractions), np.zeros(len(nodes), dtype=bool), 1.0, 1.0, 10.0, taut=taut,
+        np.array(fractions), np.zeros(len(nodes), dtype=bool), np.full((len(nodes), 3), np.nan),
+        1.0, 1.0, 10.0, taut=taut,
     )  # fmt: skip
-    return LaidCable("cable", Cable(1000.0), state, level=level)
+    return LaidCable("cable", Cable(1000.0), state, layer=layer)
 
 
 def kinds(cable: LaidCable) -> str:
@@ -72,7 +76,7 @@ def kinds(cable: LaidCable) -> str:
     letters = {"vertex": "v", "fold": "f", "rider": "r", "crossing": "x", "anchor": "a"}
     found = [letters[node.kind] for node in cable.nodes]
     return "".join(
-        letter.upper() if letter == "f" and node.crossing else letter
+        letter.upper() if letter == "f" and node.crossing is not None else letter
         for letter, node in zip(found, cable.nodes, strict=True)
     )
 
@@ -90,30 +94,30 @@ def test_in_a_cell() -> None:
     cables = [across(), cable_over([on(0, 1, 0.25), on(1, 2, 0.75), on(2, 3, 0.25)])]
     (crossing,) = arrange(cables, STRIP, [])
     assert (crossing.lower, crossing.upper) == (0, 1)
-    assert crossing.links == (0, 0) and not crossing.apart
+    assert crossing.links == (0, 0) and not crossing.separated
     assert sorted(crossing.support) == [0, 1, 2]
     np.testing.assert_allclose(crossing.place, [0.25, 0.5, 0.0], atol=1e-15)
     assert [kinds(cable) for cable in cables] == ["rxfr", "rxfr"]
     for cable in cables:
-        assert cable.nodes[1].crossing is crossing
+        assert cable.nodes[1].crossing == 0
         np.testing.assert_array_equal(cable.positions[1], crossing.place)
         point = cable.nodes[1].point
         assert isinstance(point, CellPoint)
         np.testing.assert_allclose(np.dot(point.weights, PLACES[list(point.cell)]), crossing.place)
         assert np.isnan(cable.fractions[1]) and not cable.lifted[1]
-        assert len(cable.fractions) == len(cable.lifted) == len(cable.material) == 4
+        assert len(cable.fractions) == len(cable.lifted) == len(cable.reference_positions) == 4
 
 
 def test_side_by_side_they_do_not() -> None:
     cables = [across(), cable_over([on(0, 2, 0.6), on(1, 2, 0.6), on(1, 3, 0.7)])]
-    assert arrange(cables, STRIP, []) == []
+    assert arrange(cables, STRIP, []) == ()
     assert [kinds(cable) for cable in cables] == ["rfr", "rfr"]
 
 
 def test_slack_cables_do_not() -> None:
     other = cable_over([on(0, 1, 0.25), on(1, 2, 0.75), on(2, 3, 0.25)], taut=False)
-    assert arrange([across(), other], STRIP, []) == []
-    other.state.taut = True
+    assert arrange([across(), other], STRIP, []) == ()
+    other.update(taut=True)
     assert len(arrange([across(), other], STRIP, [])) == 1
 
 
@@ -125,7 +129,7 @@ def test_a_shared_vertex_needs_no_point() -> None:
         cable_over([on(0, 1, 0.3), at(4), on(2, 3, 0.7)], places),
         cable_over([on(0, 2, 0.4), at(4), on(1, 3, 0.6)], places),
     ]
-    assert arrange(cables, fan, []) == []
+    assert arrange(cables, fan, []) == ()
     assert [kinds(cable) for cable in cables] == ["rvr", "rvr"]
 
 
@@ -139,15 +143,15 @@ def test_over_an_edge_that_the_other_follows(way: int, first: int) -> None:
     (crossing,) = arrange(cables, STRIP, [])
     assert crossing.support == (1, 2)
     assert kinds(follows) == "vxv" and kinds(crosses) == "rFr"
-    assert follows.nodes[1].crossing is crosses.nodes[1].crossing is crossing
+    assert follows.nodes[1].crossing == crosses.nodes[1].crossing == 0
     np.testing.assert_allclose(follows.positions[1], [0.75, 0.25, 0.0])
     assert (crossing.lower, crossing.upper) == (0, 1)
     assert crossing.links == ((0, 1) if first == 0 else (1, 0))
     # found again, and taken off again
     (again,) = arrange(cables, STRIP, [crossing])
     assert kinds(follows) == "vxv" and kinds(crosses) == "rFr" and again is not crossing
-    follows.state.taut = False
-    assert arrange(cables, STRIP, [again]) == []
+    follows.update(taut=False)
+    assert arrange(cables, STRIP, [again]) == ()
     assert kinds(follows) == "vv" and kinds(crosses) == "rfr"
 
 
@@ -162,10 +166,10 @@ def test_two_on_one_link_are_in_its_order() -> None:
         np.testing.assert_allclose(long.positions[1:3, 0], [0.2, 0.4])
         assert sorted(kinds(cable) for cable in cables) == ["rxfr", "rxfr", "rxxfr"]
         for cable in cables:
-            cable.state.taut = False
-        arrange(cables, STRIP, [])
+            cable.update(taut=False)
+        arrange(cables, STRIP, crossings)
         for cable in cables:
-            cable.state.taut = True
+            cable.update(taut=True)
 
 
 def test_an_end_inside_a_cell_may_reach_over_the_other_or_not() -> None:
@@ -255,7 +259,7 @@ def test_three_that_cross_each_other_cut_the_cell_in_seven() -> None:
 
         chords = [
             [
-                number(id(node.crossing) if node.crossing else (c, k), x)
+                number((c, k) if node.crossing is None else node.point, x)
                 for k, (node, x) in enumerate(zip(cable.nodes, cable.positions, strict=True))
             ]
             for c, cable in enumerate(cables)
@@ -275,13 +279,13 @@ def test_three_that_cross_each_other_cut_the_cell_in_seven() -> None:
 
 
 @pytest.mark.parametrize(
-    ("levels", "lower_and_upper"),
+    ("layers", "lower_and_upper"),
     [((0, 0), (0, 1)), ((1, 0), (1, 0)), ((0, 1), (0, 1)), ((2, 2), (0, 1))],
 )
-def test_which_lies_on_top(levels: tuple[int, int], lower_and_upper: tuple[int, int]) -> None:
+def test_which_lies_on_top(layers: tuple[int, int], lower_and_upper: tuple[int, int]) -> None:
     cables = [across(), cable_over([on(0, 1, 0.25), on(1, 2, 0.75), on(2, 3, 0.25)])]
-    for cable, level in zip(cables, levels, strict=True):
-        cable._level = level
+    for cable, layer in zip(cables, layers, strict=True):
+        cable._layer = layer
     (crossing,) = arrange(cables, STRIP, [])
     assert (crossing.lower, crossing.upper) == lower_and_upper
 
@@ -292,10 +296,9 @@ def test_which_lies_on_top(levels: tuple[int, int], lower_and_upper: tuple[int, 
 def slide(cable: LaidCable, node: int, fraction: float) -> None:
     point = cable.nodes[node].point
     assert isinstance(point, EdgePoint)
-    cable.fractions[node] = fraction
-    cable.positions[node] = (1 - fraction) * PLACES[point.edge[0]] + fraction * PLACES[
-        point.edge[1]
-    ]
+    put(cable, "fractions", node, fraction)
+    first, last = (PLACES[vertex] for vertex in point.edge)
+    put(cable, "positions", node, (1 - fraction) * first + fraction * last)
 
 
 def test_a_crossing_moves_to_the_next_cell_and_off() -> None:
@@ -312,9 +315,9 @@ def test_a_crossing_moves_to_the_next_cell_and_off() -> None:
     assert [kinds(cable) for cable in cables] == ["rfxr", "rfxr"]
     assert 0.4 < second.place[1] < 0.8
     slide(other, 1, 0.35)
-    other.state.nodes = (*other.nodes[:-1], CableNode("rider", on(1, 3, 0.3)))
+    other.update(nodes=(*other.nodes[:-1], CableNode("rider", on(1, 3, 0.3))))
     slide(other, 3, 0.3)
-    assert arrange(cables, STRIP, [second]) == []
+    assert arrange(cables, STRIP, [second]) == ()
     assert [kinds(cable) for cable in cables] == ["rfr", "rfr"]
 
 
@@ -327,14 +330,14 @@ def test_arranging_again_keeps_what_a_solve_has_found(comm: MPI.Intracomm) -> No
         scene.lay_cable(Cable(EA=32000.0), path)
     Solver(scene).advance(pressure=1e-4)
     assert len(scene.net.crossings) == 1
-    before = [cable.material.copy() for cable in scene.cables]
+    before = [cable.reference_positions.copy() for cable in scene.cables]
     assert all(np.isfinite(places).any() for places in before)
     system = Solver(scene).system
     for cable, places in zip(scene.cables, before, strict=True):
-        np.testing.assert_array_equal(cable.material, places)
+        np.testing.assert_array_equal(cable.reference_positions, places)
     system.rebuild()
     for cable, places in zip(scene.cables, before, strict=True):
-        np.testing.assert_array_equal(cable.material, places)
+        np.testing.assert_array_equal(cable.reference_positions, places)
 
 
 def test_a_crossing_that_stays_keeps_its_place() -> None:
@@ -342,7 +345,7 @@ def test_a_crossing_that_stays_keeps_its_place() -> None:
     cables = [across(), cable_over([on(0, 1, 0.25), on(1, 2, 0.75), on(2, 3, 0.25)])]
     (crossing,) = arrange(cables, STRIP, [])
     for cable in cables:
-        cable.positions[1] = (0.3, 0.5, 0.1)
+        put(cable, "positions", 1, (0.3, 0.5, 0.1))
     (again,) = arrange(cables, STRIP, [crossing])
     for cable in cables:
         np.testing.assert_array_equal(cable.positions[1], [0.3, 0.5, 0.1])
@@ -353,12 +356,10 @@ def test_cables_that_have_parted_share_no_point() -> None:
     """Also when their crossing moves on; of two crossings each goes on from the nearest."""
     cables = [across(), cable_over([on(0, 1, 0.25), on(1, 2, 0.75), on(2, 3, 0.25)])]
     (crossing,) = arrange(cables, STRIP, [])
-    crossing.apart = True
-    (again,) = arrange(cables, STRIP, [crossing])
-    assert again.apart and again.links == (0, 0)
+    (again,) = arrange(cables, STRIP, [replace(crossing, separated=True)])
+    assert again.separated and again.links == (0, 0)
     assert [kinds(cable) for cable in cables] == ["rfr", "rfr"]
-    again.apart = False
-    arrange(cables, STRIP, [again])
+    arrange(cables, STRIP, [replace(again, separated=False)])
     assert [kinds(cable) for cable in cables] == ["rxfr", "rxfr"]
 
 
@@ -367,9 +368,12 @@ def test_two_crossings_of_two_cables_keep_apart_what_was() -> None:
     cables = [across(), cable_over(bow)]
     crossings = arrange(cables, STRIP, [])
     assert [crossing.links for crossing in crossings] == [(0, 0), (1, 2)]
-    crossings[1].apart = True
-    again = arrange(cables, STRIP, crossings[::-1])
-    assert [(crossing.links, crossing.apart) for crossing in again] == [
+    for cable in cables:  # in the other order
+        numbers = (None if node.crossing is None else 1 - node.crossing for node in cable.nodes)
+        nodes = zip(cable.nodes, numbers, strict=True)
+        cable.update(nodes=tuple(replace(node, crossing=number) for node, number in nodes))
+    again = arrange(cables, STRIP, [replace(crossings[1], separated=True), crossings[0]])
+    assert [(crossing.links, crossing.separated) for crossing in again] == [
         ((0, 0), False),
         ((1, 2), True),
     ]
@@ -377,12 +381,12 @@ def test_two_crossings_of_two_cables_keep_apart_what_was() -> None:
 
 def test_a_new_one_over_which_the_upper_cable_is_lifted_is_apart() -> None:
     cables = [across(), cable_over([on(0, 1, 0.25), on(1, 2, 0.75), on(2, 3, 0.25)])]
-    cables[1].lifted[:2] = True
+    put(cables[1], "lifted", slice(None, 2), True)
     (crossing,) = arrange(cables, STRIP, [])
-    assert crossing.apart
-    cables[1].lifted[0] = False
+    assert crossing.separated
+    put(cables[1], "lifted", 0, False)
     (crossing,) = arrange(cables, STRIP, [])
-    assert not crossing.apart
+    assert not crossing.separated
 
 
 # ---- the cell ----------------------------------------------------------------------------------
@@ -445,7 +449,7 @@ def crossed_square(
     solver.advance(pressure=0.01)
     routes = {"first": [(0.0, 43.0), (100.0, 48.0)], "second": [(57.0, 0.0), (52.0, 100.0)]}
     cables = [
-        scene.lay_cable(Cable(32000.0), route, name=name, level=levels.get(name, 0))
+        scene.lay_cable(Cable(32000.0), route, name=name, layer=levels.get(name, 0))
         for name, route in routes.items()
     ]
     solver.advance(L0={cables[0]: 0.99 * cables[0].L0, cables[1]: factor * cables[1].L0})
@@ -461,10 +465,10 @@ def test_crossing_cables_share_a_point_in_equilibrium(square) -> None:
     """The upper one presses on the lower one; what is left carries the pressure around it."""
     scene, cables, _ = square
     (crossing,) = scene.net.crossings
-    assert not crossing.apart
+    assert not crossing.separated
     pulls, places = [], []
     for cable in cables:
-        (k,) = (k for k, node in enumerate(cable.nodes) if node.crossing is crossing)
+        (k,) = (k for k, node in enumerate(cable.nodes) if node.crossing == 0)
         ways = cable.positions[[k - 1, k + 1]] - cable.positions[k]
         pulls.append(cable.tension * (ways / np.linalg.norm(ways, axis=1)[:, None]).sum(axis=0))
         places.append(cable.positions[k])
@@ -485,7 +489,9 @@ def test_the_number_of_processes_does_not_matter(square) -> None:
     for cable, twin in zip(cables, twins, strict=True):
         assert cable.tension == pytest.approx(twin.tension, rel=1e-8)
         np.testing.assert_allclose(cable.positions, twin.positions, rtol=0, atol=1e-6)
-        np.testing.assert_allclose(cable.material, twin.material, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(
+            cable.reference_positions, twin.reference_positions, rtol=0, atol=1e-6
+        )
 
 
 def test_the_material_curve_is_on_the_stress_free_membrane(square) -> None:
@@ -499,15 +505,15 @@ def test_the_material_curve_is_on_the_stress_free_membrane(square) -> None:
         for k, node in enumerate(cable.nodes):
             seen.add(node.kind)
             if node.point is None or cable.lifted[k]:
-                assert np.isnan(cable.material[k]).all()
+                assert np.isnan(cable.reference_positions[k]).all()
             elif node.kind == "crossing":
-                a, x, b = cable.material[k - 1 : k + 2]
+                a, x, b = cable.reference_positions[k - 1 : k + 2]
                 share = np.linalg.norm(np.diff(cable.positions[k - 1 : k + 2], axis=0), axis=1)
                 np.testing.assert_allclose(x, a + share[0] / share.sum() * (b - a), atol=1e-12)
             else:
                 ids, weights = node.masters(float(cable.fractions[k]) if node.slides else None)
                 np.testing.assert_allclose(
-                    cable.material[k], np.dot(weights, [X[i] for i in ids]), atol=1e-12
+                    cable.reference_positions[k], np.dot(weights, [X[i] for i in ids]), atol=1e-12
                 )
     assert seen >= {"anchor", "rider", "fold", "crossing"}
 
@@ -521,16 +527,19 @@ def test_beside_a_lifted_point_a_crossing_is_where_the_other_cable_has_it(comm) 
         (k,) = (k for k, node in enumerate(cable.nodes) if node.kind == "crossing")
         places.append((cable, k))
     (upper, k), (lower, m) = places
-    upper.lifted[k + 1] = True
+    put(upper, "lifted", k + 1, True)
     Whereabouts(system.cables.network, system.unknowns).tell(system.potential.x)
-    known = lower.material[m].copy()
+    known = lower.reference_positions[m].copy()
     assert np.isfinite(known).all()
-    np.testing.assert_array_equal(upper.material[k], known)
-    between = (lower.material[m - 1] + lower.material[m + 1]) / 2
+    np.testing.assert_array_equal(upper.reference_positions[k], known)
+    between = (lower.reference_positions[m - 1] + lower.reference_positions[m + 1]) / 2
     assert np.linalg.norm(known - between) < 20.0, "in its cell"
-    lower.lifted[m - 1] = True
+    put(lower, "lifted", m - 1, True)
     Whereabouts(system.cables.network, system.unknowns).tell(system.potential.x)
-    assert np.isnan(upper.material[k]).all() and np.isnan(lower.material[m]).all()
+    assert (
+        np.isnan(upper.reference_positions[k]).all()
+        and np.isnan(lower.reference_positions[m]).all()
+    )
 
 
 def test_the_looser_one_on_top_parts_from_the_other(comm, square) -> None:
@@ -538,7 +547,7 @@ def test_the_looser_one_on_top_parts_from_the_other(comm, square) -> None:
     scene, *_ = square
     other, cables, _ = crossed_square(comm, first=1)
     (crossing,) = other.net.crossings
-    assert crossing.apart and (crossing.lower, crossing.upper) == (1, 0)
+    assert crossing.separated and (crossing.lower, crossing.upper) == (1, 0)
     assert all("x" not in kinds(cable) for cable in cables)
     assert other.energy < scene.energy - 1.0
     x = [cable.positions for cable in cables]
@@ -550,7 +559,7 @@ def test_the_looser_one_on_top_parts_from_the_other(comm, square) -> None:
 
 
 def test_which_lies_on_top_does_not_matter_while_both_press_on_the_membrane(comm) -> None:
-    found = [crossed_square(comm, 0.99, first=level)[0] for level in (0, 1)]
+    found = [crossed_square(comm, 0.99, first=layer)[0] for layer in (0, 1)]
     assert [(k.lower, k.upper) for s in found for k in s.net.crossings] == [(0, 1), (1, 0)]
     assert found[0].energy == pytest.approx(found[1].energy, rel=1e-9)
 
@@ -568,7 +577,7 @@ def test_all_pairs_of_many_cables_are_found(comm) -> None:
     pairs = sorted((crossing.lower, crossing.upper) for crossing in scene.net.crossings)
     expected = [(a, b) for a, b in combinations(range(5), 2) if a < 3 <= b]
     assert pairs == expected
-    assert not any(crossing.apart for crossing in scene.net.crossings)
+    assert not any(crossing.separated for crossing in scene.net.crossings)
 
 
 def test_cables_before_pressure_do_not_run_through_a_hill(comm) -> None:

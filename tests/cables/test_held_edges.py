@@ -6,6 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
+from cable_edits import put
 from mpi4py import MPI
 from ridged_square import OBLIQUE, ridged
 from scipy.optimize import minimize_scalar
@@ -14,8 +15,9 @@ from term_scene import ISOTROPIC, directions, displaced, irregular_square
 
 from crms_fenicsx import Cable, LaidCable, PathWarning, Scene, Solver, meshes
 from crms_fenicsx.cables.deformed_surface import current_surface
+from crms_fenicsx.cables.points_on_edges import points_by_edge
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.model.laid_cable import CableNode
+from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import EdgePoint
 
@@ -48,7 +50,7 @@ def ride(scene: Scene, cable: LaidCable, places: dict[int, float]) -> None:
         point = nodes[k].point
         assert isinstance(point, EdgePoint)
         nodes[k] = CableNode("rider", EdgePoint(point.edge, s))
-    cable.state.nodes = tuple(nodes)
+    cable.update(nodes=tuple(nodes))
     scene.changes += 1
 
 
@@ -169,7 +171,9 @@ def test_spans_from_rails_on_any_number_of_processes(comm) -> None:
     assert scene.energy == pytest.approx(alone.energy, rel=1e-9)
     assert cable.tension == pytest.approx(twin.tension, rel=1e-9)
     np.testing.assert_allclose(cable.positions, twin.positions, rtol=0, atol=1e-7)
-    np.testing.assert_allclose(cable.material, twin.material, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(
+        cable.reference_positions, twin.reference_positions, rtol=0, atol=1e-7
+    )
     for group in ("ridge", "boundary"):
         found, expected = solver.reactions(group).total, other.reactions(group).total
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6 * cable.tension)
@@ -251,7 +255,7 @@ def test_a_moved_edge_takes_its_rail_along(comm) -> None:
     (k,) = rails(cable)
     system = System(scene, "crms_test_", 1e-8)
     system.read_scene()
-    cable.fractions[k] = 0.3
+    put(cable, "fractions", k, 0.3)
     on = np.abs(scene.V.tabulate_dof_coordinates()[:, 0] - 50.0) < 1e-9
     y = scene.V.tabulate_dof_coordinates()[:, 1]
     scene.u.x.array.reshape(-1, 3)[on] = np.stack([0 * y, 0.1 * y - 3.0, 4.0 + 0.2 * y], -1)[on]
@@ -259,12 +263,12 @@ def test_a_moved_edge_takes_its_rail_along(comm) -> None:
     assert isinstance(point, EdgePoint)
     assert system.cables is not None
     # in the order of now, among other points on the edge
-    assert system.cables.network.points_by_edge({0})[point.edge] == [(0.3, 0, k)]
+    assert points_by_edge(scene.cables)[point.edge] == [(0.3, 0, k)]
     d = np.array([0.0, 1.1, 0.2]) / np.hypot(1.1, 0.2)
     seen = 0
     for taut in (True, False):
         if not taut:
-            cable.state.taut = False
+            cable.update(taut=False)
             system.rebuild()
         system.read_scene()
         unknowns, network = system.unknowns, system.cables.network

@@ -105,7 +105,7 @@ def test_it_runs_straight_where_the_cable_is_lifted(comm: MPI.Intracomm) -> None
     assert cable.free_spans[0] and cable.free_spans[-1] and not cable.free_spans.all()
     # the way on the mesh below is marked from node to node, the cable's own line goes on
     assert np.all(np.diff(cable.line[:, 0]) > 0.0)
-    touching = ~np.isnan(cable.material[:, 0]) & ~cable.lifted
+    touching = ~np.isnan(cable.reference_positions[:, 0]) & ~cable.lifted
     assert touching.sum() == len(cable.line) - 2
     forces = Solver(scene).contact_forces(cable)
     assert forces.line.shape == forces.normal.shape == (len(cable.line),)

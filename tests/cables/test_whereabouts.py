@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from cable_edits import put
 from mpi4py import MPI
 from term_scene import cable_square, displaced
 
@@ -26,7 +27,7 @@ def vertices(scene: Scene) -> dict[int, np.ndarray]:
 def test_places_in_space_on_edges_and_on_the_membrane(comm: MPI.Intracomm) -> None:
     system = cable_square(comm)
     scene = system.scene
-    scene.cables[0].lifted[3] = True
+    put(scene.cables[0], "lifted", 3, True)
     system.rebuild()
     system.read_scene()
     network, potential = system.cables.network, system.potential
@@ -35,14 +36,13 @@ def test_places_in_space_on_edges_and_on_the_membrane(comm: MPI.Intracomm) -> No
     before = scene.cables[0].positions[3].copy()
     Whereabouts(network, system.unknowns).tell(potential.x)
     known = vertices(scene)
-    taut = set(range(len(scene.cables)))
     for (c, k), number in network.numbers.items():
         block, node = network.blocks[number], scene.cables[c].nodes[k]
         if block >= 0 and node.kind != "rider" and not scene.cables[c].lifted[k]:
             place = system.unknowns.X[block] + potential.x[block]
             np.testing.assert_allclose(scene.cables[c].positions[k], place)
     np.testing.assert_array_equal(scene.cables[0].positions[3], before)
-    points = network.points_by_edge(taut)
+    points = network.on_edge
     assert max(len(line) for line in points.values()) == 2
     for edge, members in points.items():
         places = [scene.cables[c].positions[k] for _, c, k in members]
@@ -54,11 +54,11 @@ def test_places_in_space_on_edges_and_on_the_membrane(comm: MPI.Intracomm) -> No
     for cable in scene.cables:
         for k, node in enumerate(cable.nodes):
             if node.point is None or cable.lifted[k]:
-                assert np.isnan(cable.material[k]).all()
+                assert np.isnan(cable.reference_positions[k]).all()
             else:
                 ids, weights = cable.masters(k)
                 place = np.dot(weights, [known[i][0] for i in ids])
-                np.testing.assert_allclose(cable.material[k], place, atol=1e-12)
+                np.testing.assert_allclose(cable.reference_positions[k], place, atol=1e-12)
         far = [abs(f - 0.5) < 0.5 - 1e-9 for f in cable.fractions[np.isfinite(cable.fractions)]]
         assert all(far) and not cable.blocked
 
@@ -71,7 +71,7 @@ def test_a_point_at_a_vertex_is_blocked(comm: MPI.Intracomm) -> None:
     point = cable.nodes[k].point
     assert isinstance(point, EdgePoint)
     place = vertices(scene)[point.edge[0]][1]
-    cable.positions[k] = place + 1e-9 * (cable.positions[k] - place)
+    put(cable, "positions", k, place + 1e-9 * (cable.positions[k] - place))
     system.read_scene()
     system.locate_cables()
     assert cable.blocked == (k,) and cable.fractions[k] < 1e-6

@@ -52,7 +52,7 @@ def first_half(solver: Solver) -> None:
     rough = Friction(0.3, static=0.4, along=0.2)
     scene.lay_cable(Cable(9000.0, friction=rough), [(0, 33), (100, 41)], tension=15.0, name="rough")
     smooth = [(30.0, -20.0, 0.0), (42.0, 120.0, 0.0)]
-    scene.lay_cable(Cable(9000.0), smooth, tension=15.0, level=1, name="smooth")
+    scene.lay_cable(Cable(9000.0), smooth, tension=15.0, layer=1, name="smooth")
     scene.lay_cable(Cable(9000.0), [(70, 66), (0, 71)], tension=1.0, name="tied")
     solver.advance(move={scene.cable("tied").end: (-4.0, 0.0, 9.0)}, pressure=0.012)
 
@@ -106,10 +106,7 @@ def test_a_run_goes_on_as_if_it_had_not_ended(folder: Path) -> None:
     assert scene.net.crossings and scene.cable("tied").lifted.any()
     rough = scene.cable("rough")
     assert rough.grip is not None is not rough.axial
-    rough.state.grip, rough.state.blocked = (
-        replace(rough.grip, dissipated=0.25),
-        (2,),
-    )  # also what is rare
+    rough.update(grip=replace(rough.grip, dissipated=0.25), blocked=(2,))  # also what is rare
     solver.save(folder / "point")
     again = sheet(COMM)
     again.load(folder / "point")
@@ -267,7 +264,7 @@ BROKEN = {
     "shape": ("dead_forces.npy", lambda path: np.save(path, np.zeros((3, 16)))),
     "by columns": ("positions.npy", lambda path: np.save(path, np.zeros((16, 3), order="F"))),
     "huge": ("displacement.npy", lambda path: declare(path, (10**15, 3))),
-    "huge edges": ("state.json", lambda path: change(path, "held edges", 10**15)),
+    "huge edges": ("state.json", lambda path: change(path, "held_edges", 10**15)),
     "pickled": ("displacement.npy", lambda path: np.save(path, np.array([{}, print], object))),
     "not finite": ("displacement.npy", lambda path: np.save(path, np.full((16, 3), np.nan))),
     "missing": ("held_edges.npy", Path.unlink),
@@ -317,9 +314,9 @@ def flip(path: Path) -> None:
 def change(path: Path, name: str, value: object) -> None:
     data = json.loads(path.read_text())["content"]
     if name == "cables" and value == "kind":
-        data["cables"][0]["nodes"][1]["kind"] = "knot"
+        data["cables"][0]["state"]["nodes"][1]["kind"] = "knot"
     elif name == "cables":
-        data["cables"][0][value].pop()
+        data["cables"][0]["state"][value].pop()
     else:
         data[name] = value
     path.write_text(signed(data))

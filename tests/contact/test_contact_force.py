@@ -12,7 +12,8 @@ from rigid_surfaces import SURFACES, band, curve, rigid, sphere
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.contact.contact_force import contact_forces, paper_forces, runs, turns
 from crms_fenicsx.contact.line_load import WIDTH, smoothed, stretches
-from crms_fenicsx.model.laid_cable import CableNode, CableState, LaidCable
+from crms_fenicsx.model.cable_state import CableNode, CableState
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.surface.points import EdgePoint
 
 COMM = MPI.COMM_SELF
@@ -30,7 +31,9 @@ def polyline(positions, anchored=False, lifted=()):
     ]
     off = np.isin(np.arange(len(positions)), lifted)
     x = np.array(positions, dtype=float)
-    state = CableState(tuple(nodes), x, np.full(len(x), 0.5), off, 1.0, 1.0, T, taut=True)
+    state = CableState(
+        tuple(nodes), x, np.full(len(x), 0.5), off, np.full_like(x, np.nan), 1.0, 1.0, T, taut=True,
+    )  # fmt: skip
     return LaidCable("c", Cable(1.0), state)
 
 
@@ -69,10 +72,10 @@ def test_paper_formulas_at_the_ends_of_the_range():
 
 def test_a_slack_cable_presses_nowhere():
     cable = turned(1.0)
-    cable.state.taut = False
+    cable.update(taut=False)
     assert not np.any(paper_forces(cable))
     scene, cable = on_cylinder(0.2)[1:]
-    cable.state.taut = False
+    cable.update(taut=False)
     forces = contact_forces(cable, scene.net.strip_shape())
     assert not np.any([forces.normal, forces.lateral, forces.bearing])
     assert np.all(np.isnan(forces.line))
@@ -138,7 +141,7 @@ def on_cylinder(h, seed=0, ratio=0.0, kind="jittered"):
     """A cable around the top of a cylinder of radius 1, along a helix if the ratio is zero."""
     way = curve(SURFACES["cylinder"], ratio, 0.8)
     scene, cable = rigid(COMM, way, band(way, h, seed, kind), 0.5)
-    cable.state.taut, cable.state.tension = True, T
+    cable.update(taut=True, tension=T)
     return way, scene, cable
 
 
@@ -192,7 +195,7 @@ def test_geodesic_turn_is_sideways_only_to_its_share():
     ratios = []
     for seed in range(3):
         scene, cable = rigid(COMM, way, band(way, 0.05, seed), 0.5)
-        cable.state.taut, cable.state.tension = True, T
+        cable.update(taut=True, tension=T)
         forces = contact_forces(cable, scene.net.strip_shape())
         ratios.append(forces.lateral.sum() / forces.normal.sum() / way.ratio)
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.03)
@@ -245,7 +248,7 @@ def hollow(sleeve):
     scene.fix(lambda x: np.full(x.shape[1], True))
     path = np.column_stack([x, np.full(25, 0.05), np.sin(x)])
     cable = scene.lay_cable(Cable(1.0, friction=0.5), path, sleeve=sleeve)
-    cable.state.taut, cable.state.tension = True, T
+    cable.update(taut=True, tension=T)
     return scene, cable
 
 

@@ -11,7 +11,7 @@ from crms_fenicsx import Scene
 from crms_fenicsx.cables.strip_gather import cells_near
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.span_projection import shadow
-from crms_fenicsx.model.laid_cable import CableNode
+from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.paths.creased_surface import FoldedSurface
 from crms_fenicsx.surface.intrinsic import MissingStars
 from crms_fenicsx.surface.points import CellPoint, EdgePoint

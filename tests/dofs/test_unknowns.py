@@ -248,7 +248,7 @@ def test_the_scene_has_everything(comm):
         "MembraneEnergy", "FollowerPressure", "CableTension", "FoldEnergy", "KinkPenalty",
         "FoldedFollowerPressure",
     }  # fmt: skip
-    shared = system.cables.network.points_by_edge({0, 1, 2}).values()
+    shared = system.cables.network.on_edge.values()
     assert max(len({c for _, c, _ in points}) for points in shared) == 2, "cables share an edge"
 
 

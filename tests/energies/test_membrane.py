@@ -65,12 +65,15 @@ def membrane_on(comm, material, lift=20.0):
 
 def twin_energy(scene, term):
     """Sum over the cells of area x density at the strain of F^T F."""
-    total = 0.0
-    for cell, (was, now) in enumerate(zip(*corners(scene), strict=True)):
-        material = term.materials[int(term.material_tags(np.array([cell]))[0])]
-        warp = material.warp(was.mean(axis=0)) if callable(material.warp) else material.warp
-        e = strain(was, now, axes_of(was, warp))
-        total += area(was) * float(density(material, e))
+    total, stress_free, current = 0.0, *corners(scene)
+    tags = term.material_tags(np.arange(len(current)))
+    for tag in np.unique(tags):
+        material, strains, areas = term.materials[int(tag)], [], []
+        for was, now in zip(stress_free[tags == tag], current[tags == tag], strict=True):
+            warp = material.warp(was.mean(axis=0)) if callable(material.warp) else material.warp
+            strains.append(strain(was, now, axes_of(was, warp)))
+            areas.append(area(was))
+        total += float(np.array(areas) @ density(material, np.array(strains)))
     return scene.comm.allreduce(total)
 
 

@@ -21,7 +21,7 @@ from crms_fenicsx.energies.segments import (
     smoothed_length,
     turn_coefficient,
 )
-from crms_fenicsx.model.laid_cable import StepStart
+from crms_fenicsx.model.cable_state import StepStart
 
 EPS = 0.3
 
@@ -276,8 +276,7 @@ def test_step_law_in_many_steps():
     """Energy is the work of the tension, whatever the steps; tension is ``EA ln(l / l_n)``."""
     f, X = step_chain()
     f.value(0 * X)
-    for start, length in zip(f.term.starts, f.sums, strict=True):
-        start.tension, start.length, start.energy = 1.0, length, 0.0
+    f.term.starts = [StepStart(1.0, length, 0.0) for length in f.sums]
     f.term.attach(f.term.unknowns)
     first, work, before = f.sums.copy(), 0.0, (f.sums.copy(), np.ones(2))
     for k in range(400):

@@ -138,7 +138,7 @@ def test_friction_holds_back(dragged) -> None:
     ways, tensions = [], []
     for mu in (0.0, 0.3, 0.7, 5.0):
         _, cable = dragged(mu)
-        fabric = cable.material[np.isfinite(cable.material[:, 0])]
+        fabric = cable.reference_positions[np.isfinite(cable.reference_positions[:, 0])]
         order = np.argsort(fabric[:, 0])
         ways.append(float(np.interp(50.0, *fabric[order, :2].T)))
         tensions.append(cable.tension)
@@ -201,7 +201,7 @@ def test_crossing_cables(comm) -> None:
         solver = Solver(scene)
         cable = Cable(EA=32000.0, friction=mu)
         across = scene.lay_cable(cable, [(0.0, 30.0), (100.0, 30.0)], L0=100.0)
-        scene.lay_cable(cable, [(50.0, 0.0), (50.0, 100.0)], L0=100.5, level=1)
+        scene.lay_cable(cable, [(50.0, 0.0), (50.0, 100.0)], L0=100.5, layer=1)
         solver.advance(pressure=PRESSURE, steps=2)
         solver.advance(move={across: (0.0, 0.0, -3.0)}, steps=2)
         solver.advance(move={across: (0.0, 0.0, 3.0)}, steps=2)
@@ -260,7 +260,7 @@ def test_caught_points_are_put_back_once_in_a_load_step() -> None:
     scene, _ = friction_dome()
     cable = scene.cables[0]
     assert cable.grip is not None
-    cable.state.grip = replace(cable.grip, known=True)
+    cable.update(grip=replace(cable.grip, known=True))
     caught = [(0, next(k for k in cable.contacts() if cable.nodes[k].slides))]
     change, tried = PathChange(scene.net), TriedPaths()
     for _ in range(2):

@@ -16,9 +16,10 @@ from crms_fenicsx.friction.lateral import align, begin, commit, energies
 from crms_fenicsx.friction.lateral_iteration import Lag
 from crms_fenicsx.friction.slip import node_slips
 from crms_fenicsx.model.cable import Cable
+from crms_fenicsx.model.cable_state import CableNode, CableState
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.friction_history import Grip, MaterialCurve
-from crms_fenicsx.model.laid_cable import CableNode, CableState, LaidCable
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.surface.points import EdgePoint, VertexPoint
 
 NOWHERE = MaterialCurve(
@@ -38,7 +39,9 @@ def along(*supports):
     n = len(nodes)
     x = np.column_stack([np.arange(n), np.zeros((n, 2))]).astype(float)
     off = np.zeros(n, dtype=bool)
-    state = CableState(tuple(nodes), x, np.full(n, 0.5), off, 1.0, 1.0, 1.0, taut=True)
+    state = CableState(
+        tuple(nodes), x, np.full(n, 0.5), off, np.full_like(x, np.nan), 1.0, 1.0, 1.0, taut=True,
+    )  # fmt: skip
     return LaidCable("c", Cable(1.0, friction=0.5), state)
 
 
@@ -70,7 +73,7 @@ def gripped(bounds, moving=None):
 )
 def test_bounds_move_to_a_new_path(path, bounds, moving):
     cable = along(*path)
-    cable.state.grip = gripped([1, 2, 4, 5], [0, -1, -1, 0])
+    cable.update(grip=gripped([1, 2, 4, 5], [0, -1, -1, 0]))
     align(cable)
     assert cable.grip.supports == tuple(path)
     assert cable.grip.bounds.tolist() == bounds
@@ -81,7 +84,7 @@ def test_bounds_move_to_a_new_path(path, bounds, moving):
 def test_random_path_changes_keep_the_sum():
     rng = np.random.default_rng(0)
     cable = along(*[(k, k + 1) for k in range(12)])
-    cable.state.grip = gripped(rng.uniform(0, 1, 12))
+    cable.update(grip=gripped(rng.uniform(0, 1, 12)))
     total = cable.grip.bounds.sum()
     for number in range(200):
         supports = list(cable.grip.supports)
@@ -89,7 +92,7 @@ def test_random_path_changes_keep_the_sum():
         gone = int(rng.integers(1, 3))
         new = [(1000 + 3 * number, 1001 + 3 * number + i) for i in range(int(rng.integers(1, 4)))]
         old, cable = cable.grip, along(*supports[:start], *new, *supports[start + gone :])
-        cable.state.grip = old
+        cable.update(grip=old)
         align(cable)
         assert cable.grip.bounds.sum() == pytest.approx(total, rel=1e-12)
         assert cable.grip.bounds.min() >= 0
@@ -98,7 +101,7 @@ def test_random_path_changes_keep_the_sum():
 def found_from(monkeypatch, law):
     """Passes until the bounds of a state, which `law` gives from their sum, have settled."""
     cable = along((0, 1), (1, 2), (2, 3))
-    cable.state.grip = gripped([1.0, 2.0, 1.0])
+    cable.update(grip=gripped([1.0, 2.0, 1.0]))
     shares = np.array([0.3, 0.5, 0.2])
 
     def bounds(cable, grip, shape, settled):
@@ -168,7 +171,7 @@ def test_bounds_are_those_of_the_contact_forces():
                 assert cable.grip.at(node.point.support) == 0.4 * forces.bearing[k]
         assert cable.grip.known
         assert lag.renew(shape) == 0.0
-        cable.state.taut = False
+        cable.update(taut=False)
         assert Lag(cable).renew(shape) == 0.0
 
 
@@ -199,7 +202,7 @@ def test_energies():
         # the trapezoidal rule with 2000 steps is good to 1/2000^2 of the integrand's bend
         assert energies(cable, shape) == pytest.approx((stored, heat), rel=1e-6)
         assert min(stored, heat) > 0
-        cable.state.taut = False
+        cable.update(taut=False)
         assert energies(cable, shape) == (0.0, 0.0)
 
 
@@ -210,7 +213,7 @@ def test_end_of_a_step():
         stored, heat = energies(cable, shape)
         before = node_slips(cable, cable.grip.curve, shape)
         eps = 0.01 * before.size
-        cable.state.grip = replace(cable.grip, dissipated=7.0)
+        cable.update(grip=replace(cable.grip, dissipated=7.0))
         commit(cable, shape)
         assert cable.grip.dissipated == pytest.approx(7.0 + heat, rel=1e-14)
         assert not cable.grip.moving.any()
@@ -227,11 +230,11 @@ def test_end_of_a_step():
 def test_a_slack_cable_forgets():
     scene, shape = slid_dome(Friction(0.4))
     cable = scene.cables[0]
-    cable.state.taut = False
+    cable.update(taut=False)
     commit(cable, shape)
     assert not cable.grip.known
     assert not cable.grip.curve.elastic.any()
-    cable.state.L0 *= 0.99
+    cable.update(L0=cable.L0 * 0.99)
     begin(cable, shape)
     assert np.all(cable.grip.bounds > 0.009 * cable.cable.EA)
 
@@ -252,14 +255,14 @@ def test_kinetic_coefficient_where_it_slides():
     np.testing.assert_allclose(found[rows], np.where(far, 0.4, 0.6) * bearing, rtol=1e-14)
     np.testing.assert_array_equal(moving[rows], np.sign(slips.slip) * far)
     # not unset in the step, though the slip has become small
-    cable.state.grip = replace(cable.grip, moving=np.ones_like(cable.grip.moving))
+    cable.update(grip=replace(cable.grip, moving=np.ones_like(cable.grip.moving)))
     assert grips._bounds(cable, cable.grip, shape, settled=True)[1].all()
 
 
 def test_what_slides_is_seen_even_if_the_bounds_settle_at_once(monkeypatch):
     """A pass that settles without having nearly settled must not end with static friction."""
     cable = along((0, 1), (1, 2))
-    cable.state.grip = gripped([0.6, 0.6])
+    cable.update(grip=gripped([0.6, 0.6]))
     asked: list[bool] = []
 
     def bounds(cable, grip, shape, settled):

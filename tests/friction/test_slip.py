@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cable_edits import put
 from friction_scene import friction_dome, shaken_fractions
 from mpi4py import MPI
 from rigid_surfaces import band, curve, rigid, sphere
@@ -176,7 +177,7 @@ def test_slip_does_not_depend_on_the_direction_of_the_path():
         by_edge = {cable.nodes[k].point.support: k for k in range(len(cable.nodes))}
         for k in by_edge.values():
             if cable.nodes[k].slides:
-                cable.fractions[k] *= 0.95
+                put(cable, "fractions", k, cable.fractions[k] * 0.95)
         slips = node_slips(cable, cable.grip.curve, shape)
         slipped.append(dict(zip(slips.supports, slips.slip, strict=True)))
     assert slipped[0].keys() == slipped[1].keys()
@@ -208,8 +209,8 @@ def test_nodes_where_the_cable_was_off_the_membrane_have_no_slip():
 def test_lifted_nodes_part_the_curve():
     scene, shape = friction_dome()
     cable = scene.cables[0]
-    cable.lifted[:] = False
-    cable.lifted[5:7] = True
+    put(cable, "lifted", slice(None), False)
+    put(cable, "lifted", slice(5, 7), True)
     curve = material_curve(cable, shape)
     on = [k for k in cable.contacts() if cable.nodes[k].kind != "anchor"]
     assert len(curve.points) == len(on)

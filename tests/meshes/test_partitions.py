@@ -15,6 +15,7 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
+from crms_fenicsx.output import draw
 from crms_fenicsx.runtime.errors import MeshError
 
 pytestmark = pytest.mark.usefixtures("comm")
@@ -166,7 +167,7 @@ def test_everything_is_written_by_ranks_without_cells(tmp_path):
     solver = Solver(scene, results=folder / "results")
     cable = scene.lay_cable(Cable(EA=32000.0), [(0.0, 30.0), (SIDE, 38.0)])
     solver.advance(pressure=0.01)
-    solver.draw(folder / "scene.png", colour="stress", ghost=True)
+    draw(solver, folder / "scene.png", colour="stress", ghost=True)
     assert solver.contact_forces(cable).line.shape == (len(cable.line),)
     count = MPI.COMM_WORLD.allreduce(len(solver.results().state))
     assert count == 32

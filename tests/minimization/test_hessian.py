@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cable_edits import put
 from mpi4py import MPI
 from petsc4py import PETSc
 from ridged_square import OBLIQUE, ridged
@@ -108,7 +109,7 @@ def test_held_anchors_do_not_set_its_size(comm) -> None:
     scene.fix("boundary")
     cable = scene.lay_cable(Cable(32000.0), [(0.0, 51.0), (100.0, 31.0)], tension=10.0)
     solver = Solver(scene)
-    cable.positions[0] += 1e-15
+    put(cable, "positions", 0, cable.positions[0] + 1e-15)
     potential = solver.system.potential
     solver.system.read_scene()
     potential.evaluate()

@@ -15,16 +15,18 @@ from crms_fenicsx.cables.deformed_surface import current_surface
 from crms_fenicsx.output import (
     History,
     Line,
+    draw,
     draw_history,
     draw_path,
     draw_shape,
     join_pictures,
 )
 from crms_fenicsx.output.figures.camera import Camera, brightness, visible
-from crms_fenicsx.output.figures.paths import _told_apart
+from crms_fenicsx.output.figures.history import default_panels, units_of_results
+from crms_fenicsx.output.figures.lines import _subdivided
+from crms_fenicsx.output.figures.paths import _spaced_steps
 from crms_fenicsx.output.figures.scales import common_value, in_words, limits_of
-from crms_fenicsx.output.figures.scene import default_panels, units
-from crms_fenicsx.output.figures.surface import _among, _outline, _subdivided
+from crms_fenicsx.output.figures.surface import _among, _outline
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
 
@@ -363,12 +365,12 @@ def test_ends_of_the_colours() -> None:
 
 
 def test_units_follow_from_those_of_length_and_force() -> None:
-    both = units("cm", "kgf")
+    both = units_of_results("cm", "kgf")
     assert both["stress"] == "kgf/cm"
     assert both["pressure"] == "kgf/cm²"
     assert both["energy"] == "kgf cm"
-    assert units("m", "") == {"length": "m", "L0": "m", "volume": "m³"}
-    assert units("", "") == {}
+    assert units_of_results("m", "") == {"length": "m", "L0": "m", "volume": "m³"}
+    assert units_of_results("", "") == {}
 
 
 # ---- scenes ----------------------------------------------------------------------------------
@@ -392,11 +394,11 @@ def test_a_scene_is_drawn_by_all_ranks_together(comm: MPI.Intracomm, tmp_path: P
     solver = tightened(comm, folder)
     for colour in ("height", "displacement", "stress", "stress 2", "strain", "state", None):
         file = folder / f"{colour}.png"
-        solver.draw(file, colour=colour, ghost=True, unit="cm", force="kgf", width=5, dpi=40)
+        draw(solver, file, colour=colour, ghost=True, unit="cm", force="kgf", width=5, dpi=40)
         if comm.rank == 0:
             assert red(file) > 30
     with pytest.raises(InputError, match="'heat' is not known; use one of"):
-        solver.draw(folder / "never.png", colour="heat")
+        draw(solver, folder / "never.png", colour="heat")
 
 
 def test_a_quadrilateral_s_diagonal_is_no_edge(comm: MPI.Intracomm) -> None:
@@ -423,8 +425,8 @@ def a_history() -> History:
 
 def test_history_plots(tmp_path: Path) -> None:
     history = a_history()
-    draw_history(tmp_path / "all.png", history, units={"tension": "kN"}, title="run", dpi=60)
-    draw_history(tmp_path / "one.png", history, "energy", [["tension cable 1"]], dpi=60)
+    draw_history(history, tmp_path / "all.png", units={"tension": "kN"}, title="run", dpi=60)
+    draw_history(history, tmp_path / "one.png", "energy", [["tension cable 1"]], dpi=60)
     for name in ("all", "one"):
         ink = (pixels(tmp_path / f"{name}.png") < 0.9).any(axis=-1)
         assert 0.01 < ink.mean() < 0.5
@@ -479,7 +481,7 @@ def test_paths_in_plan_in_space_and_closely(tmp_path: Path) -> None:
         assert int(((r > 0.7) & (g < 0.5) & (b < 0.2)).sum()) > 30
         inked.append(blue)
     assert inked[2] > 1.3 * inked[0]  # the close-ups repeat the paths
-    assert _told_apart(np.array([[0.0, 0], [1, 0], [5, 0], [6, 0]]), 2.0) == [0, 3]
+    assert _spaced_steps(np.array([[0.0, 0], [1, 0], [5, 0], [6, 0]]), 2.0) == [0, 3]
     for wrong in ([2], []):
         with pytest.raises(InputError, match="close-up 'x' of the paths"):
             draw_path(tmp_path / "never.png", paths, closeups={"x": wrong})
@@ -550,11 +552,11 @@ def test_bad_input(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"suffix '\.xyz'"):
         draw_shape(tmp_path / "never.xyz", points, triangles)
     with pytest.raises(InputError, match="'state' holds text"):
-        draw_history(file, a_history(), panels=[["state"]])
+        draw_history(a_history(), file, panels=[["state"]])
     with pytest.raises(InputError, match="no column 'none'"):
-        draw_history(file, a_history(), panels=[["none"]])
+        draw_history(a_history(), file, panels=[["none"]])
     with pytest.raises(InputError, match="is empty"):
-        draw_history(file, History(None, MPI.COMM_SELF))
+        draw_history(History(None, MPI.COMM_SELF), file)
     with pytest.raises(InputError, match="no paths"):
         draw_path(file, [])
     with pytest.raises(InputError, match="belong together"):
@@ -572,7 +574,7 @@ def test_drawing_works_without_pyplot_and_its_global_state(
     before = matplotlib.rcParams.copy()
     points, triangles = grid(2)
     draw_shape(tmp_path / "a.png", points, triangles, values=points[:, 0], dpi=40)
-    draw_history(tmp_path / "b.png", a_history(), dpi=40)
+    draw_history(a_history(), tmp_path / "b.png", dpi=40)
     assert matplotlib.rcParams.copy() == before
 
 

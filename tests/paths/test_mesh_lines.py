@@ -135,9 +135,9 @@ def test_crossing_cables_on_lines(comm) -> None:
     found = []
     for aside in (0.0, 1.7):
         scene = sheet(comm, 10, "structured")
-        for level, (a, b) in enumerate([((30, 0), (30, 100)), ((0, 40), (100, 40))]):
+        for layer, (a, b) in enumerate([((30, 0), (30, 100)), ((0, 40), (100, 40))]):
             path = [a, b] if aside == 0.0 else route(a, b, aside, 10.0)
-            scene.lay_cable(CABLE, path, L0=100.3, level=level)
+            scene.lay_cable(CABLE, path, L0=100.3, layer=layer)
         Solver(scene).advance(pressure=PRESSURE)
         found.append([scene.energy, *(cable.tension for cable in scene.cables)])
     np.testing.assert_allclose(found[0][0], found[1][0], rtol=1e-4)

@@ -17,6 +17,7 @@ from crms_fenicsx import Scene, Solver
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.paths import vertex_trials
 from crms_fenicsx.paths.held_vertices import Run
+from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.paths.vertex_trials import Trial, VertexTrials
 from crms_fenicsx.surface.points import EdgePoint
 
@@ -26,8 +27,8 @@ T_EXACT, Z_EXACT = (68.176, 33.193), 4.4317
 def crossed(comm, n: int, kind: str = "structured", *, levels=(1, 0), L0=(100.3, 100.6)):
     """A cable along y on one along x, over the inflated square."""
     scene = sheet(comm, n, kind)
-    upper = scene.lay_cable(CABLE, [(50, 0), (50, 100)], L0=L0[0], level=levels[0])
-    lower = scene.lay_cable(CABLE, [(0, 50), (100, 50)], L0=L0[1], level=levels[1])
+    upper = scene.lay_cable(CABLE, [(50, 0), (50, 100)], L0=L0[0], layer=levels[0])
+    lower = scene.lay_cable(CABLE, [(0, 50), (100, 50)], L0=L0[1], layer=levels[1])
     Solver(scene).advance(pressure=PRESSURE)
     return scene, upper, lower
 
@@ -37,7 +38,7 @@ def heights(scene: Scene) -> list[float]:
     found = []
     for a, lower in enumerate(scene.cables):
         for b, upper in enumerate(scene.cables):
-            if (lower.level, a) < (upper.level, b) and lower.taut and upper.taut:
+            if (lower.layer, a) < (upper.layer, b) and lower.taut and upper.taut:
                 found += segments_above(lower, upper)
     return found
 
@@ -109,7 +110,7 @@ def random_net(comm, seed: int) -> Scene:
         u, v = rng.uniform(8, 92, 2)
         path = [(0.0, u), (100.0, v)] if rng.random() < 0.5 else [(u, 0.0), (v, 100.0)]
         L0 = float(np.linalg.norm(np.subtract(*path)) * rng.uniform(1.0, 1.01))
-        scene.lay_cable(CABLE, path, L0=L0, level=int(rng.integers(3)))
+        scene.lay_cable(CABLE, path, L0=L0, layer=int(rng.integers(3)))
     return scene
 
 
@@ -131,7 +132,7 @@ def test_crossing_slides_over_cells_and_off(comm, kind: str) -> None:
         scene = sheet(comm, 9, kind)
         short = scene.lay_cable(CABLE, [(47, 0), (100, 50)], L0=72.9)
         ends = [(-5.0, y, 6.0), (105.0, y, 6.0)]
-        long = scene.lay_cable(CABLE, ends, L0=109.6, level=1)
+        long = scene.lay_cable(CABLE, ends, L0=109.6, layer=1)
         solver = Solver(scene)
         solver.advance(pressure=PRESSURE)
         return scene, short, long, solver
@@ -188,7 +189,7 @@ class Trials(VertexTrials):
     """Cables 0 ... n - 1, each held by a vertex of its own."""
 
     def __init__(self, n: int) -> None:
-        super().__init__(paths=None)  # type: ignore[arg-type]
+        super().__init__(change=None, tried=TriedPaths())  # type: ignore[arg-type]
         self.runs = [(c, Run((10 + c,), True, (), 1.0)) for c in range(n)]
         self.known: dict[int, set[tuple[int, ...]]] = {c: set() for c in range(n)}
 
@@ -200,7 +201,7 @@ class Trials(VertexTrials):
 
 
 def test_runs_are_left_together_then_by_halves_of_halves(monkeypatch) -> None:
-    monkeypatch.setattr(vertex_trials, "lead_past", lambda *_: True)
+    monkeypatch.setattr(vertex_trials, "pass_run", lambda *_: True)
     trials, tried = Trials(8), []
     while group := trials.next(energy=0.0, scale=1.0):
         tried.append([c for c, _ in group])
@@ -211,7 +212,7 @@ def test_runs_are_left_together_then_by_halves_of_halves(monkeypatch) -> None:
 
 
 def test_rounds_end_when_they_gain_little(monkeypatch) -> None:
-    monkeypatch.setattr(vertex_trials, "lead_past", lambda *_: True)
+    monkeypatch.setattr(vertex_trials, "pass_run", lambda *_: True)
     trials = Trials(4)
     for energy, goes_on in ((0.0, True), (-1.0, True), (-1.5, True), (-1.5 - 1e-7, False)):
         assert bool(trials.next(energy, scale=1.0)) == goes_on
@@ -219,7 +220,7 @@ def test_rounds_end_when_they_gain_little(monkeypatch) -> None:
 
 
 def test_runs_without_a_way_are_not_tried_again(monkeypatch) -> None:
-    monkeypatch.setattr(vertex_trials, "lead_past", lambda paths, c, run: c == 2)
+    monkeypatch.setattr(vertex_trials, "pass_run", lambda change, c, run: c == 2)
     trials = Trials(3)
     assert [c for c, _ in trials.next(energy=0.0, scale=1.0)] == [2]
     trials.halve([trials.runs[2]])

@@ -21,6 +21,7 @@ from crms_fenicsx.checkpoint import folder as checkpoint_folder
 from crms_fenicsx.checkpoint.folder import complete
 from crms_fenicsx.output import History, shared_file
 from crms_fenicsx.runtime import files
+from crms_fenicsx.runtime.arrays import Array
 
 pytestmark = pytest.mark.usefixtures("comm")
 
@@ -80,12 +81,18 @@ def full_at(count: int, whole: Callable[..., Any]) -> Callable[..., Any]:
     return refused
 
 
+@pytest.fixture(scope="module")
+def due(tmp_path_factory: pytest.TempPathFactory) -> Array:
+    """Energies of the run to which nothing happens."""
+    folder = Path(COMM.bcast(str(tmp_path_factory.mktemp("due"))))
+    return script(folder, False).history["energy"]
+
+
 @pytest.mark.parametrize("call", ["flush", "replace", "write"])
 def test_a_disk_that_is_full_at_some_write(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, call: str
+    folder: Path, monkeypatch: pytest.MonkeyPatch, due: Array, call: str
 ) -> None:
     """On rank 0, or of a file that all write together on the last one."""
-    due = script(folder / "due", False).history["energy"]
     refusals = 0
     for count in (1, 2, 4, 7, 12, 18, 30) if COMM.size == 1 else (4, 12):
         place = folder / f"{count}"
@@ -156,13 +163,12 @@ script(Path({folder!r}), {resume})
 """
 
 
-def test_a_rank_that_dies(tmp_path: Path) -> None:
+def test_a_rank_that_dies(tmp_path: Path, due: Array) -> None:
     """In the middle of writing: the others end too, and the run can be resumed."""
     if COMM.size > 1:
         pytest.skip("it starts its own processes")
-    due = script(tmp_path / "due", False).history["energy"]
     text = {"tests": str(Path(__file__).parent), "folder": str(tmp_path / "out")}
-    died = run(DYING.format(count=30, resume=False, **text), *MPIRUN)
+    died = run(DYING.format(count=20, resume=False, **text), *MPIRUN)
     assert died.returncode != 0
     assert list((tmp_path / "out" / "checkpoints").iterdir()), "it died after its first steps"
     assert_whole(tmp_path / "out")

@@ -64,10 +64,15 @@ def energy(done: subprocess.CompletedProcess[str]) -> float:
     return float(done.stdout.split()[1])
 
 
+@pytest.fixture(scope="module")
+def due(tmp_path_factory: pytest.TempPathFactory) -> float:
+    """The energy to which the program comes without any signal."""
+    return energy(script(tmp_path_factory.mktemp("whole"), []))
+
+
 @pytest.mark.parametrize("launcher", [(), MPIRUN], ids=["one process", "three processes"])
-def test_stopped_and_resumed(tmp_path: Path, launcher: tuple[str, ...]) -> None:
+def test_stopped_and_resumed(tmp_path: Path, launcher: tuple[str, ...], due: float) -> None:
     """By Ctrl-C, which reaches the processes at different moments, or not all of them."""
-    due = energy(script(tmp_path / "whole", []))
     signals = [(int(signal.SIGINT), 0, 5)] + [(int(signal.SIGINT), 2, 7)] * bool(launcher)
     stopped = script(tmp_path, signals, *launcher)
     assert stopped.returncode != 0 and "energy" not in stopped.stdout
@@ -85,8 +90,7 @@ def test_batch_systems_end_a_job(tmp_path: Path) -> None:
     assert "AssertionError" not in stopped.stderr
 
 
-def test_a_script_that_catches_it_goes_on(tmp_path: Path) -> None:
-    due = energy(script(tmp_path / "whole", []))
+def test_a_script_that_catches_it_goes_on(tmp_path: Path, due: float) -> None:
     gone_on = script(tmp_path, [(int(signal.SIGINT), 0, 5)], catch=True)
     assert energy(gone_on) == pytest.approx(due, rel=1e-9)
 

@@ -17,6 +17,7 @@ from processes import MPIRUN, ROOT, run
 from reference_meshes import rotated_lattice
 
 from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.output import draw
 from crms_fenicsx.runtime import checks, errors
 
 SCENE = """
@@ -119,7 +120,7 @@ def test_arguments_that_differ_between_ranks(scene: Scene) -> None:
         "rectangle: size": lambda: meshes.rectangle(comm, 100.0, 100.0, 25.0 + own),
         "spherical_cap: height": lambda: meshes.spherical_cap(comm, 10.0, 3.0 + own, 2.0),
         "polygon: corners": lambda: meshes.polygon(comm, [(0, 0), (9 + own, 0), (0, 9)], 3.0),
-        "draw: view = nothing": lambda: solver.draw("a.png", **({"view": (0, 90)} if own else {})),
+        "draw: view = nothing": lambda: draw(solver, "a.png", **({"view": (0, 90)} if own else {})),
     }
     for words, call in calls.items():
         with pytest.raises(InputError) as caught:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
+from crms_fenicsx.output import draw
 
 NAN, INF = float("nan"), float("inf")
 FOIL = {"E": 300.0, "nu": 0.25, "thickness": 0.08}
@@ -223,7 +225,7 @@ def scenes(scene: Scene, other: Scene, solver: Solver, cable: LaidCable) -> list
             {"cable": Cable(1.0), "path": ACROSS},
             {
                 "cable": (None, 3.0, "x", Cable), "path": NO_PATHS, "L0": NOT_POSITIVE,
-                "tension": NOT_POSITIVE, "level": NO_COUNTS, "name": names, "unknown": (1,),
+                "tension": NOT_POSITIVE, "layer": NO_COUNTS, "name": names, "unknown": (1,),
             },
         ),
         Call(
@@ -261,7 +263,7 @@ def scenes(scene: Scene, other: Scene, solver: Solver, cable: LaidCable) -> list
         ),
         Call(
             "draw",
-            solver.draw,
+            partial(draw, solver),
             {"filename": "/nowhere/a.png"},
             {
                 "filename": ("/nowhere/a.xyz", 3, None, "", NAN, "/"), "unknown": (1,),

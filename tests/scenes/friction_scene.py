@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from cable_edits import put
 from mpi4py import MPI
 from term_scene import ISOTROPIC, SIDE, irregular_square
 
@@ -51,6 +52,6 @@ def shaken_fractions(scene: Scene, size: float, seed: int = 0) -> None:
         for k, node in enumerate(cable.nodes):
             if node.slides and not cable.lifted[k]:
                 shift = rng.uniform(-size, size)
-                cable.fractions[k] = min(max(cable.fractions[k] + shift, 0.05), 0.95)
+                put(cable, "fractions", k, min(max(cable.fractions[k] + shift, 0.05), 0.95))
                 ids, weights = cable.masters(k)
-                cable.positions[k] = np.dot(weights, [shape.at(i) for i in ids])
+                put(cable, "positions", k, np.dot(weights, [shape.at(i) for i in ids]))

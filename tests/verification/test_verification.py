@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from cable_edits import put
 from cabled_square import PRESSURE, clamped, sheet
 from mpi4py import MPI
 
@@ -196,19 +197,19 @@ def test_a_spoiled_cable_is_found(comm: MPI.Intracomm, what: str, name: str) -> 
 
     def spoil() -> None:
         if what == "tension":
-            cable.state.tension *= 1.001
+            cable.update(tension=cable.tension * 1.001)
         elif what == "length":
-            cable.state.length *= 1 + 1e-6
+            cable.update(length=cable.length * (1 + 1e-6))
         elif what == "node":
-            cable.positions[k, 0] += 1e-3
+            put(cable, "positions", (k, 0), cable.positions[k, 0] + 1e-3)
         elif what == "fraction":
-            cable.fractions[k] += 1e-4
+            put(cable, "fractions", k, cable.fractions[k] + 1e-4)
         elif what == "end":
-            cable.positions[0] += 1e-4
+            put(cable, "positions", 0, cable.positions[0] + 1e-4)
         elif what == "compressed":
-            cable.state.tension = -1.0
+            cable.update(tension=-1.0)
         else:
-            cable.state.taut = False
+            cable.update(taut=False)
 
     found = names(checked(solver, spoil))
     assert name in found
@@ -226,17 +227,22 @@ def test_a_cable_that_pulls_or_dives_is_found(comm: MPI.Intracomm) -> None:
     inner = [k for k in range(2, len(cable.nodes) - 2) if not cable.lifted[k]]
 
     def pull() -> None:
-        cable.positions[inner, 2] -= 25.0 * np.sin(np.linspace(0, np.pi, len(inner)))
+        put(
+            cable,
+            "positions",
+            (inner, 2),
+            cable.positions[inner, 2] - 25.0 * np.sin(np.linspace(0, np.pi, len(inner))),
+        )
 
     def dive() -> None:
-        cable.positions[inner, 2] -= 1.0
+        put(cable, "positions", (inner, 2), cable.positions[inner, 2] - 1.0)
 
     found = checked(solver, pull)
     assert "pull on the membrane" in names(found)
     assert not found["pull on the membrane"].binding
     solver = roped(comm)
     cable = solver.scene.cables[0]
-    cable.lifted[inner] = True
+    put(cable, "lifted", inner, True)
     solver.system.rebuild()
     solver.system.read_scene()
     assert "depth below the membrane" in names(checked(solver, dive))
@@ -289,7 +295,7 @@ def test_what_is_not_finite_is_found(comm: MPI.Intracomm) -> None:
     solver = roped(comm)
 
     def spoil() -> None:
-        solver.scene.cables[0].positions[3] = np.nan
+        put(solver.scene.cables[0], "positions", 3, np.nan)
         solver.system.potential.x[: solver.system.unknowns.n_owned] = np.nan
 
     found = names(checked(solver, spoil))

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.cable_tension import CableTension
-from crms_fenicsx.model.laid_cable import StepStart
+from crms_fenicsx.model.cable_state import StepStart
 from crms_fenicsx.runtime.arrays import Array
 
 
@@ -67,7 +67,8 @@ class StepCableTension(CableTension):
     def commit(self, x: Array, sums: Array) -> None:
         """End the step: its tensions, lengths and energies are the next step's start."""
         state = zip(self.starts, self.tensions(sums), sums, self.energies(sums), strict=True)
+        new: list[StepStart | None] = []
         for start, tension, length, energy in state:
-            if start is not None:
-                start.tension, start.length, start.energy = tension, length, energy
+            new.append(start and StepStart(float(tension), float(length), float(energy)))
+        self.starts = new
         self._read()

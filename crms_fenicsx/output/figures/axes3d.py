@@ -1,4 +1,4 @@
-"""The sheet that a shape is drawn on: its size, a measured box behind the shape, colour bars."""
+"""Axes in which a shape is drawn: its scale, a measured box behind it, legend, colour bars."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from crms_fenicsx.output.figures.camera import Camera
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.runtime.files import make_writable, replaced
 
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.transforms import Bbox
 
-Floats = NDArray[np.float64]
-
 INK = "#2b2f36"
 RIM = "#1d1f24"
 """Of cables."""
@@ -29,7 +28,7 @@ STRIPES = (0.0, (0.9, 0.9))
 """Of cables where they are off the membrane: dashes, between which the rim is seen."""
 _GRID = "#d3d7dc"
 _WALL = "#f4f5f7"
-APART = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+DISTINCT = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 """Colours that everybody can tell apart."""
 _SMALL = 8.5
 _POINTS_PER_INCH = 72.0
@@ -57,12 +56,35 @@ def checked_filename(filename: str | Path) -> Path:
     return path
 
 
-def check_colours(name: str) -> None:
-    """Raise `InputError` where matplotlib has no colour map of that name."""
+def check_colours(*names: str) -> None:
+    """Raise `InputError` where matplotlib has no colour map of one of the names."""
     from matplotlib import colormaps
 
-    if name not in colormaps:
-        raise InputError(f"no colour map {name!r}; see matplotlib.colormaps")
+    for name in names:
+        if name not in colormaps:
+            raise InputError(f"no colour map {name!r}; see matplotlib.colormaps")
+
+
+def with_unit(label: str, unit: str) -> str:
+    """Return a label with its unit in brackets, if there is one."""
+    return f"{label} [{unit}]" if unit else label
+
+
+def annotate(axes: Axes, text: str, at: Array, offset: tuple[float, float], size: float) -> None:
+    """Write a text with a white rim at an offset in points."""
+    from matplotlib.patheffects import withStroke
+
+    written = axes.annotate(
+        text, (at[0], at[1]), offset, textcoords="offset points", fontsize=size, color=INK, zorder=5
+    )
+    written.set_path_effects([withStroke(linewidth=1.8, foreground="white")])
+
+
+def style_axes(axes: Axes, size: float) -> None:
+    """Draw ticks of a size in points, and a faint grid behind what is plotted."""
+    axes.tick_params(labelsize=size, colors=INK, width=0.7, length=3)
+    axes.grid(color="#e3e6ea", linewidth=0.6)
+    axes.set_axisbelow(True)
 
 
 def check_view(view: tuple[float, float]) -> None:
@@ -77,7 +99,7 @@ def save(figure: Figure, path: Path, dpi: int, region: Bbox | str = "tight") -> 
         figure.savefig(partial, dpi=dpi, bbox_inches=region, pad_inches=0.1)
 
 
-class Stage:
+class Axes3D:
     """A figure with an axes that shows the camera's picture at a known scale.
 
     Parameters
@@ -106,8 +128,8 @@ class Stage:
     def __init__(
         self,
         camera: Camera,
-        low: Floats,
-        high: Floats,
+        low: Array,
+        high: Array,
         title: str,
         bars: int,
         width: float,
@@ -203,10 +225,10 @@ class Stage:
         for axis in range(3):
             self._label_edge(axis, self._ruler(axis, far, near), ticks[axis], unit)
 
-    def _flat(self, points: ArrayLike) -> Floats:
+    def _flat(self, points: ArrayLike) -> Array:
         return self.camera.project(points)[..., :2]
 
-    def _ruler(self, axis: int, far: Floats, near: Floats) -> Floats:
+    def _ruler(self, axis: int, far: Array, near: Array) -> Array:
         """Return the ends (2, 3) of the box's edge that carries an axis's tick labels."""
         ends = np.empty((2, 3))
         if axis < 2:  # on the floor (or ceiling), at the near side
@@ -224,7 +246,7 @@ class Stage:
         ends[:, axis] = self.low[axis], self.high[axis]
         return ends
 
-    def _label_edge(self, axis: int, ends: Floats, ticks: Floats, unit: str) -> None:
+    def _label_edge(self, axis: int, ends: Array, ticks: Array, unit: str) -> None:
         flat = self._flat(ends)
         along = flat[1] - flat[0]
         length = float(np.linalg.norm(along))
@@ -236,7 +258,7 @@ class Stage:
             outward = -outward
         rotation = float(np.degrees(np.arctan2(along[1], along[0])))
         rotation = (rotation + 70.0) % 180.0 - 70.0  # readable from below or from the right
-        name = "xyz"[axis] + (f" [{unit}]" if unit else "")
+        name = with_unit("xyz"[axis], unit)
         decimals = _decimals(ticks)
         texts = [f"{value:.{decimals}f}" if value else "0" for value in ticks]
         points = np.tile(ends[0], (len(ticks), 1))
@@ -307,7 +329,7 @@ class Stage:
         colorbar.outline.set_edgecolor(INK)  # type: ignore[operator]
 
 
-def bounds(shapes: Sequence[Floats]) -> tuple[Floats, Floats]:
+def bounds(shapes: Sequence[Array]) -> tuple[Array, Array]:
     """Return the box around points as (low, high).
 
     It stands on their lowest, has some air at its other sides, and no side is zero.
@@ -320,11 +342,11 @@ def bounds(shapes: Sequence[Floats]) -> tuple[Floats, Floats]:
     return low - air * [1.0, 1.0, 0.0], high + air
 
 
-def _corners(low: Floats, high: Floats) -> Floats:
+def _corners(low: Array, high: Array) -> Array:
     return np.array(list(product(*zip(low, high, strict=True))))
 
 
-def _decimals(ticks: Floats) -> int:
+def _decimals(ticks: Array) -> int:
     """Return how many decimals tell the ticks apart."""
     if len(ticks) < 2:
         return 0 if len(ticks) == 0 or float(ticks[0]).is_integer() else 3

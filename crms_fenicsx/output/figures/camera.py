@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 
 
 @dataclass(frozen=True)
@@ -31,14 +31,14 @@ class Camera:
     distance: float = np.inf
 
     @property
-    def axes(self) -> Floats:
+    def axes(self) -> Array:
         """Rows: unit vectors to the right, upwards and towards the viewer, (3, 3)."""
         a, e = np.radians([self.azimuth, self.elevation])
         right = np.array([-np.sin(a), np.cos(a), 0.0])
         towards = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
         return np.array([right, np.cross(towards, right), towards])
 
-    def project(self, points: ArrayLike) -> Floats:
+    def project(self, points: ArrayLike) -> Array:
         """Return right, up and nearness of (..., 3) points.
 
         Perspective scales all three alike, which keeps straight lines straight and planes plane,
@@ -47,12 +47,12 @@ class Camera:
         seen = (np.asarray(points, dtype=np.float64) - np.asarray(self.centre)) @ self.axes.T
         return seen / (1.0 - seen[..., 2:] / self.distance)
 
-    def place(self, seen: Floats) -> Floats:
+    def place(self, seen: Array) -> Array:
         """Return the (..., 3) points whose projections are given: the inverse of `project`."""
         return seen / (1.0 + seen[..., 2:] / self.distance) @ self.axes + np.asarray(self.centre)
 
 
-def brightness(camera: Camera, corners: Floats) -> tuple[Floats, Floats]:
+def brightness(camera: Camera, corners: Array) -> tuple[Array, Array]:
     """Return the diffuse and the specular light, each 0 to 1, on triangles of (m, 3, 3) corners.
 
     The light is over the viewer's left shoulder; both sides of a triangle are lit alike.
@@ -68,7 +68,7 @@ def brightness(camera: Camera, corners: Floats) -> tuple[Floats, Floats]:
     return np.clip(normals @ light, 0.0, 1.0), np.clip(normals @ halfway, 0.0, 1.0) ** 24
 
 
-def visible(samples: Floats, corners: Floats, tolerance: float) -> NDArray[np.bool_]:
+def visible(samples: Array, corners: Array, tolerance: float) -> Booleans:
     """Say which points no triangle hides.
 
     Parameters
@@ -102,22 +102,22 @@ def visible(samples: Floats, corners: Floats, tolerance: float) -> NDArray[np.bo
     return seen
 
 
-def _cross(a: Floats, b: Floats) -> Floats:
+def _cross(a: Array, b: Array) -> Array:
     return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
-def _candidates(samples: Floats, corners: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _candidates(samples: Array, corners: Array) -> tuple[Integers, Integers]:
     """Return pairs (sample, triangle) that share a bin of a grid over the picture."""
     bins = int(np.clip(np.sqrt(len(corners)), 1, 256))
     low = corners[..., :2].min(axis=(0, 1))
     cell = np.maximum(np.ptp(corners[..., :2], axis=(0, 1)), 1e-300) / bins
 
-    def bin_of(xy: Floats) -> NDArray[np.int64]:
+    def bin_of(xy: Array) -> Integers:
         return np.clip(np.floor((xy - low) / cell), 0, bins - 1).astype(np.int64)
 
     first, last = bin_of(corners[..., :2].min(axis=1)), bin_of(corners[..., :2].max(axis=1))
     across, upright = (last - first + 1).T
-    triangle, k = _spread(across * upright)
+    triangle, k = offsets_within(across * upright)
     in_bin = (first[triangle, 0] + k % across[triangle]) * bins + (
         first[triangle, 1] + k // across[triangle]
     )
@@ -126,11 +126,11 @@ def _candidates(samples: Floats, corners: Floats) -> tuple[NDArray[np.int64], ND
 
     column, row = bin_of(samples[:, :2]).T
     home = column * bins + row
-    sample, k = _spread(starts[home + 1] - starts[home])
+    sample, k = offsets_within(starts[home + 1] - starts[home])
     return sample, triangle[starts[home[sample]] + k]
 
 
-def _spread(counts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def offsets_within(counts: Integers) -> tuple[Integers, Integers]:
     """Return each index i `counts[i]` times, and the number 0, 1, ... of each time."""
     index = np.repeat(np.arange(len(counts)), counts)
     return index, np.arange(len(index)) - np.repeat(np.cumsum(counts) - counts, counts)

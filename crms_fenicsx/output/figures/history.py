@@ -10,69 +10,157 @@ from typing import Any
 
 import numpy as np
 
-from crms_fenicsx.output.figures.axes3d import APART, INK, checked_filename, new_figure, save
+from crms_fenicsx.output.figures.axes3d import (
+    DISTINCT,
+    INK,
+    checked_filename,
+    new_figure,
+    save,
+    style_axes,
+    with_unit,
+)
 from crms_fenicsx.output.history import History
-from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.errors import InputError, collective, raised_together
+
+_SEEN = 0.01
+"""Share of a panel's largest value from which on a column is seen in it."""
 
 
+@collective
 def draw_history(
-    filename: str | Path,
     history: History,
+    filename: str | Path,
     x: str = "step",
     panels: Sequence[Sequence[str]] | None = None,
     *,
+    unit: str = "",
+    force: str = "",
     units: Mapping[str, str] | None = None,
     title: str = "",
     width: float = 8.0,
     dpi: int = 160,
 ) -> None:
-    """Plot columns of a history, in panels. Not collective.
+    """Plot columns of a history, in panels. Collective on the history's ranks.
 
     Parameters
     ----------
-    filename : str or Path
-        Picture to write; its suffix says the format.
-    history : History
-    x : str
+    history
+        Such as ``solver.history``.
+    filename
+        Picture to write; its suffix (.png, .pdf, .svg ...) says the format.
+    x
         Column of the horizontal axis.
-    panels : sequence of sequences of str, optional
-        Columns that share a panel. By default every column of numbers is there, those that
-        differ in a last number only ("tension cable 1", "tension cable 2") in one panel.
-    units : dict, optional
-        Units by column, or by the beginning of its name ("tension": "kN").
-    title : str
-    width, dpi : float, int
+    panels
+        Columns that share a panel. By default those of `default_panels`; of a table that has none
+        of these, every column of numbers, where those that differ in a last number only
+        ("slip 1", "slip 2") share one.
+    unit, force
+        Names of the units of length and force, for labels.
+    units
+        Other units by column, or by the beginning of its name ("tension": "kN").
+    title
+        Of all panels.
+    width, dpi
         Width in inches; pixels per inch.
 
     Raises
     ------
     InputError
-        For a column that does not exist or holds text, an empty history, or a file that cannot
-        be written.
+        On all ranks: an empty history, a column that does not exist or holds text, or a file that
+        cannot be written.
     """
+    if not isinstance(history, History):
+        raise InputError(
+            f"draw_history: history is of type {type(history).__name__}; give a History."
+        )
+    checks.same(
+        history.comm, "draw_history", filename=filename, x=x, panels=panels, unit=unit, force=force,
+        units=units, title=title, width=width, dpi=dpi,
+    )  # fmt: skip
+    filename = checks.file("draw_history: filename", filename)
     if len(history) == 0:
         raise InputError("the history is empty; draw it after the first step")
     if panels is None:
-        panels = _grouped(history, x)
+        panels = default_panels(history) or _grouped(history, x)
     if not panels or not all(panels):
         raise InputError(f"panels {panels!r}: nothing to plot over {x!r}; name columns in each")
     for column in [x, *(column for panel in panels for column in panel)]:
         if history[column].dtype.kind not in "if":
             raise InputError(f"column {column!r} holds text; plot columns of numbers")
-    path = checked_filename(filename)
+    named = units_of_results(unit, force) | dict(units or {})
+    with raised_together(history.comm):
+        if history.comm.rank == 0:
+            _draw_panels(history, checked_filename(filename), x, panels, named, title, width, dpi)
 
+
+def _draw_panels(
+    history: History,
+    path: Path,
+    x: str,
+    panels: Sequence[Sequence[str]],
+    units: Mapping[str, str],
+    title: str,
+    width: float,
+    dpi: int,
+) -> None:
     across = 1 if len(panels) == 1 else 2
     down = -(-len(panels) // across)
     figure = new_figure(width, 2.5 * down + (0.4 if title else 0.0))
     axes = figure.subplots(down, across, squeeze=False)
     for axis, panel in zip(axes.flat, panels, strict=False):
-        _plot(axis, history, x, panel, units or {})
+        _plot(axis, history, x, panel, units)
     for axis in axes.flat[len(panels) :]:
         axis.remove()
     if title:
         figure.suptitle(title, fontsize=11, color=INK)
     figure.tight_layout(w_pad=2.0, h_pad=1.2)
     save(figure, path, dpi)
+
+
+def units_of_results(length: str, force: str) -> dict[str, str]:
+    """Units of the quantities that results hold, as far as those of length and force tell.
+
+    Parameters
+    ----------
+    length, force
+        As they are written, such as "cm" and "kgf"; "" where unknown.
+    """
+    found = {"length": length, "L0": length, "volume": f"{length}³" if length else ""}
+    found |= {"tension": force, "residual": force}
+    if length and force:
+        found |= {
+            "stress": f"{force}/{length}",
+            "pressure": f"{force}/{length}²",
+            "energy": f"{force} {length}",
+        }
+    return {name: unit for name, unit in found.items() if unit}
+
+
+def default_panels(history: History) -> list[list[str]]:
+    """Columns that show a run: what drives it, then what it answers, as far as it changes.
+
+    These are pressure, load factor, unstressed lengths, volume, tensions and energies. An energy
+    that would not be seen beside the others is left out.
+    """
+    groups = [
+        [column for column in history.columns if column == name or column.startswith(f"{name} ")]
+        for name in ("pressure", "load", "L0", "volume", "tension", "energy")
+    ]
+    shown = [[c for c in group if np.ptp(_extent([history[c]])) > 0.0] for group in groups]
+    if not any(shown):  # a single step, say
+        shown = [[c for c in group if np.any(history[c] != 0.0)] for group in groups]
+    largest = [max((_size(history[c]) for c in group), default=0.0) for group in shown]
+    seen = [
+        [c for c in group if _size(history[c]) >= _SEEN * size]
+        for group, size in zip(shown, largest, strict=True)
+    ]
+    return [group for group in seen if group]
+
+
+def _size(values: Array) -> float:
+    return float(np.nanmax(np.abs(values)))
 
 
 def _grouped(history: History, x: str) -> list[list[str]]:
@@ -107,7 +195,7 @@ def _plot(
     low, high = _extent([history[column] for column in panel])
     if low < 0.0 < high:
         axis.axhline(0.0, color="#9aa1ab", linewidth=0.8, zorder=1)
-    colours = cycle(APART)
+    colours = cycle(DISTINCT)
     for column in panel:
         whole = len(panel) > 1 and column == label  # "energy", of which the others are parts
         axis.plot(
@@ -117,7 +205,7 @@ def _plot(
         )  # fmt: skip
     axis.set_ylabel(_with_unit(label, panel[0], units), fontsize=9, color=INK)
     axis.set_xlabel(_with_unit(x, x, units), fontsize=9, color=INK)
-    axis.tick_params(labelsize=8, colors=INK, width=0.7, length=3)
+    style_axes(axis, 8)
     if history[x].dtype.kind == "i":
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
     if all(history[column].dtype.kind == "i" for column in panel):
@@ -126,8 +214,6 @@ def _plot(
     low, high = _extent([history[x]])
     air = 0.03 * (high - low) or 0.5
     axis.set_xlim(low - air, high + air)
-    axis.grid(color="#e3e6ea", linewidth=0.6)
-    axis.set_axisbelow(True)
     for side in ("top", "right"):
         axis.spines[side].set_visible(False)
     if len(panel) > 1:
@@ -144,4 +230,4 @@ def _extent(arrays: Sequence[Any]) -> tuple[float, float]:
 
 def _with_unit(label: str, column: str, units: Mapping[str, str]) -> str:
     fitting = [key for key in units if column == key or column.startswith(key + " ")]
-    return f"{label} [{units[max(fitting, key=len)]}]" if fitting else label
+    return with_unit(label, units[max(fitting, key=len)] if fitting else "")

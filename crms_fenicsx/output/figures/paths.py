@@ -7,21 +7,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from crms_fenicsx.output.data import Line, Surface
 from crms_fenicsx.output.figures.axes3d import (
-    APART,
+    DISTINCT,
     INK,
-    Stage,
+    Axes3D,
+    annotate,
     bounds,
     check_view,
     checked_filename,
+    style_axes,
+    with_unit,
 )
 from crms_fenicsx.output.figures.camera import Camera
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
-
-Floats = NDArray[np.float64]
 
 _CLOSEUP = 2.3  # inches: a close-up with its labels
 _LABELS = 0.75  # inches of these
@@ -84,12 +86,7 @@ def draw_path(
     if points is not None and triangles is not None:
         surface = Surface(points, triangles).checked()
         corners = np.asarray(surface.points)[np.asarray(surface.triangles)]
-    for name, numbers in (closeups or {}).items():
-        if len(numbers) == 0 or not all(0 <= number < len(paths) for number in numbers):
-            raise InputError(
-                f"close-up {name!r} of the paths {list(numbers)}; give numbers from 0 to "
-                f"{len(paths) - 1}"
-            )
+    _check_closeups(closeups or {}, len(paths))
     check_view(view)
     file = checked_filename(filename)
 
@@ -98,24 +95,24 @@ def draw_path(
     plan = abs(view[1]) >= 85.0
     camera = Camera(*view, 0.5 * (low + high), np.inf if plan else 3.5 * size)
     room = (_CLOSEUP, 0.3 + _CLOSEUP * len(closeups)) if closeups else ()
-    stage = Stage(camera, low, high, title, 0, width, *room)
-    stage.draw_box(unit)
+    axes3d = Axes3D(camera, low, high, title, 0, width, *room)
+    axes3d.draw_box(unit)
     flat = camera.project(corners)
     colours = _cable_colours(lines, len(ways))
     _draw_below(
-        stage.axes,
+        axes3d.axes,
         flat[np.argsort(flat[..., 2].mean(axis=1)), :, :2],
         [camera.project(cable)[:, :2] for cable in cables],
         [colours[line.name] for line in lines],
-        stage.point,
+        axes3d.point,
     )
     for number, way in enumerate(ways):
         at = camera.project(way)[:, :2]
-        steps = [] if closeups else _told_apart(at, 14.0 * stage.point)
-        _draw_way(stage.axes, at, number, 4.5 if len(at) < 20 else 2.5, steps)
-    stage.add_legend(
+        steps = [] if closeups else _spaced_steps(at, 14.0 * axes3d.point)
+        _draw_way(axes3d.axes, at, number, 4.5 if len(at) < 20 else 2.5, steps)
+    axes3d.add_legend(
         [
-            (APART[number % len(APART)], path.name or f"path {number + 1}", "line")
+            (DISTINCT[number % len(DISTINCT)], path.name or f"path {number + 1}", "line")
             for number, path in enumerate(paths)
             if len(paths) > 1 or path.name
         ]
@@ -123,16 +120,25 @@ def draw_path(
     )
     if closeups:
         below = [cable[:, :2] for cable in cables], [colours[line.name] for line in lines]
-        _add_closeups(stage, ways, closeups, corners[..., :2], below, unit)
-    stage.save(file, dpi)
+        _add_closeups(axes3d, ways, closeups, corners[..., :2], below, unit)
+    axes3d.save(file, dpi)
+
+
+def _check_closeups(closeups: Mapping[str, Sequence[int]], count: int) -> None:
+    for name, numbers in closeups.items():
+        if len(numbers) == 0 or not all(0 <= number < count for number in numbers):
+            raise InputError(
+                f"close-up {name!r} of the paths {list(numbers)}; give numbers from 0 to "
+                f"{count - 1}"
+            )
 
 
 def _add_closeups(
-    stage: Stage,
-    ways: Sequence[Floats],
+    axes3d: Axes3D,
+    ways: Sequence[Array],
     closeups: Mapping[str, Sequence[int]],
-    corners: Floats,
-    cables: tuple[Sequence[Floats], Sequence[str]],
+    corners: Array,
+    cables: tuple[Sequence[Array], Sequence[str]],
     unit: str,
 ) -> None:
     """Draw a panel in plan for each close-up, one below the other, all at one scale."""
@@ -140,29 +146,27 @@ def _add_closeups(
     lows = np.array([np.min([way.min(axis=0) for way in group], axis=0) for group in groups])
     highs = np.array([np.max([way.max(axis=0) for way in group], axis=0) for group in groups])
     half = 0.66 * float((highs - lows).max()) or 0.5
-    width, height = stage.figure.get_size_inches()
+    width, height = axes3d.figure.get_size_inches()
     side = _CLOSEUP - _LABELS
     for row, (title, numbers) in enumerate(closeups.items()):
         middle = 0.5 * (lows[row] + highs[row])
         bottom = height - 0.1 - _CLOSEUP * (row + 1) + 0.5
-        axis = stage.figure.add_axes(
+        axis = axes3d.figure.add_axes(
             ((width - 0.15 - side) / width, bottom / height, side / width, side / height)
         )
         axis.set_xlim(middle[0] - half, middle[0] + half)
         axis.set_ylim(middle[1] - half, middle[1] + half)
         axis.set_title(title, fontsize=9, color=INK, pad=4)
         for name, label in (("x", axis.set_xlabel), ("y", axis.set_ylabel)):
-            label(f"{name} [{unit}]" if unit else name, fontsize=8, color=INK, labelpad=2)
-        axis.tick_params(labelsize=7.5, colors=INK, width=0.7, length=3)
+            label(with_unit(name, unit), fontsize=8, color=INK, labelpad=2)
+        style_axes(axis, 7.5)
         axis.locator_params(nbins=4)
         axis.ticklabel_format(useOffset=False)
-        axis.grid(color="#e3e6ea", linewidth=0.6)
-        axis.set_axisbelow(True)
         point = 2.0 * half / side / 72.0
         _draw_below(axis, corners, *cables, point)
         for place, number in enumerate(numbers):
             at = ways[number][:, :2]
-            steps = _told_apart(at, 9.0 * point) if place == 0 else []
+            steps = _spaced_steps(at, 9.0 * point) if place == 0 else []
             _draw_way(axis, at, number, max(6.5 - 3.0 * place, 2.0), steps)
 
 
@@ -170,12 +174,12 @@ def _cable_colours(lines: Sequence[Line], first: int) -> dict[str, str]:
     """Return a colour for each name of a cable, after those of `first` paths."""
     names = dict.fromkeys(line.name for line in lines if line.name)
     return {"": _CABLE} | {
-        name: APART[(first + number) % len(APART)] for number, name in enumerate(names)
+        name: DISTINCT[(first + number) % len(DISTINCT)] for number, name in enumerate(names)
     }
 
 
 def _draw_below(
-    axes: Any, triangles: Floats, cables: Sequence[Floats], colours: Sequence[str], point: float
+    axes: Any, triangles: Array, cables: Sequence[Array], colours: Sequence[str], point: float
 ) -> None:
     """Draw triangles and cables on them; `point` is the length that a typographic point shows."""
     from matplotlib.collections import LineCollection, PolyCollection
@@ -196,23 +200,17 @@ def _draw_below(
     )
 
 
-def _draw_way(axes: Any, at: Floats, number: int, size: float, steps: Sequence[int]) -> None:
-    from matplotlib.patheffects import withStroke
-
-    colour = APART[number % len(APART)]
+def _draw_way(axes: Any, at: Array, number: int, size: float, steps: Sequence[int]) -> None:
+    colour = DISTINCT[number % len(DISTINCT)]
     axes.plot(
         *at.T, color=colour, linewidth=1.4, marker="o", markersize=size, zorder=3,
         markeredgecolor="white", markeredgewidth=0.6,
     )  # fmt: skip
     for step in steps:
-        text = axes.annotate(
-            str(step), at[step], (5, 3), textcoords="offset points", fontsize=7.5, color=INK,
-            zorder=4,
-        )  # fmt: skip
-        text.set_path_effects([withStroke(linewidth=1.8, foreground="white")])
+        annotate(axes, str(step), at[step], (5, 3), 7.5)
 
 
-def _told_apart(at: Floats, apart: float) -> list[int]:
+def _spaced_steps(at: Array, apart: float) -> list[int]:
     """Return the steps whose numbers have room, the first and the last before the others."""
     steps: list[int] = []
     for step in [0, len(at) - 1, *range(len(at) - 2, 0, -1)]:

@@ -6,19 +6,18 @@ import re
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from crms_fenicsx.runtime.arrays import Array
 
 if TYPE_CHECKING:
     from matplotlib.cm import ScalarMappable
-
-Floats = NDArray[np.float64]
 
 NO_VALUE = (0.784, 0.784, 0.784)
 _SAME = 1e-3
 """Relative: a colour bar over less would show differences that its ticks cannot tell."""
 
 
-def common_value(values: Floats) -> float | None:
+def common_value(values: Array) -> float | None:
     """Return the value that all share to three digits; None where they differ or none is finite."""
     finite = values[np.isfinite(values)]
     if len(finite) == 0 or np.ptp(finite) > _SAME * np.abs(finite).max():
@@ -33,7 +32,7 @@ def in_words(label: str, value: float) -> str:
     return " ".join(part for part in (name, f"{value:.4g}", unit) if part)
 
 
-def limits_of(values: Floats) -> tuple[float, float]:
+def limits_of(values: Array) -> tuple[float, float]:
     """Return the ends of the values' colours: their own, or from 0 if that is not far away."""
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
@@ -47,7 +46,19 @@ def limits_of(values: Floats) -> tuple[float, float]:
     return low, high
 
 
-def mappable(colours: str, values: Floats, limits: tuple[float, float] | None) -> ScalarMappable:
+def colouring(
+    values: Array | None, label: str, limits: tuple[float, float] | None, colours: str
+) -> tuple[ScalarMappable | None, str]:
+    """Return the map from values to colours, or else what a legend says of their common value."""
+    if values is None:
+        return None, ""
+    same = common_value(values) if limits is None else None
+    if same is not None:
+        return None, in_words(label, same)
+    return _mappable(colours, values, limits), ""
+
+
+def _mappable(colours: str, values: Array, limits: tuple[float, float] | None) -> ScalarMappable:
     """Return matplotlib's map from values to a named scale of colours, NaN in grey."""
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable

@@ -1,38 +1,31 @@
-"""Pictures of a shape with its cables, painted from back to front."""
+"""Draw a surface with its cables, painted from back to front."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from crms_fenicsx.output.data import Line, Surface, checked_points
 from crms_fenicsx.output.figures.axes3d import (
     INK,
-    RIM,
-    STRIPES,
-    Stage,
+    Axes3D,
     bounds,
     check_colours,
     check_view,
     checked_filename,
 )
 from crms_fenicsx.output.figures.camera import Camera, brightness, visible
-from crms_fenicsx.output.figures.scales import NO_VALUE, common_value, in_words, mappable
+from crms_fenicsx.output.figures.lines import CABLE, line_style, paint_lines
+from crms_fenicsx.output.figures.scales import NO_VALUE, colouring
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.runtime.errors import InputError
 
-if TYPE_CHECKING:
-    from matplotlib.cm import ScalarMappable
-
-Floats = NDArray[np.float64]
-
 _FABRIC = (0.80, 0.86, 0.93)
-_CABLE = "#c8322b"
 _ON_SURFACE = 0.006  # of the size: triangles that come unfolded pass over their cable
-_SHORTEST = 3  # pieces of a line: less is a speck in a crease
 _GHOST = (0.20, 0.33, 0.60)
 
 
@@ -127,10 +120,9 @@ def draw_shape(
     lines = [line.checked() for line in lines]
     faint = None if ghost is None else Surface(*ghost).checked()
     values = _per_triangle(values, surface)
-    for data in (line_values, loose):
-        _check_line_values(lines, data)
-    for name in (colours, line_colours):
-        check_colours(name)
+    check_colours(colours, line_colours)
+    line_label = line_label or line_values or ""
+    style = line_style(lines, line_values, line_label, line_limits, line_colours, loose)
     if len(np.asarray(surface.points)) == 0 and not lines:
         raise InputError("nothing to draw: no points and no lines; give one of them")
     check_view(view)
@@ -138,78 +130,47 @@ def draw_shape(
     inner = _checked_hidden(hidden, surface)
     path = checked_filename(filename)
 
-    spatial = np.asarray(surface.points)[np.asarray(surface.triangles)]
+    spatial, ghostly = _corners(surface), None if faint is None else _corners(faint)
     shapes = [spatial, *(np.asarray(line.points) for line in lines)]
-    if faint is not None:
-        shapes.append(np.asarray(faint.points)[np.asarray(faint.triangles)])
-    low, high = bounds(shapes) if corners is None else corners
+    low, high = corners or bounds(shapes if ghostly is None else [*shapes, ghostly])
     size = float(np.linalg.norm(high - low))
     near = perspective and abs(view[1]) < 85.0  # a plan is parallel, or it cannot be measured
     camera = Camera(*view, 0.5 * (low + high), 3.5 * size if near else np.inf)
 
-    paint, note = _paint(values, label, limits, colours, _FABRIC)
-    of_lines = [np.asarray(line.data[line_values]) for line in lines] if line_values else []
-    every = np.concatenate([array.ravel() for array in of_lines]) if line_values else None
-    line_paint, line_note = _paint(
-        every, line_label or line_values or "", line_limits, line_colours, _CABLE
-    )
-    bars = [(m, text) for m, text in ((paint, label), (line_paint, line_label or line_values)) if m]
-    stage = Stage(camera, low, high, title, len(bars), width)
+    paint, note = colouring(values, label, limits, colours)
+    bars = [(scale, text) for scale, text in ((paint, label), (style.paint, line_label)) if scale]
+    axes3d = Axes3D(camera, low, high, title, len(bars), width)
     for place, (scale, text) in enumerate(bars):
-        stage.add_bar(scale, text or "", place)
-    if line_note:
-        line_note = f"{_called(lines)}{line_note}"
-    off = [_off_segments(line, loose) for line in lines]
-    striped = "off the membrane" if any(part.any() for part in off) else ""
-    stage.add_legend(
-        [(_FABRIC, note, "patch"), (_CABLE, line_note, "line"), (_CABLE, striped, "stripes")]
+        axes3d.add_bar(scale, text, place)
+    striped = "off the membrane" if any(part.any() for part in style.off) else ""
+    axes3d.add_legend(
+        [(_FABRIC, note, "patch"), (CABLE, style.note, "line"), (CABLE, striped, "stripes")]
     )
     if box is not False:
-        stage.draw_box(unit)
+        axes3d.draw_box(unit)
 
     flat = camera.project(spatial)
     face_colours = np.tile(_FABRIC, (len(flat), 1))
     if values is not None:
         face_colours[~np.isfinite(values)] = NO_VALUE
         face_colours = face_colours if paint is None else paint.to_rgba(values)[:, :3]
-    shown = np.ones((len(flat), 3), dtype=bool) if edges else np.zeros((len(flat), 3), dtype=bool)
-    shown &= ~_among(np.asarray(surface.triangles), inner)
-    _paint_triangles(stage, spatial, flat, face_colours, faint, shown)
-
+    shown = np.full((len(flat), 3), edges) & ~_among(np.asarray(surface.triangles), inner)
+    _paint_triangles(axes3d, spatial, flat, face_colours, ghostly, shown)
     tolerance = _ON_SURFACE * size
-    outline = _outline(np.asarray(surface.points), np.asarray(surface.triangles))
-    _paint_outline(stage, outline, flat, tolerance)
+    _paint_outline(axes3d, surface, flat, tolerance, INK)
     if faint is not None:
-        rim = _outline(np.asarray(faint.points), np.asarray(faint.triangles))
-        _paint_outline(stage, rim, flat[:0], tolerance, colour=(*_GHOST, 0.6))
+        _paint_outline(axes3d, faint, flat[:0], tolerance, (*_GHOST, 0.6))
     clip = None if corners is None else (low - 1e-6 * size, high + 1e-6 * size)
-    _paint_lines(stage, lines, flat, tolerance, of_lines, line_paint, off, show_names, clip)
-    stage.save(path, dpi)
+    paint_lines(axes3d, lines, style, flat, tolerance, clip, show_names)
+    axes3d.save(path, dpi)
 
 
-def _paint(
-    values: Floats | None,
-    label: str,
-    limits: tuple[float, float] | None,
-    colours: str,
-    plain: Any,
-) -> tuple[ScalarMappable | None, str]:
-    """Return the colours of values, or else what a legend says of their common value."""
-    if values is None:
-        return None, ""
-    same = common_value(values) if limits is None else None
-    if same is not None:
-        return None, in_words(label, same)
-    return mappable(colours, values, limits), ""
+def _corners(surface: Surface) -> Array:
+    """Return the corners of a surface's triangles, (m, 3, 3)."""
+    return np.asarray(surface.points)[np.asarray(surface.triangles)]
 
 
-def _called(lines: Sequence[Line]) -> str:
-    if len(lines) > 1:
-        return f"{len(lines)} cables: "
-    return f"{lines[0].name}: " if lines[0].name else ""
-
-
-def _checked_box(box: tuple[ArrayLike, ArrayLike]) -> tuple[Floats, Floats]:
+def _checked_box(box: tuple[ArrayLike, ArrayLike]) -> tuple[Array, Array]:
     if len(box) != 2:
         raise InputError(f"box {box!r}; give True, False or its corners (low, high)")
     low, high = checked_points("box corners", np.array(box, dtype=np.float64))
@@ -218,7 +179,7 @@ def _checked_box(box: tuple[ArrayLike, ArrayLike]) -> tuple[Floats, Floats]:
     return low, high
 
 
-def _checked_hidden(hidden: ArrayLike | None, surface: Surface) -> NDArray[np.int64]:
+def _checked_hidden(hidden: ArrayLike | None, surface: Surface) -> Integers:
     pairs = np.asarray(() if hidden is None else hidden)
     if pairs.size == 0:
         return np.empty((0, 2), dtype=np.int64)
@@ -234,7 +195,7 @@ def _checked_hidden(hidden: ArrayLike | None, surface: Surface) -> NDArray[np.in
     return pairs.astype(np.int64)
 
 
-def _among(triangles: NDArray[np.int64], pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _among(triangles: Integers, pairs: Integers) -> Booleans:
     """Say which sides of the triangles (corner k to k + 1) are among pairs of vertices, (m, 3)."""
     if len(triangles) == 0 or len(pairs) == 0:
         return np.zeros((len(triangles), 3), dtype=bool)
@@ -244,7 +205,7 @@ def _among(triangles: NDArray[np.int64], pairs: NDArray[np.int64]) -> NDArray[np
     return np.isin(sides[..., 0] * n + sides[..., 1], wanted[:, 0] * n + wanted[:, 1])
 
 
-def _per_triangle(values: ArrayLike | None, surface: Surface) -> Floats | None:
+def _per_triangle(values: ArrayLike | None, surface: Surface) -> Array | None:
     """Return values per triangle; those per vertex become the mean of the triangle's corners."""
     if values is None:
         return None
@@ -260,41 +221,28 @@ def _per_triangle(values: ArrayLike | None, surface: Surface) -> Floats | None:
     )
 
 
-def _check_line_values(lines: Sequence[Line], name: str | None) -> None:
-    if name is None:
-        return
-    if not lines:
-        raise InputError(f"line_values {name!r}, but there are no lines; leave it out")
-    for number, line in enumerate(lines):
-        if name not in line.data:
-            raise InputError(
-                f"line {number} {line.name!r} has no {name!r}; it has "
-                f"{', '.join(line.data) or 'no data'}"
-            )
-
-
 def _paint_triangles(
-    stage: Stage,
-    spatial: Floats,
-    flat: Floats,
-    colours: Floats,
-    faint: Surface | None,
-    shown: NDArray[np.bool_],
+    axes3d: Axes3D,
+    spatial: Array,
+    flat: Array,
+    colours: Array,
+    faint: Array | None,
+    shown: Booleans,
 ) -> None:
-    """Paint the surface and the faint one; `shown` (m, 3) says which sides get an edge."""
+    """Paint the surface and the `faint` triangles; `shown` (m, 3): which sides get an edge."""
     from matplotlib.collections import PolyCollection
 
-    diffuse, specular = brightness(stage.camera, spatial)
+    diffuse, specular = brightness(axes3d.camera, spatial)
     faces = colours * (0.44 + 0.62 * diffuse)[:, None] + 0.16 * specular[:, None]
     faces = np.column_stack([np.clip(faces, 0, 1), np.ones(len(faces))])
-    strength = _edge_strength(stage, flat)
+    strength = _edge_strength(axes3d, flat)
     dark = np.column_stack([faces[:, :3] * (1.0 - 0.45 * strength), faces[:, 3]])
     # without edges of their own, the faces' rims close the seams that antialiasing leaves
-    rimmed: NDArray[np.bool_] = np.all(shown, axis=1) & (strength > 0)
+    rimmed: Booleans = np.all(shown, axis=1) & (strength > 0)
     rims = np.where(rimmed[:, None], dark, faces)
     thick = 0.25 + 0.2 * strength * rimmed
     polygons = list(flat[..., :2])
-    depth: Floats = np.mean(flat[..., 2], axis=1)
+    depth: Array = np.mean(flat[..., 2], axis=1)
     # where a side has none, the others come as strokes of their own, right after the face
     some, side = np.nonzero(shown & ~rimmed[:, None] & (strength > 0))
     polygons += list(np.stack([flat[some, side, :2], flat[some, (side + 1) % 3, :2]], axis=1))
@@ -302,15 +250,15 @@ def _paint_triangles(
     thick = np.concatenate([thick, np.full(len(some), 0.25 + 0.2 * strength)])
     depth = np.concatenate([depth, depth[some]])
     if faint is not None:
-        extra = stage.camera.project(np.asarray(faint.points)[np.asarray(faint.triangles)])
-        strength = _edge_strength(stage, extra)
+        extra = axes3d.camera.project(faint)
+        strength = _edge_strength(axes3d, extra)
         polygons += list(extra[..., :2])
         faces = np.concatenate([faces, np.tile((*_GHOST, 0.10), (len(extra), 1))])
         rims = np.concatenate([rims, np.tile((*_GHOST, 0.5 * strength), (len(extra), 1))])
         thick = np.concatenate([thick, np.full(len(extra), 0.4)])
         depth = np.concatenate([depth, extra[..., 2].mean(axis=1)])
     order = np.argsort(depth, kind="stable")
-    stage.axes.add_collection(
+    axes3d.axes.add_collection(
         PolyCollection(
             [polygons[i] for i in order], facecolors=faces[order], edgecolors=rims[order],
             linewidths=thick[order], joinstyle="round", zorder=1,
@@ -319,121 +267,32 @@ def _paint_triangles(
 
 
 def _paint_outline(
-    stage: Stage, outline: Floats, flat: Floats, tolerance: float, colour: Any = INK
+    axes3d: Axes3D, surface: Surface, flat: Array, tolerance: float, colour: Any
 ) -> None:
+    """Paint what is seen of a surface's border; `flat` are the triangles that may hide it."""
     from matplotlib.collections import LineCollection
 
+    outline = _outline(np.asarray(surface.points), np.asarray(surface.triangles))
     if len(outline):
-        ends = stage.camera.project(outline)
+        ends = axes3d.camera.project(outline)
         seen = visible(ends.mean(axis=1), flat, tolerance)
-        stage.axes.add_collection(
+        axes3d.axes.add_collection(
             LineCollection(
                 list(ends[seen, :, :2]), colors=[colour], linewidths=0.8, capstyle="round", zorder=2
             )
         )
 
 
-def _paint_lines(
-    stage: Stage,
-    lines: Sequence[Line],
-    flat: Floats,
-    tolerance: float,
-    values: Sequence[Floats],
-    paint: ScalarMappable | None,
-    off: Sequence[NDArray[np.bool_]],
-    show_names: bool,
-    clip: tuple[Floats, Floats] | None,
-) -> None:
-    """Paint what is seen of lines, within a box `clip` if there is one; striped where `off`."""
-    from matplotlib.collections import LineCollection
-    from matplotlib.patheffects import withStroke
-
-    runs: list[Floats] = []
-    run_values: list[float] = []
-    run_off: list[bool] = []
-    nearness: list[float] = []
-    for number, line in enumerate(lines):
-        nodes, segment, middle = _subdivided(stage.camera.project(line.points), 2.5 * stage.point)
-        middles = 0.5 * (nodes[1:] + nodes[:-1])
-        seen = visible(middles, flat, tolerance)
-        if clip is not None:
-            places = stage.camera.place(middles)
-            seen &= np.all((places >= clip[0]) & (places <= clip[1]), axis=1)
-        of_piece: Floats = np.zeros(len(segment))
-        if paint is not None:
-            given = values[number]
-            if given.shape == (len(np.asarray(line.points)),):
-                of_piece = given[segment] + middle * (given[segment + 1] - given[segment])
-            else:
-                of_piece = np.broadcast_to(given, len(np.asarray(line.points)) - 1)[segment]
-        if len(seen) >= 2 * _SHORTEST:  # no specks of what is hidden all around
-            starts = np.flatnonzero(np.r_[True, seen[1:] != seen[:-1]])
-            for start, end in zip(starts, [*starts[1:], len(seen)], strict=True):
-                seen[start:end] &= end - start >= _SHORTEST
-        # a run: pieces that are seen, one after the other, in one colour and style
-        kinds = np.column_stack([seen, of_piece, off[number][segment]])
-        starts = np.flatnonzero(np.r_[True, np.any(kinds[1:] != kinds[:-1], axis=1)])
-        for start, end in zip(starts, [*starts[1:], len(seen)], strict=True):
-            if seen[start]:
-                runs.append(nodes[start : end + 1, :2])
-                run_values.append(float(of_piece[start]))
-                run_off.append(bool(off[number][segment[start]]))
-                nearness.append(float(nodes[start : end + 1, 2].mean()))
-        if show_names and line.name and seen.any():
-            right, up = nodes[np.flatnonzero(seen)[-1] + 1, :2]
-            text = stage.axes.annotate(
-                line.name, (right, up), (4, 4), textcoords="offset points", fontsize=8.5, color=INK,
-                zorder=5,
-            )  # fmt: skip
-            text.set_path_effects([withStroke(linewidth=2.0, foreground="white")])
-    if not runs:
-        return
-    order = np.argsort(nearness, kind="stable")
-    paths = [runs[i] for i in order]
-    cores = _CABLE if paint is None else paint.to_rgba(np.array(run_values)[order])
-    styles = [STRIPES if run_off[i] else "solid" for i in order]
-    for zorder, colour, thick, style in ((3, RIM, 2.9, "solid"), (4, cores, 1.7, styles)):
-        stage.axes.add_collection(
-            LineCollection(
-                paths, colors=colour, linewidths=thick, linestyles=style, joinstyle="round",
-                capstyle="butt" if style is styles and any(run_off) else "round", zorder=zorder,
-            )
-        )  # fmt: skip
-
-
-def _off_segments(line: Line, name: str | None) -> NDArray[np.bool_]:
-    """Say which segments of a line are off the surface, (k - 1,)."""
-    count = len(np.asarray(line.points))
-    given = np.zeros(()) if name is None else np.asarray(line.data[name])
-    if given.shape == (count,):
-        given = np.maximum(given[1:], given[:-1])
-    return np.broadcast_to(given != 0.0, count - 1)
-
-
-def _subdivided(nodes: Floats, step: float) -> tuple[Floats, NDArray[np.int64], Floats]:
-    """Cut a projected polyline's segments into pieces no longer than `step`.
-
-    Returns the nodes (s + 1, 3), each piece's segment (s,) and its middle's place along it (s,).
-    """
-    lengths = np.linalg.norm(np.diff(nodes[:, :2], axis=0), axis=1)
-    counts = np.maximum(np.ceil(lengths / step), 1).astype(np.int64)
-    segment = np.repeat(np.arange(len(counts)), counts)
-    k = np.arange(len(segment)) - np.repeat(np.cumsum(counts) - counts, counts)
-    start = (k / counts[segment])[:, None]
-    cut = nodes[segment] + start * (nodes[segment + 1] - nodes[segment])
-    return np.vstack([cut, nodes[-1:]]), segment, (k + 0.5) / counts[segment]
-
-
-def _edge_strength(stage: Stage, flat: Floats) -> float:
+def _edge_strength(axes3d: Axes3D, flat: Array) -> float:
     """Return how strongly to draw edges, 0 to 1: those of a fine mesh would be all one sees."""
     if len(flat) == 0:
         return 0.0
     sides = flat[..., :2] - np.roll(flat[..., :2], 1, axis=1)
-    points = float(np.median(np.linalg.norm(sides, axis=2))) / stage.point
+    points = float(np.median(np.linalg.norm(sides, axis=2))) / axes3d.point
     return 0.0 if points < 3.0 else float(np.clip((points - 3.0) / 12.0, 0.15, 1.0))
 
 
-def _outline(points: Floats, triangles: NDArray[np.int64]) -> Floats:
+def _outline(points: Array, triangles: Integers) -> Array:
     """Return the ends (b, 2, 3) of the edges that belong to one triangle only.
 
     Vertices at the same place count as one, as the parts of folded triangles may bring their own.

@@ -1,4 +1,4 @@
-"""The program that reads a mesh file by gmsh or meshio, in a process of its own; see `foreign`.
+"""Read a mesh file by gmsh or meshio: a program for a process of its own, see `isolated_reader`.
 
 It imports nothing of this package, as that would start MPI. What it has read goes to the standard
 output: "E" and a text in words, or "A" and arrays in numpy's format .npz.

@@ -1,4 +1,4 @@
-"""Files read by other people's programs, gmsh and meshio, in a process of its own.
+"""Read mesh files by gmsh and meshio, other people's programs, in a process of their own.
 
 They are written for files that are sound. One that is damaged, or made to do harm, may crash them,
 keep them busy for ever or let them ask for all memory. There that ends nothing but their process.
@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from crms_fenicsx.meshes import apart
+from crms_fenicsx.meshes import reader_process
 from crms_fenicsx.runtime.errors import MeshError
 
 SECONDS, SPEED = 30, 1e6
@@ -30,7 +30,7 @@ SCRUBBED = ("OMPI_", "PMIX_", "PRTE_", "PMI_", "MPI_", "HYDRA_", "SLURM_")
 """Beginnings of the variables by which MPI's launcher tells a process that it is a rank."""
 
 
-def read_apart(file: Path, reader: Literal["gmsh", "meshio"]) -> dict[str, Any]:
+def read_isolated(file: Path, reader: Literal["gmsh", "meshio"]) -> dict[str, Any]:
     """Read a file in a process of its own, with limits of memory and time. Not collective.
 
     Parameters
@@ -43,7 +43,7 @@ def read_apart(file: Path, reader: Literal["gmsh", "meshio"]) -> dict[str, Any]:
     Returns
     -------
     dict
-        Arrays and lists of numbers and texts; see `apart`.
+        Arrays and lists of numbers and texts; see `reader_process`.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def read_apart(file: Path, reader: Literal["gmsh", "meshio"]) -> dict[str, Any]:
     own = {name: text for name, text in os.environ.items() if not name.startswith(SCRUBBED)}
     one = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
     done = subprocess.run(
-        [sys.executable, apart.__file__, reader, os.fspath(file.resolve()), str(seconds)],
+        [sys.executable, reader_process.__file__, reader, os.fspath(file.resolve()), str(seconds)],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,

@@ -1,0 +1,132 @@
+"""What a checkpoint holds besides the fields on the mesh: what is the same on all ranks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import chain
+
+from crms_fenicsx.checkpoint.codec import Plain
+from crms_fenicsx.energies.paper.step_history import StepHistory
+from crms_fenicsx.model.cable import Cable
+from crms_fenicsx.model.cable_state import CableState
+from crms_fenicsx.model.crossing import Crossing
+from crms_fenicsx.paths.tried_paths import TriedPaths
+from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.steps.load_step import Step
+from crms_fenicsx.surface.points import Support
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a solver knows of its load steps, besides the scene.
+
+    Attributes
+    ----------
+    steps
+        The accepted steps.
+    rows
+        Rows of the history.
+    step_history
+        What the step-wise laws know; None where there are none.
+    tried
+        Paths that cables have not taken; None before any were tried.
+    """
+
+    steps: list[Step]
+    rows: list[Mapping[str, int | float | str]]
+    step_history: StepHistory | None
+    tried: TriedPaths | None
+
+    def with_cells(self, cells: Array | None) -> Run:
+        """The run with a state of the cells, (n, 6), in what its step-wise laws know."""
+        if self.step_history is None:
+            return self
+        return replace(self, step_history=replace(self.step_history, cells=cells))
+
+
+@dataclass(frozen=True)
+class SavedCable:
+    """A laid cable; see `LaidCable`."""
+
+    name: str
+    cable: Cable
+    sleeve: bool
+    layer: int
+    state: CableState
+
+
+@dataclass(frozen=True)
+class Contents:
+    """All that a checkpoint holds but for the fields.
+
+    Attributes
+    ----------
+    scene
+        What tells the scene from others, see `fingerprint`.
+    held_edges
+        How many edges are held.
+    digests
+        Of the files with the fields, by their names.
+    pressure, load, floor, dissipated, energies
+        As in the scene.
+    laid
+        How many cables have been laid.
+    intensity
+        That of the dead load; None without.
+    strip
+        Ids of the vertices all whose cells are known to the cables.
+    run
+        Of its step history without the cells.
+    call
+        The call of `Solver.advance` that the checkpoint belongs to; None if to none.
+    """
+
+    scene: Plain
+    held_edges: int
+    digests: dict[str, str]
+    pressure: float
+    load: float
+    floor: float | None
+    laid: int
+    dissipated: float
+    energies: dict[str, float]
+    intensity: float | None
+    strip: tuple[int, ...]
+    cables: tuple[SavedCable, ...]
+    crossings: tuple[Crossing, ...]
+    run: Run
+    call: Plain | None
+
+    def check(self, n_vertices: int) -> None:
+        """Refuse what does not fit together, or a mesh with some number of vertices.
+
+        Raises
+        ------
+        ValueError
+            It says what.
+        """
+        if self.laid < len(self.cables):
+            raise ValueError(f"{self.laid} cables were laid, but {len(self.cables)} are there")
+        if self.intensity is not None and not self.intensity >= 0:
+            raise ValueError(f"a dead load of the intensity {self.intensity}")
+        ids = [*self.strip, *chain.from_iterable(self._supports())]
+        if ids and not 0 <= min(ids) <= max(ids) < n_vertices:
+            raise ValueError(f"vertices {min(ids)} to {max(ids)} of a mesh with {n_vertices}")
+        numbers = range(len(self.cables))
+        if any(k.lower not in numbers or k.upper not in numbers for k in self.crossings):
+            raise ValueError("a crossing of cables that are not there")
+        for state in (cable.state for cable in self.cables):
+            for node in state.nodes:
+                if (node.point is None) != (node.kind == "anchor"):
+                    raise ValueError(f"a node of kind {node.kind!r} with the point {node.point!r}")
+                if node.crossing is not None and node.crossing not in range(len(self.crossings)):
+                    raise ValueError(f"a node of the crossing {node.crossing}, which is not there")
+            if state.axial is not None and len(state.axial.rest) != len(state.axial.curve.arc):
+                raise ValueError("a cable whose unstressed arcs are not those of its curve")
+
+    def _supports(self) -> Iterator[Support]:
+        """The vertices on or between which cables and crossings are."""
+        nodes = chain.from_iterable(cable.state.nodes for cable in self.cables)
+        yield from (node.point.support for node in nodes if node.point is not None)
+        yield from (crossing.support for crossing in self.crossings)

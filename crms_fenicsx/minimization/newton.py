@@ -1,0 +1,116 @@
+"""Newton's method, which takes over where quasi-Newton stages come to little.
+
+Where much of a membrane is wrinkled or slack, what the quasi-Newton updates have learnt is wrong as
+soon as some more cells have wrinkled. Then H0 without updates is rebuilt in each iteration:
+Newton's method on an energy whose slope has kinks, with a part of the taut stiffness on top that
+grows where the energy falls less than promised, and shrinks else.
+"""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+from crms_fenicsx.minimization.initial_hessian import InitialHessian
+from crms_fenicsx.minimization.potential import Potential
+
+STUBBORN, PATIENCE = 0.1, 8
+"""Reduction of the residual by a stage above which Newton's method takes over, after how many
+stages: cables that pass vertices take a few, and no Newton step makes that faster."""
+
+RESTRAINT = 1e-2
+"""Part of the taut stiffness that wrinkled cells have at first in Newton's method, relative to the
+root of the residual over the force scale."""
+
+NEWTON_STAGES = 20
+"""Iterations of Newton's method in which the residual must fall by more than that."""
+
+STEADY, RISE = 1e-10, 1e-11
+"""Fall of the energy, relative to it, below which the trapezoidal rule takes its place in Newton's
+method, and rise up to which: that much is rounding."""
+
+DESCENT, SHORTEST = 1e-4, 1e-3
+"""Least part of the descent promised that a Newton step must keep, and the shortest one tried."""
+
+
+class NewtonMethod:
+    """Steps of Newton's method on a potential, with H0 as its Hessian.
+
+    Parameters
+    ----------
+    potential
+        What is minimised.
+    h0
+        Its stiffness, rebuilt before each step.
+
+    Attributes
+    ----------
+    active
+        Whether it has taken over.
+    restraint
+        Part of the taut stiffness that wrinkled cells have on top of their tangent.
+    """
+
+    def __init__(self, potential: Potential, h0: InitialHessian) -> None:
+        self.potential, self.h0 = potential, h0
+        self.active, self.restraint = False, RESTRAINT
+        self._count, self._mark = 0, 0.0
+
+    def take_over(self, residual: float, reduced: float, scale: float) -> None:
+        """Begin where a stage has `reduced` the residual to little less than it was.
+
+        Parameters
+        ----------
+        residual, reduced
+            Norm of the gradient, and that at the last stage's start (force).
+        scale
+            Scale of the forces.
+        """
+        self.active, self._count, self._mark = residual > STUBBORN * reduced, 0, residual
+        self.restraint = RESTRAINT * (residual / max(scale, residual)) ** 0.5
+
+    def check_progress(self, residual: float) -> None:
+        """Give up where the residual has not fallen in `NEWTON_STAGES` iterations."""
+        self._count += 1
+        if self._count == NEWTON_STAGES:
+            self.active = residual <= STUBBORN * self._mark
+            self._count, self._mark = 0, residual
+
+    def step(
+        self, x0: PETSc.Vec, g0: PETSc.Vec, energy0: float, x: PETSc.Vec, g: PETSc.Vec, d: PETSc.Vec
+    ) -> bool:
+        """Step by H0 alone, as far as the energy falls.
+
+        Parameters
+        ----------
+        x0, g0, energy0
+            The state evaluated last, its gradient and its energy.
+        x, g, d
+            Where the new state, its gradient and the whole step go.
+
+        Returns
+        -------
+        Whether the energy has fallen; the potential is then in the new state.
+        """
+        part, kept, fallen = 2.0, 0.0, False
+        self.h0.solve(g0, d)
+        slope = -g0.dot(d)
+        while not fallen and part >= SHORTEST:
+            part *= 0.5
+            x.waxpy(-part, d, x0)
+            energy = self.potential.objective_gradient(None, x, g)
+            change = energy - energy0
+            if -STEADY * abs(energy) <= change <= RISE * abs(energy):
+                change = 0.5 * part * (slope - g.dot(d))
+            fallen = change <= DESCENT * part * slope
+            kept = change / (part * (1 - part / 2) * slope)  # of what H0 promises
+        if not fallen:
+            factor = 10.0
+            if not energy - energy0 <= RISE * abs(energy):
+                self.potential.place(x0)
+        elif part < 0.25 or kept < 0.25:
+            factor = 3.0
+        else:
+            factor = 0.1 if kept > 0.9 else 0.3 if kept > 0.6 else 1.0
+            factor = factor if part == 1.0 else 1.0
+        self.restraint = min(factor * self.restraint, 1.0)
+        return fallen

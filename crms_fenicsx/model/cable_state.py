@@ -1,0 +1,106 @@
+"""What load steps change of a laid cable: its path, its tension, what friction remembers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+
+from crms_fenicsx.model.friction_history import AxialGrip, Grip
+from crms_fenicsx.runtime.arrays import Array, Booleans
+from crms_fenicsx.surface.points import EdgePoint, SurfacePoint, VertexPoint
+
+End = Literal["tied", "held", "off"]
+"""How a cable's end is held: tied to a place of the membrane, held at its place on a held part of
+the membrane, or by an anchor off the membrane."""
+
+
+@dataclass(frozen=True)
+class CableNode:
+    """A point of a cable's polyline.
+
+    Attributes
+    ----------
+    kind
+        "vertex": a mesh vertex. "fold": slides freely on an edge, which folds there. "rail":
+        slides freely along an edge that is held, and so stays straight. "rider": is tied to a
+        place of the membrane. "anchor": held in space. "crossing": free, shared with another
+        cable.
+    point
+        Its place on the mesh; None for an anchor.
+    crossing
+        Number of the scene's crossing that it belongs to; a fold point on an edge that another
+        cable follows has one as well.
+    """
+
+    kind: Literal["vertex", "fold", "rail", "rider", "anchor", "crossing"]
+    point: SurfacePoint | None = None
+    crossing: int | None = None
+
+    @property
+    def slides(self) -> bool:
+        """Whether its place on its edge is an unknown."""
+        return self.kind in ("fold", "rail")
+
+    @property
+    def support(self) -> tuple[int, ...]:
+        """Ids of the vertices on which it lies, or between which; it is no anchor."""
+        assert self.point is not None, "an anchor has no place on the mesh"
+        return self.point.support
+
+    @property
+    def touches_cable(self) -> bool:
+        """Whether another cable lies over or under it."""
+        return self.kind == "crossing" or self.crossing is not None
+
+    def masters(self, fraction: float | None = None) -> tuple[tuple[int, ...], tuple[float, ...]]:
+        """Vertices (ids) and weights that give the place on the unfolded mesh."""
+        point = self.point
+        if isinstance(point, VertexPoint):
+            return (point.vertex,), (1.0,)
+        if isinstance(point, EdgePoint):
+            s = point.fraction if fraction is None else fraction
+            return point.edge, (1 - s, s)
+        assert point is not None, "an anchor has no place on the mesh"
+        return point.cell, point.weights
+
+
+@dataclass(frozen=True)
+class StepStart:
+    """State of a cable with the step-wise law at the start of a step, (2.2-2, 3)."""
+
+    tension: float
+    length: float
+    energy: float
+
+
+@dataclass(frozen=True)
+class CableState:
+    """All that changes of a laid cable, as one value; see the attributes of `LaidCable`.
+
+    A snapshot is a reference to it and a change another one, see `LaidCable.update`. Its arrays are
+    read-only. The shapes in the type hints are those that a checkpoint is checked against.
+    """
+
+    nodes: Annotated[tuple[CableNode, ...], "n"]
+    positions: Annotated[Array, "n", 3]
+    fractions: Annotated[Array, "n"]
+    lifted: Annotated[Booleans, "n"]
+    reference_positions: Annotated[Array, "n", 3]
+    L0: float
+    length: float
+    tension: float
+    step_start: StepStart | None = None
+    taut: bool = False
+    path_is_geodesic: bool = False
+    ends_before: Annotated[Array, 2, 3] | None = None
+    blocked: tuple[int, ...] = ()
+    grip: Grip | None = None
+    axial: AxialGrip | None = None
+    excess: float = 0.0
+
+    def __post_init__(self) -> None:
+        for value in vars(self).values():
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False

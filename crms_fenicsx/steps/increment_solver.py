@@ -1,0 +1,167 @@
+"""Solve one increment of the loads: equilibrium, follower pressure and verification."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from crms_fenicsx.energies.paper.step_history import StepHistory
+from crms_fenicsx.equilibrium.search import EquilibriumSearch
+from crms_fenicsx.equilibrium.state import State
+from crms_fenicsx.equilibrium.system import System
+from crms_fenicsx.minimization.outcome import Outcome
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.scene import Scene
+from crms_fenicsx.steps.loading import Target, has_free_rim
+from crms_fenicsx.steps.options import Options
+from crms_fenicsx.steps.starting_prestress import starting_prestress
+from crms_fenicsx.verification.report import Verification
+from crms_fenicsx.verification.verifier import Verifier
+
+if TYPE_CHECKING:
+    from crms_fenicsx.paths.tried_paths import TriedPaths
+
+MOST_TURNS = 50
+"""Solves of an increment with the paper's pressure on a membrane with free edges."""
+
+
+class IncrementSolver:
+    """Brings a scene to the equilibrium at the loads of an increment, or leaves it as it was.
+
+    Parameters
+    ----------
+    scene
+        The scene; its state is advanced.
+    options
+        Those of the solver.
+    """
+
+    def __init__(self, scene: Scene, options: Options) -> None:
+        self.scene, self._options = scene, options
+        self._verifier = Verifier(scene) if options.verify else None
+        self._system: System | None = None
+        self._search: EquilibriumSearch | None = None
+        self._earlier: TriedPaths | None = None
+        """What the run has tried that this one goes on from."""
+        self._known: tuple[LaidCable, ...] = ()
+        """The cables of the load steps before."""
+
+    @property
+    def system(self) -> System:
+        """The potential of the scene and its minimiser; made when first needed."""
+        if self._system is not None and self._system.is_outdated:
+            self._drop_system()  # another solver has advanced the scene
+        if self._system is None:
+            self._system = System(self.scene, self._options.prefix, self._options.rtol)
+        return self._system
+
+    def _drop_system(self) -> None:
+        if self._system is not None:
+            self._system.destroy()
+        self._system = self._search = self._earlier = None
+
+    @property
+    def search(self) -> EquilibriumSearch:
+        """What finds the equilibrium of each increment; made when first needed."""
+        system = self.system
+        if self._search is None:
+            tried = self._earlier if self._options.slide else None
+            self._search = EquilibriumSearch(system, self._options.slide, tried)
+        return self._search
+
+    @property
+    def tried(self) -> TriedPaths | None:
+        """Paths that cables have not taken, if any were tried."""
+        if self._search is not None and self._search.tried is not None:
+            return self._search.tried
+        return self._earlier
+
+    def forget_removed(self) -> None:
+        """Let cables not inherit paths that were tried for one of their name that is gone."""
+        tried = self.tried
+        for cable in self._known:
+            if tried is not None and cable not in self.scene.cables:
+                tried.forget(cable.name)
+        self._known = self.scene.cables
+
+    def resume(self, tried: TriedPaths | None) -> None:
+        """Go on from load steps whose state the scene has, and which have tried some paths."""
+        self._drop_system()
+        self._earlier, self._known = tried, self.scene.cables
+
+    def restart_h0(self) -> None:
+        """Forget what the next solve would take over from the last one, as a resumed run has."""
+        if self._system is not None:
+            self._system.reset_h0()
+
+    def solve(
+        self, target: Target, first: State, before: State, done: float, goal: float, steps: int
+    ) -> tuple[Outcome, Verification | None]:
+        """Go on with the loads, and find and check the equilibrium there. Collective.
+
+        Where there is none, where a check fails and after an error, also an interrupt, the scene is
+        in its state before.
+
+        Parameters
+        ----------
+        target
+            Loads to which a call goes.
+        first
+            State in which the call has begun.
+        before
+            The scene's state.
+        done, goal, steps
+            Steps that are done before and after the increment, and those of the whole call.
+
+        Returns
+        -------
+        Outcome, and what the verification says; None where there was none.
+        """
+        history = self.scene.step_history
+        target.apply(self.scene, first, done / steps, goal / steps)
+        try:
+            prestress = starting_prestress(self.system, target, (goal - done) / steps)
+            outcome, verification = self._solve(prestress)
+        except BaseException:
+            self._go_back(before, history)
+            raise
+        if not outcome.converged:
+            self._go_back(before, history)
+        return outcome, verification
+
+    def _solve(self, h0_prestress: tuple[float, ...]) -> tuple[Outcome, Verification | None]:
+        if self._verifier is not None:
+            self._verifier.begin()
+        outcome, verification = self.search.find(h0_prestress), None
+        if outcome.converged and has_free_rim(self.scene):
+            outcome = self._turn_pressure(outcome)
+        if self._verifier is not None and outcome.converged:
+            verification = self._verifier.check(self.system, outcome)
+            if not verification.passed:
+                outcome = replace(outcome, converged=False, reason=str(verification))
+        if outcome.converged:
+            self.system.commit()
+        return outcome, verification
+
+    def _turn_pressure(self, outcome: Outcome) -> Outcome:
+        """Repeat a step with the paper's pressure until its forces are normal to the end state.
+
+        Each solve is a step of its own for what counts by steps.
+        """
+        for _ in range(MOST_TURNS):
+            self.system.commit()
+            more = self.search.find((0.0,))
+            outcome = outcome + more
+            if more.iterations == 0 or not more.converged:
+                return outcome
+        reason = f"the pressure at free edges still turns after {MOST_TURNS} solves"
+        return replace(outcome, converged=False, reason=reason)
+
+    def _go_back(self, before: State, history: StepHistory | None) -> None:
+        """Restore the state before an increment; `history` is what step-wise laws knew then."""
+        before.restore(self.scene)
+        if self.scene.step_history is not history:  # the pressure has turned
+            self.scene.step_history = history
+            self.scene.commits += 1
+        if self._system is not None:  # its tables may be those of other cables in tension
+            self._system.invalidate()
