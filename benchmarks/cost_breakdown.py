@@ -183,7 +183,7 @@ def measured(solver: Any, clock: Clock, rounds: int) -> dict[str, Any]:
         floor["solve"].append(timed(lambda: h0.pc.apply(b, y)))  # noqa: B023
         floor["fused"].append(timed(evaluate))
         solver.advance(pressure=0.8 * PRESSURE)
-        solver.system.forget()
+        solver.system.reset_h0()
     ms = {name: 1e3 * statistics.median(values) for name, values in floor.items()}
     middle = {part: tuple(np.sum(values, axis=0) / len(steps) * (1e3, 1))
               for part, values in parts.items()}  # fmt: skip
@@ -196,7 +196,7 @@ def measured(solver: Any, clock: Clock, rounds: int) -> dict[str, Any]:
     cells = len(scene.V.dofmap.list)
     membrane = middle["membrane, energy and forces"][0]
     cables = middle.get("cables, energy and forces", (0.0, 0))[0]
-    folded = 0 if not scene.cables else len(solver.system.tables.folded.cells)
+    folded = 0 if not scene.cables else len(solver.system.cables.tables.folded.cells)
     return {
         "parts": middle,
         "load step, ms": spent,

@@ -203,7 +203,7 @@ def again(solver: Any, feature: dict[str, Any], rounds: int) -> tuple[float, Any
     """
     spent, work = [], None
     for k in range(max(rounds, 3)):
-        solver.system.forget()
+        solver.system.reset_h0()
         began = time.process_time()
         if feature.get("pressure", PRESSURE):
             work = solver.advance(pressure=PRESSURE * (1.0 if k % 2 == 0 else 0.8)).outcome

@@ -6,10 +6,13 @@ A load step runs through the modules in one direction: `scene` (what there is) -
 """
 
 from crms_fenicsx import meshes
+from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.minimization.taylor import TaylorRates, taylor_test
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import IsotropicMembrane, OrthotropicMembrane
+from crms_fenicsx.model.ufl_material import UflMembrane
 from crms_fenicsx.runtime.errors import (
     ConvergenceError,
     FrictionWarning,
@@ -28,6 +31,7 @@ __version__ = "0.1.0"
 __all__ = [
     "Cable",
     "ConvergenceError",
+    "EnergyTerm",
     "Friction",
     "FrictionWarning",
     "InputError",
@@ -42,5 +46,8 @@ __all__ = [
     "Scene",
     "Solver",
     "Step",
+    "TaylorRates",
+    "UflMembrane",
     "meshes",
+    "taylor_test",
 ]

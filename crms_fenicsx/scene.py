@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
@@ -13,22 +12,23 @@ from mpi4py import MPI
 
 from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.enclosed_volume import gained_volume
+from crms_fenicsx.energies.checked_term import checked_energy
 from crms_fenicsx.energies.dead_load import DeadForces, Traction, dead_forces
 from crms_fenicsx.energies.paper.step_history import StepHistory
+from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.materials import LINEAR, MembraneMaterial
+from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.membrane import Marker, Membrane
+from crms_fenicsx.model.penalty import warn_of_penalty
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.runtime.errors import InputError, PenaltyWarning, collective, raised_together
+from crms_fenicsx.runtime.errors import InputError, collective, raised_together
 from crms_fenicsx.runtime.readonly import ReadOnly
 
 Law = Literal["total", "step"]
 
-STABLE_PENALTY = (1e-3, 1.0)
-"""Penalty factors between which folded cells are stable and do not lock."""
 ANOTHER = "make another Scene(...)"
 """What to do instead of assigning what a scene is made of."""
 
@@ -107,6 +107,8 @@ class Scene:
     cables: ReadOnly[Cables] = ReadOnly("_cables", "call scene.lay_cable(...) or scene.remove(...)")
     """The laid cables, in their order."""
     _cables = property(Cables.of)
+    terms: ReadOnly[tuple[EnergyTerm, ...]] = ReadOnly("_terms", "call scene.add_term(term)")
+    """The terms of the energy that have been added."""
     dead_forces: ReadOnly[DeadForces | None] = ReadOnly("_dead_forces", "call scene.put_load(...)")
     floor_level: ReadOnly[float | None] = ReadOnly("_floor_level", "call scene.floor(z)")
     strain_law: ReadOnly[Law] = ReadOnly("_strain_law", "give it to Scene(..., strain=...)")
@@ -145,17 +147,15 @@ class Scene:
             literal_penalty = checks.positive("Scene: literal_penalty", literal_penalty)
         self._literal_penalty = literal_penalty
         self.membrane = Membrane(mesh, material, pressure_on)
-        self._warn_of_penalty()
-        for own in self.materials.values():
-            if strain == "step" and own.law != LINEAR:
-                raise InputError(
-                    f'Scene: strain="step" has no wrinkling model, but the material is {own}; '
-                    "give it wrinkling=False."
-                )
+        if literal_penalty is None:
+            warn_of_penalty(self.comm, self.penalty)
+        if strain == "step":
+            self.membrane.refuse_step_strain()
         self.net = CableNet(self.membrane)
         self._floor_level: float | None = None
         self._pressure = self._load = 0.0
         self._dead_forces: DeadForces | None = None
+        self._terms: tuple[EnergyTerm, ...] = ()
         self.energies: dict[str, float] = {}
         """Energy of each kind of term in the current state (force x length)."""
         self.changes = 0
@@ -187,23 +187,6 @@ class Scene:
     def positions(self) -> Array:
         """Current positions of the vertices by local degree of freedom, (n, 3), with ghosts."""
         return self.membrane.positions()
-
-    def _warn_of_penalty(self) -> None:
-        lower, upper = STABLE_PENALTY
-        if self.literal_penalty is not None or lower <= self.penalty <= upper:
-            return
-        if self.comm.rank == 0:
-            happens = (
-                "folded cells are unstable, as sides in compression repel their fold points"
-                if self.penalty < lower
-                else "folded cells lock and cables come out too tight"
-            )
-            warnings.warn(
-                f"Scene: penalty = {self.penalty:g} lies outside {lower:g} ... {upper:g}: "
-                f"{happens}; give one in this range.",
-                PenaltyWarning,
-                stacklevel=3,
-            )
 
     def vertices(self, where: str | Marker) -> npt.NDArray[np.int32]:
         """Local degrees of freedom of the vertices of a named group or marked by a function.
@@ -283,6 +266,32 @@ class Scene:
         checks.same(self.comm, "put_load", force=force)
         self.membrane.check_finite("put_load")
         self._dead_forces = dead_forces(self.membrane, force)
+        self.changes += 1
+
+    @collective
+    def add_term(self, term: EnergyTerm) -> None:
+        """Add a term of your own to the potential energy; load steps minimise it with the rest.
+
+        Its energy is in `energies` under its name, and its forces are loads: supports carry them.
+        Terms are no part of checkpoints. A script that goes on from one adds them again.
+
+        Parameters
+        ----------
+        term
+            See `EnergyTerm`; `taylor_test` checks its derivatives.
+
+        Raises
+        ------
+        InputError
+            On all ranks: it is no `EnergyTerm`, its name is taken, or its sums, energy or forces
+            are not finite in the current state.
+        """
+        checks.same(self.comm, "add_term", term=term, name=getattr(term, "name", None))
+        self.membrane.check_finite("add_term")
+        taken = [other.name for other in self.terms]
+        term, energy = checked_energy(term, self.u, self.membrane.cell_tags, taken)
+        self._terms = (*self._terms, term)
+        self.energies = {**self.energies, term.name: energy}
         self.changes += 1
 
     def cable(self, name: str) -> LaidCable:

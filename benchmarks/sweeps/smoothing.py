@@ -12,7 +12,7 @@ import numpy as np
 from crms_fenicsx import Cable, Friction, IsotropicMembrane, PenaltyWarning, Scene, Solver, meshes
 from crms_fenicsx.energies import segments as length
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.scene import STABLE_PENALTY
+from crms_fenicsx.model.penalty import STABLE_PENALTY
 from sweeps.judge import Judge, Point
 from sweeps.scenes import (
     COMM,

@@ -57,7 +57,7 @@ def tests(solver: Solver, *, anew: bool = True, lying: bool = True) -> Iterator[
     yield "energy is not the sum of its parts", abs(scene.energy - solver.steps[-1].energy), 0.0
     yield from _cables(scene, lying)
     system = System(scene, "crms_anew_", solver.rtol) if anew else solver.system
-    system.pull()
+    system.read_scene()
     energy, scale = system.potential.evaluate_terms()
     forces = scale
     if scene.pressure == 0.0 and (scene.dead_forces is None or scene.load == 0.0):
@@ -158,7 +158,7 @@ def least_stiffness(solver: Solver) -> Test:
     For small meshes: two evaluations for each unknown.
     """
     system = solver.system
-    system.pull()
+    system.read_scene()
     potential, unknowns = system.potential, system.unknowns
     n, step = unknowns.n_owned, 1e-6 * solver.scene.membrane.size
     free = ~unknowns.held[:n]
@@ -179,7 +179,7 @@ def least_stiffness(solver: Solver) -> Test:
     for vector in (X, G):
         vector.destroy()
     solver.scene.u.x.array[:] = u  # which evaluations change
-    system.pull()
+    system.read_scene()
     stiffness = np.array(rows)
     values = np.linalg.eigvalsh((stiffness + stiffness.T) / 2)
     return "negative stiffness", max(0.0, -values[0] / values[-1]), STIFFNESS

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.model.materials import MembraneMaterial
+from crms_fenicsx.model.ufl_material import UflMembrane
 from crms_fenicsx.output.npy import digest
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.scene import Scene
@@ -22,7 +23,13 @@ def fingerprint(scene: Scene) -> dict[str, Any]:
     -------
     dict
         By name, in the order in which differences are worth telling; made of numbers and texts.
+
+    Raises
+    ------
+    InputError
+        The scene has a term of the user's with a history, which no checkpoint keeps.
     """
+    refuse_history(scene)
     mesh = scene.mesh.mesh
     cells = cell_vertex_ids(mesh)[: mesh.topology.index_map(2).size_local]
     tags = np.zeros((len(cells), 1), dtype=np.int64)
@@ -38,7 +45,24 @@ def fingerprint(scene: Scene) -> dict[str, Any]:
         "pressure": scene.pressure_law,
         "penalty": scene.penalty,
         "literal_penalty": scene.literal_penalty,
+        "added terms": [term.name for term in scene.terms],
     }
+
+
+def refuse_history(scene: Scene) -> None:
+    """Refuse to make checkpoints of a scene with terms whose history they would not keep.
+
+    Raises
+    ------
+    InputError
+        It names the first such term.
+    """
+    for term in scene.terms:
+        if term.has_history:
+            raise InputError(
+                f"the term {term.name!r} has a history, which checkpoints do not keep; do without "
+                "checkpoints (resume=None), or without the term"
+            )
 
 
 def check_same(saved: dict[str, Any], scene: Scene) -> None:
@@ -70,7 +94,10 @@ def _same(a: object, b: object) -> bool:
 def _described(material: MembraneMaterial) -> list[Any]:
     warp = material.warp
     direction = "a function" if callable(warp) else warp if warp is None else [*map(float, warp)]
-    return [type(material).__name__, [float(value) for value in material.parameters], direction]
+    values = [float(value) for value in material.parameters]
+    if isinstance(material, UflMembrane):
+        values += material.samples
+    return [type(material).__name__, values, direction]
 
 
 def mixed(scene: Scene, rows: npt.NDArray[np.int64]) -> str:

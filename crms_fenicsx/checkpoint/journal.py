@@ -20,6 +20,7 @@ from mpi4py import MPI
 from crms_fenicsx.checkpoint.call_record import difference, scene_record
 from crms_fenicsx.checkpoint.codec import Plain, decode, encode
 from crms_fenicsx.checkpoint.contents import Run
+from crms_fenicsx.checkpoint.fingerprint import refuse_history
 from crms_fenicsx.checkpoint.folder import ASIDE, complete
 from crms_fenicsx.checkpoint.state import STATE, Saved, read, reading, restore, save
 from crms_fenicsx.runtime.errors import InputError, raised_together
@@ -104,9 +105,10 @@ class Journal:
         Raises
         ------
         InputError
-            On all ranks: there was another call, the scene was another one, or the checkpoint
-            cannot be read.
+            On all ranks: there was another call, the scene was another one or has a term with a
+            history, or the checkpoint cannot be read.
         """
+        refuse_history(scene)
         self._number += 1
         call: Plain = {"solver": self.options, "advance": loads, "scene": scene_record(scene)}
         saved = self._saved() if self._replaying else None

@@ -25,12 +25,12 @@ import numpy.typing as npt
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.block_patterns import ElementPattern, SegmentPattern
-from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.capstan_chain import ENERGY, find_slips
 from crms_fenicsx.energies.edge_fractions import add_slip_forces, edge_fractions
 from crms_fenicsx.energies.segments import add_segment_forces, segment_lengths, segment_stiffness
 from crms_fenicsx.energies.smooth_coulomb import friction_energy, secant_stiffness
+from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import Array, Indices
 
 MOST_DYADS = 8
@@ -103,7 +103,7 @@ class _Run:
     stretch: float
 
 
-class CapstanTension:
+class CapstanTension(EnergyTerm):
     """Strain energy of cables with friction along their axis, and the potential of that friction.
 
     Parameters
@@ -118,6 +118,7 @@ class CapstanTension:
     """
 
     name = "cables"
+    has_dyads = True
 
     def __init__(self, chains: Chains, grips: Grips, L0: Array) -> None:
         self.chains, self.grips, self.L0 = chains, grips, L0
@@ -133,10 +134,6 @@ class CapstanTension:
         self._runs: list[_Run] = []
         self.pattern = SegmentPattern(c.segments)
         self._prepare_links()
-
-    def attach(self, unknowns: Unknowns) -> None:
-        """Use the positions of this layout."""
-        self.unknowns = unknowns
 
     def renew(self, grips: Grips) -> None:
         """Take other bounds and places of rest for the same nodes."""

@@ -9,9 +9,9 @@ import numpy.typing as npt
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.block_patterns import SegmentPattern
-from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.segments import add_segment_forces, segment_lengths, segment_stiffness
+from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.model.cable_state import StepStart
 from crms_fenicsx.model.laid_cable import NEARLY_TAUT
 from crms_fenicsx.runtime.arrays import Array
@@ -19,7 +19,7 @@ from crms_fenicsx.runtime.arrays import Array
 EPSILON = float(np.finfo(float).eps)
 
 
-class CableTension:
+class CableTension(EnergyTerm):
     """``EA/(2 L0) (L - L0)^2`` where L > L0, L the length of a cable's whole polyline.
 
     Parameters
@@ -38,6 +38,7 @@ class CableTension:
     """
 
     name = "cables"
+    has_dyads = True
     starts: Sequence[StepStart | None] = ()
     """States at the step's start of cables that have the step-wise law."""
 
@@ -56,10 +57,6 @@ class CableTension:
         self._lengths = np.zeros(len(segments))
         self._forces = np.zeros(len(segments))
         self.pattern = SegmentPattern(segments)
-
-    def attach(self, unknowns: Unknowns) -> None:
-        """Use the positions of this layout."""
-        self.unknowns = unknowns
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of each cable's length."""

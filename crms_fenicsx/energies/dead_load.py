@@ -10,17 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, raised_together
-
-if TYPE_CHECKING:
-    from crms_fenicsx.dofs.layout import Unknowns
 
 Traction = Sequence[float] | Array | Callable[[Array, Array], Array]
 """Force per area, (3,), or a function of points and unit normals, both (3, n), giving (3, n)."""
@@ -92,7 +89,7 @@ def _tractions(traction: Traction, points: Array, normals: Array) -> Array:
     return np.asarray(given.T, dtype=np.float64)
 
 
-class DeadLoad:
+class DeadLoad(EnergyTerm):
     """Potential ``-factor F . u`` of a dead load with the nodal forces F.
 
     Parameters
@@ -107,15 +104,10 @@ class DeadLoad:
     """
 
     name = "dead load"
-    n_sums = 1
 
     def __init__(self, load: DeadForces) -> None:
         self.forces, self.factor = load.forces, 0.0
         self._u, self._scaled = np.zeros_like(load.forces), np.zeros_like(load.forces)
-
-    def attach(self, unknowns: Unknowns) -> None:
-        """Use this layout."""
-        self.unknowns = unknowns
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the work at the factor 1 (force x length)."""

@@ -20,8 +20,8 @@ import numpy as np
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.block_patterns import ElementPattern
-from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
+from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import Array, Indices
 
 EPSILON = float(np.finfo(float).eps)
@@ -110,7 +110,7 @@ def _add_forces(points, coefficients, r, dr, g):  # type: ignore[no-untyped-def]
                 g[points[k, m], i] += factor * dr[k, m, i]
 
 
-class KinkPenalty:
+class KinkPenalty(EnergyTerm):
     """``sum mu (w r)^2`` over the places where a chord meets a side, (2.5-1).
 
     Parameters
@@ -120,7 +120,6 @@ class KinkPenalty:
     """
 
     name = "penalty"
-    n_sums = 1
 
     def __init__(self, table: Kinks) -> None:
         self.table = table
@@ -130,19 +129,11 @@ class KinkPenalty:
         pointers = np.arange(0, 4 * n + 1, 4, dtype=np.int32)
         self.pattern = ElementPattern(pointers, table.points.reshape(-1))
 
-    def attach(self, unknowns: Unknowns) -> None:
-        """Use the positions of this layout."""
-        self.unknowns = unknowns
-
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the penalty; keeps residuals for the gradient."""
         t = self.table
         residual(self.unknowns.X, x, t.points, t.weighted, self.residuals, self._dr)
         out[0] = np.dot(t.coefficients, self.residuals * self.residuals)
-
-    def energy(self, sums: Array) -> float:
-        """The penalty (force x length)."""
-        return float(sums[0])
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Add the penalty's nodal forces."""

@@ -16,7 +16,6 @@ import numpy as np
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.block_patterns import ElementPattern, SegmentPattern
-from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies import stress_laws as laws
 from crms_fenicsx.energies.segments import (
@@ -27,6 +26,7 @@ from crms_fenicsx.energies.segments import (
     slope_over_distance,
 )
 from crms_fenicsx.energies.stiffening import Stiffening
+from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import Array, Indices
 
 
@@ -185,7 +185,7 @@ def cell_stiffness(  # type: ignore[no-untyped-def]
                                 block[a, b] += K[k, n] * B[k, i, a] * B[n, j, b]
 
 
-class FoldEnergy:
+class FoldEnergy(EnergyTerm):
     """Strain energy of the folded cells, in total formulation, (2.3).
 
     Parameters
@@ -198,7 +198,7 @@ class FoldEnergy:
     """
 
     name = "membrane"
-    n_sums = 1
+    stiffening: Stiffening
 
     def __init__(self, table: FoldedCells, stiffening: Stiffening) -> None:
         self.table, self.stiffening = table, stiffening
@@ -213,10 +213,6 @@ class FoldEnergy:
         self._element_pointers, self._element_blocks = table.element_blocks
         self.elements = ElementPattern(self._element_pointers, self._element_blocks)
         self.edges = SegmentPattern(table.segments)
-
-    def attach(self, unknowns: Unknowns) -> None:
-        """Use the positions of this layout."""
-        self.unknowns = unknowns
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the energy; keeps the segments' forces for the gradient."""
@@ -233,10 +229,6 @@ class FoldEnergy:
         In the material axes, (n, 7).
         """
         return self.results
-
-    def energy(self, sums: Array) -> float:
-        """Strain energy (force x length)."""
-        return float(sums[0])
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Add the nodal forces of the segments."""

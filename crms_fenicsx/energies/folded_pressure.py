@@ -15,6 +15,7 @@ import numpy as np
 from dolfinx import fem
 
 from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import Array, Indices
 
 
@@ -68,18 +69,17 @@ def _add_volume_gradient(X, x, corners, weights, origin, factor, g):  # type: ig
             g[node, 2] += scale * (a[0] * b[1] - a[1] * b[0])
 
 
-class FoldedFollowerPressure:
+class FoldedFollowerPressure(EnergyTerm):
     """Potential ``-p (V - V0)`` of the folded cells, as `FollowerPressure`."""
 
     name = "pressure"
-    n_sums = 1
 
     def __init__(self, table: Facets, pressure: fem.Constant, origin: Array) -> None:
         self.table, self.pressure, self.origin = table, pressure, origin
 
     def attach(self, unknowns: Unknowns) -> None:
         """Use the positions of this layout."""
-        self.unknowns = unknowns
+        super().attach(unknowns)
         corners = self.table.plain_corners
         self._stress_free = _volume(
             unknowns.X, np.zeros_like(unknowns.X), corners, np.ones(len(corners)), self.origin

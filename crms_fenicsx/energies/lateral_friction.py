@@ -19,10 +19,10 @@ import numpy as np
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.block_patterns import ElementPattern
-from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.edge_fractions import add_slip_forces, edge_fractions
 from crms_fenicsx.energies.smooth_coulomb import friction_energy, secant_stiffness
+from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import Array, Indices
 
 
@@ -54,7 +54,7 @@ class Slips:
     eps: Array
 
 
-class StickSlip:
+class StickSlip(EnergyTerm):
     """Friction of the sliding nodes of cables, (3.3-1) with stick.
 
     Parameters
@@ -64,7 +64,6 @@ class StickSlip:
     """
 
     name = "friction"
-    n_sums = 1
 
     def __init__(self, table: Slips) -> None:
         self.table = table
@@ -72,10 +71,6 @@ class StickSlip:
         self._fractions, self.slips, self._force = np.zeros(n), np.zeros(n), np.zeros(n)
         self._gradients = np.zeros((len(table.blocks), 3))
         self.pattern = ElementPattern(table.pointers, table.blocks)
-
-    def attach(self, unknowns: Unknowns) -> None:
-        """Use the positions of this layout."""
-        self.unknowns = unknowns
 
     def renew(self, table: Slips) -> None:
         """Take other forces and material curves for the same nodes."""
@@ -90,10 +85,6 @@ class StickSlip:
         np.multiply(t.slope, self._fractions, out=self.slips)
         self.slips += t.offset
         out[0] = friction_energy(self.slips, t.bound, t.eps, self._force)
-
-    def energy(self, sums: Array) -> float:
-        """The friction potential (force x length)."""
-        return float(sums[0])
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Add the friction forces."""

@@ -12,19 +12,21 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from petsc4py import PETSc
 
-from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.integral import Integral, one_point
 from crms_fenicsx.energies.kinematics import Kinematics, tangent_basis, tensile_part, warp_field
 from crms_fenicsx.energies.stiffening import Stiffening
+from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.meshes.cell_geometry import area_vectors, cell_normals
 from crms_fenicsx.model.materials import (
     LINEAR,
     ORTHOTROPIC_TENSION_FIELD,
+    UFL_LAW,
     LawTerms,
     MembraneMaterial,
     law_terms,
 )
+from crms_fenicsx.model.ufl_material import UflMembrane
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.compat import geometry_dofmap
 
@@ -35,7 +37,7 @@ if TYPE_CHECKING:
 EPSILON = float(np.finfo(float).eps)
 
 
-class MembraneEnergy:
+class MembraneEnergy(EnergyTerm):
     """Strain energy of the cells whose `plain` indicator is 1, in total formulation.
 
     Parameters
@@ -58,6 +60,8 @@ class MembraneEnergy:
     """
 
     name = "membrane"
+    integral: Integral
+    stiffening: Stiffening
 
     def __init__(
         self,
@@ -91,6 +95,8 @@ class MembraneEnergy:
             if material.law == ORTHOTROPIC_TENSION_FIELD:
                 assert self.tension_field is not None
                 law = self.tension_field.terms(parameters)
+            elif isinstance(material, UflMembrane):
+                law = material.law_terms(kinematics.strain(), parameters)
             else:
                 law = law_terms(material.law, kinematics.strain(), parameters)
             self.terms[tag] = (law, kinematics)
@@ -119,7 +125,8 @@ class MembraneEnergy:
         for tag, (law, kinematics) in self.terms.items():
             linear = self.materials[tag].law == LINEAR
             a, b = kinematics.strain_variation(v), kinematics.strain_variation(du)
-            S = tensile_part(law.stress) if linear else law.stress
+            compressible = linear or self.materials[tag].law == UFL_LAW
+            S = tensile_part(law.stress) if compressible else law.stress
             S = S + self.stiffening.prestress * ufl.Identity(2)
             dv = [ufl.dot(ufl.grad(v), e) for e in kinematics.basis]
             ddu = [ufl.dot(ufl.grad(du), e) for e in kinematics.basis]
@@ -145,19 +152,9 @@ class MembraneEnergy:
         row = np.searchsorted(wanted, tags[own]).astype(np.int32)
         return TensionField(self.u, cells[own], self.material_axes(cells[own]), parameters, row)
 
-    def attach(self, unknowns: Unknowns) -> None:
-        """Use this layout."""
-        self.unknowns = unknowns
-
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the energy."""
         out[0] = self.integral.value
-
-    def energy(self, sums: Array) -> float:
-        """Strain energy (force x length)."""
-        return float(sums[0])
-
-    n_sums = 1
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Add the nodal forces of this rank's cells."""

@@ -7,13 +7,13 @@ from typing import Any
 import ufl
 from dolfinx import fem
 
-from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.integral import Integral
 from crms_fenicsx.energies.kinematics import Kinematics, tangent_basis
+from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import Array
 
 
-class FollowerPressure:
+class FollowerPressure(EnergyTerm):
     """Potential ``-p (V - V0)`` of a uniform pressure, V the volume under the membrane.
 
     Its gradient is the pressure's exact nodal forces, normal to the current surface, as long as the
@@ -39,7 +39,7 @@ class FollowerPressure:
     """
 
     name = "pressure"
-    n_sums = 1
+    integral: Integral
 
     def __init__(
         self,
@@ -67,10 +67,6 @@ class FollowerPressure:
             return cells / 3 * (change * q - pressure * work) * dx
 
         self.integral = Integral(u.function_space, variation)
-
-    def attach(self, unknowns: Unknowns) -> None:
-        """Use this layout."""
-        self.unknowns = unknowns
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the volume gained, V - V0 (length cubed)."""

@@ -25,6 +25,7 @@ import numpy.typing as npt
 from dolfinx import fem, la
 
 from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime.arrays import Array, Indices
 
@@ -100,7 +101,7 @@ def _ends(V: fem.FunctionSpace, a: Indices, b: Indices, s: Array) -> tuple[Indic
     return ends, excess[ends].copy()
 
 
-class RimPressure:
+class RimPressure(EnergyTerm):
     """Potential of the pressure on what closes the volume at the rim: ``-p`` times its change.
 
     Parameters
@@ -114,13 +115,13 @@ class RimPressure:
     """
 
     name = "pressure"
-    n_sums = 1
 
     def __init__(self, rim: Rim, pressure: fem.Constant, origin: Array) -> None:
         self.rim, self.pressure, self.origin = rim, pressure, origin
 
     def attach(self, unknowns: Unknowns) -> None:
         """Use this layout."""
+        super().attach(unknowns)
         vertex, direction = np.divmod(self.rim.components, 3)
         self._at = 3 * unknowns.vertex_blocks()[vertex] + direction
         self._X = (unknowns.X - self.origin).reshape(-1)[self._at]

@@ -64,7 +64,7 @@ class ContactLoop:
             solve ends there.
         """
         system, active = self.system, self.active
-        system.pull()
+        system.read_scene()
         system.locate_cables()
         changes = active.tighten()  # contacts can be judged on a solved state only
         if self.retracer is not None and not changes and self.retracer.straighten():
@@ -74,7 +74,7 @@ class ContactLoop:
 
         def interrupt() -> bool:
             nonlocal changes, looked
-            system.push()
+            system.write_scene()
             changes = self._changes()
             if changes:
                 return True
@@ -87,10 +87,10 @@ class ContactLoop:
                 if self.retracer is not None:
                     self.retracer.straighten()
                 system.rebuild()
-                system.pull()
+                system.read_scene()
             if system.has_history:  # the step starts there for all its terms
                 self.start.restore_positions(self.scene)
-                system.pull()
+                system.read_scene()
             changes = []
             outcome = system.minimize(h0_prestress, interrupt)
             h0_prestress = (0.0,)  # the membrane has stresses now
@@ -98,7 +98,7 @@ class ContactLoop:
             if not outcome.converged:
                 return total
             if outcome.reason != "interrupted":
-                system.push()
+                system.write_scene()
                 changes = self._changes()
             if not changes:
                 if not looked and look is not None:

@@ -57,9 +57,9 @@ class EquilibriumSearch:
         self._begin_friction()
         self.system.prepare()
         if not self.scene.cables:
-            self.system.pull()
+            self.system.read_scene()
             outcome = self.system.minimize(h0_prestress)
-            self.system.push()
+            self.system.write_scene()
             return outcome
         contacts, friction = self._loops(State.of(self.scene))
         outcome = self._unsmoothed(friction.solve(h0_prestress), contacts)
@@ -122,4 +122,4 @@ class EquilibriumSearch:
         for cable in net.cables:
             begin(cable, shape)
         if not known:
-            self.system.expire()
+            self.system.invalidate()

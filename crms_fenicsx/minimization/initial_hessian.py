@@ -86,7 +86,7 @@ class InitialHessian:
         self.pc = PETSc.PC().create(unknowns.comm)
         self.pc.setOptionsPrefix(prefix)
         self.pc.setOperators(self.matrix)
-        if 3 * unknowns.n_global <= DIRECT or any(hasattr(t, "dyads") for t in potential.terms):
+        if 3 * unknowns.n_global <= DIRECT or any(t.has_dyads for t in potential.terms):
             self.pc.setType(PETSc.PC.Type.CHOLESKY)
             self.pc.setFactorSolverType("cholmod" if unknowns.comm.size == 1 else "mumps")
         else:

@@ -23,12 +23,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from crms_fenicsx.energies.stiffening import Stiffening
 from crms_fenicsx.minimization.initial_hessian import InitialHessian, at_bounds
 from crms_fenicsx.minimization.newton import PATIENCE, NewtonMethod
 from crms_fenicsx.minimization.outcome import Outcome
@@ -225,7 +225,7 @@ class Minimizer:
             raise self._error
         return ended
 
-    def forget(self) -> None:
+    def reset_h0(self) -> None:
         """Begin the next solve with a new H0, as another process would."""
         self._aged = True
 
@@ -235,10 +235,10 @@ class Minimizer:
         `renewals` have been in this solve before; `failures` of line searches just now.
         """
         prestress = h0_prestress[min(renewals, len(h0_prestress) - 1)]
-        for term in self._stiffened():
-            term.stiffening.set(prestress, failures)
+        for stiffening in self._stiffenings():
+            stiffening.set(prestress, failures)
             if self._newton_method.active:
-                term.stiffening.floor.value = self._newton_method.restraint
+                stiffening.floor.value = self._newton_method.restraint
         self._length = STAGE_LENGTHS[min(renewals, len(STAGE_LENGTHS) - 1)]
         self.h0.rebuild()
         if not self._h0_set:
@@ -246,8 +246,8 @@ class Minimizer:
             self.h0.solve_for(self.tao.getLMVMH0KSP())
             self._h0_set = True
 
-    def _stiffened(self) -> list[Any]:
-        return [term for term in self.potential.terms if hasattr(term, "stiffening")]
+    def _stiffenings(self) -> list[Stiffening]:
+        return [t.stiffening for t in self.potential.terms if t.stiffening is not None]
 
     def _place_bounds(self) -> None:
         if self._bounds is not None:
@@ -319,8 +319,8 @@ class Minimizer:
             if ended < 0:
                 reason, self._aged = REASONS.get(ended, f"TAO reason {ended}"), True
             failures = failures + 1 if ended == SEARCH_FAILED else 0
-        for term in self._stiffened():
-            term.stiffening.set(0.0)
+        for stiffening in self._stiffenings():
+            stiffening.set(0.0)
         self._aged |= reason != "converged"
         if reason not in ("converged", "interrupted") and rounding > tolerance:
             reason += (

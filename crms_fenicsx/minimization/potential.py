@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from typing import Protocol
 
 import numpy as np
 from dolfinx import fem
@@ -18,42 +17,10 @@ from petsc4py import PETSc
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.integral import OnePass
+from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.minimization.damping import Damping
 from crms_fenicsx.runtime import interrupt
 from crms_fenicsx.runtime.arrays import Array
-
-
-class Term(Protocol):
-    """A term of the potential.
-
-    The evaluation has two halves around the one reduction over the ranks: every term first writes
-    this rank's share of its scalar sums (energies, volumes, cable lengths), then computes energy
-    and gradient from the global sums. What both halves need is computed in `sums`, and kept.
-    Terms may also have
-
-    ``integral``
-        An `Integral`: its value and gradient are up to date before `sums`.
-    ``add_stiffness(x, sums, A)`` and ``count_stiffness(sizes)``
-        Add a positive semidefinite stiffness, blocks of three by local numbers, to the matrix; and
-        count its blocks in `RowSizes`, once for a layout.
-    ``dyads(sums)`` and ``add_dyad_column(k, x, g)``
-        Stiffness of the form ``value * column column^T`` that couples many points: the values,
-        and this rank's part of column k.
-    ``rounding(x, sums)``
-        Squared norm of what rounding leaves of forces that cancel each other at this rank's points.
-    ``begin_step(x)`` and ``commit(x, sums)``
-        Start and end of an accepted load step, for terms with history.
-
-    ``attach(unknowns)`` is called when the term joins a potential, with the layout to work in.
-    """
-
-    name: str
-    n_sums: int
-
-    def attach(self, unknowns: Unknowns) -> None: ...
-    def sums(self, x: Array, out: Array) -> None: ...
-    def energy(self, sums: Array) -> float: ...
-    def add_gradient(self, x: Array, sums: Array, g: Array) -> None: ...
 
 
 class Potential:
@@ -75,7 +42,7 @@ class Potential:
         self,
         unknowns: Unknowns,
         u: fem.Function,
-        terms: Sequence[Term],
+        terms: Sequence[EnergyTerm],
         damping: Damping | None = None,
     ) -> None:
         self.unknowns, self.u, self.terms = unknowns, u, list(terms)
@@ -86,7 +53,7 @@ class Potential:
         self._u = u.x.array.reshape(-1, 3)
         for term in self.terms:
             term.attach(unknowns)
-        integrals = [term.integral for term in self.terms if hasattr(term, "integral")]
+        integrals = [term.integral for term in self.terms if term.integral is not None]
         self._pass = OnePass.of(integrals) if integrals else None
         ends = np.cumsum([0] + [term.n_sums for term in self.terms])
         # The last entry counts the ranks that have been told to stop.
@@ -151,7 +118,7 @@ class Potential:
             values[term.name] = values.get(term.name, 0.0) + term.energy(self._sums[part])
         return values
 
-    def sums_of(self, term: Term) -> Array:
+    def sums_of(self, term: EnergyTerm) -> Array:
         """Global sums of one term, last computed."""
         return self._sums[self._slices[self.terms.index(term)]]
 
@@ -193,32 +160,28 @@ class Potential:
             self.unknowns.update_ghosts(self.g_vector)
             self.damping.add_stiffness(self.unknowns, self.x, self.g, A)
         for term, part in reversed(list(zip(self.terms, self._slices, strict=True))):
-            add = getattr(term, "add_stiffness", None)
-            if add is not None:
-                add(self.x, self._sums[part], A)
+            term.add_stiffness(self.x, self._sums[part], A)
 
     def count_stiffness(self) -> RowSizes:
         """How many blocks the rows of the stiffness have at most."""
         sizes = RowSizes(self.unknowns)
-        for part in (*self.terms, self.damping):
-            count = getattr(part, "count_stiffness", None)
-            if count is not None:
-                count(sizes)
+        for term in self.terms:
+            term.count_stiffness(sizes)
+        if self.damping is not None:
+            self.damping.count_stiffness(sizes)
         return sizes
 
-    def dyads(self) -> Iterator[tuple[Term, int, float]]:
+    def dyads(self) -> Iterator[tuple[EnergyTerm, int, float]]:
         """Stiffness dyads of all terms at the sums last computed: term, number, value."""
         for term, part in zip(self.terms, self._slices, strict=True):
-            values = getattr(term, "dyads", None)
-            if values is not None:
-                for k, value in enumerate(values(self._sums[part])):
-                    if value > 0.0:
-                        yield term, k, float(value)
+            for k, value in enumerate(term.dyads(self._sums[part])):
+                if value > 0.0:
+                    yield term, k, float(value)
 
-    def dyad_column(self, term: Term, k: int) -> None:
+    def dyad_column(self, term: EnergyTerm, k: int) -> None:
         """Leave the column of a term's dyad at the current state in `g`."""
         self.g[:] = 0.0
-        term.add_dyad_column(k, self.x, self.g)  # type: ignore[attr-defined]
+        term.add_dyad_column(k, self.x, self.g)
         self.unknowns.gather_forces(self.g_vector, self.g)
         self.unknowns.project(self.g)
 
@@ -230,27 +193,20 @@ class Potential:
         """
         squares = 0.0
         for term, part in zip(self.terms, self._slices, strict=True):
-            own = getattr(term, "rounding", None)
-            if own is not None:
-                squares += own(self.x, self._sums[part])
+            squares += term.rounding(self.x, self._sums[part])
         return float(self.comm.allreduce(squares, op=MPI.SUM) ** 0.5)
 
     def begin_step(self) -> None:
-        """Tell the terms with history that a load step starts at the current state."""
+        """Let a load step begin at the current state for the terms with history."""
         for term in self.terms:
-            begin = getattr(term, "begin_step", None)
-            if begin is not None:
-                begin(self.x)
+            term.begin_step(self.x)
 
     def commit(self) -> None:
-        """Tell the terms with history that the current state ends a load step."""
-        pairs = zip(self.terms, self._slices, strict=True)
-        ending = [(getattr(term, "commit", None), part) for term, part in pairs]
-        if any(commit is not None for commit, _ in ending):
+        """Let the current state end a load step for the terms with history."""
+        if any(term.has_history for term in self.terms):
             self.sum_up()
-        for commit, part in ending:
-            if commit is not None:
-                commit(self.x, self._sums[part])
+        for term, part in zip(self.terms, self._slices, strict=True):
+            term.commit(self.x, self._sums[part])
 
     def evaluate_terms(self) -> tuple[float, float]:
         """As `evaluate`, term by term; what is known of the current state is not computed again.

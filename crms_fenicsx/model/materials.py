@@ -21,8 +21,9 @@ from crms_fenicsx.runtime.errors import InputError
 
 Direction = tuple[float, float, float] | Callable[[Array], Array]
 
-LINEAR, TENSION_FIELD, ORTHOTROPIC_TENSION_FIELD = 0, 1, 2
-"""Codes of the stress laws, shared with the kernels of `crms_fenicsx.energies.stress_laws`."""
+LINEAR, TENSION_FIELD, ORTHOTROPIC_TENSION_FIELD, UFL_LAW = 0, 1, 2, 3
+"""Codes of the stress laws, shared with the kernels of `crms_fenicsx.energies.stress_laws`, which
+know all but the last, a user's own."""
 
 N_PARAMETERS = 18
 """Length of `MembraneMaterial.parameters`."""
@@ -50,7 +51,7 @@ class MembraneMaterial(ABC):
     @property
     @abstractmethod
     def law(self) -> int:
-        """`LINEAR`, or `TENSION_FIELD` where the membrane wrinkles instead of being compressed."""
+        """Code of the stress law."""
 
     @property
     @abstractmethod

@@ -12,10 +12,10 @@ from dolfinx.mesh import MeshTags, meshtags
 
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.meshes.cell_geometry import OpenEdges, area_vectors, open_edges
-from crms_fenicsx.model.materials import MembraneMaterial
+from crms_fenicsx.model.materials import LINEAR, UFL_LAW, MembraneMaterial
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.runtime.errors import InputError, collective, raised_together
+from crms_fenicsx.runtime.arrays import Array, Indices
+from crms_fenicsx.runtime.errors import InputError, PathError, collective, raised_together
 
 Marker = Callable[[Array], npt.NDArray[np.bool_]]
 """A function of stress-free coordinates (3, n) that returns (n,) booleans."""
@@ -46,6 +46,8 @@ class Membrane:
         Whether pressure acts on each local cell.
     materials, cell_tags
         Materials by number, and the number of each cell's; no tags if there is one for all.
+    parts
+        Names of the parts with a material of their own, by its number.
 
     Raises
     ------
@@ -62,6 +64,8 @@ class Membrane:
     ) -> None:
         self.mesh, self.comm = mesh, mesh.comm
         self.cell_tags, self.materials = _assign_materials(mesh, material)
+        named = material if isinstance(material, Mapping) else {}
+        self.parts = dict(enumerate(sorted(named, key=repr)))
         self.pressed = _pressed_cells(mesh, pressure_on)
         self.V = fem.functionspace(mesh.mesh, ("Lagrange", 1, (3,)))
         self.u = fem.Function(self.V, name="displacement")
@@ -172,6 +176,63 @@ class Membrane:
             what = "the marker function" if callable(where) else f"the group {where!r}"
             raise InputError(f"vertices: {what} marks no vertex of the membrane; mark one or more.")
         return dofs
+
+    def owner_of_material(self, number: int) -> str:
+        """Name what has a material, for messages."""
+        return f"part {self.parts[number]!r}" if self.parts else "the membrane"
+
+    def refuse_step_strain(self) -> None:
+        """Refuse materials that the paper's step-wise strain does not know.
+
+        Raises
+        ------
+        InputError
+            One that wrinkles, or a user's own.
+        """
+        for number, own in self.materials.items():
+            if own.law == UFL_LAW:
+                raise InputError(
+                    'Scene: strain="step" has a linear law of its own, but '
+                    f"{self.owner_of_material(number)} has a UflMembrane; use "
+                    'strain="total", or give it an IsotropicMembrane or OrthotropicMembrane.'
+                )
+            if own.law != LINEAR:
+                raise InputError(
+                    f'Scene: strain="step" has no wrinkling model, but the material is {own}; '
+                    "give it wrinkling=False."
+                )
+
+    def refuse_folds(self, cells: Indices, cable: str) -> None:
+        """Refuse cables over cells whose material has no compiled law. Collective.
+
+        Parameters
+        ----------
+        cells
+            This rank's cells that the cables fold.
+        cable
+            Which cables, for the message.
+
+        Raises
+        ------
+        PathError
+            On all ranks, naming the part.
+        """
+        uncompiled = [k for k, own in self.materials.items() if own.law == UFL_LAW]
+        if not uncompiled:
+            return
+        with raised_together(self.comm):
+            numbers = (
+                np.zeros(len(cells), int)
+                if self.cell_tags is None
+                else (self.cell_tags.values[cells])
+            )
+            bad = numbers[np.isin(numbers, uncompiled)]
+            if len(bad):
+                raise PathError(
+                    f"{cable}: {self.owner_of_material(int(bad[0]))} has a UflMembrane, which "
+                    "cells that a cable folds cannot have; lead the cable over other parts, or "
+                    "give the parts under it an IsotropicMembrane or OrthotropicMembrane."
+                )
 
     def hold(self, where: str | Marker, directions: str, new_edges: bool) -> None:
         """Hold vertices at their current displacement, and edges over their length. Collective.

@@ -78,6 +78,7 @@ def lay(
     off, nowhere = np.zeros(len(nodes), dtype=bool), np.full_like(positions, np.nan)
     state = CableState(nodes, positions, fractions_of(nodes), off, nowhere, 1.0, 0.0, 0.0)
     laid = LaidCable(name, cable, state, bool(sleeve), layer)
+    _refuse_folds(net.membrane, strip, laid)
     if not sleeve:
         drape(laid, shape)
     length = polyline_length(laid.positions[laid.contacts()])
@@ -96,6 +97,14 @@ def lay(
         laid.update(axial=laid_grip(laid, shape))
     net.add(laid, strip)
     return laid
+
+
+def _refuse_folds(membrane: Membrane, strip: Strip, cable: LaidCable) -> None:
+    """Refuse a cable that would fold cells whose material has no compiled law. Collective."""
+    edges = {node.point.edge for node in cable.nodes if isinstance(node.point, EdgePoint)}
+    rows = {row for edge in edges - strip.held_edges for row in strip.rows(edge)}
+    mine = [row for row in sorted(rows) if strip.owners[row] == membrane.comm.rank]
+    membrane.refuse_folds(strip.local[mine].astype(np.int32), f"lay_cable: {cable.name!r}")
 
 
 def _route(path: Sequence[Sequence[float]] | Array) -> Array:

@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.results.reactions import _update
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.scene import Scene
@@ -65,17 +64,17 @@ def membrane_results(system: System) -> MembraneResults:
     system
         The scene's potential; it is brought to the scene's state.
     """
-    _update(system)
-    scene, membrane = system.scene, system.membrane
+    system.update()
+    scene, membrane = system.scene, system.membrane.energy
     values = membrane.cell_results()
     n = len(values)
     folded = np.zeros(n, dtype=bool)
-    if system.tables is not None:
+    if system.cables is not None and system.cables.tables is not None:
         # It leaves the folded cells' values behind, and is collective: ranks without any join in.
         system.potential.sum_up()
-        cells = system.tables.folded.cells
+        cells = system.cables.tables.folded.cells
         if len(cells):
-            values[cells] = system.folds.cell_results()
+            values[cells] = system.cables.folds.energy.cell_results()
             folded[cells] = True
     E = _symmetric(values[:, 0], values[:, 1], values[:, 2] / 2)
     S = _symmetric(values[:, 3], values[:, 4], values[:, 5])

@@ -12,13 +12,6 @@ from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.scene import Scene
 
 
-def _update(system: System) -> None:
-    """Bring a system to its scene's state, in a new layout if the scene got new parts."""
-    if system.built_for != system.scene.changes:
-        system.rebuild()
-    system.pull()
-
-
 @dataclass(frozen=True)
 class Reactions:
     """Forces with which supports hold the membrane.
@@ -56,7 +49,7 @@ def reactions(system: System, where: str | Marker) -> Reactions:
         As `Scene.vertices`.
     """
     dofs = system.scene.vertices(where)
-    _update(system)
+    system.update()
     potential, unknowns = system.potential, system.unknowns
     potential.sum_up()
     vector, g = unknowns.vector()
@@ -94,11 +87,11 @@ def pressed_facets(system: System) -> tuple[Integers, Array]:
         Area vectors (length squared), outward, times the facets' weights in the mean.
     """
     unknowns, owned = system.unknowns, system.scene.mesh.mesh.topology.index_map(2).size_local
-    dofs = system.scene.V.dofmap.list[:owned][system.plain_pressed.x.array[:owned] > 0.5]
+    dofs = system.scene.V.dofmap.list[:owned][system.pressure.cells.x.array[:owned] > 0.5]
     corners = unknowns.vertex_blocks()[dofs]
     weights: Array = np.ones(len(dofs))
-    if system.tables is not None:
-        facets = system.tables.facets
+    if system.cables is not None and system.cables.tables is not None:
+        facets = system.cables.tables.facets
         corners = np.concatenate([corners, facets.corners])
         weights = np.concatenate([weights, facets.weights])
     # By components: rows of three take numpy five times as long.
@@ -116,9 +109,9 @@ def _leave_ends_to_anchors(system: System, g: Array) -> None:
     Between an anchor and the place of the membrane under it the cable has no length and its force
     no direction: the gradient splits the end's pull between the two at random.
     """
-    network = system.network
-    if network is None:
+    if system.cables is None:
         return
+    network = system.cables.network
     for c, cable in enumerate(network.cables):
         for end in (cable.start, cable.end):
             k = cable.node_of(end.which)
@@ -135,8 +128,8 @@ def _leave_ends_to_anchors(system: System, g: Array) -> None:
 def _hand_on_rails(system: System, g: Array) -> None:
     """Give the forces of cables on held edges that they slide along to the edges' ends."""
     if system.unknowns.n_rails:
-        assert system.network is not None
-        rails = system.network.rails
+        assert system.cables is not None
+        rails = system.cables.network.rails
         blocks, ends, s = rails.blocks, rails.ends, rails.known_fractions()
         share = np.stack([1 - s, s], axis=1)
         np.add.at(g, ends, share[:, :, None] * g[blocks][:, None, :])

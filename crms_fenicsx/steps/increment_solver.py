@@ -92,7 +92,7 @@ class IncrementSolver:
     def restart_h0(self) -> None:
         """Forget what the next solve would take over from the last one, as a resumed run has."""
         if self._system is not None:
-            self._system.forget()
+            self._system.reset_h0()
 
     def solve(
         self, target: Target, first: State, before: State, done: float, goal: float, steps: int
@@ -120,7 +120,7 @@ class IncrementSolver:
         history = self.scene.step_history
         target.apply(self.scene, first, done / steps, goal / steps)
         try:
-            prestress = starting_prestress(self.scene, target, (goal - done) / steps)
+            prestress = starting_prestress(self.system, target, (goal - done) / steps)
             outcome, verification = self._solve(prestress)
         except BaseException:
             self._go_back(before, history)
@@ -164,4 +164,4 @@ class IncrementSolver:
             self.scene.step_history = history
             self.scene.commits += 1
         if self._system is not None:  # its tables may be those of other cables in tension
-            self._system.expire()
+            self._system.invalidate()

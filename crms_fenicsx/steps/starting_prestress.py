@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.scene import Scene
+from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.steps.loading import Target
 
 
-def starting_prestress(scene: Scene, target: Target, share: float) -> tuple[float, ...]:
+def starting_prestress(system: System, target: Target, share: float) -> tuple[float, ...]:
     """Estimate the extra prestress in H0 for each of the first stages of a solve. Collective.
 
     A flat sheet has no stiffness against pressure. The stress that it will have is estimated from
@@ -17,8 +17,8 @@ def starting_prestress(scene: Scene, target: Target, share: float) -> tuple[floa
 
     Parameters
     ----------
-    scene
-        At the loads to solve for.
+    system
+        The potential of the scene, which has the loads to solve for.
     target
         Loads to which a call goes.
     share
@@ -28,12 +28,12 @@ def starting_prestress(scene: Scene, target: Target, share: float) -> tuple[floa
     -------
     Prestress of each stage (force per length), the last 0.
     """
-    size = scene.membrane.size
+    scene, size = system.scene, system.scene.membrane.size
     modulus = max(m.reference_modulus for m in scene.materials.values())
     moves = [float(np.linalg.norm(d)) for *_, d in target.cable_ends]
     moves.append(float(np.max(np.linalg.norm(target.moved, axis=1), initial=0.0)))
     travel = share * scene.comm.allreduce(max(moves), op=MPI.MAX)
-    loads = abs(scene.pressure)
+    loads = abs(scene.pressure) + system.added_force_per_area()
     if scene.dead_forces is not None:
         loads += abs(scene.load) * scene.dead_forces.intensity
     coming = 0.3 * (loads * size) ** (2 / 3) * modulus ** (1 / 3)

@@ -134,8 +134,8 @@ class CableVerifier:
             The scene's force: norm of one kind of nodal forces.
         """
         nodal = force / np.sqrt(system.unknowns.n_global)
-        scene, network = system.scene, system.network
-        assert network is not None
+        assert system.cables is not None
+        scene, network = system.scene, system.cables.network
         if network is not self._network:
             self._network = network
             self._nodes = [_Nodes.of(cable, network) for cable in scene.cables]
@@ -182,15 +182,16 @@ def _parts_and_pulls(system: System) -> tuple[list[Array], list[float]]:
     The error is that of the tension along the end, as its anchor carries it, relative to it.
     Collective.
     """
-    cables, network = system.scene.cables, system.network
-    assert network is not None
+    assert system.cables is not None
+    cables, tables = system.scene.cables, system.cables.tables
+    network = system.cables.network
     starts = np.cumsum([0] + [len(cable.nodes) for cable in cables])
     local = np.zeros(starts[-1] + 2 * len(cables))
-    if system.tables is not None and len(system.tables.links):
-        links = np.array([link[:3] for link in system.tables.links])
+    if tables is not None and len(tables.links):
+        links = np.array([link[:3] for link in tables.links])
         x = np.concatenate([cable.positions for cable in cables])
         first, second = starts[links[:, 0]] + links[:, 1], starts[links[:, 0]] + links[:, 2]
-        d, eps = np.linalg.norm(x[second] - x[first], axis=1), system.tables.eps
+        d, eps = np.linalg.norm(x[second] - x[first], axis=1), tables.eps
         with np.errstate(divide="ignore", invalid="ignore"):
             u = np.where(d < eps, d / eps, 1.0)
         short = eps * (3 / 8 + 3 / 4 * u**2 - 1 / 8 * u**4)

@@ -253,7 +253,7 @@ class Verifier:
         g = potential.g  # free between two solves
         g[:] = -loads
         for term in potential.terms:
-            if term.name not in ("pressure", "dead load"):
+            if term.name not in ("pressure", "dead load") and term not in scene.terms:
                 term.add_gradient(potential.x, potential.sums_of(term), g)
         unknowns.gather_forces(potential.g_vector, g)
         supports = np.where(unknowns.held[:n], g[:n], 0.0)
@@ -291,9 +291,7 @@ class Verifier:
             Check("sum of supports and loads", _norm(total[:3] + total[6:9]) / all_forces, limit),
             Check("way of the supports", worst[0] / size, PLACE),
         ]  # fmt: skip
-        if (
-            system.friction_elements is None
-        ):  # the paper's have forces that do not turn with a shape
+        if not self._has_friction_elements:
             moment = _norm(total[3:6] + total[9:12])
             checks.append(
                 Check("moment of supports and loads", moment / (all_forces * size), limit)
@@ -302,8 +300,14 @@ class Verifier:
             checks.append(Check("depth below the floor", worst[1] / size, PLACE))
         return checks
 
+    @property
+    def _has_friction_elements(self) -> bool:
+        """Whether there are the paper's friction elements, whose forces turn with no shape."""
+        taut = (cable.cable.sideways for cable in self.scene.cables if cable.taut)
+        return any(friction is not None and friction.law == "step" for friction in taut)
+
     def _loads(self, system: System) -> Array:
-        """This rank's nodal forces of pressure and dead load, (n_local, 3).
+        """This rank's nodal forces of pressure, dead load and added terms, (n_local, 3).
 
         A facet's pressure is shared by its corners; the paper's keeps those of the step's start,
         which its term alone knows.
@@ -324,6 +328,10 @@ class Verifier:
             loads *= -1.0
         if scene.dead_forces is not None:
             unknowns.add_to_vertices(scene.load * scene.dead_forces.forces, loads)
+        for term in scene.terms:
+            added = np.zeros_like(loads)
+            term.add_gradient(system.potential.x, system.potential.sums_of(term), added)
+            loads -= added
         return loads
 
     def _obstacle(self, system: System) -> Array:

@@ -417,7 +417,7 @@ def crossed_triangle(comm: MPI.Intracomm) -> tuple[Scene, list[LaidCable], Syste
         scene.lay_cable(Cable(1000.0), [(1.0, 0.0), (0.0, 0.5)], tension=1.0),
     ]
     system = System(scene, "crms_test_", 1e-9)
-    system.pull()
+    system.read_scene()
     return scene, cables, system
 
 
@@ -434,9 +434,9 @@ def test_volume_under_a_cell_with_a_crossing() -> None:
     x, volume, h = system.potential.x.copy(), np.zeros(1), 0.2
     term.sums(x, volume)
     assert volume[0] == pytest.approx(0.0, abs=1e-15)
-    assert system.network is not None
-    x[system.network.block(0, 1)] += (0.0, 0.0, h)
-    assert system.network.block(0, 1) == system.network.block(1, 1)
+    assert system.cables is not None
+    x[system.cables.network.block(0, 1)] += (0.0, 0.0, h)
+    assert system.cables.network.block(0, 1) == system.cables.network.block(1, 1)
     term.sums(x, volume)
     assert volume[0] == pytest.approx(h / 3 * (1 / 3 + 5 / 48), rel=1e-12)
 
@@ -444,11 +444,11 @@ def test_volume_under_a_cell_with_a_crossing() -> None:
 def test_a_crossing_has_no_membrane_of_its_own() -> None:
     """It pulls on the cables alone: no side of the cell and no penalty knows it."""
     _, _, system = crossed_triangle(MPI.COMM_SELF)
-    assert system.network is not None and system.tables is not None
-    block = system.network.block(0, 1)
-    assert block in system.tables.segments
-    assert block not in system.tables.folded.segments
-    assert all(block not in corners for corners, _ in system.tables.kinks)
+    assert system.cables is not None and system.cables.tables is not None
+    block = system.cables.network.block(0, 1)
+    assert block in system.cables.tables.segments
+    assert block not in system.cables.tables.folded.segments
+    assert all(block not in corners for corners, _ in system.cables.tables.kinks)
 
 
 # ---- whole scenes ------------------------------------------------------------------------------
@@ -543,14 +543,14 @@ def test_beside_a_lifted_point_a_crossing_is_where_the_other_cable_has_it(comm) 
         places.append((cable, k))
     (upper, k), (lower, m) = places
     put(upper, "lifted", k + 1, True)
-    Whereabouts(system.network, system.unknowns).tell(system.potential.x)
+    Whereabouts(system.cables.network, system.unknowns).tell(system.potential.x)
     known = lower.reference_positions[m].copy()
     assert np.isfinite(known).all()
     np.testing.assert_array_equal(upper.reference_positions[k], known)
     between = (lower.reference_positions[m - 1] + lower.reference_positions[m + 1]) / 2
     assert np.linalg.norm(known - between) < 20.0, "in its cell"
     put(lower, "lifted", m - 1, True)
-    Whereabouts(system.network, system.unknowns).tell(system.potential.x)
+    Whereabouts(system.cables.network, system.unknowns).tell(system.potential.x)
     assert (
         np.isnan(upper.reference_positions[k]).all()
         and np.isnan(lower.reference_positions[m]).all()

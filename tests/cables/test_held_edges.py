@@ -188,7 +188,7 @@ def test_supports_carry_what_the_cable_hands_on(comm) -> None:
     assert np.linalg.norm(pull_at(cable, 1)) > 1.0
     # the state is found again, though positions count from where the rails are now
     system = solver.system
-    system.pull()
+    system.read_scene()
     assert system.potential.evaluate() == pytest.approx(scene.energy, rel=1e-13)
 
 
@@ -201,7 +201,7 @@ def whole(comm: MPI.Intracomm) -> tuple[System, OnMesh]:
     scene.lay_cable(Cable(20000.0), [(22, 52, 0), (130, 83, -4)], tension=20.0)
     scene._pressure = 0.01
     system = System(scene, "crms_test_", 1e-8)
-    system.pull()
+    system.read_scene()
     return system, OnMesh(system.unknowns, scene.u, system.potential.terms)
 
 
@@ -242,9 +242,9 @@ def test_the_floor_is_not_for_rails(comm) -> None:
 def test_an_anchor_may_come_to_a_rail(comm) -> None:
     """The lengths of links to rails are smoothed where they vanish, as those to fold points."""
     system, _ = whole(comm)
-    assert system.tables is not None
-    beside = np.isin(system.tables.segments, system.unknowns.rails).any(axis=1)
-    assert np.all(system.tables.eps[beside] > 0)
+    assert system.cables is not None and system.cables.tables is not None
+    beside = np.isin(system.cables.tables.segments, system.unknowns.rails).any(axis=1)
+    assert np.all(system.cables.tables.eps[beside] > 0)
     assert comm.allreduce(int(beside.sum())) == 6
 
 
@@ -254,14 +254,14 @@ def test_a_moved_edge_takes_its_rail_along(comm) -> None:
     cable = scene.lay_cable(CABLE, OVER_THE_RIDGE, tension=20.0)
     (k,) = rails(cable)
     system = System(scene, "crms_test_", 1e-8)
-    system.pull()
+    system.read_scene()
     put(cable, "fractions", k, 0.3)
     on = np.abs(scene.V.tabulate_dof_coordinates()[:, 0] - 50.0) < 1e-9
     y = scene.V.tabulate_dof_coordinates()[:, 1]
     scene.u.x.array.reshape(-1, 3)[on] = np.stack([0 * y, 0.1 * y - 3.0, 4.0 + 0.2 * y], -1)[on]
     point = cable.nodes[k].point
     assert isinstance(point, EdgePoint)
-    assert system.network is not None
+    assert system.cables is not None
     # in the order of now, among other points on the edge
     assert points_by_edge(scene.cables)[point.edge] == [(0.3, 0, k)]
     d = np.array([0.0, 1.1, 0.2]) / np.hypot(1.1, 0.2)
@@ -270,14 +270,15 @@ def test_a_moved_edge_takes_its_rail_along(comm) -> None:
         if not taut:
             cable.update(taut=False)
             system.rebuild()
-        system.pull()
-        unknowns, block = system.unknowns, system.network.blocks[system.network.numbers[0, k]]
+        system.read_scene()
+        unknowns, network = system.unknowns, system.cables.network
+        block = network.blocks[network.numbers[0, k]]
         assert unknowns.n_rails == (taut and block >= 0)
         if block < 0:
             continue
         unknowns.place_idle_riders(system.potential.x)
         ends = unknowns.X + system.potential.x
-        a, b = (ends[system.network.vertex(v)] for v in point.edge)
+        a, b = (ends[system.cables.network.vertex(v)] for v in point.edge)
         np.testing.assert_allclose(ends[block], a + 0.3 * (b - a), atol=1e-12)
         if taut:
             np.testing.assert_allclose(np.abs(unknowns.directions @ d), 1.0, rtol=1e-12)
@@ -311,7 +312,7 @@ def test_a_rail_that_runs_into_a_vertex_is_reported(comm) -> None:
     assert bool(caught) == (comm.rank == 0)
     # it stays on the line of its edge, and the state is found again
     assert abs(cable.positions[rails(cable)[0], 0]) < 1e-12
-    solver.system.pull()
+    solver.system.read_scene()
     assert solver.system.potential.evaluate() == pytest.approx(scene.energy, rel=1e-12)
     # beyond its edge's end, but not in the stress-free shape of the cells that it folds
     assert cable.fractions[rails(cable)[0]] < 0 or cable.fractions[rails(cable)[0]] > 1

@@ -29,9 +29,8 @@ def test_places_in_space_on_edges_and_on_the_membrane(comm: MPI.Intracomm) -> No
     scene = system.scene
     put(scene.cables[0], "lifted", 3, True)
     system.rebuild()
-    system.pull()
-    network, potential = system.network, system.potential
-    assert network is not None
+    system.read_scene()
+    network, potential = system.cables.network, system.potential
     potential.x[: system.unknowns.n_owned] = displaced(system.unknowns, 2.0)
     potential.place()
     before = scene.cables[0].positions[3].copy()
@@ -66,14 +65,13 @@ def test_places_in_space_on_edges_and_on_the_membrane(comm: MPI.Intracomm) -> No
 
 def test_a_point_at_a_vertex_is_blocked(comm: MPI.Intracomm) -> None:
     system = cable_square(comm)
-    scene, network = system.scene, system.network
-    assert network is not None
+    scene = system.scene
     cable = scene.cables[0]
     k = next(k for k, node in enumerate(cable.nodes) if node.kind == "fold")
     point = cable.nodes[k].point
     assert isinstance(point, EdgePoint)
     place = vertices(scene)[point.edge[0]][1]
     put(cable, "positions", k, place + 1e-9 * (cable.positions[k] - place))
-    system.pull()
+    system.read_scene()
     system.locate_cables()
     assert cable.blocked == (k,) and cable.fractions[k] < 1e-6

@@ -17,6 +17,7 @@ from term_scene import (
 
 from crms_fenicsx.cables.node_positions import Whereabouts
 from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes import from_arrays
 from crms_fenicsx.model.cable import Cable
@@ -24,21 +25,15 @@ from crms_fenicsx.model.laid_cable import polyline_length
 from crms_fenicsx.scene import Scene
 
 
-class Springs:
+class Springs(EnergyTerm):
     """Half the square of the distance from one place of all points, vertices only counted where
     owned: a term to watch forces on."""
 
-    name, n_sums = "springs", 1
-
-    def attach(self, unknowns):
-        self.unknowns = unknowns
+    name = "springs"
 
     def sums(self, x, out):
         self.r = self.unknowns.X + x - (1.0, 2.0, 30.0)
         out[0] = (self.r[: self.unknowns.n_owned] ** 2).sum() / 2
-
-    def energy(self, sums):
-        return float(sums[0])
 
     def add_gradient(self, x, sums, g):
         g[: self.unknowns.n_owned] += self.r[: self.unknowns.n_owned]
@@ -253,7 +248,7 @@ def test_the_scene_has_everything(comm):
         "MembraneEnergy", "FollowerPressure", "CableTension", "FoldEnergy", "KinkPenalty",
         "FoldedFollowerPressure",
     }  # fmt: skip
-    shared = system.network.on_edge.values()
+    shared = system.cables.network.on_edge.values()
     assert max(len({c for _, c, _ in points}) for points in shared) == 2, "cables share an edge"
 
 
@@ -286,7 +281,7 @@ def fingerprint(comm, choice, size):
     energy, g = f.value(x)
     terms = system.potential.terms
     single = [OnMesh(f.unknowns, system.scene.u, [term]).value(x)[1] for term in terms]
-    Whereabouts(system.network, f.unknowns).tell(f.potential.x)
+    Whereabouts(system.cables.network, f.unknowns).tell(f.potential.x)
     cables = system.scene.cables
     lengths = [polyline_length(cable.positions[cable.contacts()]) for cable in cables]
     return np.array(
@@ -368,12 +363,12 @@ def equilateral(comm):
 def test_stiffness_with_riders_and_folded_cells_is_exact_under_tension(comm):
     """Stretched alike in all directions, every side of an equilateral triangle pulls."""
     system = equilateral(comm)
-    system.membrane.stiffening.floor.value = 0.0
+    system.membrane.energy.stiffening.floor.value = 0.0
     f = on_mesh(system, "MembraneEnergy", "FoldEnergy")
     x = displaced(f.unknowns, 0.05, stretch=1.3)
     f.value(x)
-    assert system.folds.forces.min(initial=1.0) > 0
-    assert comm.allreduce(len(system.folds.forces)) > 50
+    assert system.cables.folds.energy.forces.min(initial=1.0) > 0
+    assert comm.allreduce(len(system.cables.folds.energy.forces)) > 50
     assert comm.allreduce(f.unknowns.n_riders) >= 4
     for name, d in directions(f.unknowns).items():
         assert stiffness_error(f, x, d) < 1e-7, name

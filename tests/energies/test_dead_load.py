@@ -92,7 +92,7 @@ def test_gradient_beside_cables(comm):
     system.scene.put_load(wavy)
     system.scene._load = 0.01
     system.prepare()
-    system.pull()
+    system.read_scene()
     f = on_mesh(system)
     assert any(isinstance(term, DeadLoad) for term in f.potential.terms)
     x = displaced(f.unknowns, 0.3)

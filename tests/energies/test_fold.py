@@ -312,8 +312,8 @@ def test_rigid_motion_changes_nothing(comm, material):
 def test_tables_of_the_scene(comm):
     """Folded cells are those that leave the membrane term, with all their area and sides."""
     system = cable_square(comm)
-    folded, mesh = system.tables.folded, system.scene.mesh.mesh
-    left = np.flatnonzero(system.membrane.plain.x.array == 0)
+    folded, mesh = system.cables.tables.folded, system.scene.mesh.mesh
+    left = np.flatnonzero(system.membrane.energy.plain.x.array == 0)
     np.testing.assert_array_equal(np.sort(folded.cells), left)
     corners = mesh.geometry.x[geometry_dofmap(mesh)[folded.cells]]
     np.testing.assert_allclose(folded.areas, [area(c) for c in corners], rtol=1e-13)

@@ -32,6 +32,6 @@ def test_a_new_layout_of_the_unknowns_compiles_nothing(
     energies = system.potential.energies()
     monkeypatch.delattr(fem, "form")
     system.rebuild()
-    system.pull()
+    system.read_scene()
     system.potential.evaluate()
     assert system.potential.energies() == pytest.approx(energies, rel=1e-12)

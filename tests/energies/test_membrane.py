@@ -236,11 +236,11 @@ def test_patch_of_orthotropic_membrane_with_folded_cells(comm, angle):
     e = np.array([E[0, 0], E[1, 1], 2 * E[0, 1]])
     stress = fabric.stiffness @ e + fabric.prestress_vector
     assert energy == pytest.approx(100.0**2 * float(density(fabric, e)), rel=1e-11)
-    folded = system.folds.results
+    folded = system.cables.folds.energy.results
     assert comm.allreduce(len(folded)) > 20
     np.testing.assert_allclose(folded[:, :3], np.tile(e, (len(folded), 1)), atol=1e-13)
     np.testing.assert_allclose(folded[:, 3:6], np.tile(stress, (len(folded), 1)), rtol=1e-10)
-    (law, *_), = system.membrane.terms.values()  # fmt: skip
+    (law, *_), = system.membrane.energy.terms.values()  # fmt: skip
     V = fem.functionspace(system.scene.mesh.mesh, ("DG", 0, (3,)))
     S = fem.Function(V)
     vector = ufl.as_vector([law.stress[0, 0], law.stress[1, 1], law.stress[0, 1]])

@@ -168,7 +168,7 @@ def test_points_that_coincide_give_finite_forces(weighted, together):
 def test_coefficients_follow_the_cells_stiffness(comm):
     """mu = c E t A: proportional to the factor and to each folded cell's modulus and area."""
     system = cable_square(comm, penalty=0.2)
-    tables = system.tables
+    tables = system.cables.tables
     table = tables.penalty(0.2, np.full(len(tables.folded.cells), 24.0))
     rows = [row for _, row, _ in tables.kinks]
     np.testing.assert_allclose(table.coefficients, 0.2 * 24.0 * tables.folded.areas[rows])
@@ -180,7 +180,7 @@ def test_coefficients_follow_the_cells_stiffness(comm):
 def test_kinks_are_measured_between_neighbours_on_the_side(comm):
     """Next to a fold point on its side may be another cable's, not the side's end."""
     system = cable_square(comm)
-    tables, X = system.tables, system.unknowns.X
+    tables, X = system.cables.tables, system.unknowns.X
     segments = {frozenset(pair) for pair in tables.folded.segments.tolist()}
     chords = {frozenset(pair) for pair in tables.segments.tolist()}
     fold_points, next_to_another = set(system.unknowns.owned_point_blocks().tolist()), 0

@@ -222,7 +222,7 @@ def test_stiffness_lacks_the_dyad_of_the_whole_cable_alone():
 def test_stiffness_on_the_membrane(comm):
     """With riders and anchors, on any number of ranks."""
     system = cable_square(comm)
-    t = system.tables
+    t = system.cables.tables
     held = HeldTension(t.segments, t.eps, t.cable, np.array([20.0, 30.0, 15.0]), np.ones(3))
     system.potential.terms.append(held)
     f = on_mesh(system, "HeldTension")

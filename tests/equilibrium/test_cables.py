@@ -223,7 +223,7 @@ def forces_of(solver: Solver, names: set[str]) -> Array:
 def test_forces_and_energies_balance(kind: str) -> None:
     scene, cable, solver = solved(kind, Variant())
     system, total = solver.system, scene.comm.allreduce
-    system.pull()
+    system.read_scene()
     own = system.unknowns.n_owned
     x = (system.unknowns.X + system.potential.x)[:own]
     held = system.unknowns.held[:own]
@@ -268,7 +268,8 @@ def test_work_of_the_ends_is_the_energy_that_comes(kind: str) -> None:
     reaction = forces_of(solver, {"membrane", "cables", "penalty", "pressure"})
     anchors = {}
     for end in (0, -1):
-        block = system.network.blocks[system.network.numbers[0, end % len(cable.nodes)]]
+        network = system.cables.network
+        block = network.blocks[network.numbers[0, end % len(cable.nodes)]]
         mine = 0 <= block < system.unknowns.n_owned
         anchors[end] = total(reaction[block] if mine else np.zeros(3))
         assert np.linalg.norm(anchors[end]) == pytest.approx(cable.tension, rel=1e-6)

@@ -175,7 +175,7 @@ def test_a_failed_step_leaves_no_trace(comm) -> None:
     pull(solver, rope, 0.006)
     first = rope.tensions.copy(), scene.dissipated
     good.restore(scene)
-    solver.system.expire()
+    solver.system.invalidate()
     assert scene.dissipated < first[1]
     pull(solver, rope, 0.006)
     # the terms are made anew, and round otherwise
@@ -298,7 +298,7 @@ def gripped(comm: MPI.Intracomm, bound: float = 3.0, eps: float = 0.05, seed: in
             bounds = bound * rng.uniform(0.5, 1.5, n) * (np.arange(n) % 5 != 2)
             cable.update(axial=replace(cable.axial, bounds=bounds, eps=np.full(n, eps)))
     system = System(scene, "crms_test_", 1e-8)
-    system.pull()
+    system.read_scene()
     return system
 
 
@@ -364,10 +364,10 @@ def test_a_crossing_inside_a_span_slides_along_it(comm: MPI.Intracomm) -> None:
         n = len(cable.axial.supports)
         cable.update(axial=replace(cable.axial, bounds=np.full(n, 1e4), eps=np.full(n, 1e-3)))
     system = System(scene, "crms_test_", 1e-8)
-    system.pull()
+    system.read_scene()
     f = on_mesh(system, "CapstanTension")
     A = f.assembled(displaced(f.unknowns, 0.0))
-    K, block, network = dense(A), 0, system.network
+    K, block, network = dense(A), 0, system.cables.network
     (k,) = [k for k, node in enumerate(cable.nodes) if node.kind == "crossing"]
     if network.is_mine(1, k):
         block = A.getOwnershipRange()[0] + 3 * network.block(1, k)

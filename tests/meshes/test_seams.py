@@ -212,7 +212,7 @@ def test_gradient_with_folded_seams(comm):
     scene.lay_cable(CABLE, [(0.0, 31.0), (100.0, 44.0)], tension=30.0)
     scene._pressure = 0.01
     system = System(scene, "crms_test_", 1e-8)
-    system.pull()
+    system.read_scene()
     places = [node.point.support for node in scene.cables[0].nodes if node.kind == "fold"]
     assert [len(scene.net.strip.rows(edge)) for edge in places].count(3) == 1
     unknowns = system.unknowns

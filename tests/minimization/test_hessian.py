@@ -85,7 +85,7 @@ def test_dyad_columns_are_gradients_of_the_lengths(comm) -> None:
     for sign in (1, -1):
         potential.x[:n] = x + sign * step * d
         potential.place()
-        Whereabouts(system.network, system.unknowns).tell(potential.x)
+        Whereabouts(system.cables.network, system.unknowns).tell(potential.x)
         cables = system.scene.cables
         lengths.append([polyline_length(cable.positions[cable.contacts()]) for cable in cables])
     potential.x[:n] = x
@@ -111,7 +111,7 @@ def test_held_anchors_do_not_set_its_size(comm) -> None:
     solver = Solver(scene)
     put(cable, "positions", 0, cable.positions[0] + 1e-15)
     potential = solver.system.potential
-    solver.system.pull()
+    solver.system.read_scene()
     potential.evaluate()
     h0 = InitialHessian(potential, "crms_test_h0_")
     h0.rebuild()

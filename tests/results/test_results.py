@@ -229,10 +229,10 @@ def test_anchor_off_the_membrane_against_the_energys_gradient() -> None:
     solver = loaded_solver()
     end = solver.scene.cables[1].end
     system = solver.system
-    system.pull()
+    system.read_scene()
     system.potential.evaluate()
-    assert system.network is not None
-    network, k = system.network, end.cable.node_of("end")
+    assert system.cables is not None
+    network, k = system.cables.network, end.cable.node_of("end")
     if network.owners[network.numbers[1, k]] == COMM.rank:
         gradient = system.potential.g[network.block(1, k)]
         np.testing.assert_allclose(end.reaction, gradient, rtol=1e-9)

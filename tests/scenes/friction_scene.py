@@ -35,7 +35,7 @@ def friction_square(comm: MPI.Intracomm, friction: Any = 0.4, lift: float = 8.0)
     for cable in scene.cables:
         begin(cable, shape)
     system = System(scene, "crms_test_", 1e-8)
-    system.pull()
+    system.read_scene()
     return system
 
 

@@ -73,7 +73,7 @@ def cable_square(
     scene.lay_cable(Cable(10000.0), through, tension=tension)
     scene._pressure = 0.01
     system = System(scene, "crms_test_", 1e-8)
-    system.pull()
+    system.read_scene()
     return system
 
 
@@ -107,8 +107,7 @@ def displaced(unknowns: Unknowns, size: float, stretch: float = 1.05, seed: int 
 
 def straight(system: System) -> Array:
     """Displacements of a bent surface whose fold points stay on the straight sides."""
-    unknowns, network = system.unknowns, system.network
-    assert network is not None
+    unknowns, network = system.unknowns, system.cables.network
     x = unknowns.vector()[1]
     vertices = unknowns.vertex_blocks()
     x[vertices] = 3 * noise(unknowns.X[vertices], 1)

@@ -469,7 +469,7 @@ def test_the_floor_carries_what_is_pressed_on_it(free_mesh: meshes.MembraneMesh)
         n = system.unknowns.n_vertices
         system.potential.sum_up()
         internal = np.zeros_like(system.potential.x)  # of the membrane alone
-        system.membrane.add_gradient(system.potential.x, np.zeros(1), internal)
+        system.membrane.energy.add_gradient(system.potential.x, np.zeros(1), internal)
         system.potential.g[:] = internal
         system.unknowns.add_ghosts(system.potential.g_vector)
         carried = system.potential.g[:n] - pressure_forces(scene)  # by floor and rim

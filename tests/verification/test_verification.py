@@ -244,7 +244,7 @@ def test_a_cable_that_pulls_or_dives_is_found(comm: MPI.Intracomm) -> None:
     cable = solver.scene.cables[0]
     put(cable, "lifted", inner, True)
     solver.system.rebuild()
-    solver.system.pull()
+    solver.system.read_scene()
     assert "depth below the membrane" in names(checked(solver, dive))
 
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numba
 
-from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import Array, Indices
 
 
@@ -39,7 +39,7 @@ class FrictionElements:
     offsets: Array
 
 
-class FrictionElementEnergy:
+class FrictionElementEnergy(EnergyTerm):
     """Work against the friction elements in a load step, (3.3-2).
 
     Parameters
@@ -49,14 +49,9 @@ class FrictionElementEnergy:
     """
 
     name = "friction"
-    n_sums = 1
 
     def __init__(self, table: FrictionElements) -> None:
         self.table = table
-
-    def attach(self, unknowns: Unknowns) -> None:
-        """Use the positions of this layout."""
-        self.unknowns = unknowns
 
     def renew(self, table: FrictionElements) -> None:
         """Take the elements of another load step."""
@@ -66,10 +61,6 @@ class FrictionElementEnergy:
         """This rank's part of the work."""
         t = self.table
         out[0] = _work(self.unknowns.X, x, t.blocks, t.forces) + t.offsets.sum()
-
-    def energy(self, sums: Array) -> float:
-        """The work (force x length)."""
-        return float(sums[0])
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Add the friction forces."""

@@ -25,6 +25,8 @@ class StepCableTension(CableTension):
         For each cable the state at the step's start, None where the cable has the total law.
     """
 
+    has_history = True
+
     def __init__(
         self,
         segments: npt.NDArray[np.int32],

@@ -96,6 +96,8 @@ class StepFoldEnergy(FoldEnergy):
     cells, in the frame of side 0-1.
     """
 
+    has_history = True
+
     def __init__(
         self,
         table: FoldedCells,

@@ -8,6 +8,7 @@ from dolfinx import fem
 
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.folded_pressure import Facets
+from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import Array
 
 
@@ -27,7 +28,7 @@ def _add_area_forces(X, x, corners, weights, factor, g):  # type: ignore[no-unty
             g[node, 2] += scale * (a[0] * b[1] - a[1] * b[0])
 
 
-class FoldedStepPressure:
+class FoldedStepPressure(EnergyTerm):
     """The paper's nodal forces, constant in a step, on folded cells; see `loads.StepPressure`.
 
     Parameters
@@ -37,14 +38,14 @@ class FoldedStepPressure:
     """
 
     name = "pressure"
-    n_sums = 1
+    has_history = True
 
     def __init__(self, table: Facets, pressure: fem.Constant, gained: Array) -> None:
         self.table, self.pressure, self._gained = table, pressure, gained
 
     def attach(self, unknowns: Unknowns) -> None:
         """Use the positions of this layout."""
-        self.unknowns = unknowns
+        super().attach(unknowns)
         self._x_n = np.zeros_like(unknowns.X)
         self._forces = np.zeros_like(unknowns.X)
 

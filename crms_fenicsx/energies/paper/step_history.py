@@ -22,7 +22,7 @@ class StepHistory:
         Volume gained so far under plain and folded cells (length cubed).
     """
 
-    cells: Array | None
+    cells: Array | None = None
     energy: float = 0.0
     folded_energy: float = 0.0
     volume: float = 0.0

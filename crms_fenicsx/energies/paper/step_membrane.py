@@ -122,6 +122,8 @@ class StepMembraneEnergy(MembraneEnergy):
         A material that wrinkles: the paper's law has no such state.
     """
 
+    has_history = True
+
     def __init__(
         self, u: fem.Function, materials: Mapping[int, MembraneMaterial], cell_tags: Any = None
     ) -> None:

@@ -6,13 +6,13 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.integral import one_point
 from crms_fenicsx.energies.kinematics import Kinematics, tangent_basis
+from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import Array
 
 
-class StepPressure:
+class StepPressure(EnergyTerm):
     """The paper's pressure: nodal forces that keep direction and size in a step, (2.4-1, 2).
 
     A node carries a third of the area of each of its cells. The volume is summed up step by step,
@@ -26,7 +26,7 @@ class StepPressure:
     """
 
     name = "pressure"
-    n_sums = 1
+    has_history = True
 
     def __init__(self, u: fem.Function, cells: fem.Function, pressure: fem.Constant) -> None:
         mesh, V = u.function_space.mesh, u.function_space
@@ -40,10 +40,6 @@ class StepPressure:
         self._force = fem.form(cells * ufl.dot(n, ufl.TestFunction(V)) * dx)
         self._forces, self._scaled = np.zeros_like(u.x.array), np.zeros_like(u.x.array)
         self.volume_n = 0.0
-
-    def attach(self, unknowns: Unknowns) -> None:
-        """Use this layout."""
-        self.unknowns = unknowns
 
     def begin_step(self, x: Array) -> None:
         """Take the current shape as the step's start."""

@@ -1,0 +1,1 @@
+"""What each physical feature of a scene contributes to its potential."""

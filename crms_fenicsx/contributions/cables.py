@@ -1,0 +1,170 @@
+"""The scene's cables: the layout of their points, their tension, and what they bring with them."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+
+from crms_fenicsx.cables.element_tables import CableTables, cable_tables, damping
+from crms_fenicsx.cables.node_positions import Whereabouts
+from crms_fenicsx.cables.numbering import Network
+from crms_fenicsx.contributions.contribution import Contribution
+from crms_fenicsx.contributions.folds import FoldContribution
+from crms_fenicsx.contributions.loads import PressureContribution
+from crms_fenicsx.contributions.membrane import MembraneContribution
+from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.energies.axial_friction import CapstanTension
+from crms_fenicsx.energies.cable_tension import CableTension
+from crms_fenicsx.energies.paper.step_cable import StepCableTension
+from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.friction.axial import align_axial
+from crms_fenicsx.friction.axial_tables import chain_table, grip_table
+from crms_fenicsx.minimization.damping import Damping
+from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
+from crms_fenicsx.scene import Scene
+
+logger = logging.getLogger("crms_fenicsx")
+
+UNSMOOTHED = 1e-13
+"""How far the length that a cable's tension comes from may be from that of its polyline, relative
+to its unstressed length."""
+
+
+class CableContribution(Contribution):
+    """Tension of the cables as they lie now; made anew when they are laid, tighten or slacken.
+
+    Parameters
+    ----------
+    scene
+        The scene; its crossings are arranged.
+    membrane
+        The cells that cables in tension fold are taken from it.
+    pressure
+        Pressure on the plain cells.
+
+    Attributes
+    ----------
+    network
+        Numbering of the cables' points.
+    unknowns
+        The layout with these points.
+    tables
+        This rank's elements of the cables in tension; None without any.
+    folds
+        Contribution of the folded cells.
+    tension, sliding
+        Term of the cables in tension that slide along themselves freely, and these.
+    capstan, gripped
+        Term of those that friction holds along their axis, and these.
+    """
+
+    def __init__(
+        self, scene: Scene, membrane: MembraneContribution, pressure: PressureContribution
+    ) -> None:
+        self.scene = scene
+        scene.net.arrange_crossings()
+        assert scene.net.strip is not None
+        self.network = Network(scene.cables, scene.net.strip, scene.u)
+        self.unknowns = self.network.unknowns()
+        self.network.hold(self.unknowns)
+        self.whereabouts = Whereabouts(self.network, self.unknowns)
+        self.taut = [cable for cable in scene.cables if cable.taut]
+        self.sliding = [cable for cable in self.taut if cable.axial is None]
+        self.gripped = [cable for cable in self.taut if cable.axial is not None]
+        self.tension: CableTension | None = None
+        self.capstan: CapstanTension | None = None
+        self.tables: CableTables | None = None
+        if self.taut:
+            self.tables = cable_tables(self.network, membrane.energy, scene.membrane.pressed)
+            folded = self.tables.folded.cells
+            scene.membrane.refuse_folds(folded, "a cable has slid too far")
+            membrane.fold(folded)
+        self.folds = FoldContribution(scene, membrane, pressure, self.tables)
+
+    def damping(self) -> Damping | None:
+        """What damps the quasi-Newton steps of the cables' points; None without tension."""
+        return None if self.tables is None else damping(self.network, self.tables.segments)
+
+    @property
+    def has_history(self) -> bool:
+        return any(cable.cable.law == "step" for cable in self.scene.cables)
+
+    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+        terms: list[EnergyTerm] = []
+        if self.tables is not None and self.sliding:
+            self.tension = self._tension_term(self.tables)
+            terms.append(self.tension)
+        if self.tables is not None and self.gripped:
+            for cable in self.gripped:
+                align_axial(cable)
+            grips = grip_table(self.network, self.scene.net.strip_shape())
+            L0 = np.array([cable.L0 + cable.excess for cable in self.gripped])
+            self.capstan = CapstanTension(chain_table(self.network, self.tables), grips, L0)
+            terms.append(self.capstan)
+        return terms
+
+    def _tension_term(self, tables: CableTables) -> CableTension:
+        EA = np.array([cable.cable.EA for cable in self.sliding])
+        L0 = np.array([cable.L0 for cable in self.sliding])
+        starts = [cable.step_start for cable in self.sliding]
+        one = np.array([cable.axial is None for cable in self.taut])
+        mine, number = one[tables.cable], np.cumsum(one, dtype=np.int32) - np.int32(1)
+        links = (tables.segments[mine], tables.eps[mine], number[tables.cable[mine]])
+        if any(starts):
+            return StepCableTension(*links, EA, L0, starts)
+        return CableTension(*links, EA, L0)
+
+    def read_scene(self, potential: Potential) -> None:
+        network, unknowns = self.network, self.unknowns
+        for (c, k), number in network.numbers.items():
+            block = network.blocks[number]
+            if block >= 0:
+                potential.x[block] = self.scene.cables[c].positions[k] - unknowns.X[block]
+        unknowns.update_ghosts(potential.x_vector)  # far vertices, with rails on them
+        network.rails.place(unknowns, potential.x)
+        if self.tension is not None:
+            self.tension.L0[:] = [cable.L0 for cable in self.sliding]
+            self.tension.excess[:] = [cable.excess for cable in self.sliding]
+        if self.capstan is not None:
+            self.capstan.L0[:] = [cable.L0 + cable.excess for cable in self.gripped]
+
+    def locate(self, potential: Potential) -> None:
+        self.whereabouts.tell(potential.x)
+
+    def write_scene(self, potential: Potential) -> None:
+        self.locate(potential)
+        for cable in self.scene.cables:
+            length = polyline_length(cable.positions[cable.contacts()])
+            cable.update(length=length, tension=0.0)
+        if self.tension is not None:
+            forces = self.tension.tensions(potential.sums_of(self.tension))
+            for cable, force in zip(self.sliding, forces, strict=True):
+                cable.update(tension=float(force))
+
+    def renew_excess(self, potential: Potential) -> bool:
+        lengths: list[tuple[LaidCable, float]] = []
+        if self.tension is not None:
+            sums = potential.sums_of(self.tension)
+            lengths += [(c, float(length)) for c, length in zip(self.sliding, sums, strict=True)]
+        if self.capstan is not None:
+            sums = potential.sums_of(self.capstan)
+            for c, cable in enumerate(self.gripped):
+                spans = sums[self.capstan.spans_of(c)]
+                lengths.append((cable, float(spans.sum()) - cable.excess))
+        changed = False
+        for cable, length in lengths:
+            more = length - cable.length
+            if abs(more) > UNSMOOTHED * cable.L0:
+                logger.debug("%s: smoothing adds %.3g to its length", cable.name, more)
+                cable.update(excess=cable.excess + more)
+                changed = True
+        return changed
+
+    def commit(self) -> None:
+        if self.tension is not None:
+            for cable, start in zip(self.sliding, self.tension.starts, strict=False):
+                cable.update(step_start=start)
+        for cable in self.scene.cables:
+            cable.update(ends_before=cable.positions[[0, -1]])

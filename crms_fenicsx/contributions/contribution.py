@@ -1,0 +1,56 @@
+"""The protocol of what one physical feature of a scene contributes to its potential."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.minimization.potential import Potential
+
+if TYPE_CHECKING:
+    from crms_fenicsx.model.crossing import Member
+
+
+class Contribution:
+    """One feature of a scene: its terms, and what goes between them and the scene.
+
+    Every method does nothing by default. All are called on all ranks, in the order of the terms.
+    """
+
+    @property
+    def is_stale(self) -> bool:
+        """Whether its terms do not fit the scene any more, and must be made anew. Collective."""
+        return False
+
+    @property
+    def has_history(self) -> bool:
+        """Whether it depends on the state at the start of a load step."""
+        return False
+
+    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+        """Make its terms for a layout, the same ones on all ranks. Collective."""
+        return []
+
+    def read_scene(self, potential: Potential) -> None:
+        """Copy loads, parameters and the state from the scene to the terms and the potential."""
+
+    def locate(self, potential: Potential) -> None:
+        """Copy the positions of cable points from the potential to the scene. Collective."""
+
+    def write_scene(self, potential: Potential) -> None:
+        """Copy the solved state to the scene, whose `energies` are those of the potential."""
+
+    def renew_friction(self) -> None:
+        """Take the friction forces of the scene's cables. Collective."""
+
+    def renew_excess(self, potential: Potential) -> bool:
+        """Take off the cables' lengths what smoothing adds to them; say whether that changed."""
+        return False
+
+    def caught_nodes(self, limit: float) -> set[Member]:
+        """Find fold points at which an edge has a kink of more than a limit (rad). Collective."""
+        return set()
+
+    def commit(self) -> None:
+        """End a load step at the scene's current state. Collective."""

@@ -1,0 +1,88 @@
+"""The cells that cables in tension fold: strain energy, penalty and pressure."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from crms_fenicsx.cables.element_tables import CableTables
+from crms_fenicsx.contributions.contribution import Contribution
+from crms_fenicsx.contributions.loads import PressureContribution
+from crms_fenicsx.contributions.membrane import MembraneContribution
+from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.energies.fold_penalty import KinkPenalty
+from crms_fenicsx.energies.folded_membrane import FoldEnergy
+from crms_fenicsx.energies.folded_pressure import FoldedFollowerPressure
+from crms_fenicsx.energies.paper.step_folded_membrane import StepFoldEnergy
+from crms_fenicsx.energies.paper.step_folded_pressure import FoldedStepPressure
+from crms_fenicsx.energies.paper.step_membrane import StepMembraneEnergy
+from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.model.crossing import Member
+from crms_fenicsx.scene import Scene
+
+
+class FoldContribution(Contribution):
+    """Terms of the folded cells, which have left those of the plain cells.
+
+    Parameters
+    ----------
+    scene
+        The scene.
+    membrane, pressure
+        What acts on the plain cells.
+    tables
+        This rank's folded cells; None if no cable is in tension.
+
+    Attributes
+    ----------
+    energy
+        Strain energy of the folded cells, if there are any.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        membrane: MembraneContribution,
+        pressure: PressureContribution,
+        tables: CableTables | None,
+    ) -> None:
+        self.scene, self.membrane, self.pressure, self.tables = scene, membrane, pressure, tables
+
+    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+        # Every rank has the same terms, so that sums line up; folds may be on some ranks only.
+        if self.tables is None or not self.membrane.has_folds:
+            return []
+        self.energy, self.penalty = self._fold_term(self.tables), self._penalty_term(self.tables)
+        terms: list[EnergyTerm] = [self.energy, self.penalty]
+        if self.pressure.term is not None:
+            terms.append(self._pressure_term(self.tables))
+        return terms
+
+    def _fold_term(self, tables: CableTables) -> FoldEnergy:
+        plain = self.membrane.energy
+        if isinstance(plain, StepMembraneEnergy):
+            return StepFoldEnergy(tables.folded, plain, self.membrane.folded_energy)
+        return FoldEnergy(tables.folded, plain.stiffening)
+
+    def _penalty_term(self, tables: CableTables) -> KinkPenalty:
+        if self.scene.literal_penalty is not None:
+            return KinkPenalty(tables.literal_penalty(self.scene.literal_penalty))
+        plain = self.membrane.energy
+        tags = plain.material_tags(tables.folded.cells)
+        moduli = np.array([plain.materials[int(tag)].reference_modulus for tag in tags])
+        return KinkPenalty(tables.penalty(self.scene.penalty, moduli))
+
+    def _pressure_term(self, tables: CableTables) -> EnergyTerm:
+        pressure = self.pressure
+        if self.scene.pressure_law == "total":
+            return FoldedFollowerPressure(tables.facets, pressure.value, self.scene.membrane.centre)
+        return FoldedStepPressure(tables.facets, pressure.value, pressure.folded_volume)
+
+    def caught_nodes(self, limit: float) -> set[Member]:
+        """As `Contribution`; judged at the state last evaluated, not for the literal penalty."""
+        if self.tables is None or self.scene.literal_penalty is not None:
+            return set()
+        mine: set[Member] = set()
+        if self.tables.kinks:
+            sharp = np.flatnonzero(np.abs(self.penalty.residuals) > limit)
+            mine = {self.tables.kinks[k][2] for k in sharp}
+        return set().union(*self.scene.comm.allgather(mine))

@@ -1,0 +1,123 @@
+"""Loads on the membrane: pressure on the plain cells, dead load on the vertices."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from crms_fenicsx.contributions.contribution import Contribution
+from crms_fenicsx.contributions.membrane import MembraneContribution
+from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.energies.dead_load import DeadLoad
+from crms_fenicsx.energies.paper.step_history import StepHistory
+from crms_fenicsx.energies.paper.step_pressure import StepPressure
+from crms_fenicsx.energies.pressure import FollowerPressure
+from crms_fenicsx.energies.pressure_rim import RimPressure, rim_of
+from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.scene import Scene
+
+
+class PressureContribution(Contribution):
+    """Pressure on the plain cells, and on what closes the volume where the rim slides in planes.
+
+    Parameters
+    ----------
+    scene
+        The scene; with the paper's pressure its history is taken over.
+    membrane
+        Says which cells are plain.
+
+    Attributes
+    ----------
+    cells : Function
+        1 in the plain cells under pressure, else 0.
+    value : Constant
+        The pressure (force per area).
+    term
+        Pressure on these cells; None before there has been any.
+    folded_volume : (1,)
+        Volume gained under folded cells in the steps before, with the paper's pressure
+        (length cubed).
+    """
+
+    def __init__(self, scene: Scene, membrane: MembraneContribution) -> None:
+        self.scene, self.membrane = scene, membrane
+        self.cells = fem.Function(membrane.energy.plain.function_space)
+        self.value = fem.Constant(scene.mesh.mesh, PETSc.ScalarType(0.0))
+        self.term: FollowerPressure | StepPressure | None = None
+        self._history = scene.step_history or StepHistory()
+        self.folded_volume = np.array([self._history.folded_volume])
+
+    @property
+    def is_stale(self) -> bool:
+        return self.scene.pressure != 0.0 and self.term is None
+
+    @property
+    def has_history(self) -> bool:
+        return self.scene.pressure_law == "step"
+
+    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+        self.cells.x.array[:] = self.membrane.energy.plain.x.array * self.scene.membrane.pressed
+        if self.term is None:
+            if self.scene.pressure == 0.0 and "pressure" not in self.scene.energies:
+                return []
+            self.term = self._make_term()
+        if isinstance(self.term, StepPressure):
+            if not self.membrane.has_folds:
+                self.term.volume_n += float(self.folded_volume[0])
+                self.folded_volume[0] = 0.0
+            return [self.term]
+        return [self.term, *self._rim_terms()]
+
+    def _make_term(self) -> FollowerPressure | StepPressure:
+        scene = self.scene
+        if scene.pressure_law == "total":
+            return FollowerPressure(scene.u, self.cells, self.value, scene.membrane.centre)
+        term = StepPressure(scene.u, self.cells, self.value)
+        term.volume_n = self._history.volume
+        return term
+
+    def _rim_terms(self) -> list[EnergyTerm]:
+        rim = rim_of(self.scene.membrane)
+        if self.scene.comm.allreduce(len(rim.sliding), op=MPI.SUM) == 0:
+            return []
+        return [RimPressure(rim, self.value, self.scene.membrane.centre)]
+
+    def read_scene(self, potential: Potential) -> None:
+        self.value.value = self.scene.pressure
+
+    def commit(self) -> None:
+        if self.has_history:
+            self.scene.step_history = replace(
+                self.scene.step_history or StepHistory(),
+                volume=self.term.volume_n if isinstance(self.term, StepPressure) else 0.0,
+                folded_volume=float(self.folded_volume[0]),
+            )
+
+
+class DeadLoadContribution(Contribution):
+    """The dead load that `Scene.put_load` has put on the membrane.
+
+    Parameters
+    ----------
+    scene
+        The scene.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.term: DeadLoad | None = None
+
+    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+        forces = self.scene.dead_forces
+        self.term = None if forces is None else DeadLoad(forces)
+        return [] if self.term is None else [self.term]
+
+    def read_scene(self, potential: Potential) -> None:
+        if self.term is not None:
+            self.term.factor = self.scene.load

@@ -1,0 +1,132 @@
+"""The protocol of a term of the total potential energy."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+
+from petsc4py import PETSc
+
+from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.preallocation import RowSizes
+from crms_fenicsx.energies.integral import Integral
+from crms_fenicsx.energies.stiffening import Stiffening
+from crms_fenicsx.runtime.arrays import Array
+
+
+class EnergyTerm(ABC):
+    """A term of the total potential energy; `Scene.add_term` adds one of your own.
+
+    An evaluation has two halves around one reduction over the ranks. First each term writes this
+    rank's share of its scalar sums (`sums`), then it computes energy and gradient from the global
+    sums (`energy`, `add_gradient`). What both halves need is computed in `sums`, and kept. Of a
+    term only `sums` and `add_gradient` are compulsory.
+
+    Arrays `x` and `g` are (n_local, 3): displacements (length) and forces (force) of the local
+    blocks of a layout, ghosts included. Of its `Unknowns` a term of mesh vertices needs
+
+    ``n_vertices``
+        Vertices that this rank owns. Their blocks are their degrees of freedom in DOLFINx's order,
+        0 ... n_vertices - 1, as `Scene.vertices` returns them; higher numbers are not vertices.
+    ``vertex_blocks()``
+        Blocks of all local vertices, ghosts too, by degree of freedom.
+    ``X``
+        Positions of all blocks at zero displacement, (n_local, 3) (length).
+
+    Each rank adds its own share, to ghosts as well, and each share is added by one rank only.
+    Nothing here may communicate, and `sums`, `energy` and `add_gradient` are called in each
+    iteration: they should allocate nothing and have no loop over elements in Python.
+
+    Attributes
+    ----------
+    name
+        Name of its energy in ``scene.energies`` and in tables.
+    n_sums
+        Number of scalar sums.
+    integral
+        An `Integral` over the membrane, whose value and gradient are brought up to date before
+        `sums`, in one pass over the mesh with all others.
+    stiffening
+        What its stiffness has that its energy has not, set by the minimiser.
+    has_dyads
+        Whether it has `dyads`: H0 is factorised then, however large it is.
+    has_history
+        Whether `begin_step` and `commit` do anything. Each solve then begins where the load step
+        began. Checkpoints do not keep the history of a term of your own, and refuse it.
+    unknowns
+        The layout, from `attach` on.
+
+    Examples
+    --------
+    Linear springs from all vertices of this rank to the ground:
+
+    >>> class Springs(EnergyTerm):
+    ...     name = "springs"
+    ...
+    ...     def __init__(self, stiffness):
+    ...         self.k = stiffness
+    ...
+    ...     def sums(self, x, out):
+    ...         own = x[: self.unknowns.n_vertices]
+    ...         out[0] = self.k / 2 * np.vdot(own, own)
+    ...
+    ...     def add_gradient(self, x, sums, g):
+    ...         n = self.unknowns.n_vertices
+    ...         g[:n] += self.k * x[:n]
+    >>> scene.add_term(Springs(0.1))
+    """
+
+    name: str
+    n_sums: int = 1
+    integral: Integral | None = None
+    stiffening: Stiffening | None = None
+    has_dyads: bool = False
+    has_history: bool = False
+    unknowns: Unknowns
+
+    def attach(self, unknowns: Unknowns) -> None:
+        """Use this layout; called whenever the scene gets a new one, as cables come or slacken."""
+        self.unknowns = unknowns
+
+    @abstractmethod
+    def sums(self, x: Array, out: Array) -> None:
+        """Write this rank's share of the scalar sums to `out`, (n_sums,)."""
+
+    def energy(self, sums: Array) -> float:
+        """Energy (force x length) from the global sums, (n_sums,); by default the first."""
+        return float(sums[0])
+
+    @abstractmethod
+    def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
+        """Add this rank's share of the gradient to `g`; `x` is that of the last `sums`."""
+
+    def count_stiffness(self, sizes: RowSizes) -> None:
+        """Count the blocks that `add_stiffness` fills, those off the diagonal at least."""
+
+    def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+        """Add a positive semidefinite stiffness (force/length) to the matrix of H0.
+
+        It sets the speed and not the solution; without it the minimiser learns of the term from
+        gradients. `crms_fenicsx.dofs.block_patterns` adds blocks of three, and counts them.
+        """
+
+    def dyads(self, sums: Array) -> Sequence[float] | Array:
+        """Values (force/length) of stiffness ``value * column column^T`` that couples many points.
+
+        Those that are not positive are skipped.
+        """
+        return ()
+
+    def add_dyad_column(self, k: int, x: Array, g: Array) -> None:
+        """Add this rank's share of column k to `g`."""
+        raise NotImplementedError(f"{type(self).__name__} has dyads, but no columns")
+
+    def rounding(self, x: Array, sums: Array) -> float:
+        """Squared norm of what rounding leaves of forces that cancel at this rank's points."""
+        return 0.0
+
+    def begin_step(self, x: Array) -> None:
+        """Take the current state as a load step's start."""
+
+    def commit(self, x: Array, sums: Array) -> None:
+        """Take the current state as an accepted load step's end."""

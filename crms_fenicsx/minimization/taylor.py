@@ -1,0 +1,272 @@
+"""Taylor tests: does a gradient belong to its energy, a stiffness to its gradient?
+
+The remainder of an energy's expansion to first order shrinks with the square of the step if the
+gradient is right, else with the step itself; with the stiffness in it, with the cube.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from dolfinx import fem
+from petsc4py import PETSc
+
+from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.meshes.cell_geometry import area_vectors
+from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.errors import InputError
+
+STEPS = tuple(0.01 * 0.25 ** np.arange(6))
+"""Steps, as parts of the direction given: so small that an error of 1e-3 in a gradient is seen."""
+CUBIC_STEPS = tuple(0.1 * 0.5 ** np.arange(5))
+"""Steps where the remainder is of third order, and soon drowns in rounding."""
+SHAKEN = 0.1
+"""Size of the displacements at which terms are tested, relative to the cells."""
+SLACK = 0.2
+"""How far a fitted order may be below the one that is due."""
+ROUNDED = 1e3 * float(np.finfo(float).eps)
+"""Remainders up to this, relative to the energies and works that they are left of, are rounding."""
+SYMMETRIC = 1e-9
+"""Largest relative asymmetry of a stiffness."""
+
+
+class Differentiable(Protocol):
+    """An energy of points (n, 3) with gradient and stiffness."""
+
+    def value(self, x: Array) -> tuple[float, Array]:
+        """Energy and gradient (n, 3)."""
+
+    def times(self, x: Array, d: Array) -> Array:
+        """Stiffness times a direction, (n, 3)."""
+
+    def dot(self, a: Array, b: Array) -> float:
+        """Scalar product over all ranks."""
+
+
+class TermsOnLayout:
+    """Terms of a distributed layout as a function of its owned points' displacements, (n, 3).
+
+    Parameters
+    ----------
+    unknowns
+        The layout.
+    u
+        Vertex displacements; an evaluation overwrites them.
+    terms
+        The terms; they are attached to the layout.
+    """
+
+    def __init__(self, unknowns: Unknowns, u: fem.Function, terms: Sequence[EnergyTerm]) -> None:
+        self.potential = Potential(unknowns, u, terms)
+        self.unknowns = unknowns
+
+    def value(self, x: Array) -> tuple[float, Array]:
+        """Energy (force x length) and gradient (force). Collective."""
+        n = self.unknowns.n_owned
+        self.potential.x[:n] = x
+        self.potential.place()
+        energy = self.potential.evaluate()
+        return energy, self.potential.g[:n].copy()
+
+    def assembled(self, x: Array) -> PETSc.Mat:
+        """Stiffness without dyads, distributed; to be destroyed. Collective."""
+        self.value(x)
+        unknowns = self.unknowns
+        A = PETSc.Mat().create(unknowns.comm)
+        A.setSizes(((3 * unknowns.n_owned, 3 * unknowns.n_global),) * 2)
+        A.setBlockSize(3)
+        A.setType(PETSc.Mat.Type.AIJ)
+        A.setLGMap(*(unknowns.lgmap(),) * 2)
+        A.setUp()
+        A.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
+        self.potential.add_stiffness(A)
+        A.assemble()
+        return A
+
+    def times(self, x: Array, d: Array) -> Array:
+        """Stiffness without dyads times a direction. Collective."""
+        A = self.assembled(x)
+        vector, result = A.createVecRight(), A.createVecLeft()
+        vector.setArray(d.ravel())
+        A.mult(vector, result)
+        product: Array = result.getArray().reshape(-1, 3).copy()
+        for thing in (A, vector, result):
+            thing.destroy()
+        return product
+
+    def dot(self, a: Array, b: Array) -> float:
+        """Scalar product over all ranks."""
+        return float(self.unknowns.comm.allreduce(float(np.vdot(a, b))))
+
+
+class _WithDyads(TermsOnLayout):
+    """Terms whose stiffness has its dyads."""
+
+    def times(self, x: Array, d: Array) -> Array:
+        product, n = super().times(x, d), self.unknowns.n_owned
+        for term, k, value in list(self.potential.dyads()):
+            self.potential.dyad_column(term, k)
+            column = self.potential.g[:n].copy()
+            product += value * self.dot(column, d) * column
+        return product
+
+
+def fitted_order(steps: Sequence[float], remainders: Sequence[float]) -> float:
+    """Exponent with which the remainders shrink."""
+    return float(np.polyfit(np.log(steps), np.log(remainders), 1)[0])
+
+
+def _order(
+    f: Differentiable, x: Array, d: Array, curvature: float, steps: Sequence[float]
+) -> float:
+    """Order of the remainder of the expansion, infinite where it is nothing but rounding."""
+    energy, g = f.value(x)
+    slope, seen = f.dot(g, d), []
+    for h in steps:
+        value = f.value(x + h * d)[0]
+        remainder = abs(value - energy - h * slope - h**2 / 2 * curvature)
+        if remainder > ROUNDED * max(abs(value), abs(energy), abs(h * slope)):
+            seen.append((h, remainder))
+    return fitted_order(*zip(*seen, strict=True)) if len(seen) > 2 else math.inf
+
+
+def gradient_order(f: Differentiable, x: Array, d: Array, steps: Sequence[float] = STEPS) -> float:
+    """2 or more if the gradient at x is right along d, 1 if it is not."""
+    return _order(f, x, d, 0.0, steps)
+
+
+def stiffness_order(
+    f: Differentiable, x: Array, d: Array, steps: Sequence[float] = CUBIC_STEPS
+) -> float:
+    """3 or more if gradient and stiffness at x are right along d, 2 if the stiffness is not."""
+    return _order(f, x, d, f.dot(d, f.times(x, d)), steps)
+
+
+def stiffness_error(f: Differentiable, x: Array, d: Array, h: float = 1e-4) -> float:
+    """Relative difference of stiffness times d and the central difference of the gradient."""
+    ahead, behind = f.value(x + h * d)[1], f.value(x - h * d)[1]
+    difference: Array = np.asarray((ahead - behind) / (2 * h), dtype=np.float64)
+    error: Array = np.asarray(f.times(x, d) - difference, dtype=np.float64)
+    return float(np.sqrt(f.dot(error, error) / f.dot(difference, difference)))
+
+
+def noise(X: Array, seed: int) -> Array:
+    """Random vectors (n, 3) that depend on the place alone, so on no numbering; size about 1.
+
+    Waves shorter than the distances in a mesh of about 20 look random on its vertices.
+    """
+    rng = np.random.default_rng(seed)
+    waves, phases = rng.uniform(-1, 1, (8, 3)), rng.uniform(0, 2 * np.pi, (8, 3))
+    shake: Array = np.sin((X @ waves.T)[:, :, None] + phases).sum(axis=1) / 2
+    return shake
+
+
+@dataclass(frozen=True)
+class TaylorRates:
+    """Orders with which remainders shrink with the step; infinite where nothing but rounding is
+    left, as of quadratic energies.
+
+    Attributes
+    ----------
+    gradient
+        Of the expansion to first order: 2 is due.
+    stiffness
+        Of the expansion to second order: 3 is due. None without a stiffness, or with one that is
+        not meant to be exact.
+    """
+
+    gradient: float
+    stiffness: float | None
+
+
+def taylor_test(
+    term: EnergyTerm,
+    u: fem.Function,
+    *,
+    stiffness: Literal["exact", "semidefinite"] = "exact",
+    seed: int = 0,
+) -> TaylorRates:
+    """Check a term's gradient and stiffness by Taylor expansions of its energy. Collective.
+
+    It is tested at displacements that are shaken at random, a tenth of a cell, from `u`, along
+    random directions, the same on any number of processes. There the energy must be smooth.
+
+    Parameters
+    ----------
+    term
+        A term of mesh vertices. One that is in a scene already stays as it is.
+    u
+        Vertex displacements such as ``scene.u``; the same afterwards.
+    stiffness
+        "exact": a stiffness (with its dyads), if there is one, is the energy's second derivative.
+        "semidefinite": it is a bound or an approximation, and only has to be symmetric and
+        positive semidefinite.
+    seed
+        Of the random displacements.
+
+    Returns
+    -------
+    TaylorRates
+        The orders found.
+
+    Raises
+    ------
+    InputError
+        On all ranks: the gradient is not that of the energy, or the stiffness is not what it
+        should be.
+
+    Examples
+    --------
+    >>> taylor_test(Springs(0.1), scene.u)
+    TaylorRates(gradient=1.99..., stiffness=None)
+    """
+    V, layout, kept = u.function_space, getattr(term, "unknowns", None), u.x.array.copy()
+    f = _WithDyads(Unknowns(V), u, [term])
+    X, n = f.unknowns.X, f.unknowns.n_owned
+    cells = V.mesh.topology.index_map(2)
+    area = float(np.linalg.norm(area_vectors(V.mesh)[: cells.size_local], axis=1).sum())
+    size = math.sqrt(V.mesh.comm.allreduce(area) / cells.size_global)
+    x, d, other = (SHAKEN * size * noise(X[:n] / size, 3 * seed + k) for k in range(3))
+    try:
+        return _rates(f, term.name, f.potential.x[:n] + x, d, other, stiffness == "exact")
+    finally:
+        f.potential.destroy()
+        u.x.array[:] = kept
+        if layout is not None:
+            term.attach(layout)
+
+
+def _rates(
+    f: TermsOnLayout, name: str, x: Array, d: Array, other: Array, exact: bool
+) -> TaylorRates:
+    """Rates of a term at x along d; `other` is another direction."""
+    order = gradient_order(f, x, d)
+    if not order > 2 - SLACK:
+        raise InputError(
+            f"taylor_test: the gradient of {name!r} is not that of its energy: the remainder "
+            f"shrinks with the power {order:.2f} of the step, and should with 2."
+        )
+    product, twin = f.times(x, d), f.times(x, other)
+    size = math.sqrt(f.dot(product, product) * f.dot(other, other))
+    if size == 0.0:
+        return TaylorRates(order, None)
+    if abs(f.dot(other, product) - f.dot(d, twin)) > SYMMETRIC * size:
+        raise InputError(f"taylor_test: the stiffness of {name!r} is not symmetric.")
+    if not exact:
+        if min(f.dot(d, product), f.dot(other, twin)) < -SYMMETRIC * size:
+            raise InputError(f"taylor_test: the stiffness of {name!r} is not semidefinite.")
+        return TaylorRates(order, None)
+    cubic = stiffness_order(f, x, d)
+    if not cubic > 3 - SLACK:
+        raise InputError(
+            f"taylor_test: the stiffness of {name!r} is not its energy's second derivative: the "
+            f"remainder shrinks with the power {cubic:.2f} of the step, and should with 3. If it "
+            'is not meant to be, give stiffness="semidefinite".'
+        )
+    return TaylorRates(order, cubic)

@@ -1,0 +1,216 @@
+"""Membrane materials by an energy density that the user writes in UFL."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Any
+
+import numpy as np
+import ufl
+from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
+from ufl.algorithms.apply_derivatives import apply_derivatives
+
+from crms_fenicsx.model.materials import (
+    UFL_LAW,
+    Direction,
+    LawTerms,
+    MembraneMaterial,
+    voigt,
+)
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.errors import InputError
+
+ENERGY_AT_REST = 1e-12
+"""Largest energy at zero strain, relative to the stiffness."""
+PROBED = 0.01
+"""Size of the strains at which a density is compared with its tangent plane at zero strain."""
+BELOW = 1e-10
+"""How far it may be below that, relative to the stiffness times the square of the strain."""
+
+
+@dataclass(frozen=True)
+class UflMembrane(MembraneMaterial):
+    """Membrane with an energy density of your own, in UFL.
+
+    Its forces and its stiffness in H0 are UFL's derivatives of it. It is for cells that no cable
+    folds: those have compiled laws, which this one has not. It wrinkles if its density does: one
+    without compression is an energy that is zero there.
+
+    Parameters
+    ----------
+    psi
+        Energy per area of the stress-free surface (force / length): a function of the UFL
+        Green-Lagrange strain in two in-plane axes, (2, 2), that returns a UFL scalar. It must be
+        zero at zero strain, and convex, with a positive definite second derivative there. It is
+        made of the strain and of numbers. Its slope at zero strain is a prestress.
+    warp
+        Direction of the first of these axes in space, as for `OrthotropicMembrane`; None where the
+        density has no direction.
+
+    Raises
+    ------
+    InputError
+        It is no function of the strain that returns a scalar, or is not convex.
+
+    Examples
+    --------
+    An incompressible neo-Hookean sheet in plane stress with the shear modulus mu times thickness:
+
+    >>> def psi(E):
+    ...     C = ufl.Identity(2) + 2 * E
+    ...     return mu / 2 * (ufl.tr(C) + 1 / ufl.det(C) - 3)
+    >>> rubber = UflMembrane(psi)
+    """
+
+    psi: Callable[[Any], Any]
+    warp: Direction | None = None
+
+    def __post_init__(self) -> None:
+        if not callable(self.psi):
+            raise InputError(
+                f"UflMembrane: psi = {self.psi!r} is no function; give one of the UFL strain (2, 2)"
+                " that returns the energy per area."
+            )
+        warp = self.warp
+        if warp is not None and not callable(warp):
+            if not np.any(checks.vector("UflMembrane: warp", warp)):
+                raise InputError(f"UflMembrane: warp = {warp} is no direction; one is not zero.")
+        energy, slope, D = self._at_rest
+        if not np.all(np.isfinite([energy, *slope, *D.ravel()])):
+            raise InputError(
+                f"UflMembrane: psi or a derivative is not finite at zero strain: {energy:g}, "
+                f"{slope}, {D.tolist()}."
+            )
+        least = float(np.linalg.eigvalsh(D).min())
+        if not least > 0.0:
+            raise InputError(
+                "UflMembrane: psi is not convex: the eigenvalues of its second derivative at zero "
+                f"strain are {np.linalg.eigvalsh(D)}, and must be positive."
+            )
+        if abs(energy) > ENERGY_AT_REST * D.max():
+            raise InputError(
+                f"UflMembrane: psi is {energy:g} at zero strain, and must be zero there; subtract "
+                "it."
+            )
+        for strain, value in zip(list(_probes()), self.samples, strict=True):
+            if value < slope @ strain - BELOW * D.max() * PROBED**2:
+                raise InputError(
+                    f"UflMembrane: psi is not convex: at the strain (E11, E22, 2 E12) = {strain} "
+                    f"it is {value:g}, below its tangent at zero strain."
+                )
+
+    @cached_property
+    def _at_rest(self) -> tuple[float, Array, Array]:
+        """Energy, section forces (3,) and stiffness (3, 3) at zero strain, in Voigt order."""
+        E = ufl.variable(ufl.as_matrix([[0.0, 0.0], [0.0, 0.0]]))
+        energy = self._energy(E)
+        slope = ufl.diff(energy, E)
+        try:
+            S, D = _values(slope, 2), _values(ufl.diff(slope, E), 4)
+            value = float(energy)
+        except Exception as error:
+            raise _not_evaluated(error) from error
+        return value, _by_voigt(S, 1), _by_voigt(D, 2)
+
+    @cached_property
+    def samples(self) -> tuple[float, ...]:
+        """Values at some strains (force / length), which tell one density from another."""
+        values = []
+        probes: list[list[float]] = [[*map(float, e)] for e in zip(*_probes().T, strict=True)]
+        for x, y, shear in probes:
+            E = ufl.as_matrix([[x, shear / 2], [shear / 2, y]])
+            try:
+                values.append(float(self._energy(E)))
+            except (TypeError, ValueError, ArithmeticError) as error:
+                raise _not_evaluated(error) from error
+        return tuple(values)
+
+    def _energy(self, E: Any) -> Any:
+        """The density at a UFL strain, a UFL scalar."""
+        try:
+            energy = ufl.as_ufl(self.psi(E))
+        except Exception as error:
+            raise InputError(
+                f"UflMembrane: psi fails on a UFL strain of shape (2, 2): {error!r}; write it with "
+                "the functions of ufl, not with those of numpy or math."
+            ) from error
+        if energy.ufl_shape != () or energy.ufl_free_indices:
+            raise InputError(
+                f"UflMembrane: psi returns a tensor of shape {energy.ufl_shape}, and must return "
+                "a scalar, the energy per area."
+            )
+        return energy
+
+    @property
+    def stiffness(self) -> Array:
+        return self._at_rest[2]
+
+    @property
+    def prestress_vector(self) -> Array:
+        return self._at_rest[1]
+
+    @property
+    def law(self) -> int:
+        return UFL_LAW
+
+    @property
+    def law_parameters(self) -> tuple[float, float, float]:
+        return self.reference_modulus, 0.0, 0.0
+
+    @cached_property
+    def reference_modulus(self) -> float:
+        """Mean of the moduli along both axes at zero strain, times thickness (force / length)."""
+        compliance = np.linalg.inv(self.stiffness)
+        return float(1 / np.sqrt(compliance[0, 0] * compliance[1, 1]))
+
+    def law_terms(self, E: Any, p: Any) -> LawTerms:
+        """The law's UFL expressions; see `crms_fenicsx.model.materials.law_terms`."""
+        strain = ufl.variable(E)
+        energy = self._energy(strain)
+        slope = ufl.diff(energy, strain)
+        curvature = ufl.diff(slope, strain)
+        D = ufl.as_matrix([[p[3 * i + j] for j in range(3)] for i in range(3)])
+        i, j, k, m = ufl.indices(4)
+
+        def tangent(a: Any, b: Any) -> Any:
+            return curvature[i, j, k, m] * a[i, j] * b[k, m]
+
+        def taut_tangent(a: Any, b: Any) -> Any:
+            return ufl.dot(voigt(a), D * voigt(b))
+
+        return LawTerms(energy, ufl.sym(slope), ufl.as_ufl(2.0), tangent, taut_tangent)
+
+
+def _probes() -> Array:
+    """Strains (n, 3) around zero, (E11, E22, 2 E12)."""
+    return PROBED * np.array([e for e in product((-1.0, 0.0, 1.0), repeat=3) if any(e)])
+
+
+def _values(tensor: Any, rank: int) -> Array:
+    """Components of a UFL tensor that depends on numbers only, (2,) * rank."""
+    tensor = apply_derivatives(apply_algebra_lowering(tensor))
+    values = np.empty((2,) * rank)
+    for index in np.ndindex(values.shape):
+        values[index] = float(tensor[index])
+    return values
+
+
+def _by_voigt(tensor: Array, pairs: int) -> Array:
+    """A derivative by E as one by (E11, E22, 2 E12)."""
+    to_voigt = np.zeros((3, 2, 2))
+    to_voigt[0, 0, 0] = to_voigt[1, 1, 1] = 1.0
+    to_voigt[2, 0, 1] = to_voigt[2, 1, 0] = 0.5
+    if pairs == 1:
+        return np.asarray(np.einsum("aij,ij->a", to_voigt, tensor))
+    return np.asarray(np.einsum("aij,ijkl,bkl->ab", to_voigt, tensor, to_voigt))
+
+
+def _not_evaluated(error: Exception) -> InputError:
+    return InputError(
+        f"UflMembrane: psi or a derivative cannot be evaluated around zero strain ({error!r}); "
+        "make it smooth there, of the strain and of numbers, without functions of a mesh."
+    )

@@ -1,0 +1,89 @@
+"""An inflated square that bars tie down: a term of the energy that is not in the package.
+
+Bars run from the vertices around the middle of the sheet to one anchor below it, each with the
+strain energy of a spring. A cable is then tightened beside them. Units: kgf, cm.
+
+    ./run python demos/own_term.py
+"""
+
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx import Cable, EnergyTerm, IsotropicMembrane, Scene, Solver, meshes, taylor_test
+from crms_fenicsx.dofs.block_patterns import ElementPattern
+
+RESULTS = "results/own_term"
+
+
+class Bars(EnergyTerm):
+    """Strain energy ``EA/(2 L0) (l - L0)^2`` of bars from vertices to an anchor.
+
+    Parameters
+    ----------
+    vertices
+        Local degrees of freedom, as `Scene.vertices` returns them.
+    anchor
+        Their other end, (3,).
+    EA, L0
+        Axial stiffness (force) and unstressed length of each bar.
+    """
+
+    name = "bars"
+
+    def __init__(self, vertices: Any, anchor: tuple[float, ...], EA: float, L0: float) -> None:
+        self.vertices, self.anchor, self.EA, self.L0 = vertices, anchor, EA, L0
+
+    def attach(self, unknowns: Any) -> None:
+        super().attach(unknowns)
+        self.own = self.vertices[self.vertices < unknowns.n_vertices]  # the others are ghosts here
+        self.pattern = ElementPattern(np.arange(len(self.own) + 1), self.own)
+
+    def sums(self, x: Any, out: Any) -> None:
+        ways = self.unknowns.X[self.own] + x[self.own] - self.anchor
+        self.lengths = np.linalg.norm(ways, axis=1)
+        self.directions = ways / self.lengths[:, None]
+        out[0] = self.EA / (2 * self.L0) * np.sum((self.lengths - self.L0) ** 2)
+
+    @property
+    def tensions(self) -> Any:
+        return self.EA * (self.lengths / self.L0 - 1)
+
+    def add_gradient(self, x: Any, sums: Any, g: Any) -> None:
+        g[self.own] += self.tensions[:, None] * self.directions
+
+    def count_stiffness(self, sizes: Any) -> None:
+        self.pattern.count(sizes)
+
+    def add_stiffness(self, x: Any, sums: Any, A: Any) -> None:
+        along = self.directions[:, :, None] * self.directions[:, None, :]
+        across = np.maximum(self.tensions / self.lengths, 0.0)[:, None, None]
+        self.pattern.values[:] = self.EA / self.L0 * along + across * (np.eye(3) - along)
+        self.pattern.add(A, self.unknowns)
+
+
+mesh = meshes.rectangle(MPI.COMM_WORLD, width=100.0, depth=100.0, size=5.0)
+scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
+scene.fix("boundary")
+middle = scene.vertices(lambda x: np.hypot(x[0] - 50.0, x[1] - 50.0) < 12.0)
+bars = Bars(middle, anchor=(50.0, 50.0, -40.0), EA=20.0, L0=40.0)
+rates = taylor_test(bars, scene.u, stiffness="semidefinite")
+scene.add_term(bars)
+solver = Solver(scene, results=RESULTS)
+
+solver.advance(pressure=0.01)
+cable = scene.lay_cable(Cable(EA=32000.0), path=[(0.0, 20.0), (100.0, 30.0)])
+solver.advance(L0={cable: 0.99 * cable.L0})
+solver.draw(f"{RESULTS}/tied_down.png", unit="cm", force="kgf")
+bars_pull = scene.comm.allreduce(bars.tensions @ bars.directions)
+supports = solver.reactions("boundary").total + cable.start.reaction + cable.end.reaction
+
+if scene.comm.rank == 0:
+    print(f"Taylor test   order   {rates.gradient:8.3f}")
+    print(f"bars          energy  {scene.energies['bars']:8.3f} kgf cm")
+    print(f"              pull    {bars_pull[2]:8.3f} kgf")
+    print(f"cable         tension {cable.tension:8.3f} kgf")
+
+# The pressure lifts with its whole area; supports and bars hold it down.
+np.testing.assert_allclose(bars_pull[2] - supports[2], 0.01 * 100.0**2, rtol=1e-6)
