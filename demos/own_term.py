@@ -13,6 +13,7 @@ from mpi4py import MPI
 
 from crms_fenicsx import Cable, EnergyTerm, IsotropicMembrane, Scene, Solver, meshes, taylor_test
 from crms_fenicsx.dofs.block_patterns import ElementPattern
+from crms_fenicsx.output import draw
 
 RESULTS = "results/own_term"
 
@@ -75,7 +76,7 @@ solver = Solver(scene, results=RESULTS)
 solver.advance(pressure=0.01)
 cable = scene.lay_cable(Cable(EA=32000.0), path=[(0.0, 20.0), (100.0, 30.0)])
 solver.advance(L0={cable: 0.99 * cable.L0})
-solver.draw(f"{RESULTS}/tied_down.png", unit="cm", force="kgf")
+draw(solver, f"{RESULTS}/tied_down.png", unit="cm", force="kgf")
 bars_pull = scene.comm.allreduce(bars.tensions @ bars.directions)
 supports = solver.reactions("boundary").total + cable.start.reaction + cable.end.reaction
 

@@ -150,10 +150,7 @@ class System:
             part.renew_friction()
 
     def renew_excess(self) -> bool:
-        """Take from the cables' lengths what smoothing adds to them in the solved state.
-
-        Says whether that has changed.
-        """
+        """Take off the cables' lengths what smoothing adds to them; say whether that changed."""
         return any([part.renew_excess(self.potential) for part in self.contributions])
 
     def minimize(

@@ -39,6 +39,7 @@ def test_nothing_is_assigned(comm) -> None:
         (scene, "pressure"): r"Scene.pressure = 7: .* call solver.advance\(pressure=",
         (scene, "load"): r"solver.advance\(load=",
         (scene, "cables"): "scene.lay_cable",
+        (scene, "terms"): r"scene.add_term\(term\)",
         (scene, "floor_level"): r"scene.floor\(z\)",
         (cable, "L0"): r"LaidCable.L0 = 7: .*solver.advance\(L0=",
         (cable, "tension"): "solver.advance",
