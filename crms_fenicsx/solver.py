@@ -187,8 +187,7 @@ class Solver:
         Returns
         -------
         ContactForces
-            At the points of the cable's `line`: among others ``line``, the normal force per length
-            of cable.
+            At the points of the cable's `line`; its ``line`` is the force per length of cable.
 
         Raises
         ------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,16 +15,16 @@ from crms_fenicsx.contributions.folds import FoldContribution
 from crms_fenicsx.contributions.loads import PressureContribution
 from crms_fenicsx.contributions.membrane import MembraneContribution
 from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.energies.axial_friction import CapstanTension
 from crms_fenicsx.energies.cable_tension import CableTension
 from crms_fenicsx.energies.paper.step_cable import StepCableTension
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.friction.axial import align_axial
-from crms_fenicsx.friction.axial_tables import chain_table, grip_table
 from crms_fenicsx.minimization.damping import Damping
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 from crms_fenicsx.scene import Scene
+
+if TYPE_CHECKING:
+    from crms_fenicsx.energies.axial_friction import CapstanTension
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -97,6 +98,10 @@ class CableContribution(Contribution):
             self.tension = self._tension_term(self.tables)
             terms.append(self.tension)
         if self.tables is not None and self.gripped:
+            from crms_fenicsx.energies.axial_friction import CapstanTension
+            from crms_fenicsx.friction.axial import align_axial
+            from crms_fenicsx.friction.axial_tables import chain_table, grip_table
+
             for cable in self.gripped:
                 align_axial(cable)
             grips = grip_table(self.network, self.scene.net.strip_shape())

@@ -89,12 +89,14 @@ class System:
         self.contributions: list[Contribution] = list(self._lasting)
         if scene.cables:
             from crms_fenicsx.contributions.cables import CableContribution
-            from crms_fenicsx.contributions.friction import FrictionContribution
 
             self.cables = CableContribution(scene, self.membrane, self.pressure)
             self.unknowns, damping = self.cables.unknowns, self.cables.damping()
-            friction = FrictionContribution(scene, self.cables)
-            self.contributions += [self.cables, self.cables.folds, friction]
+            self.contributions += [self.cables, self.cables.folds]
+            if scene.net.has_friction or any(cable.axial is not None for cable in scene.cables):
+                from crms_fenicsx.contributions.friction import FrictionContribution
+
+                self.contributions.append(FrictionContribution(scene, self.cables))
         else:
             self.cables, self.unknowns = None, Unknowns(scene.V)
         self.contributions.append(AddedTermsContribution(scene))
