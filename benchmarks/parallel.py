@@ -74,13 +74,13 @@ def watched(now: Callable[[], float] = time.perf_counter) -> Clock:
 
     clock = Clock(now)
     plain = [membrane.MembraneEnergy, loads.FollowerPressure, dead_load.DeadLoad]
-    cables = [fold.FoldEnergy, penalty.KinkPenalty, tension.CableTension]
+    cables = [fold.FoldedMembraneEnergy, penalty.FoldPenalty, tension.CableTension]
     cables += [volume.FoldedFollowerPressure]
     for part, terms in (("membrane", plain), ("cables", cables)):
         for term in terms:
             for method in ("sums", "add_gradient"):
                 clock.watch(term, method, f"{part}, energy and forces")
-    clock.watch(integral.OnePass, "assemble", "membrane, energy and forces")
+    clock.watch(integral.FusedAssembly, "assemble", "membrane, energy and forces")
     clock.watch(potential.Potential, "sum_up", "sum over the ranks")
     clock.watch(unknowns.Unknowns, "update_ghosts", "ghosts")
     clock.watch(unknowns.Unknowns, "add_ghosts", "ghosts")

@@ -18,7 +18,7 @@ import numpy as np
 
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.model.cable_state import CableNode
-from crms_fenicsx.model.crossing import Crossing, Member
+from crms_fenicsx.model.crossing import Crossing, NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint
@@ -31,8 +31,8 @@ cables to lie."""
 class _Meeting(NamedTuple):
     """Two links that cross: their first nodes, how far along each, and the place in the cell."""
 
-    first: Member
-    second: Member
+    first: NodeId
+    second: NodeId
     along: tuple[float, float]
     point: CellPoint | EdgePoint
 
@@ -57,7 +57,7 @@ def arrange(
     for cable in cables:
         known = _remove_crossings(cable, known)
     meetings = _meetings(cables, strip)
-    inserted: dict[Member, list[tuple[float, CableNode, Array]]] = defaultdict(list)
+    inserted: dict[NodeId, list[tuple[float, CableNode, Array]]] = defaultdict(list)
     left = list(known)
     crossings: list[Crossing] = []
     for first, second, along, point in sorted(meetings, key=lambda m: (m.first, m.along[0])):
@@ -109,7 +109,7 @@ def _order(cables: Sequence[LaidCable], c: int) -> tuple[int, int]:
     return cables[c].layer, c
 
 
-def _link(cables: Sequence[LaidCable], member: Member) -> tuple[Array, Array]:
+def _link(cables: Sequence[LaidCable], member: NodeId) -> tuple[Array, Array]:
     c, k = member
     return cables[c].positions[k], cables[c].positions[min(k + 1, len(cables[c].nodes) - 1)]
 
@@ -131,7 +131,7 @@ def _inherited(crossing: Crossing, left: list[Crossing], cables: Sequence[LaidCa
 
 
 def _is_fold_point(
-    cables: Sequence[LaidCable], member: Member, number: int, point: CellPoint | EdgePoint
+    cables: Sequence[LaidCable], member: NodeId, number: int, point: CellPoint | EdgePoint
 ) -> bool:
     """Let a fold point on an edge that another cable follows be the crossing's point."""
     cable, k = cables[member[0]], member[1]
@@ -189,8 +189,8 @@ def _insert(cable: LaidCable, new: dict[int, list[tuple[float, CableNode, Array]
 def _meetings(cables: Sequence[LaidCable], strip: Strip) -> list[_Meeting]:
     """Where the paths of cables in tension cross, lifted parts by the cells under them."""
     on_edge: dict[Edge, list[tuple[float, int, int]]] = defaultdict(list)
-    chords: dict[int, list[Member]] = defaultdict(list)
-    followed: dict[Edge, list[Member]] = defaultdict(list)
+    chords: dict[int, list[NodeId]] = defaultdict(list)
+    followed: dict[Edge, list[NodeId]] = defaultdict(list)
     for c, cable in enumerate(cables):
         if not cable.taut:
             continue
@@ -223,25 +223,25 @@ def _meetings(cables: Sequence[LaidCable], strip: Strip) -> list[_Meeting]:
 def _meetings_in_cell(
     cables: Sequence[LaidCable],
     cell: list[int],
-    chords: Sequence[Member],
+    chords: Sequence[NodeId],
     on_edge: dict[Edge, list[tuple[float, int, int]]],
 ) -> list[_Meeting]:
     """Chords of one cell that cross: their ends alternate around it."""
-    around: dict[Member | int, int] = {}  # places on the rim, of corners and of points
+    around: dict[NodeId | int, int] = {}  # places on the rim, of corners and of points
     for i, j in ((cell[0], cell[1]), (cell[1], cell[2]), (cell[2], cell[0])):
         around[i] = len(around)
         line = sorted(on_edge.get((min(i, j), max(i, j)), []))
         for _, c, k in line if i < j else line[::-1]:
             around[c, k] = len(around)
 
-    def rim(member: Member) -> int | None:
+    def rim(member: NodeId) -> int | None:
         node = cables[member[0]].nodes[member[1]]
         assert node.point is not None
         return around.get(node.point.support[0] if node.kind == "vertex" else member)
 
-    def flat(member: Member) -> Array:
+    def flat(member: NodeId) -> Array:
         """Barycentric weights."""
-        ids, weights = cables[member[0]].masters(member[1])
+        ids, weights = cables[member[0]].interpolation(member[1])
         share = dict(zip(ids, weights, strict=True))
         return np.array([share.get(vertex, 0.0) for vertex in cell])
 

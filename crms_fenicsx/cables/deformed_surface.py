@@ -69,23 +69,23 @@ def folded_shape(net: CableNet) -> FoldedShape:
     if net.strip is None or not any(cable.taut for cable in net.cables):
         return FoldedShape(places, stress_free, [])
     from crms_fenicsx.cables.cell_cuts import pieces
-    from crms_fenicsx.cables.numbering import Network
+    from crms_fenicsx.cables.numbering import CableNumbering
 
-    network = Network(net.cables, net.strip, membrane.u)
+    numbering = CableNumbering(net.cables, net.strip, membrane.u)
     added: dict[tuple[int, int], int] = {}
 
     def number(corner: Corner) -> int:
         if isinstance(corner, int):
-            return network.dof(corner)
+            return numbering.dof(corner)
         return added.setdefault(corner, len(places) + len(added))
 
-    cut = pieces(network, number)
+    cut = pieces(numbering, number)
     new, new_free = np.zeros((len(added), 3)), np.zeros((len(added), 3))
     for i, (c, k) in enumerate(added):
         cable = net.cables[c]
-        vertices, weights = cable.nodes[k].masters(_fraction(cable.fractions[k]))
+        vertices, weights = cable.nodes[k].interpolation(_fraction(cable.fractions[k]))
         new[i] = cable.positions[k]
-        new_free[i] = np.dot(weights, stress_free[[network.dof(v) for v in vertices]])
+        new_free[i] = np.dot(weights, stress_free[[numbering.dof(v) for v in vertices]])
     return FoldedShape(np.concatenate([places, new]), np.concatenate([stress_free, new_free]), cut)
 
 

@@ -1,6 +1,6 @@
 """Tables of what a rank computes for the cables in tension: segments, folded cells, kinks, facets.
 
-Nodes of cables and vertices become local blocks of the unknowns here; see `network` for who owns
+Nodes of cables and vertices become local blocks of the unknowns here; see `numbering` for who owns
 what.
 """
 
@@ -13,15 +13,15 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.cables.cell_cuts import chords_by_row, cut, folded_rows
-from crms_fenicsx.cables.numbering import Link, Network
-from crms_fenicsx.energies.fold_penalty import Kinks
+from crms_fenicsx.cables.numbering import CableNumbering, Link
+from crms_fenicsx.energies.fold_penalty import FoldAngles
 from crms_fenicsx.energies.folded_membrane import FoldedCells
 from crms_fenicsx.energies.folded_pressure import Facets
 from crms_fenicsx.energies.membrane import MembraneEnergy
 from crms_fenicsx.energies.segments import COINCIDENT, SMOOTHING
 from crms_fenicsx.meshes.cell_geometry import area_vectors
 from crms_fenicsx.minimization.damping import Damping
-from crms_fenicsx.model.crossing import Member
+from crms_fenicsx.model.crossing import NodeId
 from crms_fenicsx.model.materials import N_PARAMETERS
 from crms_fenicsx.runtime.arrays import Array, Indices
 from crms_fenicsx.runtime.compat import geometry_dofmap
@@ -55,38 +55,40 @@ class CableTables:
     cable: Indices
     links: list[Link]
     folded: FoldedCells
-    kinks: list[tuple[tuple[int, int, int, int], int, Member]]
+    kinks: list[tuple[tuple[int, int, int, int], int, NodeId]]
     facets: Facets
 
-    def penalty(self, factor: float, moduli: Array) -> Kinks:
+    def penalty(self, factor: float, moduli: Array) -> FoldAngles:
         """Weighted penalty with mu = factor x E t x A; `moduli` (n,) is E t of the folded cells."""
         rows = np.array([row for _, row, _ in self.kinks], dtype=np.int64)
-        return Kinks(self._corners(), (factor * moduli * self.folded.areas)[rows], True)
+        return FoldAngles(self._corners(), (factor * moduli * self.folded.areas)[rows], True)
 
-    def literal_penalty(self, mu: float) -> Kinks:
+    def literal_penalty(self, mu: float) -> FoldAngles:
         """The paper's penalty with one coefficient for all, (2.5-1)."""
-        return Kinks(self._corners(), np.full(len(self.kinks), mu), False)
+        return FoldAngles(self._corners(), np.full(len(self.kinks), mu), False)
 
     def _corners(self) -> Indices:
         return np.array([k for k, _, _ in self.kinks], dtype=np.int32).reshape(-1, 4)
 
 
 def cable_tables(
-    network: Network, membrane: MembraneEnergy, pressed: npt.NDArray[np.bool_]
+    numbering: CableNumbering, membrane: MembraneEnergy, pressed: npt.NDArray[np.bool_]
 ) -> CableTables:
     """Tables of the cables in tension; `pressed` says which local cells are under pressure."""
-    taut = {c: n for n, c in enumerate(c for c, k in enumerate(network.cables) if k.taut)}
-    mesh = network.u.function_space.mesh
-    strip, rows = network.strip, network.own_rows
+    taut = {c: n for n, c in enumerate(c for c, k in enumerate(numbering.cables) if k.taut)}
+    mesh = numbering.u.function_space.mesh
+    strip, rows = numbering.strip, numbering.own_rows
     sizes = np.zeros(len(strip.cells))  # of this rank's cells of the strip
     areas = np.linalg.norm(area_vectors(mesh, strip.local[rows]), axis=1)
     sizes[rows] = np.sqrt(2 * areas)
-    own = [k for k in network.links if k.cable in taut and network.link_owner(k) == network.rank]
-    segments = [(network.block(c, k), network.block(c, m)) for c, k, m, _ in own]
-    cells = _FoldedCellsOf(network)
+    own = [
+        k for k in numbering.links if k.cable in taut and numbering.link_owner(k) == numbering.rank
+    ]
+    segments = [(numbering.block(c, k), numbering.block(c, m)) for c, k, m, _ in own]
+    cells = _FoldedCellsOf(numbering)
     return CableTables(
         np.array(segments, dtype=np.int32).reshape(-1, 2),
-        np.array([_smoothing(network, link, sizes) for link in own]),
+        np.array([_smoothing(numbering, link, sizes) for link in own]),
         np.array([taut[link.cable] for link in own], dtype=np.int32),
         own,
         cells.folded(membrane),
@@ -95,16 +97,16 @@ def cable_tables(
     )
 
 
-def _smoothing(network: Network, link: Link, sizes: Array) -> float:
+def _smoothing(numbering: CableNumbering, link: Link, sizes: Array) -> float:
     """Smoothing of a link's length; negative where its ends are given."""
-    nodes = network.cables[link.cable].nodes
+    nodes = numbering.cables[link.cable].nodes
     first, second = nodes[link.first], nodes[link.second]
-    around = link.vertices or network.place_of(link.cable, link.first).support
+    around = link.vertices or numbering.place_of(link.cable, link.first).support
     slides = "crossing" in (first.kind, second.kind) or first.slides or second.slides
     if link.vertices is not None:
         slides = not {first.kind, second.kind} <= {"rider"}
-    strip = network.strip
-    rows = [row for row in strip.rows(around) if strip.owners[row] == network.rank]
+    strip = numbering.strip
+    rows = [row for row in strip.rows(around) if strip.owners[row] == numbering.rank]
     size = float(min(sizes[row] for row in rows))
     # An anchor may lie on the held place next to it: no direction, and none is needed.
     if not slides:
@@ -116,19 +118,19 @@ def _smoothing(network: Network, link: Link, sizes: Array) -> float:
 class _FoldedCellsOf:
     """This rank's cells that the cables in tension fold, cell by cell."""
 
-    def __init__(self, network: Network) -> None:
-        self.network = network
-        self.chords = chords_by_row(network)
-        self.rows = folded_rows(network)
+    def __init__(self, numbering: CableNumbering) -> None:
+        self.numbering = numbering
+        self.chords = chords_by_row(numbering)
+        self.rows = folded_rows(numbering)
 
     def sides(self, row: int) -> list[Edge]:
         """The three sides of a cell."""
-        return [edge for edge, _ in self.network.strip.sides[row]]
+        return [edge for edge, _ in self.numbering.strip.sides[row]]
 
     def folded(self, membrane: MembraneEnergy) -> FoldedCells:
         """Sides in segments, and the cells' material."""
-        mesh = self.network.u.function_space.mesh
-        cells = self.network.strip.local[self.rows].astype(np.int32)
+        mesh = self.numbering.u.function_space.mesh
+        cells = self.numbering.strip.local[self.rows].astype(np.int32)
         X: Array = np.asarray(mesh.geometry.x[geometry_dofmap(mesh)[cells]], dtype=float)
         vectors = np.roll(X, -1, axis=1) - X
         lengths = np.linalg.norm(vectors, axis=2)
@@ -141,7 +143,7 @@ class _FoldedCellsOf:
             for k, edge in enumerate(self.sides(row)):
                 if edge not in numbers:
                     numbers[edge] = len(numbers)
-                    parts = list(itertools.pairwise(self.network.blocks_along(edge)))
+                    parts = list(itertools.pairwise(self.numbering.blocks_along(edge)))
                     segments += parts
                     pointers.append(len(segments))
                     smoothing = SMOOTHING * float(lengths[n, k]) if len(parts) > 1 else 0.0
@@ -163,42 +165,45 @@ class _FoldedCellsOf:
             ],
         )
 
-    def kinks(self) -> list[tuple[tuple[int, int, int, int], int, Member]]:
+    def kinks(self) -> list[tuple[tuple[int, int, int, int], int, NodeId]]:
         """Where chords meet sides at free fold points: corner blocks, the cell's place, point."""
-        network, kinks = self.network, []
+        numbering, kinks = self.numbering, []
         for n, row in enumerate(self.rows):
             for chord in self.chords.get(row, []):
                 # From rim to rim: a crossing may come as near to the rim as it likes.
                 for member, other in ((chord[0], chord[-1]), (chord[-1], chord[0])):
-                    node = network.cables[member[0]].nodes[member[1]]
+                    node = numbering.cables[member[0]].nodes[member[1]]
                     if node.kind == "fold" and isinstance(node.point, EdgePoint):
-                        block, line = network.block(*member), network.blocks_along(node.point.edge)
+                        block, line = (
+                            numbering.block(*member),
+                            numbering.blocks_along(node.point.edge),
+                        )
                         k = line.index(block)
-                        corners = (line[k - 1], block, line[k + 1], network.block(*other))
+                        corners = (line[k - 1], block, line[k + 1], numbering.block(*other))
                         kinks.append((corners, n, member))
         return kinks
 
     def facets(self, pressed: npt.NDArray[np.bool_]) -> Facets:
         """Facets of the polygons into which chords cut the cells under pressure."""
-        network = self.network
-        rows = [row for row in self.rows if pressed[network.strip.local[row]]]
+        numbering = self.numbering
+        rows = [row for row in self.rows if pressed[numbering.strip.local[row]]]
         polygons: list[list[int]] = []
         for row in rows:
-            chords = [[network.block(*k) for k in chord] for chord in self.chords.get(row, [])]
-            polygons += cut(network, row, network.blocks_along, chords)
+            chords = [[numbering.block(*k) for k in chord] for chord in self.chords.get(row, [])]
+            polygons += cut(numbering, row, numbering.blocks_along, chords)
         corners, weights = fan_facets(polygons)
-        plain = [[network.vertex(v) for v in network.strip.corners[row]] for row in rows]
+        plain = [[numbering.vertex(v) for v in numbering.strip.corners[row]] for row in rows]
         return Facets(corners, weights, np.array(plain, dtype=np.int32).reshape(-1, 3))
 
 
-def damping(network: Network, segments: Indices) -> Damping:
+def damping(numbering: CableNumbering, segments: Indices) -> Damping:
     """What holds back the points of the cables in tension, with this rank's segments (m, 2)."""
     sliders, fractions = [], []
-    for edge, points in network.on_edge.items():
+    for edge, points in numbering.on_edge.items():
         for fraction, c, k in points:
-            own = network.owners[network.numbers[c, k]] == network.rank
-            if own and network.cables[c].nodes[k].slides:
-                ends = (network.vertex(vertex) for vertex in edge)
-                sliders.append((network.block(c, k), *ends))
+            own = numbering.owners[numbering.numbers[c, k]] == numbering.rank
+            if own and numbering.cables[c].nodes[k].slides:
+                ends = (numbering.vertex(vertex) for vertex in edge)
+                sliders.append((numbering.block(c, k), *ends))
                 fractions.append(fraction)
     return Damping(np.array(sliders, dtype=np.int32).reshape(-1, 3), np.array(fractions), segments)

@@ -8,13 +8,13 @@ from itertools import accumulate, pairwise
 
 import numpy as np
 
-from crms_fenicsx.cables.numbering import BLOCKED, Network
+from crms_fenicsx.cables.numbering import BLOCKED, CableNumbering
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.triangles import norm
 
 
-class Whereabouts:
+class NodePositions:
     """Finds where the nodes of all cables are, by tables of them, one cable after the other.
 
     Parameters
@@ -25,9 +25,9 @@ class Whereabouts:
         The layout that the network has made.
     """
 
-    def __init__(self, network: Network, unknowns: Unknowns) -> None:
-        self.network, self.unknowns = network, unknowns
-        sizes = (len(cable.nodes) for cable in network.cables)
+    def __init__(self, numbering: CableNumbering, unknowns: Unknowns) -> None:
+        self.numbering, self.unknowns = numbering, unknowns
+        sizes = (len(cable.nodes) for cable in numbering.cables)
         self._starts = list(accumulate(sizes, initial=0))
         self._list_own_nodes()
         self._list_lines()
@@ -35,44 +35,44 @@ class Whereabouts:
 
     def _list_own_nodes(self) -> None:
         """Nodes that this rank places: their blocks, and what they lie on on the membrane."""
-        network = self.network
-        own, blocks, masters, weights, slides = [], [], [], [], []
-        for start, (c, cable) in zip(self._starts, enumerate(network.cables), strict=False):
+        numbering = self.numbering
+        own, blocks, interpolation, weights, slides = [], [], [], [], []
+        for start, (c, cable) in zip(self._starts, enumerate(numbering.cables), strict=False):
             for k, node in enumerate(cable.nodes):
-                if (cable.taut and cable.lifted[k]) or not network.is_mine(c, k):
+                if (cable.taut and cable.lifted[k]) or not numbering.is_mine(c, k):
                     continue
                 own.append(start + k)
-                blocks.append(network.block(c, k))
-                ids, share = ((), ()) if node.point is None else node.masters()
-                masters.append([*(network.vertex(i) for i in ids), 0, 0, 0][:3])
+                blocks.append(numbering.block(c, k))
+                ids, share = ((), ()) if node.point is None else node.interpolation()
+                interpolation.append([*(numbering.vertex(i) for i in ids), 0, 0, 0][:3])
                 weights.append([*share, 0.0, 0.0, 0.0][:3])
                 slides.append(node.slides)
         self._own, self._blocks = np.array(own, dtype=np.int64), np.array(blocks, dtype=np.int64)
-        self._masters = np.array(masters, dtype=np.int64).reshape(-1, 3)
+        self._masters = np.array(interpolation, dtype=np.int64).reshape(-1, 3)
         self._weights = np.array(weights, dtype=float).reshape(-1, 3)
         self._sliders = np.flatnonzero(np.array(slides, dtype=bool))
 
     def _list_lines(self) -> None:
         """This rank's edges with the points on them, and its rails."""
-        network = self.network
+        numbering = self.numbering
         lines, on_lines = [], []
-        for edge, points in network.on_edge.items():
-            if network.strip.owner_of(edge) == network.rank:
-                lines.append(network.blocks_along(edge))
+        for edge, points in numbering.on_edge.items():
+            if numbering.strip.owner_of(edge) == numbering.rank:
+                lines.append(numbering.blocks_along(edge))
                 on_lines.append([self._starts[c] + k for _, c, k in points])
         self._lines = _Lines(lines)
         self._on_lines = np.array([m for line in on_lines for m in line], dtype=np.int64)
-        mine = [n for n, (c, k) in enumerate(network.rails.members) if network.is_mine(c, k)]
+        mine = [n for n, (c, k) in enumerate(numbering.rails.members) if numbering.is_mine(c, k)]
         self._own_rails = np.array(mine, dtype=np.int64)
         self._rails = np.array(
-            [self._starts[c] + k for c, k in network.rails.members], dtype=np.int64
+            [self._starts[c] + k for c, k in numbering.rails.members], dtype=np.int64
         )
 
     def _list_links(self) -> None:
         """Links with crossings on them, and which two nodes each crossing is."""
         links, shared = [], defaultdict(list)
         told, slides, free = [], [], []
-        for start, cable in zip(self._starts, self.network.cables, strict=False):
+        for start, cable in zip(self._starts, self.numbering.cables, strict=False):
             kinds = [node.kind for node in cable.nodes]
             on = [
                 node.point is not None and not lifted
@@ -93,12 +93,12 @@ class Whereabouts:
         pairs = [pair for pair in shared.values() if len(pair) == 2]
         self._pairs = np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
-    def tell(self, x: Array) -> None:
+    def gather(self, x: Array) -> None:
         """Give the cables the places of their points at the displacements x (n, 3). Collective.
 
         The points of slack cables in x are brought up to date.
         """
-        network, unknowns = self.network, self.unknowns
+        numbering, unknowns = self.numbering, self.unknowns
         unknowns.place_idle_riders(x)
         local = np.zeros((self._starts[-1], 7))  # position, fraction, place when stress-free
         position, fraction, material = local[:, :3], local[:, 3], local[:, 4:]
@@ -106,10 +106,10 @@ class Whereabouts:
         position[self._own] = places[self._blocks]
         fraction[self._on_lines] = self._lines.shares(places)
         if len(self._rails):
-            found = network.rails.fractions(unknowns, x)
+            found = numbering.rails.fractions(unknowns, x)
             fraction[self._rails[self._own_rails]] = found[self._own_rails]
         # whoever owns a sliding point has found its place on its edge, too
-        before = np.concatenate([cable.fractions for cable in network.cables])
+        before = np.concatenate([cable.fractions for cable in numbering.cables])
         sliders = self._own[self._sliders]
         s = np.where(self._free[sliders], fraction[sliders], before[sliders])
         self._weights[self._sliders, :2] = np.stack([1 - s, s], axis=1)
@@ -121,7 +121,7 @@ class Whereabouts:
         total = np.zeros_like(local)
         unknowns.comm.Allreduce(local, total)
         self._set_material(total)
-        for (start, end), cable in zip(pairwise(self._starts), network.cables, strict=True):
+        for (start, end), cable in zip(pairwise(self._starts), numbering.cables, strict=True):
             part, slides = total[start:end], self._slides[start:end] & ~cable.lifted
             known = ~cable.lifted if cable.taut else slice(None)
             positions, fractions = cable.positions.copy(), cable.fractions.copy()

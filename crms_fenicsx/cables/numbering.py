@@ -21,7 +21,7 @@ from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.segments import SMOOTHING
 from crms_fenicsx.model.cable_state import CableNode
-from crms_fenicsx.model.crossing import Member
+from crms_fenicsx.model.crossing import NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import Edge, SurfacePoint
@@ -54,7 +54,7 @@ Farther off lengths are exact, so that nothing but the cable and the membrane ho
 """
 
 
-class Network:
+class CableNumbering:
     """Numbering of the points of all cables of a scene.
 
     Parameters
@@ -77,9 +77,9 @@ class Network:
 
     def _number_points(self) -> None:
         """Numbers of the points that are no vertices, and the links between nodes."""
-        self.numbers: dict[Member, int] = {}  # the two sides of a crossing have the same one
+        self.numbers: dict[NodeId, int] = {}  # the two sides of a crossing have the same one
         self.links: list[Link] = []
-        self._first: list[Member] = []  # a node of each point
+        self._first: list[NodeId] = []  # a node of each point
         shared: dict[int, int] = {}
         for c, cable in enumerate(self.cables):
             # The points of a slack cable ride on the membrane, all of them.
@@ -126,7 +126,7 @@ class Network:
         """Whether this rank owns a cable's node; whoever owns a vertex has the nodes on it."""
         node = self.cables[c].nodes[k]
         if node.kind == "vertex":
-            return self.strip.owner_of(node.masters()[0]) == self.rank
+            return self.strip.owner_of(node.interpolation()[0]) == self.rank
         return bool(self.owners[self.numbers[c, k]] == self.rank)
 
     def link_owner(self, link: Link) -> int:
@@ -151,7 +151,7 @@ class Network:
                     needed.add(self.numbers[c, k])
                 node = self.cables[c].nodes[k]
                 if link.vertices is None and node.kind in ("vertex", "rail", "rider"):
-                    far |= {(owner, vertex) for vertex in node.masters()[0]}
+                    far |= {(owner, vertex) for vertex in node.interpolation()[0]}
         self.owned = np.flatnonzero(self.owners == self.rank)
         index = np.zeros(len(self.owners), dtype=np.int64)
         for rank in np.unique(self.owners):
@@ -229,13 +229,15 @@ class Network:
         """Local block of a cable's node."""
         point = self.cables[c].nodes[k]
         if point.kind == "vertex":
-            return self.vertex(point.masters()[0][0])
+            return self.vertex(point.interpolation()[0][0])
         return int(self.blocks[self.numbers[c, k]])
 
     def corner(self, c: int, k: int) -> Corner:
         """A cable's node as a corner, the same one for both cables of a crossing."""
         node = self.cables[c].nodes[k]
-        return node.masters()[0][0] if node.kind == "vertex" else self._first[self.numbers[c, k]]
+        return (
+            node.interpolation()[0][0] if node.kind == "vertex" else self._first[self.numbers[c, k]]
+        )
 
     def hold(self, unknowns: Unknowns) -> None:
         """Hold the anchors; let tied points and the sliding points of slack cables ride.
@@ -244,7 +246,7 @@ class Network:
         """
         loaded: list[tuple[int, list[int], list[float]]] = []
         idle: list[tuple[int, list[int], list[float]]] = []
-        rails: list[Member] = []
+        rails: list[NodeId] = []
         for (c, k), number in self.numbers.items():
             block, cable = int(self.blocks[number]), self.cables[c]
             if block < 0:
@@ -254,14 +256,16 @@ class Network:
             if node.kind == "rail" and cable.taut:
                 rails.append((c, k))
             if node.kind == "rider" or (node.slides and not cable.taut):
-                ids, share = node.masters(cable.fractions[k] if node.slides else None)
+                ids, share = node.interpolation(cable.fractions[k] if node.slides else None)
                 own = [self.vertex(i) for i in ids]
-                masters, weights = own + own[:1] * (3 - len(own)), [*share, 0.0, 0.0][:3]
-                (loaded if cable.taut else idle).append((block, masters, weights))
+                interpolation, weights = own + own[:1] * (3 - len(own)), [*share, 0.0, 0.0][:3]
+                (loaded if cable.taut else idle).append((block, interpolation, weights))
         riders = loaded + idle
         unknowns.set_riders(
             np.array([block for block, _, _ in riders], dtype=np.int32),
-            np.array([masters for _, masters, _ in riders], dtype=np.int32).reshape(-1, 3),
+            np.array([interpolation for _, interpolation, _ in riders], dtype=np.int32).reshape(
+                -1, 3
+            ),
             np.array([weights for _, _, weights in riders], dtype=float).reshape(-1, 3),
             len(loaded),
         )
@@ -270,7 +274,10 @@ class Network:
             rails,
             np.array([self.block(c, k) for c, k in rails], dtype=np.int32),
             np.array(
-                [[self.vertex(v) for v in self.cables[c].nodes[k].masters()[0]] for c, k in rails],
+                [
+                    [self.vertex(v) for v in self.cables[c].nodes[k].interpolation()[0]]
+                    for c, k in rails
+                ],
                 dtype=np.int32,
             ).reshape(-1, 2),
         )

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.model.crossing import Member
+from crms_fenicsx.model.crossing import NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array, Indices
 
@@ -30,7 +30,7 @@ class Rails:
     def __init__(
         self,
         cables: Sequence[LaidCable],
-        members: Sequence[Member],
+        members: Sequence[NodeId],
         blocks: Indices,
         ends: Indices,
     ) -> None:

@@ -20,7 +20,7 @@ INSIDE = 0.02
 """Fractions nearer to an edge's end than this are no places to start from."""
 
 
-class Under(NamedTuple):
+class Gap(NamedTuple):
     """The place of the membrane under a free span, at one of the cable's nodes.
 
     Attributes
@@ -59,7 +59,7 @@ def under(
     shape: StripShape,
     bends: Sequence[Array] = (),
     reach: float = PAST,
-) -> Under:
+) -> Gap:
     """The place of the membrane on a node's edge or vertex that a free span passes.
 
     Parameters
@@ -84,9 +84,9 @@ def under(
         t = float((line[0] - start) @ (end - start) / ((end - start) @ (end - start)))
         above = start + min(max(t, 0.0), 1.0) * (end - start)
         gap = float((above - line[0]) @ normal)
-        return Under(gap, np.nan, line[0], above, 0.0 < t < 1.0)
+        return Gap(gap, np.nan, line[0], above, 0.0 < t < 1.0)
     sizes = [float(np.linalg.norm(b - a)) for a, b in pairwise(line)]
-    found: Under | None = None
+    found: Gap | None = None
     before, best = 0.0, (True, np.inf)
     for (a, b), size in zip(pairwise(line), sizes, strict=True):
         s, t = _nearest(a, b, start, end, normal)
@@ -103,7 +103,7 @@ def under(
         gap = float((above - place) @ normal)
         if found is None or (other, gap) < best:
             best = other, gap
-            found = Under(gap, fraction, place, above, inside, past)
+            found = Gap(gap, fraction, place, above, inside, past)
         before += size
     assert found is not None
     return found

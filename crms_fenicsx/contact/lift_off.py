@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence, Set
 import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.contact.gap import INSIDE, Under, size_at, spans, under
+from crms_fenicsx.contact.gap import INSIDE, Gap, size_at, spans, under
 from crms_fenicsx.model.laid_cable import COINCIDENT, LaidCable, polyline_length
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint
@@ -117,7 +117,7 @@ def captured(
     shape: StripShape,
     bends: Mapping[Edge, Sequence[Array]],
     height: float = -DEPTH,
-) -> dict[int, Under]:
+) -> dict[int, Gap]:
     """Nodes at which a free span runs below the membrane, with the places where it touches.
 
     Or, with a height relative to the cells' size, where it runs less than that above it.
@@ -133,7 +133,7 @@ def captured(
     positions, fractions = cable.positions.copy(), cable.fractions.copy()
     for a, b in spans(cable):
         span = (positions[a], positions[b])
-        passed: dict[int, Under] = {}
+        passed: dict[int, Gap] = {}
         for k in range(a + 1, b):
             node = cable.nodes[k]
             if node.kind == "crossing" or is_foot(cable, k):
@@ -156,7 +156,7 @@ def captured(
     return found
 
 
-def _passed_by_all(cable: LaidCable, k: int, passed: Mapping[int, Under]) -> bool:
+def _passed_by_all(cable: LaidCable, k: int, passed: Mapping[int, Gap]) -> bool:
     """Whether a span passes a vertex beyond the ends of all the edges around it on the path."""
     vertex = passed[k].past
 
@@ -203,7 +203,7 @@ def lift(cable: LaidCable, nodes: Sequence[int]) -> None:
     cable.update(lifted=lifted)
 
 
-def touch(cable: LaidCable, places: Mapping[int, Under]) -> None:
+def touch(cable: LaidCable, places: Mapping[int, Gap]) -> None:
     """Let the cable touch the membrane at some nodes."""
     lifted, positions, fractions = (
         array.copy() for array in (cable.lifted, cable.positions, cable.fractions)
@@ -234,7 +234,7 @@ def drape(cable: LaidCable, shape: StripShape) -> None:
         touch(cable, places)
         positions = cable.positions.copy()
         for k in places:  # nothing moves it from there to where it says that it is
-            ids, weights = cable.masters(k)
+            ids, weights = cable.interpolation(k)
             positions[k] = np.dot(weights, [shape.at(i) for i in ids])
         cable.update(positions=positions)
         if not free and not places:
@@ -248,6 +248,6 @@ def flat_length(cable: LaidCable, shape: StripShape) -> float:
         if cable.nodes[k].kind == "anchor":
             points.append(cable.positions[k])
         elif cable.nodes[k].kind != "crossing":
-            vertices, weights = cable.masters(k)
+            vertices, weights = cable.interpolation(k)
             points.append(np.dot(weights, [shape.at(vertex) for vertex in vertices]))
     return polyline_length(np.array(points))

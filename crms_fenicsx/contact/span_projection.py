@@ -15,7 +15,7 @@ from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.surface.intrinsic import MissingStars
+from crms_fenicsx.surface.intrinsic import MissingCells
 from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint, SurfacePoint, edge_of
 from crms_fenicsx.surface.triangles import cross
 
@@ -48,7 +48,7 @@ class _Plane:
         return s, float((place - self.start) @ self.along / (self.along @ self.along))
 
 
-def shadow(
+def project_span(
     shape: StripShape, first: CableNode, start: Array, last: CableNode, end: Array
 ) -> list[SurfacePoint] | None:
     """The points of the membrane's edges under a span, in order.
@@ -85,7 +85,7 @@ def shadow(
         a, b = edge
         s, t = plane.point(a, b)
         if not goal and t >= 1.0:
-            return [*points, _foot(shape, cell, end)]  # an anchor above the membrane
+            return [*points, anchor_foot(shape, cell, end)]  # an anchor above the membrane
         points.append(EdgePoint(edge, min(max(s, 1e-9), 1 - 1e-9)))
         beyond = [c for c in _cells(shape, edge) if set(c) != set(cell)]
         if not beyond:
@@ -116,12 +116,12 @@ def _first_edge(
 def _cells(shape: StripShape, support: tuple[int, ...]) -> list[tuple[int, int, int]]:
     missing = [v for v in support if v not in shape.strip.complete]
     if len(missing) == len(support):
-        raise MissingStars(missing)
+        raise MissingCells(missing)
     cells = (shape.strip.corners[row] for row in shape.strip.outer_rows(support))
     return [(a, b, c) for a, b, c in cells]
 
 
-def _foot(shape: StripShape, cell: tuple[int, int, int], place: Array) -> CellPoint:
+def anchor_foot(shape: StripShape, cell: tuple[int, int, int], place: Array) -> CellPoint:
     """The place of a cell under an anchor."""
     a, b, c = (shape.at(v) for v in cell)
     u, v = np.linalg.lstsq(np.stack([b - a, c - a], axis=1), place - a, rcond=None)[0]
@@ -130,7 +130,7 @@ def _foot(shape: StripShape, cell: tuple[int, int, int], place: Array) -> CellPo
     return CellPoint(cell, (x, y, z))
 
 
-def with_shadows(
+def with_span_projections(
     cable: LaidCable, shape: StripShape
 ) -> tuple[list[SurfacePoint], list[bool]] | None:
     """The path of a cable with the shadows of its spans renewed: points, and which are lifted.
@@ -167,9 +167,9 @@ def _renewed(cable: LaidCable, a: int, b: int, shape: StripShape) -> list[Surfac
     """The shadow of the span between two contacts."""
     ends = [(cable.nodes[k], cable.positions[k]) for k in (a, b)]
     if ends[0][0].point is not None:
-        return shadow(shape, *ends[0], *ends[1])
+        return project_span(shape, *ends[0], *ends[1])
     if ends[1][0].point is not None:
-        back = shadow(shape, *ends[1], *ends[0])
+        back = project_span(shape, *ends[1], *ends[0])
         return None if back is None else back[::-1]
     # Off the membrane altogether: both ways from the middle of the shadow that there was.
     own = [k for k in range(a + 1, b) if cable.nodes[k].point is not None]
@@ -179,8 +179,8 @@ def _renewed(cable: LaidCable, a: int, b: int, shape: StripShape) -> list[Surfac
     if isinstance(node.point, CellPoint):
         return None
     at = cable.positions[middle]
-    back = shadow(shape, node, at, *ends[0])
-    onward = shadow(shape, node, at, *ends[1])
+    back = project_span(shape, node, at, *ends[0])
+    onward = project_span(shape, node, at, *ends[1])
     if back is None or onward is None:
         return None
     return [*back[::-1], node.point, *onward]

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from crms_fenicsx.cables.element_tables import CableTables, cable_tables, damping
-from crms_fenicsx.cables.node_positions import Whereabouts
-from crms_fenicsx.cables.numbering import Network
+from crms_fenicsx.cables.node_positions import NodePositions
+from crms_fenicsx.cables.numbering import CableNumbering
 from crms_fenicsx.contributions.contribution import Contribution
 from crms_fenicsx.contributions.folds import FoldContribution
 from crms_fenicsx.contributions.loads import PressureContribution
@@ -67,10 +67,10 @@ class CableContribution(Contribution):
         self.scene = scene
         scene.net.arrange_crossings()
         assert scene.net.strip is not None
-        self.network = Network(scene.cables, scene.net.strip, scene.u)
-        self.unknowns = self.network.unknowns()
-        self.network.hold(self.unknowns)
-        self.whereabouts = Whereabouts(self.network, self.unknowns)
+        self.numbering = CableNumbering(scene.cables, scene.net.strip, scene.u)
+        self.unknowns = self.numbering.unknowns()
+        self.numbering.hold(self.unknowns)
+        self.node_positions = NodePositions(self.numbering, self.unknowns)
         self.taut = [cable for cable in scene.cables if cable.taut]
         self.sliding = [cable for cable in self.taut if cable.axial is None]
         self.gripped = [cable for cable in self.taut if cable.axial is not None]
@@ -78,7 +78,7 @@ class CableContribution(Contribution):
         self.capstan: CapstanTension | None = None
         self.tables: CableTables | None = None
         if self.taut:
-            self.tables = cable_tables(self.network, membrane.energy, scene.membrane.pressed)
+            self.tables = cable_tables(self.numbering, membrane.energy, scene.membrane.pressed)
             folded = self.tables.folded.cells
             scene.membrane.refuse_folds(folded, "a cable has slid too far")
             membrane.fold(folded)
@@ -86,7 +86,7 @@ class CableContribution(Contribution):
 
     def damping(self) -> Damping | None:
         """What damps the quasi-Newton steps of the cables' points; None without tension."""
-        return None if self.tables is None else damping(self.network, self.tables.segments)
+        return None if self.tables is None else damping(self.numbering, self.tables.segments)
 
     @property
     def has_history(self) -> bool:
@@ -99,14 +99,14 @@ class CableContribution(Contribution):
             terms.append(self.tension)
         if self.tables is not None and self.gripped:
             from crms_fenicsx.energies.axial_friction import CapstanTension
-            from crms_fenicsx.friction.axial import align_axial
+            from crms_fenicsx.friction.axial import remap_axial
             from crms_fenicsx.friction.axial_tables import chain_table, grip_table
 
             for cable in self.gripped:
-                align_axial(cable)
-            grips = grip_table(self.network, self.scene.net.strip_shape())
+                remap_axial(cable)
+            grips = grip_table(self.numbering, self.scene.net.strip_shape())
             L0 = np.array([cable.L0 + cable.excess for cable in self.gripped])
-            self.capstan = CapstanTension(chain_table(self.network, self.tables), grips, L0)
+            self.capstan = CapstanTension(chain_table(self.numbering, self.tables), grips, L0)
             terms.append(self.capstan)
         return terms
 
@@ -122,13 +122,13 @@ class CableContribution(Contribution):
         return CableTension(*links, EA, L0)
 
     def read_scene(self, potential: Potential) -> None:
-        network, unknowns = self.network, self.unknowns
-        for (c, k), number in network.numbers.items():
-            block = network.blocks[number]
+        numbering, unknowns = self.numbering, self.unknowns
+        for (c, k), number in numbering.numbers.items():
+            block = numbering.blocks[number]
             if block >= 0:
                 potential.x[block] = self.scene.cables[c].positions[k] - unknowns.X[block]
         unknowns.update_ghosts(potential.x_vector)  # far vertices, with rails on them
-        network.rails.place(unknowns, potential.x)
+        numbering.rails.place(unknowns, potential.x)
         if self.tension is not None:
             self.tension.L0[:] = [cable.L0 for cable in self.sliding]
             self.tension.excess[:] = [cable.excess for cable in self.sliding]
@@ -136,7 +136,7 @@ class CableContribution(Contribution):
             self.capstan.L0[:] = [cable.L0 + cable.excess for cable in self.gripped]
 
     def locate(self, potential: Potential) -> None:
-        self.whereabouts.tell(potential.x)
+        self.node_positions.gather(potential.x)
 
     def write_scene(self, potential: Potential) -> None:
         self.locate(potential)

@@ -9,7 +9,7 @@ from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.minimization.potential import Potential
 
 if TYPE_CHECKING:
-    from crms_fenicsx.model.crossing import Member
+    from crms_fenicsx.model.crossing import NodeId
 
 
 class Contribution:
@@ -48,7 +48,7 @@ class Contribution:
         """Take off the cables' lengths what smoothing adds to them; say whether that changed."""
         return False
 
-    def caught_nodes(self, limit: float) -> set[Member]:
+    def caught_nodes(self, limit: float) -> set[NodeId]:
         """Find fold points at which an edge has a kink of more than a limit (rad). Collective."""
         return set()
 

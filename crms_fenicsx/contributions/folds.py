@@ -9,14 +9,14 @@ from crms_fenicsx.contributions.contribution import Contribution
 from crms_fenicsx.contributions.loads import PressureContribution
 from crms_fenicsx.contributions.membrane import MembraneContribution
 from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.energies.fold_penalty import KinkPenalty
-from crms_fenicsx.energies.folded_membrane import FoldEnergy
+from crms_fenicsx.energies.fold_penalty import FoldPenalty
+from crms_fenicsx.energies.folded_membrane import FoldedMembraneEnergy
 from crms_fenicsx.energies.folded_pressure import FoldedFollowerPressure
-from crms_fenicsx.energies.paper.step_folded_membrane import StepFoldEnergy
+from crms_fenicsx.energies.paper.step_folded_membrane import StepFoldedMembraneEnergy
 from crms_fenicsx.energies.paper.step_folded_pressure import FoldedStepPressure
 from crms_fenicsx.energies.paper.step_membrane import StepMembraneEnergy
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.model.crossing import Member
+from crms_fenicsx.model.crossing import NodeId
 from crms_fenicsx.scene import Scene
 
 
@@ -57,19 +57,19 @@ class FoldContribution(Contribution):
             terms.append(self._pressure_term(self.tables))
         return terms
 
-    def _fold_term(self, tables: CableTables) -> FoldEnergy:
+    def _fold_term(self, tables: CableTables) -> FoldedMembraneEnergy:
         plain = self.membrane.energy
         if isinstance(plain, StepMembraneEnergy):
-            return StepFoldEnergy(tables.folded, plain, self.membrane.folded_energy)
-        return FoldEnergy(tables.folded, plain.stiffening)
+            return StepFoldedMembraneEnergy(tables.folded, plain, self.membrane.folded_energy)
+        return FoldedMembraneEnergy(tables.folded, plain.stiffening)
 
-    def _penalty_term(self, tables: CableTables) -> KinkPenalty:
+    def _penalty_term(self, tables: CableTables) -> FoldPenalty:
         if self.scene.literal_penalty is not None:
-            return KinkPenalty(tables.literal_penalty(self.scene.literal_penalty))
+            return FoldPenalty(tables.literal_penalty(self.scene.literal_penalty))
         plain = self.membrane.energy
         tags = plain.material_tags(tables.folded.cells)
         moduli = np.array([plain.materials[int(tag)].reference_modulus for tag in tags])
-        return KinkPenalty(tables.penalty(self.scene.penalty, moduli))
+        return FoldPenalty(tables.penalty(self.scene.penalty, moduli))
 
     def _pressure_term(self, tables: CableTables) -> EnergyTerm:
         pressure = self.pressure
@@ -77,11 +77,11 @@ class FoldContribution(Contribution):
             return FoldedFollowerPressure(tables.facets, pressure.value, self.scene.membrane.centre)
         return FoldedStepPressure(tables.facets, pressure.value, pressure.folded_volume)
 
-    def caught_nodes(self, limit: float) -> set[Member]:
+    def caught_nodes(self, limit: float) -> set[NodeId]:
         """As `Contribution`; judged at the state last evaluated, not for the literal penalty."""
         if self.tables is None or self.scene.literal_penalty is not None:
             return set()
-        mine: set[Member] = set()
+        mine: set[NodeId] = set()
         if self.tables.kinks:
             sharp = np.flatnonzero(np.abs(self.penalty.residuals) > limit)
             mine = {self.tables.kinks[k][2] for k in sharp}

@@ -6,11 +6,11 @@ from crms_fenicsx.contributions.cables import CableContribution
 from crms_fenicsx.contributions.contribution import Contribution
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.axial_friction import CapstanTension
-from crms_fenicsx.energies.lateral_friction import StickSlip
+from crms_fenicsx.energies.lateral_friction import LateralFriction
 from crms_fenicsx.energies.paper.friction_element import FrictionElementEnergy
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.friction import lateral
-from crms_fenicsx.friction.axial import commit_axial, found, is_aligned
+from crms_fenicsx.friction.axial import end_axial_step, is_aligned, store_solution
 from crms_fenicsx.friction.axial_tables import grip_table
 from crms_fenicsx.friction.lateral_tables import element_table, slip_table
 from crms_fenicsx.minimization.potential import Potential
@@ -35,7 +35,7 @@ class FrictionContribution(Contribution):
 
     def __init__(self, scene: Scene, cables: CableContribution) -> None:
         self.scene, self.cables = scene, cables
-        self.stick_slip: StickSlip | None = None
+        self.stick_slip: LateralFriction | None = None
         self.elements: FrictionElementEnergy | None = None
 
     @property
@@ -48,14 +48,14 @@ class FrictionContribution(Contribution):
         if not laws:
             return []
         for cable in self.cables.taut:
-            lateral.align(cable)
-        network, shape = self.cables.network, self.scene.net.strip_shape()
+            lateral.remap(cable)
+        numbering, shape = self.cables.numbering, self.scene.net.strip_shape()
         terms: list[EnergyTerm] = []
         if "coulomb" in laws:
-            self.stick_slip = StickSlip(slip_table(network, shape))
+            self.stick_slip = LateralFriction(slip_table(numbering, shape))
             terms.append(self.stick_slip)
         if "step" in laws:
-            self.elements = FrictionElementEnergy(element_table(network, shape))
+            self.elements = FrictionElementEnergy(element_table(numbering, shape))
             terms.append(self.elements)
         return terms
 
@@ -63,13 +63,13 @@ class FrictionContribution(Contribution):
         capstan = self.cables.capstan
         if self.stick_slip is None is self.elements and capstan is None:
             return
-        network, shape = self.cables.network, self.scene.net.strip_shape()
+        numbering, shape = self.cables.numbering, self.scene.net.strip_shape()
         if self.stick_slip is not None:
-            self.stick_slip.renew(slip_table(network, shape))
+            self.stick_slip.renew(slip_table(numbering, shape))
         if self.elements is not None:
-            self.elements.renew(element_table(network, shape))
+            self.elements.renew(element_table(numbering, shape))
         if capstan is not None:
-            capstan.renew(grip_table(network, shape))
+            capstan.renew(grip_table(numbering, shape))
 
     def write_scene(self, potential: Potential) -> None:
         energies = self.scene.energies
@@ -86,7 +86,7 @@ class FrictionContribution(Contribution):
         for c, cable in enumerate(self.cables.gripped):
             spans, nodes = capstan.spans_of(c), capstan.nodes_of(c)
             unstressed, slips = capstan.unstressed[spans], capstan.slips[nodes]
-            found(cable, sums[spans], unstressed, tensions[spans], slips, float(lost[c]))
+            store_solution(cable, sums[spans], unstressed, tensions[spans], slips, float(lost[c]))
         energies["cables"] -= float(stored.sum() + lost.sum())
         energies["friction"] = energies.get("friction", 0.0) + float(stored.sum())
 
@@ -97,6 +97,6 @@ class FrictionContribution(Contribution):
             return
         shape = self.scene.net.strip_shape()
         for cable in gripped:
-            lateral.commit(cable, shape)
+            lateral.end_step(cable, shape)
         for cable in held_along:
-            commit_axial(cable, shape)
+            end_axial_step(cable, shape)

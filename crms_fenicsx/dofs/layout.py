@@ -176,7 +176,7 @@ class Unknowns:
             vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
 
     def set_riders(
-        self, riders: Indices, masters: Indices, weights: Array, n_loaded: int | None = None
+        self, riders: Indices, interpolation: Indices, weights: Array, n_loaded: int | None = None
     ) -> None:
         """Let points ride on vertices: their position is a weighted mean of the vertices'.
 
@@ -192,11 +192,11 @@ class Unknowns:
 
         `X` must have the places of all these blocks.
         """
-        self.riders, self.masters, self.weights = riders, masters, weights
+        self.riders, self.interpolation, self.weights = riders, interpolation, weights
         self.n_riders, self.n_loaded = len(riders), len(riders) if n_loaded is None else n_loaded
         self.held[riders] = True
-        self._undisplaced = np.einsum("nk,nki->ni", weights, self.X[masters]) - self.X[riders]
-        loaded = masters[: self.n_loaded]
+        self._undisplaced = np.einsum("nk,nki->ni", weights, self.X[interpolation]) - self.X[riders]
+        loaded = interpolation[: self.n_loaded]
         self._master_components = (3 * loaded[:, :, None] + np.arange(3)).ravel()
 
     def place_riders(self, x: Array) -> None:
@@ -210,7 +210,7 @@ class Unknowns:
             self._place(slice(self.n_loaded, self.n_riders), x)
 
     def _place(self, some: slice, x: Array) -> None:
-        moved = np.einsum("nk,nki->ni", self.weights[some], x[self.masters[some]])
+        moved = np.einsum("nk,nki->ni", self.weights[some], x[self.interpolation[some]])
         x[self.riders[some]] = moved + self._undisplaced[some]
 
     def set_rails(self, rails: Indices, directions: Array) -> None:
@@ -269,7 +269,7 @@ class Unknowns:
         blocks = np.zeros((self.n_local, 3), dtype=np.int32)
         share = np.zeros((self.n_local, 3))
         blocks[:, 0], share[:, 0] = np.arange(self.n_local), 1.0
-        blocks[self.riders], share[self.riders] = self.masters, self.weights
+        blocks[self.riders], share[self.riders] = self.interpolation, self.weights
         weights = share[rows][:, :, None] * share[cols][:, None, :]
         entry, i, j = np.nonzero(weights)
         places = np.stack([blocks[rows[entry], i], blocks[cols[entry], j]])

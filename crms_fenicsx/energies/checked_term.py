@@ -10,7 +10,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.energies.integral import Integral, OnePass
+from crms_fenicsx.energies.integral import FusedAssembly, Integral
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
@@ -84,7 +84,7 @@ def _evaluated(term: EnergyTerm, u: fem.Function) -> float:
     vector[unknowns.vertex_blocks()] = u.x.array.reshape(-1, 3)
     x, g, own = vector.copy(), np.zeros_like(vector), np.full(term.n_sums, np.nan)
     if term.integral is not None:
-        OnePass.of([term.integral]).assemble()
+        FusedAssembly.of([term.integral]).assemble()
     with raised_together(comm):
         term.attach(unknowns)
         term.sums(x, own)

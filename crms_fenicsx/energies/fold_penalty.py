@@ -28,7 +28,7 @@ EPSILON = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
-class Kinks:
+class FoldAngles:
     """Where this rank's chords meet sides.
 
     Attributes
@@ -110,7 +110,7 @@ def _add_forces(points, coefficients, r, dr, g):  # type: ignore[no-untyped-def]
                 g[points[k, m], i] += factor * dr[k, m, i]
 
 
-class KinkPenalty(EnergyTerm):
+class FoldPenalty(EnergyTerm):
     """``sum mu (w r)^2`` over the places where a chord meets a side, (2.5-1).
 
     Parameters
@@ -121,7 +121,7 @@ class KinkPenalty(EnergyTerm):
 
     name = "penalty"
 
-    def __init__(self, table: Kinks) -> None:
+    def __init__(self, table: FoldAngles) -> None:
         self.table = table
         n = len(table.points)
         self.residuals, self._dr = np.zeros(n), np.zeros((n, 4, 3))

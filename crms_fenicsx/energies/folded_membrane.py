@@ -185,7 +185,7 @@ def cell_stiffness(  # type: ignore[no-untyped-def]
                                 block[a, b] += K[k, n] * B[k, i, a] * B[n, j, b]
 
 
-class FoldEnergy(EnergyTerm):
+class FoldedMembraneEnergy(EnergyTerm):
     """Strain energy of the folded cells, in total formulation, (2.3).
 
     Parameters

@@ -27,7 +27,7 @@ def one_point(mesh: Any, **options: Any) -> ufl.Measure:
 
 
 class Integral:
-    """A functional of the vertex displacements with its gradient, as `OnePass` assembles it.
+    """A functional of the vertex displacements with its gradient, as `FusedAssembly` assembles it.
 
     Parameters
     ----------
@@ -60,11 +60,11 @@ class Integral:
         self.V, self.form, self.prepare, self.cell_tags = V, form, prepare, cell_tags
         self.value = 0.0
         self.gradient: Array = np.zeros((0, 3))
-        self.passes: dict[tuple[Integral, ...], OnePass] = {}
+        self.passes: dict[tuple[Integral, ...], FusedAssembly] = {}
         """Passes that begin with this integral, by all that they assemble."""
 
 
-class OnePass:
+class FusedAssembly:
     """Assembles integrals together by one form, which is compiled here.
 
     Parameters
@@ -91,7 +91,7 @@ class OnePass:
         self._form: fem.Form = fem.form(form)
 
     @classmethod
-    def of(cls, integrals: Sequence[Integral]) -> OnePass:
+    def of(cls, integrals: Sequence[Integral]) -> FusedAssembly:
         """The pass over these integrals, always the same one: it is compiled once."""
         passes, key = integrals[0].passes, tuple(integrals)
         if key not in passes:

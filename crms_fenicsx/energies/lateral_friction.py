@@ -54,7 +54,7 @@ class Slips:
     eps: Array
 
 
-class StickSlip(EnergyTerm):
+class LateralFriction(EnergyTerm):
     """Friction of the sliding nodes of cables, (3.3-1) with stick.
 
     Parameters

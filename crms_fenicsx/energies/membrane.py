@@ -192,7 +192,7 @@ class MembraneEnergy(EnergyTerm):
     def cell_results(self) -> Array:
         """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state of the owned cells.
 
-        In the material axes, (n, 7), as `FoldEnergy.results` has them; folded cells are treated
+        In the material axes, (n, 7), as of `FoldedMembraneEnergy.results`; folded cells are treated
         as plain. Collective: the first call compiles.
         """
         mesh = self.u.function_space.mesh

@@ -112,6 +112,6 @@ class ContactLoop:
         """Change what the solved state asks for; return the changes in words."""
         changes = self.active.update()
         if self.retracer is not None and not changes and self._projections < MAX_PROJECTIONS:
-            changes = self.retracer.renew_shadows()
+            changes = self.retracer.renew_projections()
             self._projections += len(changes)
         return changes

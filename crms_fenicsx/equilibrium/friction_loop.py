@@ -13,8 +13,8 @@ from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.paths.tried_paths import TriedPaths
 
 if TYPE_CHECKING:
-    from crms_fenicsx.friction.axial_iteration import AxialLag
-    from crms_fenicsx.friction.lateral_iteration import Lag
+    from crms_fenicsx.friction.axial_iteration import AxialIteration
+    from crms_fenicsx.friction.lateral_iteration import LateralIteration
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -94,16 +94,16 @@ class FrictionLoop:
         reason = f"friction forces still change by {change:.1%} after {outcome.passes} passes"
         return replace(outcome, converged=False, reason=reason)
 
-    def _lags(self) -> list[Lag | AxialLag]:
+    def _lags(self) -> list[LateralIteration | AxialIteration]:
         """The iterations of the friction forces of the cables, sideways and along."""
-        lags: list[Lag | AxialLag] = []
+        lags: list[LateralIteration | AxialIteration] = []
         for cable in self.scene.cables:
             if cable.has_coulomb:
-                from crms_fenicsx.friction.lateral_iteration import Lag
+                from crms_fenicsx.friction.lateral_iteration import LateralIteration
 
-                lags.append(Lag(cable))
+                lags.append(LateralIteration(cable))
             if cable.axial is not None:
-                from crms_fenicsx.friction.axial_iteration import AxialLag
+                from crms_fenicsx.friction.axial_iteration import AxialIteration
 
-                lags.append(AxialLag(cable))
+                lags.append(AxialIteration(cable))
         return lags

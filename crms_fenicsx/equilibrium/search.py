@@ -90,7 +90,7 @@ class EquilibriumSearch:
         contacts = ContactLoop(self.system, ActiveSet(self.scene.net, self.tried), retracer, start)
         paths = PathLoop(contacts, change, self.tried)
         changed = renew_ends(change)
-        if retracer.renew_shadows() or changed:
+        if retracer.renew_projections() or changed:
             self.system.rebuild()
         return contacts, FrictionLoop(contacts, paths.solve, self.tried)
 
@@ -115,11 +115,11 @@ class EquilibriumSearch:
         net = self.scene.net
         if not net.has_friction:
             return  # friction along a cable begins with its grip from before
-        from crms_fenicsx.friction.lateral import begin
+        from crms_fenicsx.friction.lateral import start_step
 
         shape = net.strip_shape()
         known = all(cable.slides_freely or cable.grip is not None for cable in net.cables)
         for cable in net.cables:
-            begin(cable, shape)
+            start_step(cable, shape)
         if not known:
             self.system.invalidate()

@@ -51,7 +51,7 @@ class State:
                 if old is not None:
                     positions[k], fractions[k] = was.positions[old], was.fractions[old]
                 else:
-                    ids, weights = cable.masters(k)
+                    ids, weights = cable.interpolation(k)
                     positions[k] = np.dot(weights, [shape.at(i) for i in ids])
             cable.update(positions=positions, fractions=fractions)
 

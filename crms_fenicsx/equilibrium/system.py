@@ -19,7 +19,7 @@ from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
     from crms_fenicsx.contributions.cables import CableContribution
-    from crms_fenicsx.model.crossing import Member
+    from crms_fenicsx.model.crossing import NodeId
 
 
 class System:
@@ -172,7 +172,7 @@ class System:
                 raise error.__cause__ from None
             raise
 
-    def caught_nodes(self, limit: float) -> set[Member]:
+    def caught_nodes(self, limit: float) -> set[NodeId]:
         """Fold points at which a folded edge has a kink of more than a limit (rad). Collective."""
         return set().union(*(part.caught_nodes(limit) for part in self.contributions))
 

@@ -12,7 +12,7 @@ from collections.abc import Hashable
 from crms_fenicsx.runtime.arrays import Array
 
 
-class Pace:
+class AitkenRelaxation:
     """Part of a change that is taken.
 
     Parameters
@@ -26,7 +26,7 @@ class Pace:
         self._part = 1.0
         self._last: tuple[Hashable, Array] | None = None
 
-    def of(self, what: Hashable, change: Array) -> float:
+    def factor(self, what: Hashable, change: Array) -> float:
         """The part of a change (n,) to take; the one before counts if it was of the same."""
         if self._last is not None and self._last[0] == what:
             bend = change - self._last[1]

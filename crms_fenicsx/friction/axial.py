@@ -54,7 +54,7 @@ class RestPlaces:
     size: Array
 
 
-def laid_grip(cable: LaidCable, shape: StripShape) -> AxialGrip:
+def initial_state(cable: LaidCable, shape: StripShape) -> AxialGrip:
     """Grip of a cable that has the same strain everywhere, as one that has just been laid."""
     supports = _supports(cable)
     n = len(supports)
@@ -99,7 +99,7 @@ def gripped_nodes(cable: LaidCable) -> list[int]:
     ]
 
 
-def align_axial(cable: LaidCable) -> None:
+def remap_axial(cable: LaidCable) -> None:
     """Bring the bounds to the nodes that the cable has now."""
     grip = cable.axial
     if grip is None or (now := _supports(cable)) == grip.supports:
@@ -113,7 +113,7 @@ def align_axial(cable: LaidCable) -> None:
     cable.update(axial=replace(grip, supports=now, bounds=bounds, eps=eps, slips=slips))
 
 
-def rest_places(cable: LaidCable, shape: StripShape) -> RestPlaces:
+def reference_arcs(cable: LaidCable, shape: StripShape) -> RestPlaces:
     """What rests at a cable's nodes, and how that changes along their edges.
 
     Notes
@@ -161,7 +161,7 @@ def _rest_at(grip: AxialGrip, places: Array) -> Array:
     return np.interp(inside, grip.curve.arc, grip.rest) + rate * (at - inside)
 
 
-def found(
+def store_solution(
     cable: LaidCable, spans: Array, unstressed: Array, tensions: Array, slips: Array, loss: float
 ) -> None:
     """Take the state of a solve.
@@ -195,14 +195,14 @@ def _by_link(cable: LaidCable, of_spans: Array) -> Array:
     return np.asarray(of_spans[span])
 
 
-def commit_axial(cable: LaidCable, shape: StripShape) -> None:
+def end_axial_step(cable: LaidCable, shape: StripShape) -> None:
     """End a load step: what rests now at the cable's place is where the next step begins."""
     grip = cable.axial
     if grip is None:
         return
     dissipated = grip.dissipated + grip.loss
     if not cable.taut:
-        cable.update(axial=replace(laid_grip(cable, shape), dissipated=dissipated))
+        cable.update(axial=replace(initial_state(cable, shape), dissipated=dissipated))
         return
     held = np.where(grip.bounds > 0, np.clip(grip.slips, -grip.eps, grip.eps), 0.0)
     curve, rest = _curve(cable, shape, gripped_nodes(cable), grip.arcs - held)

@@ -9,8 +9,8 @@ import numpy as np
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import wrap_angles
 from crms_fenicsx.energies.capstan_chain import LAW, find_slips
-from crms_fenicsx.friction.aitken import Pace
-from crms_fenicsx.friction.axial import LEAST_PART, _by_link, rest_places
+from crms_fenicsx.friction.aitken import AitkenRelaxation
+from crms_fenicsx.friction.axial import LEAST_PART, _by_link, reference_arcs
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 
@@ -19,14 +19,14 @@ SETTLED = 1e-4
 is sharper than sideways costs one short pass here."""
 
 
-class AxialLag:
+class AxialIteration:
     """Brings the bounds of one cable in a load step to those of the state that they lead to."""
 
     settled = SETTLED
 
     def __init__(self, cable: LaidCable) -> None:
         self.cable = cable
-        self._pace = Pace(LEAST_PART)
+        self._pace = AitkenRelaxation(LEAST_PART)
 
     def renew(self, shape: StripShape) -> float:
         """Take the bounds from the current state.
@@ -42,7 +42,7 @@ class AxialLag:
         if not cable.taut or strain <= 0.0 or len(grip.spans) != len(grip.supports) + 1:
             return 0.0
         friction, EA = cable.cable.friction, cable.cable.EA
-        places = rest_places(cable, shape)
+        places = reference_arcs(cable, shape)
         wrap = cable.cable.along * wrap_angles(cable, shape)[places.nodes]
         # The slip of a node that just holds, relative to what its force stretches one cell by: so
         # sticking is much stiffer than the cable on every mesh, however stiff the cable is.
@@ -61,7 +61,7 @@ class AxialLag:
         if change > self.settled:  # the state found stays the one that belongs to its bounds
             tensions = _by_link(cable, EA * strains)
             if used > 0.0:
-                part = self._pace.of(grip.supports, bounds - grip.bounds)
+                part = self._pace.factor(grip.supports, bounds - grip.bounds)
                 # Where nothing holds the cable, now or before, eps has no meaning.
                 before = np.where(grip.bounds > 0.0, grip.eps, eps)
                 eps = (1 - part) * before + part * np.where(wrap > 0.0, eps, before)

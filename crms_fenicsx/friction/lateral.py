@@ -30,7 +30,7 @@ LEAST_STRAIN = 1e-4
 """Strain of a cable that sets the force by which it is first taken to stick."""
 
 
-def begin(cable: LaidCable, shape: StripShape) -> None:
+def start_step(cable: LaidCable, shape: StripShape) -> None:
     """Prepare a cable for a load step, if it has friction.
 
     Of one that has not been in tension yet no bound is known: it is taken to stick first.
@@ -39,7 +39,7 @@ def begin(cable: LaidCable, shape: StripShape) -> None:
         return
     if cable.grip is None:
         cable.update(grip=Grip(material_curve(cable, shape), (), np.zeros(0), np.zeros(0)))
-    align(cable)
+    remap(cable)
     grip, friction = cable.grip, cable.cable.sideways
     assert grip is not None
     if friction.law == "step":
@@ -66,7 +66,7 @@ def _ways(cable: LaidCable, grip: Grip, shape: StripShape) -> Array:
     return ways
 
 
-def align(cable: LaidCable) -> None:
+def remap(cable: LaidCable) -> None:
     """Bring the bounds to the nodes that the cable has now."""
     grip = cable.grip
     if grip is None or (now := tuple(supports_of(cable))) == grip.supports:
@@ -91,7 +91,8 @@ def align(cable: LaidCable) -> None:
 def energies(cable: LaidCable, shape: StripShape) -> tuple[float, float]:
     """Energy that a cable's friction stores, and that it dissipates in the step so far.
 
-    Of the potential ``F eps f(s/eps)`` (see `stick_slip`) the part up to the slip eps is elastic.
+    Of the potential ``F eps f(s/eps)`` (see `lateral_friction`) the part up to the slip eps
+    is elastic.
     """
     friction, grip = cable.cable.sideways, cable.grip
     if friction is None or grip is None or not cable.taut:
@@ -126,7 +127,7 @@ def friction_forces(cable: LaidCable, shape: StripShape) -> Array:
     return np.asarray(forces)
 
 
-def commit(cable: LaidCable, shape: StripShape) -> None:
+def end_step(cable: LaidCable, shape: StripShape) -> None:
     """End a load step: the cable's place is the curve that the next step's slip counts from."""
     friction, grip = cable.cable.sideways, cable.grip
     if friction is None or grip is None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces
-from crms_fenicsx.friction.aitken import Pace
+from crms_fenicsx.friction.aitken import AitkenRelaxation
 from crms_fenicsx.friction.gripped_nodes import held_nodes
 from crms_fenicsx.friction.slip import node_slips
 from crms_fenicsx.model.friction_history import Grip
@@ -32,7 +32,7 @@ AGAINST = 30.0
 """As `STEEPEST`, where the state answers a larger sum by a smaller one."""
 
 
-class Lag:
+class LateralIteration:
     """Brings the bounds of one cable in a load step to those of the state that they lead to.
 
     The bounds are proportional to the tension, and a stiff cable that slides soon loses it: taking
@@ -49,7 +49,7 @@ class Lag:
         self._forget()
 
     def _forget(self) -> None:
-        self._pace = Pace(LEAST_SHARE)
+        self._pace = AitkenRelaxation(LEAST_SHARE)
         self._sums: tuple[float, float] | None = None
 
     def renew(self, shape: StripShape) -> float:
@@ -73,7 +73,7 @@ class Lag:
         elif total > 0.0 < used:
             shares = grip.bounds / used
             change = found / total - shares
-            part = self._pace.of(grip.supports, change)
+            part = self._pace.factor(grip.supports, change)
             found = np.asarray(self._add_up(used, total) * (shares + part * change))
         cable.update(grip=replace(grip, bounds=found, moving=moving, known=True))
         return self.change

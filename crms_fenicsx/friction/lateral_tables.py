@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from crms_fenicsx.cables.numbering import Network
+from crms_fenicsx.cables.numbering import CableNumbering
 from crms_fenicsx.cables.points_on_edges import points_by_edge
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import directions, turns
@@ -18,19 +18,19 @@ from crms_fenicsx.model.friction_history import Grip
 from crms_fenicsx.model.laid_cable import LaidCable
 
 
-def slip_table(network: Network, shape: StripShape) -> Slips:
+def slip_table(numbering: CableNumbering, shape: StripShape) -> Slips:
     """Nodes with stick and slip."""
-    on_edge = points_by_edge(network.cables)  # rails may have passed others since the layout
+    on_edge = points_by_edge(numbering.cables)  # rails may have passed others since the layout
     pointers, places, rows = [0], [], []
     blocks: list[int] = []
-    for c, _, friction, grip, slips in _slips(network, shape, "coulomb"):
+    for c, _, friction, grip, slips in _slips(numbering, shape, "coulomb"):
         for i, (k, edge) in enumerate(zip(slips.nodes, slips.supports, strict=True)):
-            if network.strip.owner_of(edge) != network.rank:
+            if numbering.strip.owner_of(edge) != numbering.rank:
                 continue
-            line = network.line((edge[0], edge[1]), on_edge[edge[0], edge[1]])
+            line = numbering.line((edge[0], edge[1]), on_edge[edge[0], edge[1]])
             blocks += line
             pointers.append(len(blocks))
-            places.append(line.index(network.block(c, k)))
+            places.append(line.index(numbering.block(c, k)))
             eps = friction.tolerance * slips.size[i]
             rows.append((slips.slope[i], slips.offset[i], grip.at(edge), eps))
     slope, offset, bound, eps_of = np.array(rows, dtype=float).reshape(-1, 4).T.copy()
@@ -40,18 +40,18 @@ def slip_table(network: Network, shape: StripShape) -> Slips:
     )  # fmt: skip
 
 
-def element_table(network: Network, shape: StripShape) -> FrictionElements:
+def element_table(numbering: CableNumbering, shape: StripShape) -> FrictionElements:
     """The paper's friction elements."""
     blocks, forces, offsets = [], [], []
-    for c, cable, _, grip, slips in _slips(network, shape, "step"):
+    for c, cable, _, grip, slips in _slips(numbering, shape, "step"):
         direction = turns(cable)
         for k, edge, slip in zip(slips.nodes, slips.supports, slips.slip, strict=True):
-            if network.strip.owner_of(edge) != network.rank:
+            if numbering.strip.owner_of(edge) != numbering.rank:
                 continue
             vertex = edge[int(cable.fractions[k] > 0.5)]
             work = grip.at(edge) * grip.moving[grip.row_of[edge]]
             force = work * directions(cable, [k], shape, *(way[None] for way in direction[k]))[1][0]
-            blocks.append((network.vertex(vertex), network.block(c, k)))
+            blocks.append((numbering.vertex(vertex), numbering.block(c, k)))
             forces.append(force)
             # The work of a node that the path has got in this step begins with its slip.
             offsets.append(work * slip - float(force @ (cable.positions[k] - shape.at(vertex))))
@@ -63,10 +63,10 @@ def element_table(network: Network, shape: StripShape) -> FrictionElements:
 
 
 def _slips(
-    network: Network, shape: StripShape, law: str
+    numbering: CableNumbering, shape: StripShape, law: str
 ) -> Iterator[tuple[int, LaidCable, Friction, Grip, NodeSlips]]:
     """Slips of the nodes of the cables that friction of a law holds."""
-    for c, cable in enumerate(network.cables):
+    for c, cable in enumerate(numbering.cables):
         friction, grip = cable.cable.sideways, cable.grip
         if cable.taut and friction is not None and grip is not None and friction.law == law:
             yield c, cable, friction, grip, node_slips(cable, grip.curve, shape)

@@ -85,7 +85,7 @@ def material_curve(
 
 def material_place(cable: LaidCable, k: int, shape: StripShape) -> Array:
     """Place of a node on the stress-free membrane, (3,)."""
-    ids, weights = cable.masters(k)
+    ids, weights = cable.interpolation(k)
     return np.asarray(np.dot(weights, [shape.stress_free_at(i) for i in ids]))
 
 

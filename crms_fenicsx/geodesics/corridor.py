@@ -78,7 +78,7 @@ def _along_edge(end: Support, vertex: Support) -> bool:
     return len(end) == 2 and len(vertex) == 1 and vertex[0] in end
 
 
-def tied(supports: Corridor, thirds: Callable[[Edge], tuple[int, ...]]) -> Corridor:
+def snap_ends(supports: Corridor, opposite_vertices: Callable[[Edge], tuple[int, ...]]) -> Corridor:
     """Return a corridor with each end that lies inside an edge which it then follows in a cell.
 
     The cell is one next to the edge: where there is a choice, not the one that the path goes on
@@ -88,7 +88,7 @@ def tied(supports: Corridor, thirds: Callable[[Edge], tuple[int, ...]]) -> Corri
     for i, step in ((0, 1), (-1, -1)):
         if _along_edge(supports[i], supports[i + step]):
             a, b = supports[i]
-            cells = sorted(tuple(sorted((a, b, c))) for c in thirds((a, b)))
+            cells = sorted(tuple(sorted((a, b, c))) for c in opposite_vertices((a, b)))
             if len(supports) > 2:
                 onward = cell_between(supports[i + step], supports[i + 2 * step])
                 cells.sort(key=onward.__eq__)
@@ -96,7 +96,9 @@ def tied(supports: Corridor, thirds: Callable[[Edge], tuple[int, ...]]) -> Corri
     return tuple(result)
 
 
-def flaw(supports: Corridor, thirds: Callable[[Edge], tuple[int, ...]]) -> str | None:
+def why_invalid(
+    supports: Corridor, opposite_vertices: Callable[[Edge], tuple[int, ...]]
+) -> str | None:
     """Say why no cable can follow a corridor; None if one can.
 
     Parameters
@@ -104,7 +106,7 @@ def flaw(supports: Corridor, thirds: Callable[[Edge], tuple[int, ...]]) -> str |
     supports
         A corridor in which consecutive supports share a cell.
     thirds
-        Vertices opposite to an edge; see `Surface.thirds`.
+        Vertices opposite to an edge; see `Surface.opposite_vertices`.
 
     Returns
     -------
@@ -127,7 +129,7 @@ def flaw(supports: Corridor, thirds: Callable[[Edge], tuple[int, ...]]) -> str |
     # a cell that is entered once has at most two points on its edges, unless one is an end
     edges = {s for s in supports if len(s) == 2}
     for end in partly:
-        for third in thirds((end[0], end[1])):
+        for third in opposite_vertices((end[0], end[1])):
             cell = (*end, third)
             sides = [tuple(sorted(set(cell) - {v})) for v in cell]
             if edges.issuperset(sides):

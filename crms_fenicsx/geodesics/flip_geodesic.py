@@ -26,15 +26,15 @@ from crms_fenicsx.geodesics.corridor import (
     Corridor,
     cell_between,
     corridor,
-    flaw,
-    tied,
+    snap_ends,
+    why_invalid,
     without_detours,
 )
 from crms_fenicsx.geodesics.funnel import TautString, corner_angle, pull_taut
 from crms_fenicsx.geodesics.vertex_flip import Arcs, EdgeLengths
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import MeshError, PathError
-from crms_fenicsx.surface.intrinsic import MissingStars, Ring, Surface
+from crms_fenicsx.surface.intrinsic import MissingCells, Ring, Surface
 from crms_fenicsx.surface.points import (
     CellPoint,
     EdgePoint,
@@ -56,7 +56,7 @@ LEAST, MOST = sys.float_info.min, 1.0 - sys.float_info.epsilon / 2
 
 
 @dataclass(frozen=True)
-class Shortened:
+class FlippedPath:
     """A path that has been pulled taut.
 
     Attributes
@@ -86,7 +86,7 @@ def shorten(
     max_flips: int | None = None,
     grip: float = STRAIGHT,
     held_at: Set[int] | None = None,
-) -> Shortened:
+) -> FlippedPath:
     """Pull a path taut, and let it slide over vertices until it is a geodesic.
 
     Parameters
@@ -127,7 +127,7 @@ def shorten(
     the path, from its middle to its ends. So neither the vertices' ids nor the handedness of the
     surface decides. A sweep that is rejected is replaced by its first flip that is not.
 
-    A flip is rejected if no cable could follow its corridor (see `corridor.flaw`), if the corridor
+    A flip is rejected if no cable could follow its corridor (see `why_invalid`), if the corridor
     is refused or was visited before, and if the taut string becomes longer. As no corridor is
     visited twice, and a surface has a finite number of those that cross no edge twice, it ends. A
     vertex from which both sides are equally short, as on the ridge of a symmetric shape, is not
@@ -144,7 +144,7 @@ def shorten(
         if not done:
             break
         flips.extend(done)
-    return Shortened(state.points(), tuple(flips), state.length, before)
+    return FlippedPath(state.points(), tuple(flips), state.length, before)
 
 
 class _GeodesicPath:
@@ -188,7 +188,7 @@ class _GeodesicPath:
 
     def points(self) -> tuple[SurfacePoint, ...]:
         """Return the path with the taut string's fractions."""
-        first, *_, last = tied(self.corridor, self.surface.thirds)
+        first, *_, last = snap_ends(self.corridor, self.surface.opposite_vertices)
         points: list[SurfacePoint] = [_in_cell(self.start, first)]
         for i, string in self._strings:
             if i > 0:
@@ -223,9 +223,12 @@ class _GeodesicPath:
         for flip in sorted(flips, key=lambda flip: flip.first, reverse=True):
             new[flip.first : flip.last + 1] = flip.spokes
         result = without_detours(new)
-        if result in self.visited or flaw(result, self.surface.thirds) is not None:
+        if (
+            result in self.visited
+            or why_invalid(result, self.surface.opposite_vertices) is not None
+        ):
             return None
-        return None if tied(result, self.surface.thirds) in self.refused else result
+        return None if snap_ends(result, self.surface.opposite_vertices) in self.refused else result
 
     def _flips(self) -> list[Flip]:
         """Return all flips that would shorten the string, in the order of their merits."""
@@ -236,12 +239,12 @@ class _GeodesicPath:
                 continue
             try:
                 flips.extend(self._ways_around(hold))
-            except MissingStars as stars:
+            except MissingCells as stars:
                 missing.extend(stars.vertices)
             except MeshError:
                 continue  # where several sheets of membrane meet the vertex holds
         if missing:
-            raise MissingStars(missing)
+            raise MissingCells(missing)
         return ordered(flips, len(self.corridor) - 1)
 
     def _holds(self) -> Iterator[Hold]:
@@ -319,13 +322,15 @@ def _check(points: Sequence[SurfacePoint], surface: Surface) -> None:
             raise PathError(f"point {i} of a path is {point}; only its ends may lie inside a cell")
     for i, (a, b) in enumerate(pairwise(points)):
         link = cell_between(a.support, b.support)
-        thirds = surface.thirds((link[0], link[1])) if len(link) in (2, 3) else ()
-        if not thirds or (len(link) == 3 and link[2] not in thirds):
+        opposite_vertices = (
+            surface.opposite_vertices((link[0], link[1])) if len(link) in (2, 3) else ()
+        )
+        if not opposite_vertices or (len(link) == 3 and link[2] not in opposite_vertices):
             raise PathError(
                 f"a path cannot go from {a} to {b}: no cell of the surface has both (link {i})"
             )
     given = corridor(points)
-    problem = flaw(given, surface.thirds)
+    problem = why_invalid(given, surface.opposite_vertices)
     if problem is None and without_detours(given) != given:
         problem = "it turns back into the cell or edge that it came from"
     if problem is not None:

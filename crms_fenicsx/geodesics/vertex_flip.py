@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from crms_fenicsx.geodesics.corridor import Corridor, flaw, without_detours
+from crms_fenicsx.geodesics.corridor import Corridor, why_invalid, without_detours
 from crms_fenicsx.geodesics.funnel import corner_angle
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.surface.intrinsic import Ring, Surface
@@ -75,7 +75,7 @@ def other_side(
     if other is None or other == own:
         return None
     new = without_detours([*supports[:first], *other, *supports[last + 1 :]])
-    if flaw(new, surface.thirds) is not None:
+    if why_invalid(new, surface.opposite_vertices) is not None:
         return None
     return OtherSide(new, own, other)
 

@@ -16,7 +16,7 @@ from petsc4py import PETSc
 
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
-from crms_fenicsx.energies.integral import OnePass
+from crms_fenicsx.energies.integral import FusedAssembly
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.minimization.damping import Damping
 from crms_fenicsx.runtime import interrupt
@@ -54,7 +54,7 @@ class Potential:
         for term in self.terms:
             term.attach(unknowns)
         integrals = [term.integral for term in self.terms if term.integral is not None]
-        self._pass = OnePass.of(integrals) if integrals else None
+        self._pass = FusedAssembly.of(integrals) if integrals else None
         ends = np.cumsum([0] + [term.n_sums for term in self.terms])
         # The last entry counts the ranks that have been told to stop.
         self._local_sums = np.zeros(int(ends[-1]) + 1)

@@ -54,7 +54,9 @@ class CableNode:
         """Whether another cable lies over or under it."""
         return self.kind == "crossing" or self.crossing is not None
 
-    def masters(self, fraction: float | None = None) -> tuple[tuple[int, ...], tuple[float, ...]]:
+    def interpolation(
+        self, fraction: float | None = None
+    ) -> tuple[tuple[int, ...], tuple[float, ...]]:
         """Vertices (ids) and weights that give the place on the unfolded mesh."""
         point = self.point
         if isinstance(point, VertexPoint):

@@ -40,5 +40,5 @@ class Crossing:
     separated: bool = False
 
 
-Member = tuple[int, int]
+NodeId = tuple[int, int]
 """A node of a cable: the cable's number, the node's number."""

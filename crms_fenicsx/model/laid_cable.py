@@ -265,10 +265,10 @@ class LaidCable:
 
         return end(0, 1), end(-1, -2)
 
-    def masters(self, k: int) -> tuple[tuple[int, ...], tuple[float, ...]]:
-        """Vertices (ids) and weights that give node k's place now; see `CableNode.masters`."""
+    def interpolation(self, k: int) -> tuple[tuple[int, ...], tuple[float, ...]]:
+        """Vertices (ids) and weights that give node k's place; see `CableNode.interpolation`."""
         fraction = float(self.fractions[k])
-        return self.nodes[k].masters(None if np.isnan(fraction) else fraction)
+        return self.nodes[k].interpolation(None if np.isnan(fraction) else fraction)
 
     def path_nodes(self) -> list[int]:
         """Nodes of its `path` over the mesh, in order: no anchors, no crossings."""

@@ -16,7 +16,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.gap import size_at
-from crms_fenicsx.contact.span_projection import shadow
+from crms_fenicsx.contact.span_projection import project_span
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import COINCIDENT, LaidCable
 from crms_fenicsx.model.membrane import Membrane
@@ -24,7 +24,7 @@ from crms_fenicsx.paths.path_change import PathChange
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.runtime.errors import PathError
-from crms_fenicsx.surface.intrinsic import MissingStars
+from crms_fenicsx.surface.intrinsic import MissingCells
 from crms_fenicsx.surface.points import (
     CellPoint,
     Edge,
@@ -125,14 +125,14 @@ def _follow(change: PathChange, cable: LaidCable, last: bool) -> bool:
     if before is None or np.linalg.norm(place - before[anchor]) <= COINCIDENT * cable.length:
         return False
     foot = cable.nodes[beside]
-    ids, weights = foot.masters()
+    ids, weights = foot.interpolation()
     for rings in itertools.count(1):
         shape = change.surface(ids).shape
         start = np.dot(weights, [shape.at(i) for i in ids])
         try:
-            way = shadow(shape, foot, start, cable.nodes[anchor], place)
+            way = project_span(shape, foot, start, cable.nodes[anchor], place)
             break
-        except MissingStars as missing:
+        except MissingCells as missing:
             change.net.grow_strip(missing.vertices, rings)
     if way is None or set(way[-1].support) == set(ids):
         return False

@@ -15,12 +15,12 @@ import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.surface.intrinsic import MissingStars, Ring, ring_of
+from crms_fenicsx.surface.intrinsic import MissingCells, Ring, ring_of
 from crms_fenicsx.surface.points import Edge
 from crms_fenicsx.surface.triangles import norm
 
 
-class FoldedSurface:
+class CreasedSurface:
     """Lengths and neighbours on the current surface, folded by the cables in tension.
 
     Parameters
@@ -73,16 +73,19 @@ class FoldedSurface:
         parts = norm(np.diff(np.array(lines).reshape(-1, most + 2, 3), axis=1))
         return dict(zip(self.bends, map(float, parts.sum(axis=1)), strict=True))
 
-    def thirds(self, edge: Edge) -> tuple[int, ...]:
+    def opposite_vertices(self, edge: Edge) -> tuple[int, ...]:
         """Vertices opposite to an edge."""
         if edge[1] in self.anchors:
             around = self.membrane_ring(edge[0]).neighbours
             return tuple(v for v in (around[0], around[-1]) if edge[1] in self._joined_to(v))
         cells = (self.strip.corners[row] for row in self.strip.outer_rows(edge))
-        thirds = tuple(v for cell in cells for v in cell if v not in edge)
+        opposite_vertices = tuple(v for cell in cells for v in cell if v not in edge)
         if self.anchors and self.is_boundary(edge):
-            return (*thirds, *sorted(self._joined_to(edge[0]) & self._joined_to(edge[1])))
-        return thirds
+            return (
+                *opposite_vertices,
+                *sorted(self._joined_to(edge[0]) & self._joined_to(edge[1])),
+            )
+        return opposite_vertices
 
     def is_boundary(self, support: tuple[int, ...]) -> bool:
         """Whether a vertex or an edge of the membrane lies on its boundary."""
@@ -110,7 +113,7 @@ class FoldedSurface:
     def membrane_ring(self, vertex: int) -> Ring:
         """Neighbours of a vertex in order, without anchors."""
         if vertex not in self.strip.complete:
-            raise MissingStars([vertex])
+            raise MissingCells([vertex])
         return ring_of(
             vertex,
             [

@@ -92,9 +92,9 @@ def lay(
     if cable.law == "step":
         laid.update(step_start=StepStart(force, length, force * (length - L0) / 2))
     if cable.along > 0:
-        from crms_fenicsx.friction.axial import laid_grip
+        from crms_fenicsx.friction.axial import initial_state
 
-        laid.update(axial=laid_grip(laid, shape))
+        laid.update(axial=initial_state(laid, shape))
     net.add(laid, strip)
     return laid
 
@@ -156,5 +156,5 @@ def _position(node: CableNode, k: int, path: Path, shape: StripShape) -> Array:
         if anchor is not None:
             return np.array(anchor, dtype=float)
         node = CableNode("rider", point)
-    ids, weights = node.masters()
+    ids, weights = node.interpolation()
     return np.sum([w * shape.at(i) for i, w in zip(ids, weights, strict=True)], axis=0)

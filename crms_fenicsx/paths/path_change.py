@@ -17,7 +17,7 @@ from crms_fenicsx.cables.points_on_edges import bends
 from crms_fenicsx.contact.gap import INSIDE
 from crms_fenicsx.model.cable_state import CableNode, End
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.paths.creased_surface import FoldedSurface
+from crms_fenicsx.paths.creased_surface import CreasedSurface
 from crms_fenicsx.paths.typed_nodes import fractions_of, nodes_of
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError
@@ -46,21 +46,21 @@ class PathChange:
         """Number of the membrane's vertices: ids from here on are those of anchors."""
         return self.net.membrane.V.dofmap.index_map.size_global
 
-    def surface(self, vertices: Sequence[int] = ()) -> FoldedSurface:
+    def surface(self, vertices: Sequence[int] = ()) -> CreasedSurface:
         """The current surface, with all cells around some vertices. Collective."""
         self.net.grow_strip(vertices)
-        return FoldedSurface(self.net.strip_shape(), bends(self.net.cables))
+        return CreasedSurface(self.net.strip_shape(), bends(self.net.cables))
 
-    def with_anchors(self, cable: LaidCable, surface: FoldedSurface) -> FoldedSurface:
+    def with_anchors(self, cable: LaidCable, surface: CreasedSurface) -> CreasedSurface:
         """The surface with the triangles between its boundary and a cable's anchors."""
         anchors = self.anchors(cable, surface)
         if not anchors:
             return surface
         n, path = self.n_vertices, cable.path.points
         ends = {k: path[n - k].support for k in anchors}  # n is the first, n + 1 the last
-        return FoldedSurface(surface.shape, surface.bends, anchors, ends)
+        return CreasedSurface(surface.shape, surface.bends, anchors, ends)
 
-    def anchors(self, cable: LaidCable, surface: FoldedSurface) -> dict[int, Array]:
+    def anchors(self, cable: LaidCable, surface: CreasedSurface) -> dict[int, Array]:
         """Positions of a cable's anchors off the membrane, by ids that no vertex has.
 
         Not of one that a cable in a sleeve has left at a corner of the membrane, as at a mast that
@@ -76,7 +76,7 @@ class PathChange:
     def beyond(
         self,
         cable: LaidCable,
-        surface: FoldedSurface,
+        surface: CreasedSurface,
         path: Sequence[SurfacePoint],
         run: Sequence[int],
     ) -> tuple[list[SurfacePoint], list[SurfacePoint]]:
@@ -111,7 +111,7 @@ class PathChange:
         cable: LaidCable,
         points: Sequence[SurfacePoint],
         lifted: Sequence[bool],
-        surface: FoldedSurface,
+        surface: CreasedSurface,
         ends: tuple[End, End] | None = None,
     ) -> None:
         """Give a cable a new path; points on edges that it crossed before stay where they are.
@@ -143,7 +143,7 @@ class PathChange:
             elif isinstance(node.point, EdgePoint):
                 positions[k] = surface.place(node.point.edge, node.point.fraction)
             else:
-                ids, weights = node.masters()
+                ids, weights = node.interpolation()
                 positions[k] = np.dot(weights, [surface.shape.at(i) for i in ids])
         self.net.crossings = at_nodes(self.net.crossings, cable)
         cable.set_nodes(nodes, positions, fractions, flags)
@@ -173,7 +173,7 @@ def _key(node: CableNode) -> object:
     return None if node.point is None else node.point.support if node.slides else node.point
 
 
-def _is_corner(point: SurfacePoint, surface: FoldedSurface) -> bool:
+def _is_corner(point: SurfacePoint, surface: CreasedSurface) -> bool:
     """Whether a point is a vertex at which the membrane's boundary turns by 60 degrees or more."""
     if not isinstance(point, VertexPoint) or point.vertex not in surface.strip.complete:
         return False

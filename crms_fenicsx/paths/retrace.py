@@ -13,15 +13,15 @@ from collections.abc import Sequence, Set
 
 from crms_fenicsx.cables.points_on_edges import bends
 from crms_fenicsx.contact.lift_off import drape
-from crms_fenicsx.contact.span_projection import with_shadows
-from crms_fenicsx.geodesics.corridor import corridor, flaw
+from crms_fenicsx.contact.span_projection import with_span_projections
+from crms_fenicsx.geodesics.corridor import corridor, why_invalid
 from crms_fenicsx.geodesics.flip_geodesic import shorten
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.paths.creased_surface import FoldedSurface
+from crms_fenicsx.paths.creased_surface import CreasedSurface
 from crms_fenicsx.paths.path_change import PathChange, slid_off
 from crms_fenicsx.paths.path_parts import is_crossed, lifted_runs, vertices_near
 from crms_fenicsx.paths.tried_paths import TriedPaths
-from crms_fenicsx.surface.intrinsic import MissingStars
+from crms_fenicsx.surface.intrinsic import MissingCells
 from crms_fenicsx.surface.points import SurfacePoint, VertexPoint
 
 GRIP = 0.05
@@ -82,7 +82,7 @@ class Retracer:
         for c in numbers:
             self.net.cables[c].update(path_is_geodesic=False)
 
-    def renew_shadows(self) -> list[str]:
+    def renew_projections(self) -> list[str]:
         """Bring the paths of lifted parts under their spans; say which changed. Collective."""
         changes: list[str] = []
         off = [cable for cable in self.net.cables if cable.taut and cable.lifted.any()]
@@ -92,13 +92,13 @@ class Retracer:
         for cable in off:
             for rings in itertools.count(1):
                 try:
-                    found = with_shadows(cable, surface.shape)
+                    found = with_span_projections(cable, surface.shape)
                     break
-                except MissingStars as missing:
+                except MissingCells as missing:
                     self.net.grow_strip(missing.vertices, rings)
                     surface = self.change.surface()
             # A span that turns over its own touchdown keeps the shadow that it had.
-            if found is not None and not flaw(corridor(found[0]), surface.thirds):
+            if found is not None and not why_invalid(corridor(found[0]), surface.opposite_vertices):
                 points, lifted = found
                 surface = self.change.surface([v for point in points for v in point.support])
                 self.change.replace(cable, points, lifted, surface)
@@ -152,16 +152,16 @@ class Retracer:
         fresh: bool = False,
     ) -> int:
         folds = bends(self.net.cables if folded_by is None else folded_by)
-        surface = FoldedSurface(self.net.strip_shape(), folds)
+        surface = CreasedSurface(self.net.strip_shape(), folds)
         done: list[tuple[LaidCable, tuple[list[SurfacePoint], list[bool], int]]] = []
         for cable in cables:
             for rings in itertools.count(1):
                 try:
                     done.append((cable, self._pulled(cable, surface, max_flips, fresh)))
                     break
-                except MissingStars as missing:
+                except MissingCells as missing:
                     self.net.grow_strip(missing.vertices, rings)
-                    surface = FoldedSurface(self.net.strip_shape(), folds)
+                    surface = CreasedSurface(self.net.strip_shape(), folds)
         most = 0
         for cable, (points, lifted, flips) in done:
             if flips or fresh:
@@ -173,7 +173,7 @@ class Retracer:
         return most
 
     def _pulled(
-        self, cable: LaidCable, surface: FoldedSurface, max_flips: int | None, fresh: bool
+        self, cable: LaidCable, surface: CreasedSurface, max_flips: int | None, fresh: bool
     ) -> tuple[list[SurfacePoint], list[bool], int]:
         """The path pulled taut: its points, which of them are lifted, how many flips."""
         path = list(cable.path.points)
@@ -193,9 +193,11 @@ class Retracer:
                 before, after = self.change.beyond(cable, surface, path, run)
                 joined = self.change.with_anchors(cable, surface)
                 string = [*before, *new, *after]
-                if flaw(corridor(string), joined.thirds):  # a span over its own touchdown
+                if why_invalid(
+                    corridor(string), joined.opposite_vertices
+                ):  # a span over its own touchdown
                     before, after, string = [], [], new
-                if len(string) > 2 and not flaw(corridor(string), joined.thirds):
+                if len(string) > 2 and not why_invalid(corridor(string), joined.opposite_vertices):
                     refused.add(corridor(string))
                     result = shorten(
                         string, joined, refused=refused, max_flips=max_flips,

@@ -11,17 +11,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crms_fenicsx.geodesics.corridor import Corridor, corridor, flaw
+from crms_fenicsx.geodesics.corridor import Corridor, corridor, why_invalid
 from crms_fenicsx.geodesics.flip_geodesic import shorten
 from crms_fenicsx.geodesics.vertex_flip import other_side
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.paths.creased_surface import FoldedSurface
+from crms_fenicsx.paths.creased_surface import CreasedSurface
 from crms_fenicsx.paths.held_vertices import Run
 from crms_fenicsx.paths.path_change import PathChange
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import MeshError
-from crms_fenicsx.surface.intrinsic import MissingStars
+from crms_fenicsx.surface.intrinsic import MissingCells
 from crms_fenicsx.surface.points import Edge, EdgePoint
 
 BEYOND = 0.01
@@ -67,7 +67,7 @@ class WayPast:
     supports: Corridor
     vertices: frozenset[int]
     replaced: Corridor
-    surface: FoldedSurface
+    surface: CreasedSurface
 
 
 def way_past(change: PathChange, cable: LaidCable, run: Run) -> WayPast | None:
@@ -100,7 +100,7 @@ def way_past(change: PathChange, cable: LaidCable, run: Run) -> WayPast | None:
                 upward = _counterclockwise(joined, vertex) != run.to_left
                 found = other_side(string, joined, vertex, upward)
                 break
-            except MissingStars as missing:
+            except MissingCells as missing:
                 change.net.grow_strip(missing.vertices, rings)
                 joined = change.with_anchors(cable, change.surface())
             except MeshError:
@@ -155,7 +155,7 @@ def straighten(change: PathChange, cable: LaidCable, part: list[int]) -> bool:
     path = dict(zip(cable.path_nodes(), cable.path.points, strict=True))
     points = [path[k] for k in part]
     surface = change.surface([v for point in points for v in point.support])
-    if len(points) < 3 or flaw(corridor(points), surface.thirds):
+    if len(points) < 3 or why_invalid(corridor(points), surface.opposite_vertices):
         return False
     string = shorten(points, surface, max_flips=0).points
     positions, fractions = cable.positions.copy(), cable.fractions.copy()
@@ -168,7 +168,7 @@ def straighten(change: PathChange, cable: LaidCable, part: list[int]) -> bool:
     return True
 
 
-def _counterclockwise(surface: FoldedSurface, vertex: int) -> bool:
+def _counterclockwise(surface: CreasedSurface, vertex: int) -> bool:
     """Whether the ring of a vertex is in the membrane's order, counterclockwise from outside."""
     ring = surface.membrane_ring(vertex).neighbours
     row = surface.strip.outer_rows((vertex, ring[0], ring[1]))[0]

@@ -98,9 +98,9 @@ class VertexTrials:
             if not cable.slides_freely:
                 if cable.grip is None or not cable.grip.known:
                     continue
-                from crms_fenicsx.friction.lateral import align
+                from crms_fenicsx.friction.lateral import remap
 
-                align(cable)
+                remap(cable)
                 least = 2  # single vertices have been passed by `friction_release`
             runs = (run for run in held_runs(cable, shape) if len(run.vertices) >= least)
             found += [(c, run) for run in runs]

@@ -111,16 +111,16 @@ def _leave_ends_to_anchors(system: System, g: Array) -> None:
     """
     if system.cables is None:
         return
-    network = system.cables.network
-    for c, cable in enumerate(network.cables):
+    numbering = system.cables.numbering
+    for c, cable in enumerate(numbering.cables):
         for end in (cable.start, cable.end):
             k = cable.node_of(end.which)
             if cable.nodes[k].kind != "anchor" or not cable.taut:
                 continue
-            anchor = network.numbers[c, k]
+            anchor = numbering.numbers[c, k]
             near = 1 if k == 0 else k - 1  # if lifted, there is a span, which has a direction
-            if network.owners[anchor] == network.rank and not cable.lifted[near]:
-                block, beside = network.block(c, k), network.block(c, near)
+            if numbering.owners[anchor] == numbering.rank and not cable.lifted[near]:
+                block, beside = numbering.block(c, k), numbering.block(c, near)
                 g[beside] += g[block] - end.reaction
                 g[block] = end.reaction
 
@@ -129,7 +129,7 @@ def _hand_on_rails(system: System, g: Array) -> None:
     """Give the forces of cables on held edges that they slide along to the edges' ends."""
     if system.unknowns.n_rails:
         assert system.cables is not None
-        rails = system.cables.network.rails
+        rails = system.cables.numbering.rails
         blocks, ends, s = rails.blocks, rails.ends, rails.known_fractions()
         share = np.stack([1 - s, s], axis=1)
         np.add.at(g, ends, share[:, :, None] * g[blocks][:, None, :])

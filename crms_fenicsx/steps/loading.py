@@ -38,7 +38,7 @@ class Target:
         Number of the cable, its first (0) or last (-1) node, and that end's displacement (length).
     moved : (n, 3)
         Displacements of the vertices (length).
-    carried : (3,)
+    rigid_translation : (3,)
         Displacement that all supports have in common, and zero if there is none (length): the
         whole structure begins each increment displaced by it.
     lengths
@@ -49,7 +49,7 @@ class Target:
     load: tuple[float, float]
     cable_ends: list[tuple[int, int, Array]]
     moved: Array
-    carried: Array
+    rigid_translation: Array
     lengths: list[tuple[int, float, float]]
 
     def apply(self, scene: Scene, first: State, before: float, share: float) -> None:
@@ -57,9 +57,9 @@ class Target:
         scene._pressure = _between(*self.pressure, share)
         scene._load = _between(*self.load, share)
         u = scene.u.x.array.reshape(-1, 3)
-        u += (share - before) * self.carried
+        u += (share - before) * self.rigid_translation
         for cable in scene.cables:
-            cable.update(positions=cable.positions + (share - before) * self.carried)
+            cable.update(positions=cable.positions + (share - before) * self.rigid_translation)
         some = self.moved != 0.0
         u[some] = first.u.reshape(-1, 3)[some] + share * self.moved[some]
         moved = {c: scene.cables[c].positions.copy() for c, _, _ in self.cable_ends}
@@ -154,8 +154,10 @@ def checked_target(
             )
         length = checks.positive(f"advance: L0 of {key.name!r}", length)
         lengths.append((_number(scene, key), key.L0, length))
-    carried = _carried(scene, moved, ends)
-    return Target((scene.pressure, value), (scene.load, factor), ends, moved, carried, lengths)
+    rigid_translation = _carried(scene, moved, ends)
+    return Target(
+        (scene.pressure, value), (scene.load, factor), ends, moved, rigid_translation, lengths
+    )
 
 
 def _in_order(given: Mapping[object, Value]) -> list[tuple[object, Value]]:
@@ -264,7 +266,7 @@ def _check_rim(scene: Scene) -> None:
         sliding = {(int(a), int(b)) for a, b in edges.ids[np.isin(edges.numbers, rim.sliding)]}
         for cable in scene.cables:
             for node in cable.nodes:
-                ids = node.masters()[0] if node.kind == "fold" else ()
+                ids = node.interpolation()[0] if node.kind == "fold" else ()
                 if tuple(sorted(ids)) in sliding:
                     raise InputError(
                         f"advance: pressure on a membrane whose edge slides in a plane, but "

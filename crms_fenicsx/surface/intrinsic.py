@@ -30,7 +30,7 @@ class Ring:
     closed: bool
 
 
-class MissingStars(LookupError):  # noqa: N818 - no error: a request for data
+class MissingCells(LookupError):  # noqa: N818 - no error: a request for data
     """Some cells around these vertices are not known here: fetch them and call again.
 
     Attributes
@@ -50,7 +50,7 @@ class Surface(Protocol):
     def length(self, edge: Edge) -> float:
         """Return the length of an edge (a, b), a < b, through all fold points on it."""
 
-    def thirds(self, edge: Edge) -> tuple[int, ...]:
+    def opposite_vertices(self, edge: Edge) -> tuple[int, ...]:
         """Return the vertices opposite to an edge (a, b), a < b, in any order.
 
         Two, one at the boundary, none where the surface has no such edge. Those of cells that

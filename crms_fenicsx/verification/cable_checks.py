@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.cables.numbering import Network
+from crms_fenicsx.cables.numbering import CableNumbering
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces, wrap_angles
 from crms_fenicsx.contact.gap import INSIDE
@@ -90,17 +90,17 @@ class _Nodes:
     breaks: int
 
     @classmethod
-    def of(cls, cable: LaidCable, network: Network) -> _Nodes:
-        n, strip = len(cable.nodes), network.strip
+    def of(cls, cable: LaidCable, numbering: CableNumbering) -> _Nodes:
+        n, strip = len(cable.nodes), numbering.strip
         ids = np.full((n, 3), strip.vertices[0], dtype=np.int64)
         weights = np.zeros((n, 3))
         alone = np.zeros(n, dtype=bool)
         for k, node in enumerate(cable.nodes):
             if node.point is not None:
-                own, share = node.masters()
+                own, share = node.interpolation()
                 ids[k, : len(own)], weights[k, : len(own)] = own, share
             if node.kind == "fold" and isinstance(node.point, EdgePoint):
-                alone[k] = len(network.on_edge.get(node.point.edge, ())) == 1
+                alone[k] = len(numbering.on_edge.get(node.point.edge, ())) == 1
         rim = cable.path_nodes()
         supports = [p.support for k in rim if (p := cable.nodes[k].point) is not None]
         both = (tuple(sorted({*a, *b})) for a, b in itertools.pairwise(supports))
@@ -118,7 +118,7 @@ class CableVerifier:
     """Checks the cables of a solved state; keeps tables of their nodes while these stay."""
 
     def __init__(self) -> None:
-        self._network: Network | None = None
+        self._network: CableNumbering | None = None
         self._nodes: list[_Nodes] = []
 
     def check(self, system: System, ends: Array, force: float) -> list[Check]:
@@ -135,10 +135,10 @@ class CableVerifier:
         """
         nodal = force / np.sqrt(system.unknowns.n_global)
         assert system.cables is not None
-        scene, network = system.scene, system.cables.network
-        if network is not self._network:
-            self._network = network
-            self._nodes = [_Nodes.of(cable, network) for cable in scene.cables]
+        scene, numbering = system.scene, system.cables.numbering
+        if numbering is not self._network:
+            self._network = numbering
+            self._nodes = [_Nodes.of(cable, numbering) for cable in scene.cables]
         shape = scene.net.strip_shape()
         parts, pulls = _parts_and_pulls(system)
         found: dict[str, tuple[float, str]] = {}
@@ -149,7 +149,7 @@ class CableVerifier:
                 values |= _tensions(cable, parts[c])
                 values["pull at the ends"] = pulls[c]
                 if not cable.sleeve:
-                    values |= _contacts(cable, nodes, network, shape, nodal)
+                    values |= _contacts(cable, nodes, numbering, shape, nodal)
                 values |= _held(cable, shape, nodal)
                 values |= _friction(cable, shape, nodal)
             elif cable.cable.law == "total":
@@ -184,7 +184,7 @@ def _parts_and_pulls(system: System) -> tuple[list[Array], list[float]]:
     """
     assert system.cables is not None
     cables, tables = system.scene.cables, system.cables.tables
-    network = system.cables.network
+    numbering = system.cables.numbering
     starts = np.cumsum([0] + [len(cable.nodes) for cable in cables])
     local = np.zeros(starts[-1] + 2 * len(cables))
     if tables is not None and len(tables.links):
@@ -199,10 +199,10 @@ def _parts_and_pulls(system: System) -> tuple[list[Array], list[float]]:
     for c, cable in enumerate(cables):
         for i, end in enumerate((cable.start, cable.end)):
             k = cable.node_of(end.which)
-            if cable.taut and cable.nodes[k].kind == "anchor" and network.is_mine(c, k):
+            if cable.taut and cable.nodes[k].kind == "anchor" and numbering.is_mine(c, k):
                 beside = cable.positions[cable.contacts()[1 if i == 0 else -2]]
                 if np.linalg.norm(cable.positions[k] - beside) > 1e-6 * cable.length:
-                    force = system.potential.g[network.block(c, k)]
+                    force = system.potential.g[numbering.block(c, k)]
                     error = np.linalg.norm(force - end.reaction)
                     local[starts[-1] + 2 * c + i] = error / max(cable.tension, 1e-300)
     total = np.zeros_like(local)
@@ -282,7 +282,7 @@ def _tensions(cable: LaidCable, parts: Array) -> dict[str, float]:
 
 
 def _contacts(
-    cable: LaidCable, nodes: _Nodes, network: Network, shape: StripShape, nodal: float
+    cable: LaidCable, nodes: _Nodes, numbering: CableNumbering, shape: StripShape, nodal: float
 ) -> dict[str, float]:
     """How hard the cable pulls the membrane outward, and how deep it runs below it."""
     pull = depth = 0.0
@@ -297,14 +297,14 @@ def _contacts(
         point, s = cable.nodes[k].point, float(cable.fractions[k])
         assert point is not None
         if isinstance(point, EdgePoint) and (
-            point.edge in network.on_edge or not INSIDE < s < 1 - INSIDE
+            point.edge in numbering.on_edge or not INSIDE < s < 1 - INSIDE
         ):
             continue
         after = int(np.searchsorted(contacts, k))
         span = norm(cable.positions[contacts[after - 1 : after + 1]] - cable.positions[k])
         if span.min() <= 1e-9 * cable.length:  # its edge lies beyond an end of the span
             continue
-        ids, weights = cable.masters(int(k))
+        ids, weights = cable.interpolation(int(k))
         place = np.dot(weights, [shape.at(i) for i in ids])
         normal, cell = shape.normals_and_sizes([point.support])
         depth = max(depth, -float((cable.positions[k] - place) @ normal[0]) / float(cell[0]))

@@ -18,7 +18,7 @@ from term_scene import ISOTROPIC
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.cables.crossings import arrange
-from crms_fenicsx.cables.node_positions import Whereabouts
+from crms_fenicsx.cables.node_positions import NodePositions
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.contact.lift_off import sunk
 from crms_fenicsx.energies.folded_pressure import FoldedFollowerPressure
@@ -61,10 +61,10 @@ def cable_over(
     for k, point in enumerate(points):
         inner = "rider" if k in (0, len(points) - 1) or isinstance(point, CellPoint) else "fold"
         nodes.append(CableNode("vertex" if isinstance(point, VertexPoint) else inner, point))
-    masters = [node.masters() for node in nodes]
+    interpolation = [node.interpolation() for node in nodes]
     fractions = [p.fraction if isinstance(p, EdgePoint) else np.nan for p in points]
     state = CableState(
-        tuple(nodes), np.array([np.dot(weights, places[list(ids)]) for ids, weights in masters]),
+        tuple(nodes), np.array([np.dot(w, places[list(ids)]) for ids, w in interpolation]),
         np.array(fractions), np.zeros(len(nodes), dtype=bool), np.full((len(nodes), 3), np.nan),
         1.0, 1.0, 10.0, taut=taut,
     )  # fmt: skip
@@ -435,8 +435,8 @@ def test_volume_under_a_cell_with_a_crossing() -> None:
     term.sums(x, volume)
     assert volume[0] == pytest.approx(0.0, abs=1e-15)
     assert system.cables is not None
-    x[system.cables.network.block(0, 1)] += (0.0, 0.0, h)
-    assert system.cables.network.block(0, 1) == system.cables.network.block(1, 1)
+    x[system.cables.numbering.block(0, 1)] += (0.0, 0.0, h)
+    assert system.cables.numbering.block(0, 1) == system.cables.numbering.block(1, 1)
     term.sums(x, volume)
     assert volume[0] == pytest.approx(h / 3 * (1 / 3 + 5 / 48), rel=1e-12)
 
@@ -445,7 +445,7 @@ def test_a_crossing_has_no_membrane_of_its_own() -> None:
     """It pulls on the cables alone: no side of the cell and no penalty knows it."""
     _, _, system = crossed_triangle(MPI.COMM_SELF)
     assert system.cables is not None and system.cables.tables is not None
-    block = system.cables.network.block(0, 1)
+    block = system.cables.numbering.block(0, 1)
     assert block in system.cables.tables.segments
     assert block not in system.cables.tables.folded.segments
     assert all(block not in corners for corners, _ in system.cables.tables.kinks)
@@ -526,7 +526,9 @@ def test_the_material_curve_is_on_the_stress_free_membrane(square) -> None:
                 share = np.linalg.norm(np.diff(cable.positions[k - 1 : k + 2], axis=0), axis=1)
                 np.testing.assert_allclose(x, a + share[0] / share.sum() * (b - a), atol=1e-12)
             else:
-                ids, weights = node.masters(float(cable.fractions[k]) if node.slides else None)
+                ids, weights = node.interpolation(
+                    float(cable.fractions[k]) if node.slides else None
+                )
                 np.testing.assert_allclose(
                     cable.reference_positions[k], np.dot(weights, [X[i] for i in ids]), atol=1e-12
                 )
@@ -543,14 +545,14 @@ def test_beside_a_lifted_point_a_crossing_is_where_the_other_cable_has_it(comm) 
         places.append((cable, k))
     (upper, k), (lower, m) = places
     put(upper, "lifted", k + 1, True)
-    Whereabouts(system.cables.network, system.unknowns).tell(system.potential.x)
+    NodePositions(system.cables.numbering, system.unknowns).gather(system.potential.x)
     known = lower.reference_positions[m].copy()
     assert np.isfinite(known).all()
     np.testing.assert_array_equal(upper.reference_positions[k], known)
     between = (lower.reference_positions[m - 1] + lower.reference_positions[m + 1]) / 2
     assert np.linalg.norm(known - between) < 20.0, "in its cell"
     put(lower, "lifted", m - 1, True)
-    Whereabouts(system.cables.network, system.unknowns).tell(system.potential.x)
+    NodePositions(system.cables.numbering, system.unknowns).gather(system.potential.x)
     assert (
         np.isnan(upper.reference_positions[k]).all()
         and np.isnan(lower.reference_positions[m]).all()

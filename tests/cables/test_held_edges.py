@@ -213,7 +213,7 @@ def test_gradient_and_stiffness_of_a_whole_potential(comm) -> None:
         assert gradient_order(f, x, d) == pytest.approx(2, abs=0.05), name
     assert is_semidefinite(f.matrix(x))
     assert {type(term).__name__ for term in system.potential.terms} >= {
-        "FoldEnergy", "KinkPenalty", "FoldedFollowerPressure",
+        "FoldedMembraneEnergy", "FoldPenalty", "FoldedFollowerPressure",
     }  # fmt: skip
 
 
@@ -271,14 +271,14 @@ def test_a_moved_edge_takes_its_rail_along(comm) -> None:
             cable.update(taut=False)
             system.rebuild()
         system.read_scene()
-        unknowns, network = system.unknowns, system.cables.network
-        block = network.blocks[network.numbers[0, k]]
+        unknowns, numbering = system.unknowns, system.cables.numbering
+        block = numbering.blocks[numbering.numbers[0, k]]
         assert unknowns.n_rails == (taut and block >= 0)
         if block < 0:
             continue
         unknowns.place_idle_riders(system.potential.x)
         ends = unknowns.X + system.potential.x
-        a, b = (ends[system.cables.network.vertex(v)] for v in point.edge)
+        a, b = (ends[system.cables.numbering.vertex(v)] for v in point.edge)
         np.testing.assert_allclose(ends[block], a + 0.3 * (b - a), atol=1e-12)
         if taut:
             np.testing.assert_allclose(np.abs(unknowns.directions @ d), 1.0, rtol=1e-12)

@@ -7,7 +7,7 @@ from cable_edits import put
 from mpi4py import MPI
 from term_scene import cable_square, displaced
 
-from crms_fenicsx.cables.node_positions import Whereabouts
+from crms_fenicsx.cables.node_positions import NodePositions
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.surface.points import EdgePoint
@@ -30,19 +30,19 @@ def test_places_in_space_on_edges_and_on_the_membrane(comm: MPI.Intracomm) -> No
     put(scene.cables[0], "lifted", 3, True)
     system.rebuild()
     system.read_scene()
-    network, potential = system.cables.network, system.potential
+    numbering, potential = system.cables.numbering, system.potential
     potential.x[: system.unknowns.n_owned] = displaced(system.unknowns, 2.0)
     potential.place()
     before = scene.cables[0].positions[3].copy()
-    Whereabouts(network, system.unknowns).tell(potential.x)
+    NodePositions(numbering, system.unknowns).gather(potential.x)
     known = vertices(scene)
-    for (c, k), number in network.numbers.items():
-        block, node = network.blocks[number], scene.cables[c].nodes[k]
+    for (c, k), number in numbering.numbers.items():
+        block, node = numbering.blocks[number], scene.cables[c].nodes[k]
         if block >= 0 and node.kind != "rider" and not scene.cables[c].lifted[k]:
             place = system.unknowns.X[block] + potential.x[block]
             np.testing.assert_allclose(scene.cables[c].positions[k], place)
     np.testing.assert_array_equal(scene.cables[0].positions[3], before)
-    points = network.on_edge
+    points = numbering.on_edge
     assert max(len(line) for line in points.values()) == 2
     for edge, members in points.items():
         places = [scene.cables[c].positions[k] for _, c, k in members]
@@ -56,7 +56,7 @@ def test_places_in_space_on_edges_and_on_the_membrane(comm: MPI.Intracomm) -> No
             if node.point is None or cable.lifted[k]:
                 assert np.isnan(cable.reference_positions[k]).all()
             else:
-                ids, weights = cable.masters(k)
+                ids, weights = cable.interpolation(k)
                 place = np.dot(weights, [known[i][0] for i in ids])
                 np.testing.assert_allclose(cable.reference_positions[k], place, atol=1e-12)
         far = [abs(f - 0.5) < 0.5 - 1e-9 for f in cable.fractions[np.isfinite(cable.fractions)]]

@@ -55,7 +55,7 @@ def cable_on(
     """A cable in tension over these nodes, with anchors before the first and after the last."""
     places = []
     for node in nodes:
-        ids, weights = node.masters()
+        ids, weights = node.interpolation()
         places.append(np.dot(weights, [shape.at(i) for i in ids]))
     all_nodes = list(nodes)
     if len(anchors):

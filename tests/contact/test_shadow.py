@@ -10,10 +10,10 @@ from reference_meshes import square
 from crms_fenicsx import Scene
 from crms_fenicsx.cables.strip_gather import cells_near
 from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.contact.span_projection import shadow
+from crms_fenicsx.contact.span_projection import project_span
 from crms_fenicsx.model.cable_state import CableNode
-from crms_fenicsx.paths.creased_surface import FoldedSurface
-from crms_fenicsx.surface.intrinsic import MissingStars
+from crms_fenicsx.paths.creased_surface import CreasedSurface
+from crms_fenicsx.surface.intrinsic import MissingCells
 from crms_fenicsx.surface.points import CellPoint, EdgePoint
 from crms_fenicsx.surface.trace import trace
 
@@ -42,8 +42,8 @@ def test_shadows_are_sections(comm, kind: str) -> None:
         points = route(shape, start, end)[1:-1]
         first, last = (CableNode("fold", points[k]) for k in (0, -1))
         a, b = (node_place(shape, node) for node in (first, last))
-        found = shadow(shape, first, a + 3 * UP, last, b + 3 * UP)
-        back = shadow(shape, last, b + 3 * UP, first, a + 3 * UP)
+        found = project_span(shape, first, a + 3 * UP, last, b + 3 * UP)
+        back = project_span(shape, last, b + 3 * UP, first, a + 3 * UP)
         assert found is not None and back is not None
         for way in (found, back[::-1]):
             assert [p.support for p in way] == [p.support for p in points[1:-1]]
@@ -52,7 +52,7 @@ def test_shadows_are_sections(comm, kind: str) -> None:
 
 
 def node_place(shape: StripShape, node: CableNode) -> np.ndarray:
-    ids, weights = node.masters()
+    ids, weights = node.interpolation()
     return np.dot(weights, [shape.at(i) for i in ids])
 
 
@@ -63,10 +63,10 @@ def test_towards_anchors(comm) -> None:
     node = CableNode("fold", points[len(points) // 2])
     at = node_place(shape, node)
     along = np.array([100.0, 58.0, 0.0])
-    found = shadow(shape, node, at, CableNode("anchor"), at + along + 9 * UP)
+    found = project_span(shape, node, at, CableNode("anchor"), at + along + 9 * UP)
     assert found is not None
     assert [p.support for p in found] == [p.support for p in points[len(points) // 2 + 1 :]]
-    foot = shadow(shape, node, at, CableNode("anchor"), at + 0.2 * along + 9 * UP)
+    foot = project_span(shape, node, at, CableNode("anchor"), at + 0.2 * along + 9 * UP)
     assert foot is not None and isinstance(foot[-1], CellPoint)
     place = node_place(shape, CableNode("rider", foot[-1]))
     np.testing.assert_allclose(place, at + 0.2 * along, atol=1e-9)
@@ -80,8 +80,8 @@ def test_unknown_cells_are_asked_for(comm) -> None:
     assert scene.net.strip is not None
     shape = StripShape.of(scene.membrane, scene.net.strip)
     first, last = CableNode("fold", points[1]), CableNode("fold", points[-2])
-    with pytest.raises(MissingStars):
-        shadow(shape, first, node_place(shape, first), last, np.array([95.0, 20.0, 0.0]))
+    with pytest.raises(MissingCells):
+        project_span(shape, first, node_place(shape, first), last, np.array([95.0, 20.0, 0.0]))
 
 
 def test_bent_edges_and_anchors_of_the_folded_surface(comm) -> None:
@@ -89,7 +89,7 @@ def test_bent_edges_and_anchors_of_the_folded_surface(comm) -> None:
     points = route(shape, (0, 13), (100, 71))
     edge = points[3].edge
     bend = shape.at(edge[0]) + np.array([1.0, 2.0, -2.0])
-    surface = FoldedSurface(shape, {edge: [bend]})
+    surface = CreasedSurface(shape, {edge: [bend]})
     parts = [np.linalg.norm(bend - shape.at(v)) for v in edge]
     assert surface.length(edge) == pytest.approx(sum(parts), rel=1e-14)
     half = surface.place(edge, parts[0] / sum(parts))
@@ -97,9 +97,9 @@ def test_bent_edges_and_anchors_of_the_folded_surface(comm) -> None:
 
     rim = points[0].support
     anchor = 10**6
-    joined = FoldedSurface(shape, {}, {anchor: np.array([-20.0, 13.0, 4.0])}, {anchor: rim})
-    assert surface.is_boundary(rim) and len(surface.thirds(rim)) == 1
-    assert joined.thirds(rim) == (*surface.thirds(rim), anchor)
+    joined = CreasedSurface(shape, {}, {anchor: np.array([-20.0, 13.0, 4.0])}, {anchor: rim})
+    assert surface.is_boundary(rim) and len(surface.opposite_vertices(rim)) == 1
+    assert joined.opposite_vertices(rim) == (*surface.opposite_vertices(rim), anchor)
     assert not surface.ring(rim[0]).closed and joined.ring(rim[0]).closed
     away = np.linalg.norm(shape.at(rim[0]) - np.array([-20.0, 13.0, 4.0]))
     assert joined.length((rim[0], anchor)) == pytest.approx(away)

@@ -25,18 +25,18 @@ def empty_matrix(unknowns) -> PETSc.Mat:
 
 def one_by_one(unknowns, rows, cols, values):
     """Riders hand their blocks to their vertices; of rails the part along their lines counts."""
-    masters = {b: [(b, 1.0)] for b in range(unknowns.n_local)}
+    interpolation = {b: [(b, 1.0)] for b in range(unknowns.n_local)}
     for rider, own, weights in zip(
-        unknowns.riders, unknowns.masters, unknowns.weights, strict=True
+        unknowns.riders, unknowns.interpolation, unknowns.weights, strict=True
     ):
-        masters[int(rider)] = list(zip(own.tolist(), weights.tolist(), strict=True))
+        interpolation[int(rider)] = list(zip(own.tolist(), weights.tolist(), strict=True))
     along = dict.fromkeys(range(unknowns.n_local), np.eye(3))
     for rail, d in zip(unknowns.rails, unknowns.directions, strict=True):
         along[int(rail)] = np.outer(d, d)
     K = np.zeros((unknowns.n_local, 3, unknowns.n_local, 3))
     for row, col, value in zip(rows, cols, values, strict=True):
-        for a, v in masters[int(row)]:
-            for b, w in masters[int(col)]:
+        for a, v in interpolation[int(row)]:
+            for b, w in interpolation[int(col)]:
                 K[a, :, b, :] += along[a] @ (v * w * value) @ along[b]
     number = unknowns.matrix_numbers
     result = np.zeros_like(K)

@@ -15,7 +15,7 @@ from term_scene import (
     on_mesh,
 )
 
-from crms_fenicsx.cables.node_positions import Whereabouts
+from crms_fenicsx.cables.node_positions import NodePositions
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.equilibrium.system import System
@@ -122,9 +122,9 @@ def ridden(comm):
     first, second, free = unknowns.owned_point_blocks()
     rng = np.random.default_rng(comm.rank)
     unknowns.X[[first, second, free]] = rng.uniform(0, 50, (3, 3))
-    masters = unknowns.vertex_blocks()[[-1, -2, 0, 1, -3, -3]].reshape(2, 3)
+    interpolation = unknowns.vertex_blocks()[[-1, -2, 0, 1, -3, -3]].reshape(2, 3)
     weights = np.array([(0.2, 0.3, 0.5), (0.6, 0.4, 0.0)])
-    unknowns.set_riders(np.array([first, second], dtype=np.int32), masters, weights)
+    unknowns.set_riders(np.array([first, second], dtype=np.int32), interpolation, weights)
     return scene, unknowns, (first, second, free)
 
 
@@ -157,10 +157,10 @@ def test_riders_are_at_the_weighted_mean_of_their_vertices(comm):
     x = noise(unknowns.X[: unknowns.n_owned], 1)
     f.value(x)
     places = unknowns.X + f.potential.x
-    for rider, masters, weights in zip(
-        (first, second), unknowns.masters, unknowns.weights, strict=True
+    for rider, interpolation, weights in zip(
+        (first, second), unknowns.interpolation, unknowns.weights, strict=True
     ):
-        np.testing.assert_allclose(places[rider], weights @ places[masters], atol=1e-12)
+        np.testing.assert_allclose(places[rider], weights @ places[interpolation], atol=1e-12)
     np.testing.assert_array_equal(f.potential.x[free], x[free])
     assert unknowns.held[[first, second]].all()
     assert not unknowns.held[free].any()
@@ -168,7 +168,7 @@ def test_riders_are_at_the_weighted_mean_of_their_vertices(comm):
 
 def test_idle_riders_are_placed_on_demand(comm):
     scene, unknowns, (first, second, _) = ridden(comm)
-    parts = unknowns.riders, unknowns.masters, unknowns.weights
+    parts = unknowns.riders, unknowns.interpolation, unknowns.weights
     unknowns.set_riders(*parts, n_loaded=1)
     f = OnMesh(unknowns, scene.u, [Springs()])
     x = noise(unknowns.X[: unknowns.n_owned], 1)
@@ -217,10 +217,10 @@ def test_spread_hands_stiffness_on_to_vertices(comm):
 
     P = np.eye(n)
     P[unknowns.riders] = 0.0
-    for rider, masters, weights in zip(
-        unknowns.riders, unknowns.masters, unknowns.weights, strict=True
+    for rider, interpolation, weights in zip(
+        unknowns.riders, unknowns.interpolation, unknowns.weights, strict=True
     ):
-        for master, weight in zip(masters, weights, strict=True):
+        for master, weight in zip(interpolation, weights, strict=True):
             P[rider, master] += weight
     twin = np.einsum("ia,ijkl,jb->abkl", P, dense(rows, cols, values), P)
     places, sources, weights = unknowns.spread(rows, cols)
@@ -245,10 +245,10 @@ def test_the_scene_has_everything(comm):
     assert kinds == {"anchor", "rider", "fold", "vertex"}
     names = {type(term).__name__ for term in system.potential.terms}
     assert names == {
-        "MembraneEnergy", "FollowerPressure", "CableTension", "FoldEnergy", "KinkPenalty",
+        "MembraneEnergy", "FollowerPressure", "CableTension", "FoldedMembraneEnergy", "FoldPenalty",
         "FoldedFollowerPressure",
     }  # fmt: skip
-    shared = system.cables.network.on_edge.values()
+    shared = system.cables.numbering.on_edge.values()
     assert max(len({c for _, c, _ in points}) for points in shared) == 2, "cables share an edge"
 
 
@@ -281,7 +281,7 @@ def fingerprint(comm, choice, size):
     energy, g = f.value(x)
     terms = system.potential.terms
     single = [OnMesh(f.unknowns, system.scene.u, [term]).value(x)[1] for term in terms]
-    Whereabouts(system.cables.network, f.unknowns).tell(f.potential.x)
+    NodePositions(system.cables.numbering, f.unknowns).gather(f.potential.x)
     cables = system.scene.cables
     lengths = [polyline_length(cable.positions[cable.contacts()]) for cable in cables]
     return np.array(
@@ -364,7 +364,7 @@ def test_stiffness_with_riders_and_folded_cells_is_exact_under_tension(comm):
     """Stretched alike in all directions, every side of an equilateral triangle pulls."""
     system = equilateral(comm)
     system.membrane.energy.stiffening.floor.value = 0.0
-    f = on_mesh(system, "MembraneEnergy", "FoldEnergy")
+    f = on_mesh(system, "MembraneEnergy", "FoldedMembraneEnergy")
     x = displaced(f.unknowns, 0.05, stretch=1.3)
     f.value(x)
     assert system.cables.folds.energy.forces.min(initial=1.0) > 0

@@ -30,7 +30,7 @@ from term_scene import (
 from term_twins import area, axes_of, density, strain, unfolded
 
 from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.energies.folded_membrane import FoldedCells, FoldEnergy
+from crms_fenicsx.energies.folded_membrane import FoldedCells, FoldedMembraneEnergy
 from crms_fenicsx.energies.membrane import MembraneEnergy
 from crms_fenicsx.energies.stiffening import FLOOR
 from crms_fenicsx.meshes import from_arrays
@@ -91,7 +91,7 @@ def folded_triangle(material, folds, corners=TRIANGLE, eps=0.0):
         laws=np.array([material.law], dtype=np.int32),
         parameters=material.parameters[None],
     )
-    return TermOnPoints(FoldEnergy(table, no_stiffening()), np.array(X)), lines
+    return TermOnPoints(FoldedMembraneEnergy(table, no_stiffening()), np.array(X)), lines
 
 
 def plain_triangle(material, shift):
@@ -140,7 +140,7 @@ def test_cell_with_straight_sides_is_the_plain_cell(material, folds, shift):
 @pytest.mark.parametrize("material", [ISOTROPIC, TENSED_FABRIC], ids=["relaxed", "fabric"])
 def test_straight_folds_on_a_mesh_are_plain_cells(comm, material):
     system = cable_square(comm, material)
-    f = on_mesh(system, "MembraneEnergy", "FoldEnergy")
+    f = on_mesh(system, "MembraneEnergy", "FoldedMembraneEnergy")
     energy, g = f.value(straight(system))
     displacement = system.scene.u.x.array.copy()
 
@@ -197,7 +197,7 @@ def test_gradient_of_a_cell(material, folds, stretch):
 @every_material
 @pytest.mark.parametrize("size", [0.3, 3.0])
 def test_gradient_on_a_mesh(comm, material, size):
-    f = on_mesh(cable_square(comm, material), "FoldEnergy")
+    f = on_mesh(cable_square(comm, material), "FoldedMembraneEnergy")
     x = displaced(f.unknowns, size)
     for name, d in directions(f.unknowns).items():
         assert gradient_order(f, x, d) == pytest.approx(2, abs=0.03), name
@@ -252,7 +252,7 @@ def test_stiffness_of_a_cell_is_semidefinite(material, folds, stretch):
 
 
 def test_stiffness_on_a_mesh_is_semidefinite(comm):
-    f = on_mesh(cable_square(comm, FABRIC), "FoldEnergy")
+    f = on_mesh(cable_square(comm, FABRIC), "FoldedMembraneEnergy")
     assert is_semidefinite(f.matrix(displaced(f.unknowns, 3.0, stretch=0.95)))
 
 
@@ -284,7 +284,7 @@ def test_cells_share_what_is_on_their_common_side():
         laws=np.tile(t.laws, 2),
         parameters=np.tile(t.parameters, (2, 1)),
     )  # fmt: skip
-    both = TermOnPoints(FoldEnergy(double, no_stiffening()), one.X)
+    both = TermOnPoints(FoldedMembraneEnergy(double, no_stiffening()), one.X)
     x = 0.2 * one.X + 0.1 * np.random.default_rng(1).normal(size=one.X.shape)
     energy, g = one.value(x)
     assert both.value(x)[0] == pytest.approx(2 * energy, rel=1e-14)
@@ -294,7 +294,7 @@ def test_cells_share_what_is_on_their_common_side():
 
 @every_material
 def test_rigid_motion_changes_nothing(comm, material):
-    f = on_mesh(cable_square(comm, material), "FoldEnergy")
+    f = on_mesh(cable_square(comm, material), "FoldedMembraneEnergy")
     X = f.unknowns.X[: f.unknowns.n_owned]
     x = displaced(f.unknowns, 1.0)
     energy, g = f.value(x)
@@ -317,7 +317,7 @@ def test_tables_of_the_scene(comm):
     np.testing.assert_array_equal(np.sort(folded.cells), left)
     corners = mesh.geometry.x[geometry_dofmap(mesh)[folded.cells]]
     np.testing.assert_allclose(folded.areas, [area(c) for c in corners], rtol=1e-13)
-    term = FoldEnergy(folded, no_stiffening())
+    term = FoldedMembraneEnergy(folded, no_stiffening())
     term.attach(system.unknowns)
     term.sums(np.zeros_like(system.unknowns.X), np.zeros(1))
     for c, sides in enumerate(folded.sides):

@@ -227,7 +227,7 @@ def test_patch_of_orthotropic_membrane_with_folded_cells(comm, angle):
         1394.0, 140.0, 12.0, 0.065, 1.0, warp=(c, s, 0.5), prestress=(2.0, 1.0)
     )
     system = cable_square(comm, fabric)
-    f = on_mesh(system, "MembraneEnergy", "FoldEnergy")
+    f = on_mesh(system, "MembraneEnergy", "FoldedMembraneEnergy")
     X = f.unknowns.X[: f.unknowns.n_owned]
     energy, g = f.value(X[:, :2] @ F.T - X)
 

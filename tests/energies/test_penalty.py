@@ -5,22 +5,22 @@ import pytest
 from taylor import TermOnPoints, gradient_order, is_semidefinite, stiffness_error, stiffness_order
 from term_scene import cable_square, directions, displaced, moved, on_mesh
 
-from crms_fenicsx.energies.fold_penalty import KinkPenalty, Kinks
+from crms_fenicsx.energies.fold_penalty import FoldAngles, FoldPenalty
 
 KINDS = pytest.mark.parametrize("weighted", [True, False], ids=["weighted", "literal"])
 
 
 def kinks(X, points, weighted, mu=1.0):
     points = np.array(points, dtype=np.int32)
-    return TermOnPoints(KinkPenalty(Kinks(points, np.full(len(points), mu), weighted)), X)
+    return TermOnPoints(FoldPenalty(FoldAngles(points, np.full(len(points), mu), weighted)), X)
 
 
 def random_kinks(weighted):
     """Three kinks that share points."""
     X = np.random.default_rng(0).normal(size=(8, 3)) * 3
     places = [(0, 1, 2, 3), (2, 3, 4, 1), (5, 6, 7, 0)]
-    table = Kinks(np.array(places, dtype=np.int32), np.array([2.0, 0.5, 1.5]), weighted)
-    return TermOnPoints(KinkPenalty(table), X)
+    table = FoldAngles(np.array(places, dtype=np.int32), np.array([2.0, 0.5, 1.5]), weighted)
+    return TermOnPoints(FoldPenalty(table), X)
 
 
 def angle(a, b):
@@ -60,7 +60,7 @@ def test_gradient(weighted):
 def test_gradient_on_the_membrane(comm, weighted):
     choices = {} if weighted else {"literal_penalty": 30.0}
     system = cable_square(comm, **choices)
-    f = on_mesh(system, "KinkPenalty")
+    f = on_mesh(system, "FoldPenalty")
     assert f.potential.terms[0].table.weighted == weighted
     x = displaced(f.unknowns, 0.3)
     for name, d in directions(f.unknowns).items():
@@ -128,7 +128,7 @@ def test_stiffness_is_semidefinite(weighted):
 @KINDS
 def test_rigid_motion_and_size_change_nothing(comm, weighted):
     choices = {} if weighted else {"literal_penalty": 30.0}
-    f = on_mesh(cable_square(comm, **choices), "KinkPenalty")
+    f = on_mesh(cable_square(comm, **choices), "FoldPenalty")
     X = f.unknowns.X[: f.unknowns.n_owned]
     x = displaced(f.unknowns, 0.3)
     energy, _ = f.value(x)
@@ -172,7 +172,7 @@ def test_coefficients_follow_the_cells_stiffness(comm):
     table = tables.penalty(0.2, np.full(len(tables.folded.cells), 24.0))
     rows = [row for _, row, _ in tables.kinks]
     np.testing.assert_allclose(table.coefficients, 0.2 * 24.0 * tables.folded.areas[rows])
-    (used,) = (t for t in system.potential.terms if isinstance(t, KinkPenalty))
+    (used,) = (t for t in system.potential.terms if isinstance(t, FoldPenalty))
     np.testing.assert_allclose(used.table.coefficients, table.coefficients, rtol=1e-14)
     assert comm.allreduce(len(rows)) > 40
 

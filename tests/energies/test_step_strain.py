@@ -22,7 +22,7 @@ from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.runtime.errors import InputError
 
 MATERIALS = pytest.mark.parametrize("material", [STIFF, STIFF_FABRIC], ids=["isotropic", "fabric"])
-TERMS = ("StepMembraneEnergy", "StepFoldEnergy")
+TERMS = ("StepMembraneEnergy", "StepFoldedMembraneEnergy")
 
 
 def stepped(comm, material, **options):

@@ -8,9 +8,9 @@ from friction_scene import friction_square
 from taylor import TermOnPoints, gradient_order, is_semidefinite, noise, stiffness_error
 from term_scene import on_mesh
 
-from crms_fenicsx.cables.node_positions import Whereabouts
+from crms_fenicsx.cables.node_positions import NodePositions
 from crms_fenicsx.energies.edge_fractions import edge_fractions
-from crms_fenicsx.energies.lateral_friction import Slips, StickSlip
+from crms_fenicsx.energies.lateral_friction import LateralFriction, Slips
 from crms_fenicsx.energies.paper.friction_element import FrictionElementEnergy, FrictionElements
 from crms_fenicsx.energies.smooth_coulomb import friction_energy
 from crms_fenicsx.energies.term import EnergyTerm
@@ -116,7 +116,7 @@ def test_places_on_edges_and_their_gradients():
 def test_points_of_an_edge_that_coincide_give_finite_forces(together):
     X, edges, table = random_slips()
     X[together[1]] = X[together[0]]
-    energy, g = TermOnPoints(StickSlip(table), X).value(np.zeros_like(X))
+    energy, g = TermOnPoints(LateralFriction(table), X).value(np.zeros_like(X))
     assert energy == pytest.approx(slip_twin(edges, table, X)[1], rel=1e-13)
     assert np.all(np.isfinite(g))
 
@@ -124,14 +124,14 @@ def test_points_of_an_edge_that_coincide_give_finite_forces(together):
 def test_an_edge_without_length_holds_nothing():
     X, _, table = random_slips()
     X[[5, 6]] = X[4]
-    energy, g = TermOnPoints(StickSlip(table), X).value(np.zeros_like(X))
+    energy, g = TermOnPoints(LateralFriction(table), X).value(np.zeros_like(X))
     assert np.isfinite(energy)
     np.testing.assert_array_equal(g[[4, 5, 6]], 0.0)
 
 
 def test_energy_and_gradient():
     X, edges, table = random_slips()
-    f = TermOnPoints(StickSlip(table), X)
+    f = TermOnPoints(LateralFriction(table), X)
     for seed in range(5):
         x, d = 0.01 * np.random.default_rng(seed).normal(size=(2, *X.shape))
         assert f.value(x)[0] == pytest.approx(slip_twin(edges, table, X + x)[1], rel=1e-12)
@@ -144,7 +144,7 @@ def test_energy_and_gradient():
 
 def test_other_forces_for_the_same_nodes():
     X, _, table = random_slips()
-    f = TermOnPoints(StickSlip(table), X)
+    f = TermOnPoints(LateralFriction(table), X)
     energy, g = f.value(0 * X)
     double = Slips(
         table.pointers, table.blocks, table.place, table.slope, table.offset,
@@ -166,7 +166,7 @@ def straight_edge(slip, bound=2.0, eps=0.1):
     )  # fmt: skip
     along = np.zeros((3, 3))
     along[1, 0] = 1.0
-    return TermOnPoints(StickSlip(table), X), along
+    return TermOnPoints(LateralFriction(table), X), along
 
 
 def test_stiffness_is_exact_as_the_slip_vanishes():
@@ -197,7 +197,7 @@ def test_stiffness_is_that_of_a_parabola_above_the_potential(slip):
 def test_stiffness_is_semidefinite_and_above_the_tangent():
     """Of nodes that slide along straight edges; bent edges turn, which is left out."""
     X, _, table = random_slips()
-    f = TermOnPoints(StickSlip(table), X)
+    f = TermOnPoints(LateralFriction(table), X)
     assert is_semidefinite(f.matrix(0 * X))
     assert np.abs(f.matrix(0 * X)).max() > 0.1
     for slip in (0.0, 0.05, -0.08, 0.3):
@@ -227,14 +227,14 @@ def energy_by_hand(scene, frozen):
 
 def slid(system, size):
     """Displacements (n, 3) of the owned points: fold points moved along their edges a little."""
-    unknowns, network = system.unknowns, system.cables.network
+    unknowns, numbering = system.unknowns, system.cables.numbering
     x = unknowns.vector()[1]
     rng = np.random.default_rng(3)
-    for (c, k), number in network.numbers.items():
+    for (c, k), number in numbering.numbers.items():
         shift = rng.uniform(-size, size)
-        block, cable = network.blocks[number], system.scene.cables[c]
+        block, cable = numbering.blocks[number], system.scene.cables[c]
         if block >= 0 and cable.nodes[k].slides:
-            a, b = (unknowns.X[network.vertex(v)] for v in cable.nodes[k].point.support)
+            a, b = (unknowns.X[numbering.vertex(v)] for v in cable.nodes[k].point.support)
             x[block] = shift * (b - a)
     return x[: unknowns.n_owned].copy()
 
@@ -242,7 +242,7 @@ def slid(system, size):
 def test_term_of_a_scene(comm):
     """Nodes that stick and nodes that slide, two on one edge, and rails."""
     system = friction_square(comm, Friction(0.4, tolerance=0.01))
-    f = on_mesh(system, "StickSlip")
+    f = on_mesh(system, "LateralFriction")
     term = f.potential.terms[0]
     sizes = comm.allreduce(np.bincount(np.diff(term.table.pointers), minlength=5))
     assert sizes[3] > 10 and sizes[4] > 2
@@ -255,7 +255,7 @@ def test_term_of_a_scene(comm):
     energy, _g = f.value(x)
     y = np.abs(term.slips) / term.table.eps
     assert comm.allreduce(int(np.sum(y > 1))) > 3 < comm.allreduce(int(np.sum(y < 0.9)))
-    Whereabouts(system.cables.network, system.unknowns).tell(f.potential.x)
+    NodePositions(system.cables.numbering, system.unknowns).gather(f.potential.x)
     assert energy == pytest.approx(energy_by_hand(system.scene, frozen), rel=1e-10)
     d = noise(system.unknowns.X[: system.unknowns.n_owned], 99)
     steps = 0.002 * 0.25 ** np.arange(6)

@@ -268,8 +268,8 @@ def test_work_of_the_ends_is_the_energy_that_comes(kind: str) -> None:
     reaction = forces_of(solver, {"membrane", "cables", "penalty", "pressure"})
     anchors = {}
     for end in (0, -1):
-        network = system.cables.network
-        block = network.blocks[network.numbers[0, end % len(cable.nodes)]]
+        numbering = system.cables.numbering
+        block = numbering.blocks[numbering.numbers[0, end % len(cable.nodes)]]
         mine = 0 <= block < system.unknowns.n_owned
         anchors[end] = total(reaction[block] if mine else np.zeros(3))
         assert np.linalg.norm(anchors[end]) == pytest.approx(cable.tension, rel=1e-6)

@@ -367,10 +367,10 @@ def test_a_crossing_inside_a_span_slides_along_it(comm: MPI.Intracomm) -> None:
     system.read_scene()
     f = on_mesh(system, "CapstanTension")
     A = f.assembled(displaced(f.unknowns, 0.0))
-    K, block, network = dense(A), 0, system.cables.network
+    K, block, numbering = dense(A), 0, system.cables.numbering
     (k,) = [k for k, node in enumerate(cable.nodes) if node.kind == "crossing"]
-    if network.is_mine(1, k):
-        block = A.getOwnershipRange()[0] + 3 * network.block(1, k)
+    if numbering.is_mine(1, k):
+        block = A.getOwnershipRange()[0] + 3 * numbering.block(1, k)
     block = comm.allreduce(block, op=MPI.MAX)
     own = K[block : block + 3, block : block + 3]
     way = cable.positions[k + 1] - cable.positions[k - 1]

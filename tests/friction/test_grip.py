@@ -11,9 +11,9 @@ from friction_scene import friction_dome, shaken_fractions
 
 from crms_fenicsx.contact.contact_force import contact_forces
 from crms_fenicsx.friction import lateral_iteration as grips
-from crms_fenicsx.friction.aitken import Pace
-from crms_fenicsx.friction.lateral import align, begin, commit, energies
-from crms_fenicsx.friction.lateral_iteration import Lag
+from crms_fenicsx.friction.aitken import AitkenRelaxation
+from crms_fenicsx.friction.lateral import end_step, energies, remap, start_step
+from crms_fenicsx.friction.lateral_iteration import LateralIteration
 from crms_fenicsx.friction.slip import node_slips
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.cable_state import CableNode, CableState
@@ -74,7 +74,7 @@ def gripped(bounds, moving=None):
 def test_bounds_move_to_a_new_path(path, bounds, moving):
     cable = along(*path)
     cable.update(grip=gripped([1, 2, 4, 5], [0, -1, -1, 0]))
-    align(cable)
+    remap(cable)
     assert cable.grip.supports == tuple(path)
     assert cable.grip.bounds.tolist() == bounds
     assert cable.grip.moving.tolist() == moving
@@ -93,7 +93,7 @@ def test_random_path_changes_keep_the_sum():
         new = [(1000 + 3 * number, 1001 + 3 * number + i) for i in range(int(rng.integers(1, 4)))]
         old, cable = cable.grip, along(*supports[:start], *new, *supports[start + gone :])
         cable.update(grip=old)
-        align(cable)
+        remap(cable)
         assert cable.grip.bounds.sum() == pytest.approx(total, rel=1e-12)
         assert cable.grip.bounds.min() >= 0
 
@@ -108,7 +108,7 @@ def found_from(monkeypatch, law):
         return law(grip.bounds.sum()) * shares, grip.moving
 
     monkeypatch.setattr(grips, "_bounds", bounds)
-    lag = Lag(cable)
+    lag = LateralIteration(cable)
     for passes in range(1, 60):
         if lag.renew(None) <= grips.SETTLED:
             return cable.grip.bounds, passes
@@ -135,15 +135,15 @@ def test_bounds_are_found_in_a_few_passes(monkeypatch, law, root, most):
 def test_pace_settles_what_goes_round_in_circles() -> None:
     """Maps that would run away by themselves, or never settle; rows of other nodes begin anew."""
     for slopes in ([-1.0, -1.0], [-3.0, 0.2], [-8.0, -8.0], [0.5, 0.3]):
-        pace, x = Pace(0.01), np.array([1.0, -2.0])
+        pace, x = AitkenRelaxation(0.01), np.array([1.0, -2.0])
         for _ in range(30):
             change = np.array(slopes) * x - x
             if np.abs(change).max() < 1e-6:
                 break
-            x = x + pace.of("same", change) * change
+            x = x + pace.factor("same", change) * change
         assert np.abs(x).max() < 1e-5, slopes
-    part = pace.of("same", np.array([1.0, 1.0]))
-    assert pace.of("other", np.array([-5.0, 3.0])) == part
+    part = pace.factor("same", np.array([1.0, 1.0]))
+    assert pace.factor("other", np.array([-5.0, 3.0])) == part
 
 
 def test_first_bounds_hold_by_all_means():
@@ -162,7 +162,7 @@ def test_first_bounds_hold_by_all_means():
 def test_bounds_are_those_of_the_contact_forces():
     scene, shape = friction_dome(Friction(0.4))
     for cable in scene.cables:
-        lag = Lag(cable)
+        lag = LateralIteration(cable)
         first = lag.renew(shape)
         assert first > 1  # the first guess was far too much
         forces = contact_forces(cable, shape)
@@ -172,13 +172,13 @@ def test_bounds_are_those_of_the_contact_forces():
         assert cable.grip.known
         assert lag.renew(shape) == 0.0
         cable.update(taut=False)
-        assert Lag(cable).renew(shape) == 0.0
+        assert LateralIteration(cable).renew(shape) == 0.0
 
 
 def slid_dome(friction, size=0.02):
     scene, shape = friction_dome(friction)
     for cable in scene.cables:
-        Lag(cable).renew(shape)
+        LateralIteration(cable).renew(shape)
     shaken_fractions(scene, size)
     return scene, scene.net.strip_shape()
 
@@ -214,7 +214,7 @@ def test_end_of_a_step():
         before = node_slips(cable, cable.grip.curve, shape)
         eps = 0.01 * before.size
         cable.update(grip=replace(cable.grip, dissipated=7.0))
-        commit(cable, shape)
+        end_step(cable, shape)
         assert cable.grip.dissipated == pytest.approx(7.0 + heat, rel=1e-14)
         assert not cable.grip.moving.any()
         after = node_slips(cable, cable.grip.curve, shape)
@@ -231,11 +231,11 @@ def test_a_slack_cable_forgets():
     scene, shape = slid_dome(Friction(0.4))
     cable = scene.cables[0]
     cable.update(taut=False)
-    commit(cable, shape)
+    end_step(cable, shape)
     assert not cable.grip.known
     assert not cable.grip.curve.elastic.any()
     cable.update(L0=cable.L0 * 0.99)
-    begin(cable, shape)
+    start_step(cable, shape)
     assert np.all(cable.grip.bounds > 0.009 * cable.cable.EA)
 
 
@@ -270,6 +270,6 @@ def test_what_slides_is_seen_even_if_the_bounds_settle_at_once(monkeypatch):
         return np.full(2, 0.4 if settled else 0.6), np.full(2, 1.0 if settled else 0.0)
 
     monkeypatch.setattr(grips, "_bounds", bounds)
-    assert Lag(cable).renew(SimpleNamespace()) > grips.SETTLED
+    assert LateralIteration(cable).renew(SimpleNamespace()) > grips.SETTLED
     assert asked == [False, True]
     assert cable.grip.bounds.tolist() == [0.4, 0.4]

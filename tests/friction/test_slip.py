@@ -9,7 +9,7 @@ from friction_scene import friction_dome, shaken_fractions
 from mpi4py import MPI
 from rigid_surfaces import band, curve, rigid, sphere
 
-from crms_fenicsx.friction.lateral import begin
+from crms_fenicsx.friction.lateral import start_step
 from crms_fenicsx.friction.slip import material_curve, node_slips
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.friction_history import MaterialCurve
@@ -140,7 +140,7 @@ def test_slip_is_the_distance_to_the_left():
     """To the second order in the slip: the curve bends."""
     scene, shape = friction_dome()
     for cable in scene.cables:
-        begin(cable, shape)
+        start_step(cable, shape)
         curve = cable.grip.curve
         for size, seed in ((0.02, 1), (0.01, 2)):
             shaken_fractions(scene, size, seed)
@@ -148,7 +148,7 @@ def test_slip_is_the_distance_to_the_left():
             assert np.ptp(np.sign(slips.slip)) == 2
             along, compared = curve.points[-1] - curve.points[0], 0
             for i, k in enumerate(slips.nodes):
-                ids, weights = cable.masters(k)
+                ids, weights = cable.interpolation(k)
                 place = np.dot(weights, [shape.stress_free_at(v) for v in ids])
                 arc, foot, _ = nearest_twin(curve, place)
                 steep = abs(slips.slope[i]) / np.linalg.norm(edge_of(cable, k, shape))
@@ -173,7 +173,7 @@ def test_slip_does_not_depend_on_the_direction_of_the_path():
     for path in (way.points[::16], way.points[::-16]):
         scene, cable = rigid(MPI.COMM_SELF, way, mesh, Friction(0.5), path=path)
         shape = scene.net.strip_shape()
-        begin(cable, shape)
+        start_step(cable, shape)
         by_edge = {cable.nodes[k].point.support: k for k in range(len(cable.nodes))}
         for k in by_edge.values():
             if cable.nodes[k].slides:

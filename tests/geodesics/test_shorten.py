@@ -20,10 +20,10 @@ from curved_surfaces import (
     unstructured,
 )
 
-from crms_fenicsx.geodesics.corridor import corridor, flaw, tied, without_detours
+from crms_fenicsx.geodesics.corridor import corridor, snap_ends, why_invalid, without_detours
 from crms_fenicsx.geodesics.flip_geodesic import STRAIGHT, shorten
 from crms_fenicsx.runtime.errors import InputError, MeshError, PathError
-from crms_fenicsx.surface.intrinsic import MissingStars, Ring, ring_of
+from crms_fenicsx.surface.intrinsic import MissingCells, Ring, ring_of
 from crms_fenicsx.surface.path import Path
 from crms_fenicsx.surface.points import CellPoint, EdgePoint, VertexPoint, edge_of
 
@@ -111,7 +111,7 @@ def test_ends_of_all_kinds_stay_where_they_are(name):
         path = along_mesh_lines(mesh, [a, nearest(mesh, 50, rng.uniform(5, 95)), b])
         path = [*[start] * (start != path[0]), *path, *[end] * (end != path[-1])]
         given = corridor(path)
-        if flaw(given, surface.thirds) or without_detours(given) != given:
+        if why_invalid(given, surface.opposite_vertices) or without_detours(given) != given:
             continue  # it comes back to the cell of its start, or to itself
         # from there on with points inside edges too
         halfway = shorten(path, surface, max_flips=int(rng.integers(0, 12))).points
@@ -490,7 +490,7 @@ def test_missing_stars_are_asked_for_until_all_are_known():
         try:
             result = shorten(path, ArraySurface(*mesh, complete=known))
             break
-        except MissingStars as missing:
+        except MissingCells as missing:
             assert missing.vertices and known.isdisjoint(missing.vertices)
             assert list(missing.vertices) == sorted(missing.vertices)
             if not known:  # all that hold the string are asked for at once
@@ -586,7 +586,7 @@ def test_flaws_of_corridors(supports, text):
     """On the 3 by 3 vertices 0 1 2 / 3 4 5 / 6 7 8, cut from the lower left."""
     cells = [[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4], [3, 4, 7], [3, 7, 6], [4, 5, 8], [4, 8, 7]]
     surface = ArraySurface(cells, np.zeros((9, 3)))
-    assert text in (flaw(supports, surface.thirds) or "")
+    assert text in (why_invalid(supports, surface.opposite_vertices) or "")
 
 
 def test_hoops_may_close():
@@ -600,13 +600,18 @@ def test_hoops_may_close():
 
 
 def test_ends_are_tied_to_the_cell_that_the_path_does_not_use():
-    def thirds(edge):
+    def opposite_vertices(edge):
         return {(0, 1): (5, 3)}[edge]
 
-    assert tied(((0, 1), (0,), (9,)), thirds) == ((0, 1, 3), (0,), (9,))
-    assert tied(((0, 1), (0,), (1, 3), (9,)), thirds) == ((0, 1, 5), (0,), (1, 3), (9,))
-    assert tied(((9,), (0,), (0, 1)), thirds) == ((9,), (0,), (0, 1, 3))
-    assert tied(((0, 1), (0, 3), (9,)), thirds) == ((0, 1), (0, 3), (9,))
+    assert snap_ends(((0, 1), (0,), (9,)), opposite_vertices) == ((0, 1, 3), (0,), (9,))
+    assert snap_ends(((0, 1), (0,), (1, 3), (9,)), opposite_vertices) == (
+        (0, 1, 5),
+        (0,),
+        (1, 3),
+        (9,),
+    )
+    assert snap_ends(((9,), (0,), (0, 1)), opposite_vertices) == ((9,), (0,), (0, 1, 3))
+    assert snap_ends(((0, 1), (0, 3), (9,)), opposite_vertices) == ((0, 1), (0, 3), (9,))
 
 
 def test_rings():
@@ -622,9 +627,9 @@ def test_surfaces_from_arrays():
     surface = ArraySurface(cells, points, {(5, 6): 7.5})
     assert surface.length((5, 6)) == 7.5
     assert surface.length((0, 1)) == pytest.approx(100 / 3, rel=1e-15)
-    assert sorted(surface.thirds((0, 5))) == [1, 4]
-    assert surface.thirds((0, 1)) == (5,)
-    assert surface.thirds((0, 2)) == surface.thirds((0, 99)) == ()
+    assert sorted(surface.opposite_vertices((0, 5))) == [1, 4]
+    assert surface.opposite_vertices((0, 1)) == (5,)
+    assert surface.opposite_vertices((0, 2)) == surface.opposite_vertices((0, 99)) == ()
     assert surface.ring(5).closed and set(surface.ring(5).neighbours) == {0, 1, 4, 6, 9, 10}
     assert surface.ring(0) == Ring((1, 5, 4), closed=False)
 

@@ -20,11 +20,11 @@ from crms_fenicsx import (
 from crms_fenicsx.cables.strip_gather import cells_near
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.gap import size_at
-from crms_fenicsx.contact.span_projection import shadow
+from crms_fenicsx.contact.span_projection import project_span
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.friction.slip import material_curve, node_slips
 from crms_fenicsx.paths.boundary_ends import _edge_at
-from crms_fenicsx.paths.creased_surface import FoldedSurface
+from crms_fenicsx.paths.creased_surface import CreasedSurface
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.runtime.errors import MeshError
 
@@ -179,8 +179,8 @@ def test_what_cables_see_of_a_seam(comm):
     edge = cable.nodes[on_seam].point.support
     scene.net.grow_strip(edge, rings=3)
     shape = scene.net.strip_shape()
-    surface = FoldedSurface(shape, {})
-    assert len(surface.thirds(edge)) == 2
+    surface = CreasedSurface(shape, {})
+    assert len(surface.opposite_vertices(edge)) == 2
     assert not surface.is_boundary(edge)
     for support in (edge, edge[:1], edge[1:]):
         np.testing.assert_allclose(shape.normal(support), (0.0, 0.0, 1.0), atol=1e-12)
@@ -197,7 +197,9 @@ def test_what_cables_see_of_a_seam(comm):
     assert abs(slope) == pytest.approx(h * cosine)
 
     a, b = on_seam - 1, on_seam + 1
-    below = shadow(shape, cable.nodes[a], cable.positions[a], cable.nodes[b], cable.positions[b])
+    below = project_span(
+        shape, cable.nodes[a], cable.positions[a], cable.nodes[b], cable.positions[b]
+    )
     assert [point.support for point in below] == [edge]
 
     held = _edge_at(scene.membrane, np.array((0.0, 50.0, 0.0)), 1e-6)

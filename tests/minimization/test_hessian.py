@@ -12,7 +12,7 @@ from taylor import noise
 from term_scene import cable_square, displaced
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.cables.node_positions import Whereabouts
+from crms_fenicsx.cables.node_positions import NodePositions
 from crms_fenicsx.minimization.initial_hessian import SHIFT, WORKSPACE, InitialHessian
 from crms_fenicsx.model.laid_cable import polyline_length
 
@@ -85,7 +85,7 @@ def test_dyad_columns_are_gradients_of_the_lengths(comm) -> None:
     for sign in (1, -1):
         potential.x[:n] = x + sign * step * d
         potential.place()
-        Whereabouts(system.cables.network, system.unknowns).tell(potential.x)
+        NodePositions(system.cables.numbering, system.unknowns).gather(potential.x)
         cables = system.scene.cables
         lengths.append([polyline_length(cable.positions[cable.contacts()]) for cable in cables])
     potential.x[:n] = x

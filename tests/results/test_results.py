@@ -232,9 +232,9 @@ def test_anchor_off_the_membrane_against_the_energys_gradient() -> None:
     system.read_scene()
     system.potential.evaluate()
     assert system.cables is not None
-    network, k = system.cables.network, end.cable.node_of("end")
-    if network.owners[network.numbers[1, k]] == COMM.rank:
-        gradient = system.potential.g[network.block(1, k)]
+    numbering, k = system.cables.numbering, end.cable.node_of("end")
+    if numbering.owners[numbering.numbers[1, k]] == COMM.rank:
+        gradient = system.potential.g[numbering.block(1, k)]
         np.testing.assert_allclose(end.reaction, gradient, rtol=1e-9)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from crms_fenicsx.runtime.errors import InputError
-from crms_fenicsx.surface.intrinsic import MissingStars, Ring, ring_of
+from crms_fenicsx.surface.intrinsic import MissingCells, Ring, ring_of
 from crms_fenicsx.surface.points import Edge
 
 
@@ -69,8 +69,8 @@ class ArraySurface:
             return float(given)
         return float(np.linalg.norm(self._points[edge[1]] - self._points[edge[0]]))
 
-    def thirds(self, edge: Edge) -> tuple[int, ...]:
-        """Return the vertices opposite to an edge; see `Surface.thirds`."""
+    def opposite_vertices(self, edge: Edge) -> tuple[int, ...]:
+        """Return the vertices opposite to an edge; see `Surface.opposite_vertices`."""
         a, b = edge
         return tuple(next(v for v in pair if v != b) for pair in self._link(a) if b in pair)
 
@@ -85,7 +85,7 @@ class ArraySurface:
             They do not form one fan.
         """
         if self._complete is not None and vertex not in self._complete:
-            raise MissingStars([vertex])
+            raise MissingCells([vertex])
         if vertex not in self._rings:
             self._rings[vertex] = ring_of(vertex, self._link(vertex))
         return self._rings[vertex]

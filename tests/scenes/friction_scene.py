@@ -12,7 +12,7 @@ from term_scene import ISOTROPIC, SIDE, irregular_square
 
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.friction.lateral import begin
+from crms_fenicsx.friction.lateral import start_step
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.scene import Scene
@@ -33,7 +33,7 @@ def friction_square(comm: MPI.Intracomm, friction: Any = 0.4, lift: float = 8.0)
     scene._pressure = 0.01
     shape = scene.net.strip_shape()
     for cable in scene.cables:
-        begin(cable, shape)
+        start_step(cable, shape)
     system = System(scene, "crms_test_", 1e-8)
     system.read_scene()
     return system
@@ -53,5 +53,5 @@ def shaken_fractions(scene: Scene, size: float, seed: int = 0) -> None:
             if node.slides and not cable.lifted[k]:
                 shift = rng.uniform(-size, size)
                 put(cable, "fractions", k, min(max(cable.fractions[k] + shift, 0.05), 0.95))
-                ids, weights = cable.masters(k)
+                ids, weights = cable.interpolation(k)
                 put(cable, "positions", k, np.dot(weights, [shape.at(i) for i in ids]))

@@ -107,15 +107,15 @@ def displaced(unknowns: Unknowns, size: float, stretch: float = 1.05, seed: int 
 
 def straight(system: System) -> Array:
     """Displacements of a bent surface whose fold points stay on the straight sides."""
-    unknowns, network = system.unknowns, system.cables.network
+    unknowns, numbering = system.unknowns, system.cables.numbering
     x = unknowns.vector()[1]
     vertices = unknowns.vertex_blocks()
     x[vertices] = 3 * noise(unknowns.X[vertices], 1)
-    for (c, k), number in network.numbers.items():
-        block, cable = network.blocks[number], system.scene.cables[c]
+    for (c, k), number in numbering.numbers.items():
+        block, cable = numbering.blocks[number], system.scene.cables[c]
         if block >= 0 and cable.nodes[k].kind == "fold":
-            (a, b), (wa, wb) = cable.nodes[k].masters()
-            x[block] = wa * x[network.vertex(a)] + wb * x[network.vertex(b)]
+            (a, b), (wa, wb) = cable.nodes[k].interpolation()
+            x[block] = wa * x[numbering.vertex(a)] + wb * x[numbering.vertex(b)]
     owned: Array = x[: unknowns.n_owned].copy()
     return owned
 

@@ -192,7 +192,7 @@ def test_a_spoiled_cable_is_found(comm: MPI.Intracomm, what: str, name: str) -> 
     solver = roped(comm)
     cable = solver.scene.cables[0]
     k = next(k for k, node in enumerate(cable.nodes) if node.kind == "fold")
-    edge = cable.nodes[k].masters()[0]
+    edge = cable.nodes[k].interpolation()[0]
     assert len(edge) == 2
 
     def spoil() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from crms_fenicsx.energies.folded_membrane import FoldedCells, FoldEnergy
+from crms_fenicsx.energies.folded_membrane import FoldedCells, FoldedMembraneEnergy
 from crms_fenicsx.energies.paper.step_membrane import (
     StepMembraneEnergy,
     rotated_stiffness,
@@ -89,7 +89,7 @@ def shape_on(shape: Array, base: npt.NDArray[np.int64]) -> Array:
     return np.stack([a, e, f], axis=1)
 
 
-class StepFoldEnergy(FoldEnergy):
+class StepFoldedMembraneEnergy(FoldedMembraneEnergy):
     """Strain energy of the folded cells over all steps; side ik is a side that does not fold.
 
     The state at the step's start lives in the plain cells' term, which also keeps that of folded
@@ -136,7 +136,7 @@ class StepFoldEnergy(FoldEnergy):
         )  # fmt: skip
 
     def cell_results(self) -> Array:
-        """As `FoldEnergy.cell_results`, with the section forces of the steps' law."""
+        """As `FoldedMembraneEnergy.cell_results`, with the section forces of the steps' law."""
         t = self.table
         rows = np.arange(len(t.cells))
         of_sides = np.add.reduceat(self.lengths[t.side_segments], t.side_pointers[:-1])
