@@ -68,7 +68,7 @@ def project_span(
 
     Raises
     ------
-    MissingStars
+    MissingCells
         Some cells on the way are not known.
     """
     assert first.point is not None

@@ -117,7 +117,7 @@ def shorten(
         twice; or a length is not positive.
     InputError
         `max_flips` is no whole number, or negative.
-    MissingStars
+    MissingCells
         The surface does not know all cells around some of the vertices that hold the string.
 
     Notes

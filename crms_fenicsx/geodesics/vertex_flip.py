@@ -53,7 +53,7 @@ def other_side(
 
     Raises
     ------
-    MissingStars
+    MissingCells
         The surface does not know all cells around the vertex.
     """
     run = [i for i, s in enumerate(supports) if vertex in s and len(s) < 3]

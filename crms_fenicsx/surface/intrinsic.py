@@ -62,7 +62,7 @@ class Surface(Protocol):
 
         Raises
         ------
-        MissingStars
+        MissingCells
             Not all cells around it are known.
         """
 

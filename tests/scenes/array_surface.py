@@ -79,7 +79,7 @@ class ArraySurface:
 
         Raises
         ------
-        MissingStars
+        MissingCells
             Not all cells around it are given.
         MeshError
             They do not form one fan.
