@@ -10,9 +10,9 @@ from unittest.mock import patch
 import numpy as np
 
 from crms_fenicsx import Cable, Friction, IsotropicMembrane, PenaltyWarning, Scene, Solver, meshes
-from crms_fenicsx.energies import segments as length
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.penalty import STABLE_PENALTY
+from crms_fenicsx.model.tolerances import SMOOTHING
 from sweeps.judge import Judge, Point
 from sweeps.scenes import (
     COMM,
@@ -106,11 +106,11 @@ def smoothing() -> Iterator[Point]:
     def lengths(judge: Judge, size: float, y: float, end: float) -> None:
         solver, cable = smoothed(size, y, end)
         judge.count(solver)
-        usual = smoothed(length.SMOOTHING, y, end)
+        usual = smoothed(SMOOTHING, y, end)
         for each in solver, usual[0]:
             judge.must("not finite", bool(np.isfinite(each.scene.energy)))
-        near = sum(min(f, 1 - f) < 2 * max(size, length.SMOOTHING) for f in cable.fractions[1:-1])
-        lengthened = 0.4 * (size + length.SMOOTHING) * SIDE / n * (near + 1)
+        near = sum(min(f, 1 - f) < 2 * max(size, SMOOTHING) for f in cable.fractions[1:-1])
+        lengthened = 0.4 * (size + SMOOTHING) * SIDE / n * (near + 1)
         # A membrane that gives way takes most of what the cable is too long by.
         judge.drift(
             "tension, usual length",

@@ -18,11 +18,11 @@ from crms_fenicsx.energies.fold_penalty import FoldAngles
 from crms_fenicsx.energies.folded_membrane import FoldedCells
 from crms_fenicsx.energies.folded_pressure import Facets
 from crms_fenicsx.energies.membrane import MembraneEnergy
-from crms_fenicsx.energies.segments import COINCIDENT, SMOOTHING
 from crms_fenicsx.meshes.cell_geometry import area_vectors
 from crms_fenicsx.minimization.damping import Damping
 from crms_fenicsx.model.crossing import NodeId
 from crms_fenicsx.model.materials import N_PARAMETERS
+from crms_fenicsx.model.tolerances import SAME_PLACE, SMOOTHING
 from crms_fenicsx.runtime.arrays import Array, Indices
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.surface.points import Edge, EdgePoint
@@ -110,7 +110,7 @@ def _smoothing(numbering: CableNumbering, link: Link, sizes: Array) -> float:
     size = float(min(sizes[row] for row in rows))
     # An anchor may lie on the held place next to it: no direction, and none is needed.
     if not slides:
-        return -COINCIDENT * size
+        return -SAME_PLACE * size
     # It may be moved off that place by very little: lengths are exact from there on.
     return SMOOTHING * size * (NEAR_ANCHOR if "anchor" in (first.kind, second.kind) else 1.0)
 

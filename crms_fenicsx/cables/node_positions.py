@@ -8,8 +8,9 @@ from itertools import accumulate, pairwise
 
 import numpy as np
 
-from crms_fenicsx.cables.numbering import BLOCKED, CableNumbering
+from crms_fenicsx.cables.numbering import CableNumbering
 from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.model.tolerances import BLOCKED
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.triangles import norm
 

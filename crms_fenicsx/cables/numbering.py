@@ -19,7 +19,6 @@ from crms_fenicsx.cables.points_on_edges import points_by_edge
 from crms_fenicsx.cables.rails import Rails
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.energies.segments import SMOOTHING
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.crossing import NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
@@ -45,13 +44,6 @@ class Link(NamedTuple):
     first: int
     second: int
     vertices: tuple[int, ...] | None
-
-
-BLOCKED = SMOOTHING
-"""A sliding point nearer than this to an end of its side (fraction) has run into the vertex.
-
-Farther off lengths are exact, so that nothing but the cable and the membrane holds it there.
-"""
 
 
 class CableNumbering:

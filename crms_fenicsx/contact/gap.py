@@ -11,13 +11,9 @@ import numpy as np
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.tolerances import INSIDE, PAST
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.triangles import cross
-
-PAST = 0.25
-"""Part of an edge up to which a span that passes beyond its end is judged by it; see `captured`."""
-INSIDE = 0.02
-"""Fractions nearer to an edge's end than this are no places to start from."""
 
 
 class Gap(NamedTuple):

@@ -16,8 +16,9 @@ from collections.abc import Iterator, Mapping, Sequence, Set
 import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.contact.gap import INSIDE, Gap, size_at, spans, under
-from crms_fenicsx.model.laid_cable import COINCIDENT, LaidCable, polyline_length
+from crms_fenicsx.contact.gap import Gap, size_at, spans, under
+from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
+from crms_fenicsx.model.tolerances import INSIDE, SAME_PLACE
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint
 from crms_fenicsx.surface.triangles import dot, norm
@@ -80,7 +81,7 @@ def outward_pulls(cable: LaidCable, nodes: Sequence[int], normals: Array, reache
         [np.maximum(arc[i] - reaches, arc[before]), np.minimum(arc[i] + reaches, arc[after])]
     )
     pulls = np.full(len(i), -1.0)
-    free = np.abs(near - arc[i]).min(axis=0) > COINCIDENT * arc[-1]
+    free = np.abs(near - arc[i]).min(axis=0) > SAME_PLACE * arc[-1]
     i, near = i[free], near[:, free]
     ways = np.stack([np.interp(near, arc, x[:, m]) for m in range(3)], axis=2) - x[i]
     pulls[free] = dot((ways / norm(ways)[..., None]).sum(axis=0), normals[free])

@@ -16,13 +16,6 @@ import math
 
 import numba
 
-SMOOTHING = 3e-3
-"""eps relative to the size of the cells around. Fold points that are held at a vertex converge the
-faster the larger it is, and lengthen the cable by 0.4 eps each; that is taken off again, see
-`crms_fenicsx.equilibrium.system.System.renew_excess`."""
-COINCIDENT = 1e-9
-"""Distance, relative to the size of the cells around, of given points that are one place."""
-
 
 @numba.njit(cache=True, inline="always")
 def smoothed_length(d: float, eps: float) -> float:

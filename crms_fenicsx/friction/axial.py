@@ -25,7 +25,8 @@ from crms_fenicsx.contact.lift_off import is_foot
 from crms_fenicsx.friction.gripped_nodes import held_nodes, succession
 from crms_fenicsx.friction.slip import material_place
 from crms_fenicsx.model.friction_history import AxialGrip, MaterialCurve
-from crms_fenicsx.model.laid_cable import COINCIDENT, LaidCable
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import Support
 
@@ -76,7 +77,7 @@ def _supports(cable: LaidCable) -> tuple[Support, ...]:
         node, anchor = cable.nodes[k], {1: 0, last - 1: last}.get(k)
         if anchor is not None and node.kind == "vertex" and cable.nodes[anchor].kind == "anchor":
             away = np.linalg.norm(cable.positions[k] - cable.positions[anchor])
-            if away <= COINCIDENT * cable.length:
+            if away <= SAME_PLACE * cable.length:
                 continue
         assert node.point is not None
         supports.append(node.point.support)

@@ -11,6 +11,7 @@ import numpy as np
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.cable_state import CableNode, CableState, End, StepStart
 from crms_fenicsx.model.friction_history import AxialGrip, Grip
+from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.runtime.readonly import ReadOnly
@@ -20,8 +21,6 @@ from crms_fenicsx.surface.points import EdgePoint, SurfacePoint
 LEAST, MOST = float(np.finfo(float).tiny), float(1.0 - np.finfo(float).epsneg)
 """Places on an edge of points that run into its ends."""
 
-COINCIDENT = 1e-9
-"""An anchor this near to the cable's next point, relative to its length, lies on it."""
 
 FOUND = "it follows from the loads, call solver.advance(...)"
 RELAY = "lay another cable with scene.lay_cable(...) instead"
@@ -65,7 +64,7 @@ class CableEnd:
         points = cable.positions if self.which == "start" else cable.positions[::-1]
         outward = points[0] - points[1:]
         away = np.linalg.norm(outward, axis=1)
-        first = int(np.argmax(away > COINCIDENT * cable.length))
+        first = int(np.argmax(away > SAME_PLACE * cable.length))
         tension = cable.part_tensions[0 if self.which == "start" else -1]
         return np.asarray(tension * outward[first] / away[first])
 
@@ -260,7 +259,7 @@ class LaidCable:
             if self.nodes[anchor].kind != "anchor":
                 return "tied"
             away = np.linalg.norm(self.positions[anchor] - self.positions[beside])
-            held = self.nodes[beside].kind == "rider" or away <= COINCIDENT * self.length
+            held = self.nodes[beside].kind == "rider" or away <= SAME_PLACE * self.length
             return "held" if held else "off"
 
         return end(0, 1), end(-1, -2)
@@ -287,7 +286,7 @@ class LaidCable:
         nodes = self.contacts()
         for at, beside in ((0, 1), (-1, -2)):
             away = np.linalg.norm(self.positions[nodes[at]] - self.positions[nodes[beside]])
-            if len(nodes) > 2 and away <= COINCIDENT * self.length:
+            if len(nodes) > 2 and away <= SAME_PLACE * self.length:
                 del nodes[at]
         return nodes
 
@@ -306,7 +305,7 @@ class LaidCable:
         sizes = np.linalg.norm(steps, axis=1)
         too_long = -1e-12
         if nearly:
-            apart = sizes > COINCIDENT * sizes.sum()
+            apart = sizes > SAME_PLACE * sizes.sum()
             ways = steps[apart] / sizes[apart, None]
             # Over some nodes: from one to the next small and large turns, left and right alternate.
             some = min(4, len(ways) - 1)

@@ -18,8 +18,9 @@ from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.gap import size_at
 from crms_fenicsx.contact.span_projection import project_span
 from crms_fenicsx.model.cable_state import CableNode
-from crms_fenicsx.model.laid_cable import COINCIDENT, LaidCable
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.paths.path_change import PathChange
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.compat import geometry_dofmap
@@ -72,7 +73,7 @@ def _moved_aside(cable: LaidCable, k: int, shape: StripShape) -> bool:
     contacts = cable.contacts()[1:] if k == 0 else cable.contacts()[-2::-1]
     chords = cable.positions[contacts] - cable.ends_before[k]
     # An end on the boundary is there twice, as an anchor and as the path's first point.
-    apart = np.linalg.norm(chords, axis=1) > COINCIDENT * cable.length
+    apart = np.linalg.norm(chords, axis=1) > SAME_PLACE * cable.length
     beside, along = contacts[np.argmax(apart)], chords[np.argmax(apart)]
     point = cable.nodes[beside].point or cable.nodes[1].point
     assert point is not None
@@ -94,9 +95,9 @@ def _renew(change: PathChange, cable: LaidCable, last: bool) -> bool:
         if isinstance(node.point, CellPoint):
             return led
     away = float(np.linalg.norm(cable.positions[anchor] - cable.positions[beside]))
-    if away <= COINCIDENT * cable.length and node.kind != "rail":
+    if away <= SAME_PLACE * cable.length and node.kind != "rail":
         return False
-    found = _edge_at(change.net.membrane, cable.positions[anchor], COINCIDENT * cable.length)
+    found = _edge_at(change.net.membrane, cable.positions[anchor], SAME_PLACE * cable.length)
     if found is None:
         if node.kind != "rider":
             return led
@@ -122,7 +123,7 @@ def _follow(change: PathChange, cable: LaidCable, last: bool) -> bool:
     """
     anchor, beside = (-1, -2) if last else (0, 1)
     place, before = cable.positions[anchor], cable.ends_before
-    if before is None or np.linalg.norm(place - before[anchor]) <= COINCIDENT * cable.length:
+    if before is None or np.linalg.norm(place - before[anchor]) <= SAME_PLACE * cable.length:
         return False
     foot = cable.nodes[beside]
     ids, weights = foot.interpolation()

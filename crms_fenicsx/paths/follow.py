@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from crms_fenicsx.cables.cable_net import CableNet
-from crms_fenicsx.model.laid_cable import COINCIDENT
+from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import SurfacePoint
 from crms_fenicsx.surface.triangles import norm, vectors
@@ -45,7 +45,7 @@ def unfolded(net: CableNet, route: Array) -> tuple[Array, dict[int, SurfacePoint
     known: dict[int, SurfacePoint] = {}
     folds: list[Array] = []
     for target in vectors(route):
-        at = np.flatnonzero(norm(x - target) <= COINCIDENT * net.membrane.size)
+        at = np.flatnonzero(norm(x - target) <= SAME_PLACE * net.membrane.size)
         if len(at):
             cable, k = contacts[at[0]]
             if cable.nodes[k].kind == "crossing":

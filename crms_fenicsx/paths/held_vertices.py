@@ -21,18 +21,13 @@ import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import forces_at
-from crms_fenicsx.energies.segments import SMOOTHING
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.tolerances import GRIPPED, PRESSED
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import Support, edge_of
 from crms_fenicsx.surface.triangles import norm
 
-NEAR = 0.025
-"""Part of an edge: a point as near as this to a vertex, to which friction lets it slide, has run
-into it."""
-PRESSED = 2 * SMOOTHING
-"""The same without friction: beyond it lengths are exact, and it slides freely."""
 SLACK, TINY = 0.05, 1e-5
 """By how much a pull must exceed the friction force, relative to it and to the tension."""
 UNEVEN = 0.02
@@ -227,7 +222,7 @@ def _near(cable: LaidCable, shape: StripShape) -> dict[int, list[int]]:
 
     Along the membrane's boundary it is a part of that, which it can only slide off.
     """
-    near = PRESSED if cable.grip is None else NEAR
+    near = PRESSED if cable.grip is None else GRIPPED
     nodes, lifted = cable.nodes, cable.lifted
     fractions = [float(f) for f in cable.fractions]
     boundary = _along_boundary(nodes, shape)

@@ -14,19 +14,15 @@ import numpy as np
 from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.crossings import at_nodes
 from crms_fenicsx.cables.points_on_edges import bends
-from crms_fenicsx.contact.gap import INSIDE
 from crms_fenicsx.model.cable_state import CableNode, End
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.tolerances import INSIDE, STAYS
 from crms_fenicsx.paths.creased_surface import CreasedSurface
 from crms_fenicsx.paths.typed_nodes import fractions_of, nodes_of
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.surface.path import without_backtracking
 from crms_fenicsx.surface.points import EdgePoint, SurfacePoint, VertexPoint
-
-NEAR = 0.1
-"""Part of an edge by which a point of a cable with friction may have to move on a new path, and
-still stays where it is: others are those that are put back in place."""
 
 
 class PathChange:
@@ -191,4 +187,4 @@ def _stays(cable: LaidCable, old: int, node: CableNode) -> bool:
         return True
     fraction = float(cable.fractions[old])
     moved = 0.0 if cable.slides_freely else abs(fraction - node.point.fraction)
-    return moved <= NEAR and INSIDE <= fraction <= 1 - INSIDE
+    return moved <= STAYS and INSIDE <= fraction <= 1 - INSIDE

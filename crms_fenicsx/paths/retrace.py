@@ -17,6 +17,7 @@ from crms_fenicsx.contact.span_projection import with_span_projections
 from crms_fenicsx.geodesics.corridor import corridor, why_invalid
 from crms_fenicsx.geodesics.flip_geodesic import shorten
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.tolerances import BEYOND
 from crms_fenicsx.paths.creased_surface import CreasedSurface
 from crms_fenicsx.paths.path_change import PathChange, slid_off
 from crms_fenicsx.paths.path_parts import is_crossed, lifted_runs, vertices_near
@@ -27,10 +28,6 @@ from crms_fenicsx.surface.points import SurfacePoint, VertexPoint
 GRIP = 0.05
 """Angle (rad) by which a path along mesh lines must bend at a vertex to leave it before the cable
 has pressed its crease into the membrane: a path along a line of the mesh stays there."""
-
-
-PRESSED = 0.01
-"""Part of an edge: a point nearer than this to a vertex is held by it."""
 
 
 class Retracer:
@@ -182,7 +179,7 @@ class Retracer:
         if is_crossed(cable) and not fresh:
             visited = {p.vertex for p in path if isinstance(p, VertexPoint)}
             left = {v for _, *vertices in self.tried.left.get(cable.name, ()) for v in vertices}
-            held_at = visited | vertices_near(cable, PRESSED) - left
+            held_at = visited | vertices_near(cable, BEYOND) - left
         points: list[SurfacePoint] = []
         lifted: list[bool] = []
         passed = 0

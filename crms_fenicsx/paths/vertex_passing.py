@@ -16,6 +16,7 @@ from crms_fenicsx.geodesics.flip_geodesic import shorten
 from crms_fenicsx.geodesics.vertex_flip import other_side
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.tolerances import BEYOND
 from crms_fenicsx.paths.creased_surface import CreasedSurface
 from crms_fenicsx.paths.held_vertices import Run
 from crms_fenicsx.paths.path_change import PathChange
@@ -23,9 +24,6 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import MeshError
 from crms_fenicsx.surface.intrinsic import MissingCells
 from crms_fenicsx.surface.points import Edge, EdgePoint
-
-BEYOND = 0.01
-"""Part of an edge: where a path starts on the other side, off the smoothing."""
 
 
 def pass_run(change: PathChange, number: int, run: Run) -> bool:

@@ -17,11 +17,11 @@ from mpi4py import MPI
 from crms_fenicsx.cables.numbering import CableNumbering
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces, wrap_angles
-from crms_fenicsx.contact.gap import INSIDE
 from crms_fenicsx.contact.lift_off import is_foot, may_lift, outward_pulls
 from crms_fenicsx.friction.gripped_nodes import held_nodes
 from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.tolerances import INSIDE
 from crms_fenicsx.paths.held_vertices import held_runs
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.surface.points import EdgePoint

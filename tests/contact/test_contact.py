@@ -17,7 +17,7 @@ from crms_fenicsx import Cable
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.crossing_contact import joins, parting
-from crms_fenicsx.contact.gap import INSIDE, size_at, spans, under
+from crms_fenicsx.contact.gap import size_at, spans, under
 from crms_fenicsx.contact.lift_off import (
     DEPTH,
     captured,
@@ -32,7 +32,8 @@ from crms_fenicsx.contact.lift_off import (
 )
 from crms_fenicsx.model.cable_state import CableNode, CableState
 from crms_fenicsx.model.crossing import Crossing
-from crms_fenicsx.model.laid_cable import COINCIDENT, LaidCable, polyline_length
+from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
+from crms_fenicsx.model.tolerances import INSIDE, SAME_PLACE
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import CellPoint, EdgePoint, VertexPoint
 
@@ -112,7 +113,7 @@ def slow_pull(cable: LaidCable, k: int, normal: Array, reach: float) -> float:
             if cable.nodes[m].kind == "crossing":
                 break
         offset = here - cable.positions[k]
-        if way <= COINCIDENT * polyline_length(cable.positions[cable.contacts()]):
+        if way <= SAME_PLACE * polyline_length(cable.positions[cable.contacts()]):
             return -1.0
         total += offset / np.linalg.norm(offset)
     return float(total @ normal)

@@ -15,6 +15,7 @@ from mpi4py import MPI
 
 from crms_fenicsx import Scene, Solver
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.tolerances import BEYOND
 from crms_fenicsx.paths import vertex_trials
 from crms_fenicsx.paths.held_vertices import Run
 from crms_fenicsx.paths.tried_paths import TriedPaths
@@ -171,7 +172,7 @@ def test_crossed_cables_pass_only_vertices_that_hold_them(comm, monkeypatch) -> 
             near = {
                 p.edge[int(p.fraction > 0.5)]
                 for p in points
-                if isinstance(p, EdgePoint) and min(p.fraction, 1 - p.fraction) < retrace.PRESSED
+                if isinstance(p, EdgePoint) and min(p.fraction, 1 - p.fraction) < BEYOND
             }
             free = pull(points, surface, **options).flips
             passed.append((set(result.flips) - near, set(free) - near))
