@@ -1,8 +1,8 @@
 """Cable-reinforced membrane structures with foldable finite elements on FEniCSx.
 
-A load step runs through the modules in one direction: `scene` (what there is) -> `loading` and
-`solver` (the step) -> `system` and `potential` (its energy) -> `minimizer` (its equilibrium) ->
-`state` and `results` -> `output`.
+A load step runs through the packages in one direction: `solver` and `steps` (the loads) ->
+`equilibrium` (its loops) -> `contributions` and `energies` (the potential of a `scene`) ->
+`minimization` (its minimum) -> `verification`, `results`, `output` and `checkpoint`.
 """
 
 from crms_fenicsx import meshes

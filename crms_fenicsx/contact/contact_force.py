@@ -20,7 +20,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.contact.line_load import _smooth
+from crms_fenicsx.contact.line_load import smooth_line_load
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.surface.points import EdgePoint, VertexPoint
@@ -83,7 +83,7 @@ def contact_forces(cable: LaidCable, shape: StripShape) -> ContactForces:
     pull = _pulls(cable, nodes, before, after)
     normal[nodes], lateral[nodes] = -dot(pull, up), dot(pull, left)
     for run in runs(cable):
-        _smooth(cable, run, shape, normal, bearing, line)
+        smooth_line_load(cable, run, shape, normal, bearing, line)
     if cable.sleeve:  # it bears from below as well
         return ContactForces(normal, lateral, np.abs(bearing), np.abs(line))
     return ContactForces(normal, lateral, np.maximum(bearing, 0.0), line)
@@ -101,7 +101,7 @@ def wrap_angles(cable: LaidCable, shape: StripShape) -> Array:
     angles[nodes] = 2 * np.arcsin(np.clip(dot(before - after, up) / 2, -1.0, 1.0))
     line = np.zeros_like(angles)
     for run in runs(cable):
-        _smooth(cable, run, shape, angles, wrap, line)
+        smooth_line_load(cable, run, shape, angles, wrap, line)
     return np.abs(wrap) if cable.sleeve else np.maximum(wrap, 0.0)
 
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.contact.gap import _nearest
+from crms_fenicsx.contact.gap import apparent_crossing
 from crms_fenicsx.contact.lift_off import DEPTH, PULL, link_at, outward_pulls
 from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
@@ -43,6 +43,6 @@ def joins(crossing: Crossing, cables: Sequence[LaidCable], shape: StripShape) ->
         link_at(cables[number], k)
         for number, k in zip((crossing.lower, crossing.upper), crossing.links, strict=True)
     )
-    s, t = (min(max(x, 0.0), 1.0) for x in _nearest(a, b, c, d, normal))
+    s, t = (min(max(x, 0.0), 1.0) for x in apparent_crossing(a, b, c, d, normal))
     gap = float((c + t * (d - c) - a - s * (b - a)) @ normal)
     return gap < -DEPTH * float(np.linalg.norm(b - a))

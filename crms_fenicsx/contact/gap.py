@@ -85,7 +85,7 @@ def under(
     found: Gap | None = None
     before, best = 0.0, (True, np.inf)
     for (a, b), size in zip(pairwise(line), sizes, strict=True):
-        s, t = _nearest(a, b, start, end, normal)
+        s, t = apparent_crossing(a, b, start, end, normal)
         first, last = before == 0.0, before + size >= sum(sizes) * (1 - 1e-12)
         inside = (s > -INSIDE or not first) and (s < 1 + INSIDE or not last) and 0.0 < t < 1.0
         other = (s < 0.0 and not first) or (s > 1.0 and not last)  # it passes another part
@@ -105,7 +105,7 @@ def under(
     return found
 
 
-def _nearest(a: Array, b: Array, c: Array, d: Array, normal: Array) -> tuple[float, float]:
+def apparent_crossing(a: Array, b: Array, c: Array, d: Array, normal: Array) -> tuple[float, float]:
     """Where the lines ab and cd cross, seen along the normal: their parameters."""
     u, v = (x - (x @ normal) * normal for x in (b - a, d - c))
     w = (c - a) - ((c - a) @ normal) * normal

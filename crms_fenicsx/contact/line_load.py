@@ -54,7 +54,7 @@ def smoothed(
     return np.asarray((passed(np.asarray(at)) - passed(np.array([start]))) @ forces)
 
 
-def _smooth(
+def smooth_line_load(
     cable: LaidCable, run: list[int], shape: StripShape, normal: Array, bearing: Array, line: Array
 ) -> None:
     """Fill in `bearing` and `line` for one run of nodes on the membrane."""

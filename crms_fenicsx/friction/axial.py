@@ -180,7 +180,7 @@ def store_solution(
     assert grip is not None
     axial = replace(
         grip,
-        tensions=_by_link(cable, tensions),
+        tensions=between_contacts(cable, tensions),
         spans=spans.copy(),
         arcs=np.cumsum(unstressed)[:-1],
         slips=slips.copy(),
@@ -190,7 +190,7 @@ def store_solution(
     cable.update(tension=tension, axial=axial)
 
 
-def _by_link(cable: LaidCable, of_spans: Array) -> Array:
+def between_contacts(cable: LaidCable, of_spans: Array) -> Array:
     """Values of spans for the cable's parts between the nodes that it touches."""
     span = np.searchsorted(gripped_nodes(cable), cable.contacts()[:-1], side="right")
     return np.asarray(of_spans[span])

@@ -10,7 +10,7 @@ from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import wrap_angles
 from crms_fenicsx.energies.capstan_chain import LAW, find_slips
 from crms_fenicsx.friction.aitken import AitkenRelaxation
-from crms_fenicsx.friction.axial import LEAST_PART, _by_link, reference_arcs
+from crms_fenicsx.friction.axial import LEAST_PART, between_contacts, reference_arcs
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 
@@ -59,7 +59,7 @@ class AxialIteration:
         error = np.abs(np.cumsum(bounds - grip.bounds)).max()
         change = float(error) / max(total, 1e-3 * used)
         if change > self.settled:  # the state found stays the one that belongs to its bounds
-            tensions = _by_link(cable, EA * strains)
+            tensions = between_contacts(cable, EA * strains)
             if used > 0.0:
                 part = self._pace.factor(grip.supports, bounds - grip.bounds)
                 # Where nothing holds the cable, now or before, eps has no meaning.
