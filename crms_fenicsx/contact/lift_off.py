@@ -17,10 +17,11 @@ import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.gap import Gap, size_at, spans, under
+from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 from crms_fenicsx.model.tolerances import INSIDE, SAME_PLACE
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint
+from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint, VertexPoint
 from crms_fenicsx.surface.triangles import dot, norm
 
 PULL = 1e-6
@@ -191,8 +192,13 @@ def sunk(cables: Sequence[LaidCable], shape: StripShape) -> set[int]:
                     continue
                 assert node.point is not None
                 place = under(node, span, shape, reach=np.inf)
-                support = node.point.support
-                if place.past >= 0 and place.gap < -SUNK * size_at(shape, support):
+                deep = -SUNK * size_at(shape, node.point.support)
+                if place.past < 0 or place.gap >= deep:
+                    continue
+                # Over an edge that hardly turns aside from it the span passes the edge's line far
+                # from here: at the vertex it must be as deep.
+                vertex = CableNode("vertex", VertexPoint(place.past))
+                if under(vertex, span, shape).gap < deep:
                     found.add(c)
     return found
 
