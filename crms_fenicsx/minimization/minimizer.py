@@ -302,7 +302,8 @@ class Minimizer:
                 break
             best = min(best, residual)
             self._choose_method(stages, residual)
-            stages += 1 / 4 if self._newton_method.active else 1
+            # An iteration of Newton's method takes an evaluation or two, a stage 5 to 30.
+            stages += 1 / 8 if self._newton_method.active else 1
             if self._uses_h0 and self._aged:
                 self._renew_h0(h0_prestress, factorizations, failures)
                 factorizations += 1
@@ -316,6 +317,7 @@ class Minimizer:
             ended = self._run(residual)
             iterations += self.tao.getIterationNumber()
             potential.place(self._x)
+            reason = "too many stages"
             if ended < 0:
                 reason, self._aged = REASONS.get(ended, f"TAO reason {ended}"), True
             failures = failures + 1 if ended == SEARCH_FAILED else 0
