@@ -95,7 +95,7 @@ class Minimizer:
     atol
         Tolerance in absolute terms, for scenes without any force (force).
     max_stages
-        Stages before the solve is given up.
+        Stages before the solve is given up; an iteration of Newton's method counts as 1/8.
     """
 
     def __init__(
