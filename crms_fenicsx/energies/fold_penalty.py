@@ -102,6 +102,92 @@ def residual(X, x, points, weighted, r, dr):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
+def _add_angle(ru, rc, u, c, w, out, i):  # type: ignore[no-untyped-def]
+    """Add w times the second derivatives of the angle between two vectors to blocks of `out`.
+
+    `ru`, `rc` are their unit vectors, u and c their lengths; the first counts as vector i of
+    `out`, (3, 3, 3, 3), the second as vector 2. With e the unit vector across r in their plane and
+    n the plane's normal, the angle's gradient is e / u and its second derivatives are
+    ``(cot n n^T - r e^T - e r^T) / u^2`` and, by both vectors, ``-n n^T / (u c sin)``. Returns the
+    gradients by both vectors.
+    """
+    cosine, sine = _angle(ru, rc)[1:]
+    eu, ec = np.zeros(3), np.zeros(3)
+    if u * sine == 0.0 or c * sine == 0.0:
+        return eu, ec
+    n = (
+        (ru[1] * rc[2] - ru[2] * rc[1]) / sine,
+        (ru[2] * rc[0] - ru[0] * rc[2]) / sine,
+        (ru[0] * rc[1] - ru[1] * rc[0]) / sine,
+    )
+    for a in range(3):
+        eu[a], ec[a] = (cosine * ru[a] - rc[a]) / sine, (cosine * rc[a] - ru[a]) / sine
+    cot = cosine / sine
+    for a in range(3):
+        for b in range(3):
+            nn = n[a] * n[b]
+            out[i, i, a, b] += w * (cot * nn - ru[a] * eu[b] - eu[a] * ru[b]) / u**2
+            out[2, 2, a, b] += w * (cot * nn - rc[a] * ec[b] - ec[a] * rc[b]) / c**2
+            out[i, 2, a, b] -= w * nn / (u * c * sine)
+    for a in range(3):
+        eu[a] /= u
+        ec[a] /= c
+    return eu, ec
+
+
+@numba.njit(cache=True)
+def add_curvature(X, x, points, coefficients, weighted, r, blocks):  # type: ignore[no-untyped-def]
+    """Add ``2 mu w r Hessian(w r)`` to blocks (n, 4, 4, 3, 3) of the places' four points.
+
+    The residual depends on three vectors from p: to the previous point on the side, to the next
+    one, and along the chord, numbers 0, 1 and 2 here.
+    """
+    at = (0, 2, 3)
+    unit, H = np.empty((3, 3)), np.empty((3, 3, 3, 3))
+    for k in range(points.shape[0]):
+        p = points[k, 1]
+        a = _unit(X, x, p, points[k, 0], unit[0])
+        b = _unit(X, x, p, points[k, 2], unit[1])
+        d = _unit(X, x, p, points[k, 3], unit[2])
+        w, wa, wb, waa, wbb, wab = 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        s = a + b
+        if weighted and s > 0.0:
+            w = 4 * a * b / s**2
+            wa, wb = 4 * b * (b - a) / s**3, 4 * a * (a - b) / s**3
+            waa, wbb = 8 * b * (a - 2 * b) / s**4, 8 * a * (b - 2 * a) / s**4
+            wab = 4 * (4 * a * b - a * a - b * b) / s**4
+        H[:] = 0.0
+        ga, gca = _add_angle(unit[0], unit[2], a, d, w, H, 0)
+        gb, gcb = _add_angle(unit[1], unit[2], b, d, w, H, 1)
+        value = r[k] / w if w > 0.0 else 0.0
+        ra, rb = unit[0], unit[1]
+        for i in range(3):
+            gc_i = gca[i] + gcb[i]
+            for j in range(3):
+                same = 1.0 if i == j else 0.0
+                if a > 0.0:
+                    H[0, 0, i, j] += value * wa * (same - ra[i] * ra[j]) / a
+                if b > 0.0:
+                    H[1, 1, i, j] += value * wb * (same - rb[i] * rb[j]) / b
+                H[0, 0, i, j] += value * waa * ra[i] * ra[j] + wa * (ra[i] * ga[j] + ga[i] * ra[j])
+                H[1, 1, i, j] += value * wbb * rb[i] * rb[j] + wb * (rb[i] * gb[j] + gb[i] * rb[j])
+                H[0, 1, i, j] += value * wab * ra[i] * rb[j] + wa * ra[i] * gb[j] + wb * ga[i] * rb[j]
+                gc_j = gca[j] + gcb[j]
+                H[0, 2, i, j] += wa * ra[i] * gc_j
+                H[1, 2, i, j] += wb * rb[i] * gc_j
+        factor = 2 * coefficients[k] * r[k]
+        for m in range(3):
+            for n in range(3):
+                for i in range(3):
+                    for j in range(3):
+                        h = factor * (H[m, n, i, j] if m <= n else H[n, m, j, i])
+                        blocks[k, at[m], at[n], i, j] += h
+                        blocks[k, at[m], 1, i, j] -= h
+                        blocks[k, 1, at[n], i, j] -= h
+                        blocks[k, 1, 1, i, j] += h
+
+
+@numba.njit(cache=True)
 def _add_forces(points, coefficients, r, dr, g):  # type: ignore[no-untyped-def]
     for k in range(points.shape[0]):
         factor = 2 * coefficients[k] * r[k]
@@ -150,9 +236,19 @@ class FoldPenalty(EnergyTerm):
 
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add the Gauss-Newton stiffness ``2 mu grad(w r) grad(w r)^T``."""
-        scaled = self._dr * np.sqrt(2 * self.table.coefficients)[:, None, None]
-        np.einsum(
-            "kma,knb->kmnab", scaled, scaled,
-            out=self.pattern.values.reshape(len(scaled), 4, 4, 3, 3),
-        )  # fmt: skip
+        self._slopes_squared()
         self.pattern.add(A, self.unknowns)
+
+    def add_hessian(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+        """Add the second derivatives, the Gauss-Newton stiffness and ``2 mu w r Hessian(w r)``."""
+        t, blocks = self.table, self._slopes_squared()
+        add_curvature(
+            self.unknowns.X, x, t.points, t.coefficients, t.weighted, self.residuals, blocks
+        )
+        self.pattern.add(A, self.unknowns)
+
+    def _slopes_squared(self) -> Array:
+        """Make the Gauss-Newton stiffness, (n, 4, 4, 3, 3), in the pattern's values."""
+        scaled = self._dr * np.sqrt(2 * self.table.coefficients)[:, None, None]
+        blocks = self.pattern.values.reshape(len(scaled), 4, 4, 3, 3)
+        return np.einsum("kma,knb->kmnab", scaled, scaled, out=blocks)

@@ -132,12 +132,12 @@ def cell_forces(  # type: ignore[no-untyped-def]
 @numba.njit(cache=True)
 def cell_stiffness(  # type: ignore[no-untyped-def]
     X, x, segments, eps, lengths, pointers, side_segments, sides, maps, areas, law, p, out, floor,
-    prestress, element_pointers, element_blocks, offsets, values, tension, orthotropic,
+    prestress, exact, element_pointers, element_blocks, offsets, values, tension, orthotropic,
 ):  # fmt: skip
     """Stiffness ``sum K_kl grad(r_k) grad(r_l)^T`` per cell, r its sides.
 
-    K = 4 r_k r_l A (M^T C M)_kl, and on the diagonal force / side where that is tensile. Into
-    `tension` (m,) goes the sum of the cells' tensile forces in each segment: taken cell by cell,
+    K = 4 r_k r_l A (M^T C M)_kl, and on the diagonal force / side where that is tensile, or
+    `exact`. Into `tension` (m,) goes the sum of these forces in each segment: taken cell by cell,
     not of the sum, so that two ranks that share a side make the same stiffness as one.
     """
     tension[:] = 0.0
@@ -169,7 +169,9 @@ def cell_stiffness(  # type: ignore[no-untyped-def]
             force = 0.0
             for i in range(3):
                 force += out[c, 3 + i] * maps[c, i, k]
-            pull = max(2 * areas[c] * force, 0.0)
+            pull = 2 * areas[c] * force
+            if pull < 0.0 and not exact:
+                pull = 0.0
             K[k, k] += pull
             for q in range(pointers[sides[c, k]], pointers[sides[c, k] + 1]):
                 segment = side_segments[q]
@@ -242,11 +244,18 @@ class FoldedMembraneEnergy(EnergyTerm):
 
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add the material stiffness and the geometric one of the segments in tension."""
+        floor, prestress = self.stiffening.floor, self.stiffening.prestress
+        self._add(x, A, float(floor.value), float(prestress.value), exact=False)
+
+    def add_hessian(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+        """Add the second derivatives, those of segments in compression too."""
+        self._add(x, A, 0.0, 0.0, exact=True)
+
+    def _add(self, x: Array, A: PETSc.Mat, floor: float, prestress: float, exact: bool) -> None:
         t, X = self.table, self.unknowns.X
         cell_stiffness(
             X, x, t.segments, t.eps, self.lengths, t.side_pointers, t.side_segments, t.sides,
-            self.maps, self.areas, t.laws, t.parameters, self.results,
-            float(self.stiffening.floor.value), float(self.stiffening.prestress.value),
+            self.maps, self.areas, t.laws, t.parameters, self.results, floor, prestress, exact,
             self._element_pointers, self._element_blocks, self.elements.offsets,
             self.elements.values, self._tension, self._orthotropic,
         )  # fmt: skip

@@ -13,8 +13,11 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 from dolfinx import fem
+from petsc4py import PETSc
 
+from crms_fenicsx.dofs.block_patterns import ElementPattern
 from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import Array, Indices
 
@@ -69,6 +72,27 @@ def _add_volume_gradient(X, x, corners, weights, origin, factor, g):  # type: ig
             g[node, 2] += scale * (a[0] * b[1] - a[1] * b[0])
 
 
+@numba.njit(cache=True)
+def _volume_hessian(X, x, corners, weights, origin, factor, blocks):  # type: ignore[no-untyped-def]
+    """Second derivatives of ``factor x volume``, blocks (n, 3, 3, 3, 3) of the facets' corners."""
+    p = np.empty(3)
+    for f in range(corners.shape[0]):
+        blocks[f] = 0.0
+        scale = factor * weights[f] / 6.0
+        for m in range(3):
+            # the derivative by corner m + 1 and, then, m + 2 is the cross product with corner m
+            for i in range(3):
+                p[i] = scale * (X[corners[f, m], i] - origin[i] + x[corners[f, m], i])
+            block = blocks[f, (m + 1) % 3, (m + 2) % 3]
+            twin = blocks[f, (m + 2) % 3, (m + 1) % 3]
+            for i in range(3):
+                j, k = (i + 1) % 3, (i + 2) % 3
+                block[i, j] += p[k]
+                block[j, i] -= p[k]
+                twin[j, i] += p[k]
+                twin[i, j] -= p[k]
+
+
 class FoldedFollowerPressure(EnergyTerm):
     """Potential ``-p (V - V0)`` of the folded cells, as `FollowerPressure`."""
 
@@ -76,6 +100,8 @@ class FoldedFollowerPressure(EnergyTerm):
 
     def __init__(self, table: Facets, pressure: fem.Constant, origin: Array) -> None:
         self.table, self.pressure, self.origin = table, pressure, origin
+        pointers = np.arange(0, 3 * len(table.corners) + 1, 3, dtype=np.int32)
+        self.pattern = ElementPattern(pointers, table.corners.reshape(-1))
 
     def attach(self, unknowns: Unknowns) -> None:
         """Use the positions of this layout."""
@@ -100,3 +126,22 @@ class FoldedFollowerPressure(EnergyTerm):
         t, factor = self.table, -float(self.pressure.value)
         if factor != 0.0:
             _add_volume_gradient(self.unknowns.X, x, t.corners, t.weights, self.origin, factor, g)
+
+    def count_stiffness(self, sizes: RowSizes) -> None:
+        """Count the blocks of the second derivatives."""
+        self.pattern.count(sizes)
+
+    def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+        """Add nothing, as they are not definite, but to where the second derivatives go."""
+        if not A.assembled:
+            self.pattern.values[:] = 0.0
+            self.pattern.add(A, self.unknowns)
+
+    def add_hessian(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+        """Add the second derivatives."""
+        t, blocks = self.table, self.pattern.values.reshape(-1, 3, 3, 3, 3)
+        _volume_hessian(
+            self.unknowns.X, x, t.corners, t.weights, self.origin, -float(self.pressure.value),
+            blocks,
+        )  # fmt: skip
+        self.pattern.add(A, self.unknowns)

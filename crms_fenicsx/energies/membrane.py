@@ -126,7 +126,10 @@ class MembraneEnergy(EnergyTerm):
             linear = self.materials[tag].law == LINEAR
             a, b = kinematics.strain_variation(v), kinematics.strain_variation(du)
             compressible = linear or self.materials[tag].law == UFL_LAW
-            S = tensile_part(law.stress) if compressible else law.stress
+            S = law.stress
+            if compressible:
+                tensile = tensile_part(S)
+                S = tensile + self.stiffening.compression * (S - tensile)
             S = S + self.stiffening.prestress * ufl.Identity(2)
             dv = [ufl.dot(ufl.grad(v), e) for e in kinematics.basis]
             ddu = [ufl.dot(ufl.grad(du), e) for e in kinematics.basis]
@@ -178,6 +181,11 @@ class MembraneEnergy(EnergyTerm):
         if self.tension_field is not None:
             self.tension_field.update_tangents()
         fem_petsc.assemble_matrix(A, self.stiffness_form)
+
+    def add_hessian(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+        """Add the second derivatives."""
+        with self.stiffening.none():
+            self.add_stiffness(x, sums, A)
 
     def count_stiffness(self, sizes: RowSizes) -> None:
         """Count the blocks that an edge of this rank's cells makes, of both its vertices."""

@@ -6,8 +6,10 @@ from typing import Any
 
 import ufl
 from dolfinx import fem
+from dolfinx.fem import petsc as fem_petsc
+from petsc4py import PETSc
 
-from crms_fenicsx.energies.integral import Integral
+from crms_fenicsx.energies.integral import Integral, one_point
 from crms_fenicsx.energies.kinematics import Kinematics, tangent_basis
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import Array
@@ -49,7 +51,8 @@ class FollowerPressure(EnergyTerm):
         origin: Array,
     ) -> None:
         mesh = u.function_space.mesh
-        self.pressure = pressure
+        self.u, self.cells, self.pressure = u, cells, pressure
+        self._hessian: fem.Form | None = None
         e1, e2 = tangent_basis(mesh, None)
         F = Kinematics(u, (e1, e2)).F
         self.origin = fem.Constant(mesh, origin)
@@ -67,6 +70,23 @@ class FollowerPressure(EnergyTerm):
             return cells / 3 * (change * q - pressure * work) * dx
 
         self.integral = Integral(u.function_space, variation)
+
+    def _hessian_form(self) -> fem.Form:
+        """The form of the second derivatives, compiled when they are first wanted."""
+        V = self.u.function_space
+        e1, e2 = tangent_basis(V.mesh, None)
+        F = Kinematics(self.u, (e1, e2)).F
+        n = ufl.cross(F[0], F[1])
+        volume = self.cells / 3 * ufl.dot(ufl.SpatialCoordinate(V.mesh) - self.origin + self.u, n)
+        energy = -self.pressure * volume * one_point(V.mesh)
+        force = ufl.derivative(energy, self.u, ufl.TestFunction(V))
+        return fem.form(ufl.derivative(force, self.u, ufl.TrialFunction(V)))
+
+    def add_hessian(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+        """Add the second derivatives, in places that the membrane's stiffness has filled."""
+        if self._hessian is None:
+            self._hessian = self._hessian_form()
+        fem_petsc.assemble_matrix(A, self._hessian)
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the volume gained, V - V0 (length cubed)."""

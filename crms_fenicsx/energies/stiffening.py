@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from dolfinx import fem
@@ -24,11 +26,26 @@ class Stiffening:
         against pressure.
     floor : Constant
         Part of the taut stiffness added to the tangent of laws that wrinkle.
+    compression : Constant
+        Part of compressive section forces in the geometric stiffness: 0, as it is indefinite with
+        them, or 1 in the second derivatives.
     """
 
     def __init__(self, mesh: Any) -> None:
         self.prestress = fem.Constant(mesh, PETSc.ScalarType(0.0))
         self.floor = fem.Constant(mesh, PETSc.ScalarType(FLOOR))
+        self.compression = fem.Constant(mesh, PETSc.ScalarType(0.0))
+
+    @contextmanager
+    def none(self) -> Iterator[None]:
+        """Leave the second derivatives of the energy, as long as this lasts."""
+        parts = self.prestress, self.floor, self.compression
+        kept = [float(part.value) for part in parts]
+        for part, value in zip(parts, (0.0, 0.0, 1.0), strict=True):
+            part.value = value
+        yield
+        for part, value in zip(parts, kept, strict=True):
+            part.value = value
 
     def set(self, prestress: float, failures: int = 0) -> None:
         """Take this prestress, and the floor that goes with it.

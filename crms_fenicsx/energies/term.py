@@ -110,6 +110,14 @@ class EnergyTerm(ABC):
         gradients. `crms_fenicsx.dofs.block_patterns` adds blocks of three, and counts them.
         """
 
+    def add_hessian(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+        """Add the energy's second derivatives (force/length), but for the dyads, to the matrix.
+
+        They need not be definite, and go where `add_stiffness` has put something, if only zeros, in
+        its first call. By default they are the stiffness.
+        """
+        self.add_stiffness(x, sums, A)
+
     def dyads(self, sums: Array) -> Sequence[float] | Array:
         """Values (force/length) of stiffness ``value * column column^T`` that couples many points.
 

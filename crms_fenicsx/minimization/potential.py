@@ -150,17 +150,20 @@ class Potential:
         np.copyto(self.g[:owned], 0.0, where=self.unknowns.held[:owned])
         self.g_vector.copy(G)
 
-    def add_stiffness(self, A: PETSc.Mat) -> None:
+    def add_stiffness(self, A: PETSc.Mat, exact: bool = False) -> None:
         """Add stiffness and damping at the current state, the sums and the gradient there.
+
+        If `exact` it is the second derivatives of the terms, without damping.
 
         DOLFINx's forms come last (they are the first terms): they flush the matrix, after which
         PETSc takes long for each new entry.
         """
-        if self.damping is not None:
+        if self.damping is not None and not exact:
             self.unknowns.update_ghosts(self.g_vector)
             self.damping.add_stiffness(self.unknowns, self.x, self.g, A)
         for term, part in reversed(list(zip(self.terms, self._slices, strict=True))):
-            term.add_stiffness(self.x, self._sums[part], A)
+            add = term.add_hessian if exact else term.add_stiffness
+            add(self.x, self._sums[part], A)
 
     def count_stiffness(self) -> RowSizes:
         """How many blocks the rows of the stiffness have at most."""

@@ -60,11 +60,19 @@ class TermsOnLayout:
         Vertex displacements; an evaluation overwrites them.
     terms
         The terms; they are attached to the layout.
+    exact
+        Whether its stiffness is that of `EnergyTerm.add_hessian`.
     """
 
-    def __init__(self, unknowns: Unknowns, u: fem.Function, terms: Sequence[EnergyTerm]) -> None:
+    def __init__(
+        self,
+        unknowns: Unknowns,
+        u: fem.Function,
+        terms: Sequence[EnergyTerm],
+        exact: bool = False,
+    ) -> None:
         self.potential = Potential(unknowns, u, terms)
-        self.unknowns = unknowns
+        self.unknowns, self.exact = unknowns, exact
 
     def value(self, x: Array) -> tuple[float, Array]:
         """Energy (force x length) and gradient (force). Collective."""
@@ -85,7 +93,7 @@ class TermsOnLayout:
         A.setLGMap(*(unknowns.lgmap(),) * 2)
         A.setUp()
         A.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
-        self.potential.add_stiffness(A)
+        self.potential.add_stiffness(A, self.exact)
         A.assemble()
         return A
 
@@ -105,7 +113,7 @@ class TermsOnLayout:
         return float(self.unknowns.comm.allreduce(float(np.vdot(a, b))))
 
 
-class _WithDyads(TermsOnLayout):
+class TermsWithDyads(TermsOnLayout):
     """Terms whose stiffness has its dyads."""
 
     def times(self, x: Array, d: Array) -> Array:
@@ -227,7 +235,7 @@ def taylor_test(
     TaylorRates(gradient=1.99..., stiffness=None)
     """
     V, layout, kept = u.function_space, getattr(term, "unknowns", None), u.x.array.copy()
-    f = _WithDyads(Unknowns(V), u, [term])
+    f = TermsWithDyads(Unknowns(V), u, [term])
     X, n = f.unknowns.X, f.unknowns.n_owned
     cells = V.mesh.topology.index_map(2)
     area = float(np.linalg.norm(area_vectors(V.mesh)[: cells.size_local], axis=1).sum())
