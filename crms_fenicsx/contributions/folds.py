@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from crms_fenicsx.cables.element_tables import CableTables
 from crms_fenicsx.contributions.contribution import Contribution
 from crms_fenicsx.contributions.loads import PressureContribution
 from crms_fenicsx.contributions.membrane import MembraneContribution
+from crms_fenicsx.contributions.plain_cells import PlainCells
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.fold_penalty import FoldPenalty
 from crms_fenicsx.energies.folded_membrane import FoldedMembraneEnergy
@@ -15,8 +18,10 @@ from crms_fenicsx.energies.folded_pressure import FoldedFollowerPressure
 from crms_fenicsx.energies.paper.step_folded_membrane import StepFoldedMembraneEnergy
 from crms_fenicsx.energies.paper.step_folded_pressure import FoldedStepPressure
 from crms_fenicsx.energies.paper.step_membrane import StepMembraneEnergy
+from crms_fenicsx.energies.pressure import FollowerPressure
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.model.crossing import NodeId
+from crms_fenicsx.model.materials import UFL_LAW
 from crms_fenicsx.scene import Scene
 
 
@@ -53,9 +58,22 @@ class FoldContribution(Contribution):
             return []
         self.energy, self.penalty = self._fold_term(self.tables), self._penalty_term(self.tables)
         terms: list[EnergyTerm] = [self.energy, self.penalty]
+        self._make_twins(unknowns)
         if self.pressure.term is not None:
             terms.append(self._pressure_term(self.tables))
         return terms
+
+    def _make_twins(self, unknowns: Unknowns) -> None:
+        """Let plain cells be relaxed with the folded ones where their laws are compiled."""
+        energy, pressure = self.membrane.energy, self.pressure
+        if self.membrane.has_history or UFL_LAW in (m.law for m in energy.materials.values()):
+            return
+        cells = PlainCells(unknowns, energy)
+        energy.twin = cells.membrane
+        if isinstance(pressure.term, FollowerPressure):
+            pressure.term.twin = partial(
+                cells.pressure, pressure.cells, pressure.value, self.scene.membrane.centre
+            )
 
     def _fold_term(self, tables: CableTables) -> FoldedMembraneEnergy:
         plain = self.membrane.energy

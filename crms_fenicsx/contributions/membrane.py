@@ -56,6 +56,7 @@ class MembraneContribution(Contribution):
     def unfold(self) -> None:
         """Let all cells be plain."""
         self.energy.plain.x.array[:] = 1.0
+        self.energy.twin = None
         self.has_folds = False
 
     def fold(self, cells: Indices) -> None:

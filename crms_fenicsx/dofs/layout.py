@@ -159,6 +159,10 @@ class Unknowns:
         rest = np.arange(self.n_owned + self.n_ghost_vertices, self.n_local, dtype=np.int32)
         return np.concatenate([self.vertex_blocks(), self.owned_point_blocks(), rest])
 
+    def matrix_rows(self, blocks: Indices) -> Indices:
+        """Numbers of local blocks in matrices."""
+        return np.asarray(self.matrix_numbers[blocks])
+
     def lgmap(self) -> PETSc.LGMap:
         """Local to global map of the blocks in matrix order."""
         owned = np.arange(self.start, self.start + self.n_owned, dtype=PETSc.IntType)
@@ -243,13 +247,17 @@ class Unknowns:
 
         `g` is the vector's local array, (n, 3).
         """
+        self.hand_over(g)
+        self.add_ghosts(vector)
+
+    def hand_over(self, g: Array) -> None:
+        """Hand the riders' forces to their vertices."""
         if self.n_loaded:
             riders = self.riders[: self.n_loaded]
             parts = self.weights[: self.n_loaded, :, None] * g[riders][:, None, :]
             # one by one: six times as fast as by rows of three
             np.add.at(g.reshape(-1), self._master_components, parts.ravel())
             g[riders] = 0.0
-        self.add_ghosts(vector)
 
     def spread(self, rows: Indices, cols: Indices) -> tuple[Indices, Indices, Array]:
         """Where stiffness blocks go, those of riders to their vertices.

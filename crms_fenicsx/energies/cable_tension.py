@@ -14,7 +14,7 @@ from crms_fenicsx.energies.segments import add_segment_forces, segment_lengths, 
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.model.cable_state import StepStart
 from crms_fenicsx.model.laid_cable import NEARLY_TAUT
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Booleans
 
 EPSILON = float(np.finfo(float).eps)
 
@@ -56,7 +56,7 @@ class CableTension(EnergyTerm):
         self.n_sums = len(EA)
         self._lengths = np.zeros(len(segments))
         self._forces = np.zeros(len(segments))
-        self.pattern = SegmentPattern(segments)
+        self.pattern, self.links = SegmentPattern(segments), segments
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of each cable's length."""
@@ -119,3 +119,17 @@ class CableTension(EnergyTerm):
         """Add the gradient of a cable's length."""
         self._forces[:] = self.cable == k
         add_segment_forces(self.unknowns.X, x, self.segments, self.eps, self._forces, g)
+
+    def restricted(self, chosen: Booleans, sums: Array) -> CableTension | None:
+        """Segments with chosen ends; the rest of each cable keeps its length."""
+        rows = np.flatnonzero(chosen[self.segments].any(axis=1))
+        if len(rows) == 0:
+            return None
+        cables, cable = np.unique(self.cable[rows], return_inverse=True)
+        some = CableTension(
+            self.segments[rows], self.eps[rows], cable.astype(np.int32), self.EA[cables],
+            self.L0[cables],
+        )  # fmt: skip
+        moving = np.bincount(cable, weights=self._lengths[rows], minlength=len(cables))
+        some.excess = moving - sums[cables]
+        return some

@@ -22,7 +22,7 @@ from petsc4py import PETSc
 from crms_fenicsx.dofs.block_patterns import ElementPattern
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.runtime.arrays import Array, Indices
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 
 EPSILON = float(np.finfo(float).eps)
 
@@ -252,3 +252,10 @@ class FoldPenalty(EnergyTerm):
         scaled = self._dr * np.sqrt(2 * self.table.coefficients)[:, None, None]
         blocks = self.pattern.values.reshape(len(scaled), 4, 4, 3, 3)
         return np.einsum("kma,knb->kmnab", scaled, scaled, out=blocks)
+
+    def restricted(self, chosen: Booleans, sums: Array) -> FoldPenalty | None:
+        """Places with chosen points."""
+        t = self.table
+        rows = np.flatnonzero(chosen[t.points].any(axis=1))
+        some = FoldAngles(t.points[rows], t.coefficients[rows], t.weighted)
+        return FoldPenalty(some) if len(rows) else None

@@ -27,7 +27,7 @@ from crms_fenicsx.energies.segments import (
 )
 from crms_fenicsx.energies.stiffening import Stiffening
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.runtime.arrays import Array, Indices
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 
 
 @dataclass(frozen=True)
@@ -61,6 +61,25 @@ class FoldedCells:
     side_vectors: Array
     laws: Indices
     parameters: Array
+
+    def some(self, rows: Integers) -> FoldedCells:
+        """Some of the cells, with their sides and segments."""
+        used, sides = np.unique(self.sides[rows], return_inverse=True)
+        counts = np.diff(self.side_pointers)[used]
+        pointers = np.append(0, np.cumsum(counts))
+        first = np.repeat(self.side_pointers[used] - pointers[:-1], counts)
+        segments = self.side_segments[first + np.arange(pointers[-1])]
+        return FoldedCells(
+            cells=self.cells[rows],
+            segments=self.segments[segments],
+            eps=self.eps[segments],
+            side_pointers=pointers.astype(np.int32),
+            side_segments=np.arange(len(segments), dtype=np.int32),
+            sides=sides.reshape(-1, 3).astype(np.int32),
+            side_vectors=self.side_vectors[rows],
+            laws=self.laws[rows],
+            parameters=self.parameters[rows],
+        )
 
     @property
     def areas(self) -> Array:
@@ -213,6 +232,7 @@ class FoldedMembraneEnergy(EnergyTerm):
         """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state of each cell."""
         self._orthotropic = laws.orthotropic_flag(table.laws)
         self._element_pointers, self._element_blocks = table.element_blocks
+        self.links = table.segments
         self.elements = ElementPattern(self._element_pointers, self._element_blocks)
         self.edges = SegmentPattern(table.segments)
 
@@ -262,3 +282,10 @@ class FoldedMembraneEnergy(EnergyTerm):
         self.elements.add(A, self.unknowns)
         segment_stiffness(X, x, t.segments, t.eps, self._tension, self.edges.own_values)
         self.edges.add(A, self.unknowns)
+
+    def restricted(self, chosen: Booleans, sums: Array) -> FoldedMembraneEnergy | None:
+        """Cells with sides through the chosen blocks."""
+        pointers = self._element_pointers
+        hits = np.append(0, np.cumsum(chosen[self._element_blocks]))
+        rows = np.flatnonzero(hits[pointers[1:]] > hits[pointers[:-1]])
+        return FoldedMembraneEnergy(self.table.some(rows), self.stiffening) if len(rows) else None

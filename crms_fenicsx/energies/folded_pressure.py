@@ -19,7 +19,7 @@ from crms_fenicsx.dofs.block_patterns import ElementPattern
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.runtime.arrays import Array, Indices
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 
 
 @dataclass(frozen=True)
@@ -145,3 +145,10 @@ class FoldedFollowerPressure(EnergyTerm):
             blocks,
         )  # fmt: skip
         self.pattern.add(A, self.unknowns)
+
+    def restricted(self, chosen: Booleans, sums: Array) -> FoldedFollowerPressure | None:
+        """Facets with chosen corners; volume counts from no stress-free one."""
+        t = self.table
+        rows = np.flatnonzero(chosen[t.corners].any(axis=1))
+        some = Facets(t.corners[rows], t.weights[rows], t.plain_corners[:0])
+        return FoldedFollowerPressure(some, self.pressure, self.origin) if len(rows) else None

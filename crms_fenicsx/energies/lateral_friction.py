@@ -23,7 +23,7 @@ from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.edge_fractions import add_slip_forces, edge_fractions
 from crms_fenicsx.energies.smooth_coulomb import friction_energy, secant_stiffness
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.runtime.arrays import Array, Indices
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 
 
 @dataclass(frozen=True)
@@ -108,3 +108,19 @@ class LateralFriction(EnergyTerm):
             ).reshape(n * n, 3, 3)
             start += n * n
         self.pattern.add(A, self.unknowns)
+
+    def restricted(self, chosen: Booleans, sums: Array) -> LateralFriction | None:
+        """Nodes with chosen blocks on their edges."""
+        t = self.table
+        hits = np.append(0, np.cumsum(chosen[t.blocks]))
+        rows = np.flatnonzero(hits[t.pointers[1:]] > hits[t.pointers[:-1]])
+        if len(rows) == 0:
+            return None
+        counts = np.diff(t.pointers)[rows]
+        pointers = np.append(0, np.cumsum(counts))
+        own = np.repeat(t.pointers[rows] - pointers[:-1], counts) + np.arange(pointers[-1])
+        some = Slips(
+            pointers.astype(np.int32), t.blocks[own], t.place[rows], t.slope[rows],
+            t.offset[rows], t.bound[rows], t.eps[rows],
+        )  # fmt: skip
+        return LateralFriction(some)

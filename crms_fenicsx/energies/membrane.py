@@ -27,7 +27,7 @@ from crms_fenicsx.model.materials import (
     law_terms,
 )
 from crms_fenicsx.model.ufl_material import UflMembrane
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Indices
 from crms_fenicsx.runtime.compat import geometry_dofmap
 
 if TYPE_CHECKING:
@@ -189,13 +189,23 @@ class MembraneEnergy(EnergyTerm):
 
     def count_stiffness(self, sizes: RowSizes) -> None:
         """Count the blocks that an edge of this rank's cells makes, of both its vertices."""
+        a, b = self.edges().T
+        sizes.add(np.concatenate([a, b]), np.concatenate([b, a]))
+
+    @property
+    def links(self) -> Indices:  # type: ignore[override]
+        """Vertices along the sides of cells, if these can be relaxed alone."""
+        none = np.zeros((0, 2), dtype=np.int32)
+        return none if self.twin is None else self.edges()
+
+    def edges(self) -> Indices:
+        """Blocks of the vertices of all local edges, (n, 2)."""
         topology = self.u.function_space.mesh.topology
         topology.create_connectivity(1, 0)
         dof_of = np.zeros(topology.index_map(0).size_local + topology.index_map(0).num_ghosts, int)
         dof_of[topology.connectivity(2, 0).array] = self.u.function_space.dofmap.list.ravel()
         edges = topology.connectivity(1, 0).array.reshape(-1, 2)
-        a, b = self.unknowns.vertex_blocks()[dof_of[edges]].T
-        sizes.add(np.concatenate([a, b]), np.concatenate([b, a]))
+        return self.unknowns.vertex_blocks()[dof_of[edges]]
 
     def cell_results(self) -> Array:
         """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state of the owned cells.

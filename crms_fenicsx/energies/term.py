@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from petsc4py import PETSc
 
@@ -11,7 +11,7 @@ from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.integral import Integral
 from crms_fenicsx.energies.stiffening import Stiffening
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 
 
 class EnergyTerm(ABC):
@@ -53,6 +53,12 @@ class EnergyTerm(ABC):
     has_history
         Whether `begin_step` and `commit` do anything. Each solve then begins where the load step
         began. Checkpoints do not keep the history of a term of your own, and refuse it.
+    links : (n, 2)
+        Pairs of cable points that it couples most; points are relaxed together with those that
+        they are linked to.
+    twin
+        Makes the part of the term that depends on some blocks (n_local,) in loops over few cells,
+        which DOLFINx's forms have not; None if nothing does.
     unknowns
         The layout, from `attach` on.
 
@@ -82,6 +88,8 @@ class EnergyTerm(ABC):
     stiffening: Stiffening | None = None
     has_dyads: bool = False
     has_history: bool = False
+    links: Indices | None = None
+    twin: Callable[[Booleans], EnergyTerm | None] | None = None
     unknowns: Unknowns
 
     def attach(self, unknowns: Unknowns) -> None:
@@ -132,6 +140,22 @@ class EnergyTerm(ABC):
     def rounding(self, x: Array, sums: Array) -> float:
         """Squared norm of what rounding leaves of forces that cancel at this rank's points."""
         return 0.0
+
+    def restricted(self, chosen: Booleans, sums: Array) -> EnergyTerm | None:
+        """Return the part that depends on some blocks, as a term of its own of the same blocks.
+
+        Its other blocks are held while these move. By default it is what `twin` makes. Where there
+        is none this term's forces are held, which is exact for energies that are linear in these
+        blocks.
+
+        Parameters
+        ----------
+        chosen : (n_local,)
+            Whether a block moves. All its elements are of this rank.
+        sums
+            The global sums; the state is that of the last `sums`.
+        """
+        return None if self.twin is None else self.twin(chosen)
 
     def begin_step(self, x: Array) -> None:
         """Take the current state as a load step's start."""

@@ -21,7 +21,7 @@ from petsc4py import PETSc
 from crms_fenicsx.dofs.block_patterns import ElementPattern, SegmentPattern
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
-from crms_fenicsx.runtime.arrays import Array, Indices
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 
 SLIDE = 0.1
 """Part of its edge by which the unbalanced force on a sliding point alone moves it. Between 0.02
@@ -46,7 +46,13 @@ class Damping:
         self._on_edges = ElementPattern(pointers, sliders.ravel())
         self._along = SegmentPattern(segments)
         weights = np.stack([np.ones(len(sliders)), fractions - 1, -fractions], axis=1)
+        self.fractions = fractions
         self._shares = weights[:, :, None] * weights[:, None, :]
+
+    def restricted(self, chosen: Booleans) -> Damping:
+        """Springs of the chosen blocks, (n_local,)."""
+        own, parts = chosen[self.sliders[:, 0]], chosen[self.segments].any(axis=1)
+        return Damping(self.sliders[own], self.fractions[own], self.segments[parts])
 
     def count_stiffness(self, sizes: RowSizes) -> None:
         """Count the blocks of the stiffness."""

@@ -26,7 +26,11 @@ from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.runtime.arrays import Array
 
 SHIFT = 1e-9
-"""Added to the diagonal of K, relative to its largest block's trace."""
+"""Added to the diagonal of K, relative to the sum of its block's trace and the geometric mean of
+all. The largest one alone, that of a segment much shorter than a cell, would slow down the soft
+sideways motion of whole cables."""
+INDEFINITE = 76, 81
+"""PETSc's error codes where another library's factorisation finds K indefinite."""
 WORKSPACE = 100
 """How much more memory MUMPS takes than it estimates, in per cent."""
 DIRECT = 1_000_000
@@ -115,31 +119,57 @@ class InitialHessian:
         self.pc.destroy()
         self.matrix.destroy()
 
-    def rebuild(self) -> None:
+    def rebuild(self, exact: bool = False) -> bool:
         """Assemble at the potential's current state.
 
         Its sums must be up to date, and `g` the unbalanced forces there.
+
+        Parameters
+        ----------
+        exact
+            Whether from the energy's second derivatives, which may be indefinite.
+
+        Returns
+        -------
+        Whether it is definite as far as the factorisation tells; if not it is of no use.
         """
         held = self.potential.unknowns.held[: self.potential.unknowns.n_owned].copy()
         if self.potential.unknowns.bounds is not None:
             held |= at_bounds(self.potential)
         self._held = held
-        self._assemble(held)
+        self._assemble(held, exact)
         if not self._exact:
             self._tell_rigid_motions()
-        self.pc.setUp()
+        if not self._set_up():
+            return False
         self._add_dyads(held)
+        return True
 
-    def _assemble(self, held: npt.NDArray[np.bool_]) -> None:
+    def _set_up(self) -> bool:
+        """Factorise K, or set up multigrid; say whether K is definite."""
+        try:
+            self.pc.setUp()
+        except PETSc.Error as error:
+            if error.ierr not in INDEFINITE:
+                raise
+            kind, library = self.pc.getType(), self.pc.getFactorSolverType()
+            self.pc.reset()
+            self.pc.setOperators(self.matrix)
+            self.pc.setType(kind)
+            self.pc.setFactorSolverType(library)
+            return False
+        return True
+
+    def _assemble(self, held: npt.NDArray[np.bool_], exact: bool) -> None:
         A, unknowns = self.matrix, self.potential.unknowns
         A.zeroEntries()
         if self._new:  # every diagonal entry must exist, also of points that no term touches
-            blocks = unknowns.matrix_numbers[unknowns.n_vertices : unknowns.n_owned, None]
+            blocks = unknowns.matrix_rows(unknowns.owned_point_blocks())[:, None]
             A.setValuesBlockedLocalRCV(
                 blocks, blocks, np.zeros((unknowns.n_points, 9)), PETSc.InsertMode.ADD
             )
             self._new = False
-        self.potential.add_stiffness(A)
+        self.potential.add_stiffness(A, exact)
         A.assemble()
         diagonal = A.getDiagonal()
         # The trace of a block does not depend on how the scene is turned in space.
@@ -148,12 +178,23 @@ class InitialHessian:
         sizes = np.array([traces.max(initial=0.0), unknowns.n_rails])
         unknowns.comm.Allreduce(MPI.IN_PLACE, sizes, op=MPI.MAX)
         largest = float(sizes[0]) if sizes[0] > 0 else 1.0
-        A.shift(SHIFT * largest)
+        self._shift(traces)
         if sizes[1]:
             self._stiffen_across_rails(largest)
         rows = np.flatnonzero(held) + 3 * unknowns.start
         A.zeroRowsColumns(rows.astype(PETSc.IntType), diag=largest)
         A.setOption(PETSc.Mat.Option.SPD, True)
+
+    def _shift(self, traces: Array) -> None:
+        """Add to K's diagonal a small part of the blocks' traces, (n,), and of their mean."""
+        some = np.log(traces[traces > 0.0])
+        total = np.array([some.sum(), len(some)])
+        self.potential.comm.Allreduce(MPI.IN_PLACE, total)
+        mean = float(np.exp(total[0] / total[1])) if total[1] else 1.0
+        added = self.matrix.createVecLeft()
+        added.array[:] = np.repeat(SHIFT * (np.maximum(traces, 0.0) + mean), 3)
+        self.matrix.setDiagonal(added, PETSc.InsertMode.ADD_VALUES)
+        added.destroy()
 
     def _stiffen_across_rails(self, value: float) -> None:
         """Give the components across the rails, which have no stiffness, this one."""
@@ -161,7 +202,7 @@ class InitialHessian:
         own = unknowns.rails < unknowns.n_owned
         d = unknowns.directions[own]
         across = value * (np.eye(3) - d[:, :, None] * d[:, None, :])
-        blocks = unknowns.matrix_numbers[unknowns.rails[own], None]
+        blocks = unknowns.matrix_rows(unknowns.rails[own])[:, None]
         A.setValuesBlockedLocalRCV(blocks, blocks, across.reshape(-1, 9), PETSc.InsertMode.ADD)
         A.assemble()
 

@@ -29,6 +29,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.energies.stiffening import Stiffening
+from crms_fenicsx.minimization.relaxation import FROM, SETTLED, LocalRelaxation
 from crms_fenicsx.minimization.initial_hessian import InitialHessian, at_bounds
 from crms_fenicsx.minimization.newton import PATIENCE, NewtonMethod
 from crms_fenicsx.minimization.outcome import Outcome
@@ -48,12 +49,20 @@ CLOSE, NEAR = 1e-6, 100
 """Residual from which on energy counts from the stage's start: relative to the force scale, or
 where rounding or `atol` sets the tolerance to that. From farther the rule's error would matter."""
 
+EXACT = 1e-2
+"""Residual, relative to the force scale, from which on H0 under cables is the energy's second
+derivative, where that is definite."""
+
+QUICK = 1e-4
+
 LONGEST = 15
 """Evaluations of a line search: more have hardly ever led to anything but its failure."""
 
 ROUNDED = 1e-6
 """Residual, relative to the force scale, up to which one of nothing but rounding is accepted."""
 
+import os
+RCOARSE = float(os.environ.get("RC","1e-5"))
 COARSE = 1e-5
 """Residual, relative to the force scale, at which `solve` asks whether to go on."""
 
@@ -118,7 +127,7 @@ class Minimizer:
         self._close = self._at_start = False
         self._energy0 = self._residual0 = self._tolerance = self._scale = self._near = 0.0
         self._evaluations0, self._length = 0, STAGE_LENGTHS[0]
-        self._newton_method = NewtonMethod(potential, self.h0)
+        self._relaxation: LocalRelaxation | None = None
         self._aged = True
         self._interrupt: Callable[[], bool] | None = None
         self._interrupted = False
@@ -147,6 +156,10 @@ class Minimizer:
                 f"option -{prefix}tao_type {kind} {why}; choose one of {', '.join(usable)}."
             )
         self._uses_h0 = kind in ("blmvm", "lmvm")
+        if self._uses_h0 and LocalRelaxation.possible(potential):
+            self._relaxation = LocalRelaxation(potential)
+        self._coarse = COARSE if self._relaxation is None else RCOARSE
+        self._newton_method = NewtonMethod(potential, self.h0, self._relaxation)
         self._h0_set = False
 
     def destroy(self) -> None:
@@ -176,6 +189,7 @@ class Minimizer:
         """
         residual = tao.getSolutionStatus()[2]
         try:
+            self.potential.place(self._x)
             self._ask(residual)
         except BaseException as error:  # PETSc would hide it behind an error of its own
             self._error, self._interrupted = error, True
@@ -184,8 +198,7 @@ class Minimizer:
 
     def _ask(self, residual: float) -> None:
         """Ask once near the minimum whether to go on."""
-        if self._interrupt is not None and residual <= COARSE * self._scale:
-            self.potential.place(self._x)
+        if self._interrupt is not None and residual <= self._coarse * self._scale:
             interrupt, self._interrupt = self._interrupt, None
             self._interrupted = interrupt()
 
@@ -240,7 +253,10 @@ class Minimizer:
             if self._newton_method.active:
                 stiffening.floor.value = self._newton_method.restraint
         self._length = STAGE_LENGTHS[min(renewals, len(STAGE_LENGTHS) - 1)]
-        self.h0.rebuild()
+        near = self._residual0 < EXACT * self._scale
+        exact = near and self._relaxation is not None and prestress == 0.0
+        if not self.h0.rebuild(exact):
+            self.h0.rebuild()
         if not self._h0_set:
             self.tao.setLMVMH0(self.h0.matrix)
             self.h0.solve_for(self.tao.getLMVMH0KSP())
@@ -296,6 +312,10 @@ class Minimizer:
         self._length = STAGE_LENGTHS[0]
         while stages < self.max_stages:
             residual, tolerance, rounding = self._evaluate()
+            if self._relaxation is not None and self._relax(tolerance, h0_prestress, stages):
+                residual, tolerance, rounding = self._evaluate()
+            if self._relaxation is not None:
+                self._ask(residual)
             end = self._end(residual, tolerance)
             if end or (failures >= 3 and residual > 0.5 * best):
                 reason = end or reason
@@ -304,12 +324,12 @@ class Minimizer:
             self._choose_method(stages, residual)
             # An iteration of Newton's method takes an evaluation or two, a stage 5 to 30.
             stages += 1 / 8 if self._newton_method.active else 1
+            self._residual0, self._tolerance = residual, tolerance
             if self._uses_h0 and self._aged:
                 self._renew_h0(h0_prestress, factorizations, failures)
                 factorizations += 1
             potential.x_vector.copy(self._x)
             potential.x_vector.copy(self._x0)
-            self._residual0, self._tolerance = residual, tolerance
             if self._newton_method.active:
                 iterations += 1
                 failures = 0 if self._newton_step() else failures + 1
@@ -340,6 +360,15 @@ class Minimizer:
             scale=max(self._scale, self.atol / self.rtol),
         )
 
+    def _relax(self, tolerance: float, h0_prestress: tuple[float, ...], stages: float) -> bool:
+        """Relax what is far out of balance; say whether the state has changed."""
+        assert self._relaxation is not None
+        if stages > 0:
+            if not SETTLED * self._scale < self.residual() < FROM * self._scale:
+                return False
+            return self._relaxation.relax_points(tolerance)
+        return h0_prestress[0] == 0.0 and self._relaxation.relax_patch(self._scale)
+
     def _evaluate(self) -> tuple[float, float, float]:
         """Evaluate the potential; return the gradient's norm, its tolerance and its rounding."""
         potential = self.potential
@@ -362,7 +391,12 @@ class Minimizer:
     def _choose_method(self, stages: float, residual: float) -> None:
         """Let Newton's method take over from slow stages, or these from it."""
         possible = self.newton and self._uses_h0 and self._bounds is None
-        if self._newton_method.active:
+        if self._relaxation is not None and QUICK * self._scale < residual < FROM * self._scale:
+            self._newton_method.active = self._aged = True
+            self._newton_method.restraint = 1e-5
+        elif self._relaxation is not None:
+            self._newton_method.active = False
+        elif self._newton_method.active:
             self._newton_method.check_progress(residual)
         elif possible and self._aged and stages >= PATIENCE:
             self._newton_method.take_over(residual, self._residual0, self._scale)
@@ -371,5 +405,4 @@ class Minimizer:
         """Make a step of Newton's method; return whether the energy has fallen."""
         vectors = self._x, self._g, self._step
         fallen = self._newton_method.step(self._x0, self._g0, self._energy0, *vectors)
-        self._ask(self._g.norm())
         return fallen

@@ -12,6 +12,7 @@ from petsc4py import PETSc
 
 from crms_fenicsx.minimization.initial_hessian import InitialHessian
 from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.minimization.relaxation import LocalRelaxation
 
 STUBBORN, PATIENCE = 0.1, 8
 """Reduction of the residual by a stage above which Newton's method takes over, after how many
@@ -41,6 +42,8 @@ class NewtonMethod:
         What is minimised.
     h0
         Its stiffness, rebuilt before each step.
+    relaxation
+        Relaxes cable points where a step has raised the energy; None without any.
 
     Attributes
     ----------
@@ -50,8 +53,10 @@ class NewtonMethod:
         Part of the taut stiffness that wrinkled cells have on top of their tangent.
     """
 
-    def __init__(self, potential: Potential, h0: InitialHessian) -> None:
-        self.potential, self.h0 = potential, h0
+    def __init__(
+        self, potential: Potential, h0: InitialHessian, relaxation: LocalRelaxation | None
+    ) -> None:
+        self.potential, self.h0, self.relaxation = potential, h0, relaxation
         self.active, self.restraint = False, RESTRAINT
         self._count, self._mark = 0, 0.0
 
@@ -102,6 +107,9 @@ class NewtonMethod:
             if -STEADY * abs(energy) <= change <= RISE * abs(energy):
                 change = 0.5 * part * (slope - g.dot(d))
             fallen = change <= DESCENT * part * slope
+            if not fallen and self.relaxation is not None and self.relaxation.relax_points(0.0):
+                change = self.potential.energy() - energy0
+                fallen = change <= DESCENT * part * slope
             kept = change / (part * (1 - part / 2) * slope)  # of what H0 promises
         if not fallen:
             factor = 10.0

@@ -118,6 +118,11 @@ class Potential:
             values[term.name] = values.get(term.name, 0.0) + term.energy(self._sums[part])
         return values
 
+    def energy(self) -> float:
+        """Energy at the sums last computed (force x length)."""
+        parts = zip(self.terms, self._slices, strict=True)
+        return sum(term.energy(self._sums[part]) for term, part in parts)
+
     def sums_of(self, term: EnergyTerm) -> Array:
         """Global sums of one term, last computed."""
         return self._sums[self._slices[self.terms.index(term)]]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.cable_tension import CableTension
 from crms_fenicsx.model.cable_state import StepStart
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Booleans
 
 
 class StepCableTension(CableTension):
@@ -63,6 +63,10 @@ class StepCableTension(CableTension):
         mean = (self.tensions(lengths) + self._tension_n) / 2
         grown = self._energy_n + mean * (lengths - self._length_n)
         return np.where(self._stepwise, grown, super().energies(lengths))
+
+    def restricted(self, chosen: Booleans, sums: Array) -> None:
+        """Return none: blocks are not relaxed alone with a law that has a history."""
+        return None
 
     def commit(self, x: Array, sums: Array) -> None:
         """End the step: its tensions, lengths and energies are the next step's start."""

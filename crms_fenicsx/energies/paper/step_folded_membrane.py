@@ -17,7 +17,7 @@ from crms_fenicsx.energies.paper.step_membrane import (
     second_piola,
 )
 from crms_fenicsx.energies.segments import segment_lengths
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Booleans
 
 
 @numba.njit(cache=True)
@@ -164,6 +164,10 @@ class StepFoldedMembraneEnergy(FoldedMembraneEnergy):
         super().sums(x, np.zeros(1))
         super().add_stiffness(x, sums, A)
         self.sums(x, np.zeros(1))
+
+    def restricted(self, chosen: Booleans, sums: Array) -> None:
+        """Return none: blocks are not relaxed alone with a law that has a history."""
+        return None
 
     def commit(self, x: Array, sums: Array) -> None:
         """End the step: write stresses and shapes back to the frame of side 0-1."""

@@ -1,0 +1,199 @@
+"""Local relaxation: what is far out of balance is minimised alone, all else held.
+
+After a few iterations nearly all unbalanced force of a net sits at a handful of cable points:
+crossings next to an edge with their two fold points, and fold points close to a vertex. Each is
+nonlinear over its own tiny distance, and the line search of a step of all unknowns holds back
+everything for it. So these points are brought into balance before each step (`relax_points`): a
+nonlinear elimination. And where a cable has taken another path or a contact has changed, nearly all
+of the force is around that place. Points and vertices there are relaxed together before the solve
+begins (`relax_patch`), which is often all that is left to do.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+from mpi4py import MPI
+
+from crms_fenicsx.minimization.local_potential import LocalPotential
+from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.runtime.arrays import Array, Booleans
+
+FROM = 0.2
+"""Residual, relative to the force scale, from which on points are relaxed. On a roof that is still
+flat cables would slide to worse paths."""
+
+POINT_PART, POINT_RINGS = 0.1, 2
+PATCH_PART, PATCH_RINGS = 0.02, 3
+"""Force, relative to the largest, from which on a point, or a block of a patch, is relaxed, and how
+many rings of blocks around it."""
+
+MOST = 0.5
+"""Part of all blocks that may be relaxed at once: points beyond that are relaxed all together,
+patches not at all."""
+
+RATIO, BALANCED = 0.3, 0.3
+"""Force on the points, relative to that on the vertices, from which on they are relaxed, and part
+of that which may be left."""
+
+PATCHED, SETTLED = 1e-4, 1e-6
+"""Residual, relative to the force scale, from which on patches are relaxed, and to which."""
+
+ROUNDS, STEPS = 4, 12
+"""How often blocks are chosen anew, and Newton steps of each choice."""
+
+RISE = 1e-12
+"""Rise of the energy, relative to the sum of its terms' sizes, that is rounding."""
+
+
+class LocalRelaxation:
+    """Relaxes blocks of a potential that are out of balance.
+
+    Each process relaxes those of its blocks that no other process knows; they touch each other
+    through the lengths of cables alone.
+
+    Parameters
+    ----------
+    potential
+        The potential.
+
+    Attributes
+    ----------
+    steps
+        Newton steps that were made on this process.
+    """
+
+    def __init__(self, potential: Potential) -> None:
+        self.potential, self.steps = potential, 0
+        unknowns = potential.unknowns
+        n, own = unknowns.n_vertices, unknowns.n_owned
+        free = np.zeros(unknowns.n_local, dtype=bool)
+        free[:own] = ~unknowns.held[:own].all(axis=1)
+        free &= ~_shared(potential)
+        self._points = free.copy()
+        self._points[:n] = False
+        self._all = free
+        pairs = [term.links for term in potential.terms if term.links is not None]
+        links = np.concatenate([np.zeros((0, 2), dtype=np.int32), *pairs])
+        self._point_links = _adjacency(links[self._points[links].all(axis=1)], len(free))
+        self._links = _adjacency(links[free[links].all(axis=1)], len(free))
+
+    @staticmethod
+    def possible(potential: Potential) -> bool:
+        """Whether a potential has cable points that can be relaxed alone."""
+        whole = [term.links is not None for term in potential.terms if term.has_dyads]
+        history = any(term.has_history for term in potential.terms)
+        return bool(whole) and all(whole) and not history and potential.unknowns.bounds is None
+
+    def relax_points(self, tolerance: float) -> bool:
+        """Relax points while they are far more out of balance than the vertices. Collective.
+
+        Parameters
+        ----------
+        tolerance
+            Norm of the forces on them that is small enough (force).
+
+        Returns
+        -------
+        Whether any point moved; the potential is then evaluated in the new state.
+        """
+        chosen, aim = np.zeros_like(self._points), 0.0
+        for turn in range(ROUNDS):
+            of_points, of_vertices = self._residuals(self._points)
+            goal = max(RATIO * of_vertices, tolerance, aim)
+            if not of_points > goal:
+                return turn > 0
+            aim = BALANCED * goal
+            least = aim / max(np.count_nonzero(self._points), 1) ** 0.5
+            chosen |= self._around(self._points, self._point_links, POINT_PART, POINT_RINGS, least)
+            if np.count_nonzero(chosen) > MOST * np.count_nonzero(self._points):
+                chosen = self._points.copy()
+            if not self._relax(chosen, 0.5 * aim):
+                return turn > 0
+        return True
+
+    def relax_patch(self, scale: float) -> bool:
+        """Relax points and vertices around what is out of balance. Collective.
+
+        Parameters
+        ----------
+        scale
+            Scale of the forces.
+
+        Returns
+        -------
+        Whether anything moved; the potential is then evaluated in the new state.
+        """
+        chosen = np.zeros_like(self._all)
+        for turn in range(ROUNDS):
+            more = chosen | self._around(self._all, self._links, PATCH_PART, PATCH_RINGS, 0.0)
+            sizes = np.array([np.count_nonzero(more), np.count_nonzero(self._all)])
+            self.potential.comm.Allreduce(MPI.IN_PLACE, sizes)
+            inside, outside = self._residuals(more)
+            least = PATCHED if turn == 0 else SETTLED
+            if sizes[0] > MOST * sizes[1] or inside < max(outside, least * scale):
+                return turn > 0
+            chosen = more
+            if not self._relax(chosen, max(0.1 * outside, 0.1 * SETTLED * scale)):
+                return turn > 0
+        return True
+
+    def _relax(self, chosen: Booleans, tolerance: float) -> bool:
+        """Relax the chosen blocks of this process; say whether the energy has not risen."""
+        potential, before = self.potential, self.potential.x.copy()
+        energy, size = potential.energy(), sum(map(abs, potential.energies().values()))
+        blocks = np.flatnonzero(chosen).astype(np.int32)
+        if len(blocks):
+            local = LocalPotential(potential, blocks)
+            local.relax(max(tolerance, 1e-3 * local.residual()), STEPS)
+            self.steps += local.steps
+            local.destroy()
+        potential.place()
+        if potential.evaluate() <= energy + RISE * size:
+            return True
+        potential.x[:] = before
+        potential.place()
+        potential.evaluate()
+        return False
+
+    def _sizes(self, of: Booleans) -> Array:
+        """Norms of the free forces on some owned blocks, of others zero, (n_owned,)."""
+        n = self.potential.unknowns.n_owned
+        g = np.where(self.potential.unknowns.held[:n], 0.0, self.potential.g[:n])
+        sizes: Array = np.linalg.norm(g, axis=1) * of[:n]
+        return sizes
+
+    def _residuals(self, of: Booleans) -> tuple[float, float]:
+        """Norms of the forces on some owned blocks, and on all others."""
+        squares = np.array([np.sum(self._sizes(some) ** 2) for some in (of, ~of)])
+        self.potential.comm.Allreduce(MPI.IN_PLACE, squares)
+        return float(squares[0] ** 0.5), float(squares[1] ** 0.5)
+
+    def _around(
+        self, of: Booleans, links: sp.csr_matrix, part: float, rings: int, least: float
+    ) -> Booleans:
+        """Blocks out of balance, and rings around them."""
+        sizes = self._sizes(of)
+        top = self.potential.comm.allreduce(float(sizes.max(initial=0.0)), op=MPI.MAX)
+        found = np.zeros_like(of)
+        found[: len(sizes)] = sizes > max(part * top, least)
+        for _ in range(rings):
+            found |= links @ found > 0
+        return found
+
+
+def _adjacency(pairs: Array, size: int) -> sp.csr_matrix:
+    """Which of `size` blocks are linked by pairs (n, 2)."""
+    ones = np.ones(2 * len(pairs), dtype=np.int32)
+    a, b = pairs.T
+    return sp.csr_matrix((ones, (np.append(a, b), np.append(b, a))), shape=(size, size))
+
+
+def _shared(potential: Potential) -> Booleans:
+    """Owned blocks that are ghosts of another process, (n_local,). Collective."""
+    vector, array = potential.unknowns.vector()
+    array[potential.unknowns.n_owned :] = 1.0
+    potential.unknowns.add_ghosts(vector)
+    shared: Booleans = array[:, 0] > 0.0
+    vector.destroy()
+    return shared
