@@ -61,8 +61,7 @@ LONGEST = 15
 ROUNDED = 1e-6
 """Residual, relative to the force scale, up to which one of nothing but rounding is accepted."""
 
-import os
-RCOARSE = float(os.environ.get("RC","1e-5"))
+ROUGH = 1e-3
 COARSE = 1e-5
 """Residual, relative to the force scale, at which `solve` asks whether to go on."""
 
@@ -158,7 +157,7 @@ class Minimizer:
         self._uses_h0 = kind in ("blmvm", "lmvm")
         if self._uses_h0 and LocalRelaxation.possible(potential):
             self._relaxation = LocalRelaxation(potential)
-        self._coarse = COARSE if self._relaxation is None else RCOARSE
+        self._coarse = COARSE if self._relaxation is None else ROUGH
         self._newton_method = NewtonMethod(potential, self.h0, self._relaxation)
         self._h0_set = False
 

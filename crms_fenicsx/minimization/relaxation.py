@@ -109,7 +109,7 @@ class LocalRelaxation:
             if np.count_nonzero(chosen) > MOST * np.count_nonzero(self._points):
                 chosen = self._points.copy()
             if not self._relax(chosen, 0.5 * aim):
-                return turn > 0
+                return True
         return True
 
     def relax_patch(self, scale: float) -> bool:
@@ -135,7 +135,7 @@ class LocalRelaxation:
                 return turn > 0
             chosen = more
             if not self._relax(chosen, max(0.1 * outside, 0.1 * SETTLED * scale)):
-                return turn > 0
+                return True
         return True
 
     def _relax(self, chosen: Booleans, tolerance: float) -> bool:
@@ -143,14 +143,15 @@ class LocalRelaxation:
         potential, before = self.potential, self.potential.x.copy()
         energy, size = potential.energy(), sum(map(abs, potential.energies().values()))
         blocks = np.flatnonzero(chosen).astype(np.int32)
+        done = True
         if len(blocks):
             local = LocalPotential(potential, blocks)
-            local.relax(max(tolerance, 1e-3 * local.residual()), STEPS)
+            done = local.relax(max(tolerance, 1e-3 * local.residual()), STEPS)
             self.steps += local.steps
             local.destroy()
         potential.place()
         if potential.evaluate() <= energy + RISE * size:
-            return True
+            return done
         potential.x[:] = before
         potential.place()
         potential.evaluate()
