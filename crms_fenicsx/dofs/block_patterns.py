@@ -7,6 +7,8 @@ layout.
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numba
 import numpy as np
 from petsc4py import PETSc
@@ -14,6 +16,19 @@ from petsc4py import PETSc
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.runtime.arrays import Array, Indices
+
+
+class BlockSink(Protocol):
+    """What takes blocks in the place of a PETSc matrix."""
+
+    def take(self, pattern: BlockPattern) -> None:
+        """Add what a pattern's `values` hold."""
+
+
+def rows_of(table: Indices) -> tuple[Indices, Indices]:
+    """Rows of a table (n, k) in CSR form: pointers, entries."""
+    n, k = table.shape
+    return np.arange(0, k * n + 1, k, dtype=np.int32), table.reshape(-1)
 
 
 class BlockPattern:
@@ -63,12 +78,15 @@ class BlockPattern:
             self._arrange(sizes.unknowns)
         sizes.add(*sizes.unknowns.matrix_order()[self._numbers])
 
-    def add(self, A: PETSc.Mat, unknowns: Unknowns) -> None:
+    def add(self, A: PETSc.Mat | BlockSink, unknowns: Unknowns) -> None:
         """Add what `values` holds.
 
         Points that ride on vertices hand their part on to them; of rails the part along their
         lines counts.
         """
+        if not isinstance(A, PETSc.Mat):
+            A.take(self)
+            return
         if self._unknowns is not unknowns:
             self._arrange(unknowns)
         if len(self._places[0]) == 0:
@@ -109,7 +127,7 @@ class SegmentPattern(BlockPattern):
         self.own_values = np.zeros((len(segments), 3, 3))
         """Value of each segment."""
 
-    def add(self, A: PETSc.Mat, unknowns: Unknowns) -> None:
+    def add(self, A: PETSc.Mat | BlockSink, unknowns: Unknowns) -> None:
         """Add what `own_values` holds."""
         v = self.own_values
         np.concatenate([v, v, -v, -v], out=self.values)
@@ -126,4 +144,6 @@ class ElementPattern(BlockPattern):
         place = np.arange(self.offsets[-1]) - self.offsets[element]
         row, col = np.divmod(place, sizes[element])
         first = np.asarray(pointers)[element]
+        self.entries = first + row, first + col
+        """Rows of `blocks` that each of the values belongs to."""
         super().__init__(blocks[first + row], blocks[first + col])

@@ -159,10 +159,6 @@ class Unknowns:
         rest = np.arange(self.n_owned + self.n_ghost_vertices, self.n_local, dtype=np.int32)
         return np.concatenate([self.vertex_blocks(), self.owned_point_blocks(), rest])
 
-    def matrix_rows(self, blocks: Indices) -> Indices:
-        """Numbers of local blocks in matrices."""
-        return np.asarray(self.matrix_numbers[blocks])
-
     def lgmap(self) -> PETSc.LGMap:
         """Local to global map of the blocks in matrix order."""
         owned = np.arange(self.start, self.start + self.n_owned, dtype=PETSc.IntType)

@@ -225,7 +225,7 @@ class CapstanTension(EnergyTerm):
     def count_stiffness(self, sizes: RowSizes) -> None:
         """Count the blocks of the stiffness."""
         self.pattern.count(sizes)
-        self.links.count(sizes)
+        self.span_pattern.count(sizes)
 
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add the geometric stiffness, and that of single spans between nodes that stick."""
@@ -307,7 +307,7 @@ class CapstanTension(EnergyTerm):
             pointers.append(len(blocks))
             self._links.append((span, own, (rows[0], rows[1])))
         self.link_pointers = np.array(pointers, dtype=np.int32)
-        self.links = ElementPattern(self.link_pointers, np.array(blocks, dtype=np.int32))
+        self.span_pattern = ElementPattern(self.link_pointers, np.array(blocks, dtype=np.int32))
 
     def _add_links(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         c, X = self.chains, self.unknowns.X
@@ -322,7 +322,7 @@ class CapstanTension(EnergyTerm):
                 stretch[own] = run.stretch
         slope, start = self.grips.slope, 0
         for (span, segments, ends), n in zip(self._links, np.diff(self.link_pointers), strict=True):
-            values = self.links.values[start : start + n * n]
+            values = self.span_pattern.values[start : start + n * n]
             values[:] = 0.0
             start += n * n
             # An anchor on the held place next to it, up to rounding: there is no direction.
@@ -345,4 +345,4 @@ class CapstanTension(EnergyTerm):
                     at += len(edge)
             dyad = np.einsum("ai,bj->abij", column, column).reshape(n * n, 3, 3)
             values[:] = stiffness[span] / share * dyad
-        self.links.add(A, self.unknowns)
+        self.span_pattern.add(A, self.unknowns)

@@ -8,13 +8,13 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import SegmentPattern
+from crms_fenicsx.dofs.block_patterns import BlockSink, ElementPattern, SegmentPattern, rows_of
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.segments import add_segment_forces, segment_lengths, segment_stiffness
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.model.cable_state import StepStart
 from crms_fenicsx.model.laid_cable import NEARLY_TAUT
-from crms_fenicsx.runtime.arrays import Array, Booleans
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 
 EPSILON = float(np.finfo(float).eps)
 
@@ -57,6 +57,7 @@ class CableTension(EnergyTerm):
         self._lengths = np.zeros(len(segments))
         self._forces = np.zeros(len(segments))
         self.pattern, self.links = SegmentPattern(segments), segments
+        self._dyads: tuple[ElementPattern, Integers, Integers, Indices] | None = None
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of each cable's length."""
@@ -125,11 +126,59 @@ class CableTension(EnergyTerm):
         rows = np.flatnonzero(chosen[self.segments].any(axis=1))
         if len(rows) == 0:
             return None
-        cables, cable = np.unique(self.cable[rows], return_inverse=True)
         some = CableTension(
-            self.segments[rows], self.eps[rows], cable.astype(np.int32), self.EA[cables],
-            self.L0[cables],
+            self.segments[rows], self.eps[rows], self.cable[rows], self.EA, self.L0
         )  # fmt: skip
-        moving = np.bincount(cable, weights=self._lengths[rows], minlength=len(cables))
-        some.excess = moving - sums[cables]
+        some._lengths[:] = self._lengths[rows]
+        some.excess = some._moving() - sums
         return some
+
+    def _moving(self) -> Array:
+        """Length of each cable in these segments at the last `sums`, (n_cables,)."""
+        return np.bincount(self.cable, weights=self._lengths, minlength=len(self.EA))
+
+    def split(self, groups: Integers) -> CableTension:
+        """Cables in pieces, one for each group that they run through.
+
+        A piece is as stiff as all pieces of its cable together, so that the energy of all, if each
+        moves as if the others did not, is none below the true one.
+        """
+        group = groups[self.segments].max(axis=1)
+        stride = int(group.max(initial=0)) + 1
+        pieces, piece = np.unique(self.cable * stride + group, return_inverse=True)
+        cables = pieces // stride
+        count = np.bincount(cables, minlength=len(self.EA))[cables]
+        L0, EA = self.L0[cables], self.EA[cables] * count
+        some = CableTension(self.segments, self.eps, piece.astype(np.int32), EA, L0)
+        some._lengths[:] = self._lengths
+        stretch = (self._moving() - self.excess - self.L0)[cables] / count
+        some.excess = some._moving() - L0 - stretch
+        return some
+
+    def add_dyads(self, x: Array, sums: Array, A: BlockSink) -> None:
+        """Add ``EA/L0 grad(L) grad(L)^T`` of each cable in tension, block by block."""
+        if self._dyads is None:
+            stride = len(self.unknowns.X)
+            ends = self.cable.astype(np.int64)[:, None] * stride + self.segments
+            places, of_ends = np.unique(ends, return_inverse=True)
+            cable, blocks = np.divmod(places, stride)
+            pointers = np.searchsorted(cable, np.arange(len(self.EA) + 1)).astype(np.int32)
+            pattern = ElementPattern(pointers, blocks.astype(np.int32))
+            self._dyads = pattern, cable, blocks, of_ends.reshape(-1, 2).astype(np.int32)
+        pattern, cable, blocks, of_ends = self._dyads
+        points, gradients = self.unknowns.X[blocks] + x[blocks], np.zeros((len(blocks), 3))
+        none, ones = np.zeros_like(points), np.ones(len(of_ends))
+        add_segment_forces(points, none, of_ends, self.eps, ones, gradients)
+        a, b = pattern.entries
+        scaled = gradients[a] * self.dyads(sums)[cable[a], None]
+        np.einsum("ni,nj->nij", scaled, gradients[b], out=pattern.values)
+        pattern.add(A, self.unknowns)
+
+    def element_blocks(self) -> tuple[Indices, Indices]:
+        """Ends of the segments."""
+        return rows_of(self.segments)
+
+    def element_energies(self, sums: Array) -> Array:
+        """Energies of the cables, spread evenly over their segments."""
+        count = np.bincount(self.cable, minlength=len(self.EA))
+        return np.asarray((self.energies(sums) / np.maximum(count, 1))[self.cable])

@@ -19,7 +19,7 @@ import numba
 import numpy as np
 from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import ElementPattern
+from crms_fenicsx.dofs.block_patterns import ElementPattern, rows_of
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
@@ -259,3 +259,11 @@ class FoldPenalty(EnergyTerm):
         rows = np.flatnonzero(chosen[t.points].any(axis=1))
         some = FoldAngles(t.points[rows], t.coefficients[rows], t.weighted)
         return FoldPenalty(some) if len(rows) else None
+
+    def element_blocks(self) -> tuple[Indices, Indices]:
+        """Blocks of the places."""
+        return rows_of(self.table.points)
+
+    def element_energies(self, sums: Array) -> Array:
+        """Energies of the places."""
+        return np.asarray(self.table.coefficients * self.residuals**2)

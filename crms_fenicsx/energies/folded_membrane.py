@@ -116,9 +116,11 @@ class FoldedCells:
 
 @numba.njit(cache=True)
 def cell_forces(  # type: ignore[no-untyped-def]
-    lengths, pointers, side_segments, sides, maps, squares, areas, law, p, forces, out, orthotropic,
+    lengths, pointers, side_segments, sides, maps, squares, areas, law, p, forces, out, energies,
+    orthotropic,
 ):  # fmt: skip
-    """Energy of the cells; forces in the segments (m,); strain, stress, state into `out` (n, 7).
+    """Energy of all cells, and of each into `energies` (n,); forces in the segments (m,); strain,
+    stress and state into `out` (n, 7).
 
     `orthotropic` as in `crms_fenicsx.energies.stress_laws.stress`.
     """
@@ -134,7 +136,8 @@ def cell_forces(  # type: ignore[no-untyped-def]
             for i in range(3):
                 e[i] += maps[c, i, k] * (r[k] * r[k] - squares[c, k])
         density, state = laws.stress(law[c], p[c], e, s, orthotropic)
-        energy += areas[c] * density
+        energies[c] = areas[c] * density
+        energy += energies[c]
         for k in range(3):
             force = 0.0
             for i in range(3):
@@ -228,6 +231,7 @@ class FoldedMembraneEnergy(EnergyTerm):
         self.lengths = np.zeros(len(table.segments))
         self.forces = np.zeros(len(table.segments))
         self._tension = np.zeros(len(table.segments))
+        self._energies = np.zeros(len(table.cells))
         self.results = np.zeros((len(table.cells), 7))
         """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state of each cell."""
         self._orthotropic = laws.orthotropic_flag(table.laws)
@@ -242,7 +246,8 @@ class FoldedMembraneEnergy(EnergyTerm):
         segment_lengths(self.unknowns.X, x, t.segments, t.eps, self.lengths)
         out[0] = cell_forces(
             self.lengths, t.side_pointers, t.side_segments, t.sides, self.maps, self.squares,
-            self.areas, t.laws, t.parameters, self.forces, self.results, self._orthotropic,
+            self.areas, t.laws, t.parameters, self.forces, self.results, self._energies,
+            self._orthotropic,
         )  # fmt: skip
 
     def cell_results(self) -> Array:
@@ -289,3 +294,11 @@ class FoldedMembraneEnergy(EnergyTerm):
         hits = np.append(0, np.cumsum(chosen[self._element_blocks]))
         rows = np.flatnonzero(hits[pointers[1:]] > hits[pointers[:-1]])
         return FoldedMembraneEnergy(self.table.some(rows), self.stiffening) if len(rows) else None
+
+    def element_blocks(self) -> tuple[Indices, Indices]:
+        """Blocks of the cells."""
+        return self._element_pointers, self._element_blocks
+
+    def element_energies(self, sums: Array) -> Array:
+        """Energies of the cells."""
+        return self._energies

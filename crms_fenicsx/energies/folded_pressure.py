@@ -15,7 +15,7 @@ import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import ElementPattern
+from crms_fenicsx.dofs.block_patterns import ElementPattern, rows_of
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.term import EnergyTerm
@@ -42,19 +42,21 @@ class Facets:
 
 
 @numba.njit(cache=True)
-def _volume(X, x, corners, weights, origin):  # type: ignore[no-untyped-def]
+def _volume(X, x, corners, weights, origin, volumes):  # type: ignore[no-untyped-def]
+    """Volume under all facets, and under each into `volumes` (n,)."""
     total = 0.0
     p = np.empty((3, 3))
     for f in range(corners.shape[0]):
         for m in range(3):
             for i in range(3):
                 p[m, i] = X[corners[f, m], i] - origin[i] + x[corners[f, m], i]
-        total += weights[f] * (
+        volumes[f] = weights[f] / 6.0 * (
             p[0, 0] * (p[1, 1] * p[2, 2] - p[1, 2] * p[2, 1])
             + p[0, 1] * (p[1, 2] * p[2, 0] - p[1, 0] * p[2, 2])
             + p[0, 2] * (p[1, 0] * p[2, 1] - p[1, 1] * p[2, 0])
         )
-    return total / 6.0
+        total += volumes[f]
+    return total
 
 
 @numba.njit(cache=True)
@@ -100,21 +102,24 @@ class FoldedFollowerPressure(EnergyTerm):
 
     def __init__(self, table: Facets, pressure: fem.Constant, origin: Array) -> None:
         self.table, self.pressure, self.origin = table, pressure, origin
-        pointers = np.arange(0, 3 * len(table.corners) + 1, 3, dtype=np.int32)
-        self.pattern = ElementPattern(pointers, table.corners.reshape(-1))
+        self.pattern = ElementPattern(*rows_of(table.corners))
+        self._volumes = np.zeros(len(table.corners))
 
     def attach(self, unknowns: Unknowns) -> None:
         """Use the positions of this layout."""
         super().attach(unknowns)
         corners = self.table.plain_corners
         self._stress_free = _volume(
-            unknowns.X, np.zeros_like(unknowns.X), corners, np.ones(len(corners)), self.origin
-        )
+            unknowns.X, np.zeros_like(unknowns.X), corners, np.ones(len(corners)), self.origin,
+            np.zeros(len(corners)),
+        )  # fmt: skip
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the volume gained (length cubed)."""
         t = self.table
-        volume = _volume(self.unknowns.X, x, t.corners, t.weights, self.origin)
+        volume = _volume(
+            self.unknowns.X, x, t.corners, t.weights, self.origin, self._volumes
+        )
         out[0] = volume - self._stress_free
 
     def energy(self, sums: Array) -> float:
@@ -133,7 +138,7 @@ class FoldedFollowerPressure(EnergyTerm):
 
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add nothing, as they are not definite, but to where the second derivatives go."""
-        if not A.assembled:
+        if isinstance(A, PETSc.Mat) and not A.assembled:
             self.pattern.values[:] = 0.0
             self.pattern.add(A, self.unknowns)
 
@@ -152,3 +157,11 @@ class FoldedFollowerPressure(EnergyTerm):
         rows = np.flatnonzero(chosen[t.corners].any(axis=1))
         some = Facets(t.corners[rows], t.weights[rows], t.plain_corners[:0])
         return FoldedFollowerPressure(some, self.pressure, self.origin) if len(rows) else None
+
+    def element_blocks(self) -> tuple[Indices, Indices]:
+        """Corners of the facets."""
+        return rows_of(self.table.corners)
+
+    def element_energies(self, sums: Array) -> Array:
+        """Energies of the facets."""
+        return -float(self.pressure.value) * self._volumes

@@ -21,7 +21,11 @@ from petsc4py import PETSc
 from crms_fenicsx.dofs.block_patterns import ElementPattern
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.edge_fractions import add_slip_forces, edge_fractions
-from crms_fenicsx.energies.smooth_coulomb import friction_energy, secant_stiffness
+from crms_fenicsx.energies.smooth_coulomb import (
+    friction_energy,
+    friction_potentials,
+    secant_stiffness,
+)
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 
@@ -124,3 +128,11 @@ class LateralFriction(EnergyTerm):
             t.offset[rows], t.bound[rows], t.eps[rows],
         )  # fmt: skip
         return LateralFriction(some)
+
+    def element_blocks(self) -> tuple[Indices, Indices]:
+        """Blocks on the edges of the nodes."""
+        return self.table.pointers, self.table.blocks
+
+    def element_energies(self, sums: Array) -> Array:
+        """Potentials of the nodes."""
+        return friction_potentials(self.slips, self.table.bound, self.table.eps)

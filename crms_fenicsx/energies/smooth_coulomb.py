@@ -25,6 +25,12 @@ def friction_energy(slip, bound, eps, force):  # type: ignore[no-untyped-def]
     return energy
 
 
+def friction_potentials(slip: Array, bound: Array, eps: Array) -> Array:
+    """Potential of each node, (n,) (force x length)."""
+    y = np.abs(slip) / eps
+    return np.asarray(bound * eps * np.where(y < 1.0, y * y * (1.0 - y / 3.0), y - 1.0 / 3.0))
+
+
 def secant_stiffness(slip: Array, bound: Array, eps: Array) -> Array:
     """Stiffness ``force / slip`` of nodes, (n,) (force/length).
 

@@ -7,11 +7,12 @@ from collections.abc import Callable, Sequence
 
 from petsc4py import PETSc
 
+from crms_fenicsx.dofs.block_patterns import BlockSink
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.integral import Integral
 from crms_fenicsx.energies.stiffening import Stiffening
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 
 
 class EnergyTerm(ABC):
@@ -156,6 +157,27 @@ class EnergyTerm(ABC):
             The global sums; the state is that of the last `sums`.
         """
         return None if self.twin is None else self.twin(chosen)
+
+    def add_dyads(self, x: Array, sums: Array, A: BlockSink) -> None:
+        """Add the dyads of a `restricted` term block by block."""
+
+    def element_blocks(self) -> tuple[Indices, Indices]:
+        """Blocks of the elements of a `restricted` term in CSR form, (n + 1,) and (m,)."""
+        raise NotImplementedError(f"{type(self).__name__} is not made of elements")
+
+    def element_energies(self, sums: Array) -> Array:
+        """Energies of these elements at the last `sums`, (n,) (force x length)."""
+        raise NotImplementedError(f"{type(self).__name__} is not made of elements")
+
+    def split(self, groups: Integers) -> EnergyTerm:
+        """Return a `restricted` term that is separate for groups of blocks.
+
+        Parameters
+        ----------
+        groups : (n_local,)
+            Number of the group that a block moves with, or -1. No element joins two of them.
+        """
+        return self
 
     def begin_step(self, x: Array) -> None:
         """Take the current state as a load step's start."""

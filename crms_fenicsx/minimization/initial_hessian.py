@@ -164,9 +164,9 @@ class InitialHessian:
         A, unknowns = self.matrix, self.potential.unknowns
         A.zeroEntries()
         if self._new:  # every diagonal entry must exist, also of points that no term touches
-            blocks = unknowns.matrix_rows(unknowns.owned_point_blocks())[:, None]
+            blocks = unknowns.matrix_numbers[: unknowns.n_owned, None]
             A.setValuesBlockedLocalRCV(
-                blocks, blocks, np.zeros((unknowns.n_points, 9)), PETSc.InsertMode.ADD
+                blocks, blocks, np.zeros((unknowns.n_owned, 9)), PETSc.InsertMode.ADD
             )
             self._new = False
         self.potential.add_stiffness(A, exact)
@@ -202,7 +202,7 @@ class InitialHessian:
         own = unknowns.rails < unknowns.n_owned
         d = unknowns.directions[own]
         across = value * (np.eye(3) - d[:, :, None] * d[:, None, :])
-        blocks = unknowns.matrix_rows(unknowns.rails[own])[:, None]
+        blocks = unknowns.matrix_numbers[unknowns.rails[own], None]
         A.setValuesBlockedLocalRCV(blocks, blocks, across.reshape(-1, 9), PETSc.InsertMode.ADD)
         A.assemble()
 
