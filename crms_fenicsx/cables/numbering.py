@@ -168,9 +168,7 @@ class CableNumbering:
         Those that are the ends themselves, and those on which rails and riders at ends depend.
         """
         strip = self.strip
-        far = [
-            (rank, v) for rank, v in far if not np.any(strip.owner[strip.rows((v,))] == rank)
-        ]  # fmt: skip
+        far = [(rank, v) for rank, v in far if not np.any(strip.owner[strip.rows((v,))] == rank)]
         self.far_vertices: dict[int, tuple[int, int]] = {}
         self._far_X: list[Array] = []
         if not far:  # all ranks know the same

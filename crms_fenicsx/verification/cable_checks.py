@@ -101,8 +101,8 @@ class _Nodes:
                 ids[k, : len(own)], weights[k, : len(own)] = own, share
             if node.kind == "fold" and isinstance(node.point, EdgePoint):
                 alone[k] = len(numbering.on_edge.get(node.point.edge, ())) == 1
-        rim = cable.path_nodes()
-        supports = [p.support for k in rim if (p := cable.nodes[k].point) is not None]
+        on_path = cable.path_nodes()
+        supports = [p.support for k in on_path if (p := cable.nodes[k].point) is not None]
         both = (tuple(sorted({*a, *b})) for a, b in itertools.pairwise(supports))
         return cls(
             ids,
