@@ -1,4 +1,4 @@
-"""Shadows: the cells under the free spans of a cable, where it may touch down.
+"""Projections of spans: the cells under a cable off the membrane, where it may touch down.
 
 A span is straight; the path under it is the section of the membrane with the plane through the
 span and the membrane's normal. It is found by walking from cell to cell, by the signs of the

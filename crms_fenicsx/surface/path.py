@@ -108,7 +108,7 @@ class Path:
         result = np.empty((len(self.points), 3))
         for i, point in enumerate(self.points):
             corners = points[[row_of[v] for v in point.support]]
-            result[i] = np.array(_weights(point)) @ corners
+            result[i] = np.array(point.weights) @ corners
         return result
 
     def links(self, cells: NDArray[np.int64]) -> tuple[Link, ...]:
@@ -142,15 +142,6 @@ class Path:
                 )
             links.append(link)
         return tuple(links)
-
-
-def _weights(point: SurfacePoint) -> tuple[float, ...]:
-    """Return the weights of the point's support."""
-    if isinstance(point, VertexPoint):
-        return (1.0,)
-    if isinstance(point, EdgePoint):
-        return (1.0 - point.fraction, point.fraction)
-    return point.weights
 
 
 def _on_one_edge(a: SurfacePoint, b: SurfacePoint) -> bool:

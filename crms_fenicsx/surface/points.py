@@ -43,6 +43,11 @@ class VertexPoint:
         """Vertices of the smallest simplex that holds the point."""
         return (self.vertex,)
 
+    @property
+    def weights(self) -> tuple[float, ...]:
+        """Barycentric weights of these vertices."""
+        return (1.0,)
+
     def __str__(self) -> str:
         return f"vertex {self.vertex}"
 
@@ -83,6 +88,11 @@ class EdgePoint:
     def support(self) -> tuple[int, ...]:
         """Vertices of the smallest simplex that holds the point."""
         return self.edge
+
+    @property
+    def weights(self) -> tuple[float, ...]:
+        """Barycentric weights of these vertices."""
+        return (1.0 - self.fraction, self.fraction)
 
     def __str__(self) -> str:
         return f"edge {self.edge} at {self.fraction:.6g}"

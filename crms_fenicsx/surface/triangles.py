@@ -47,6 +47,12 @@ def dot(a: Floats, b: Floats) -> Floats:
     return np.asarray(total, dtype=np.float64)
 
 
+def arc_lengths(points: Floats) -> Floats:
+    """Return the lengths (n,) of a polyline (n, 3) from its first point to each one."""
+    first = np.zeros(min(len(points), 1))
+    return np.concatenate([first, np.cumsum(norm(np.diff(points, axis=0)))])
+
+
 def side_lengths(triangles: Floats) -> Floats:
     """Return (m, 3) lengths of the sides of (m, 3, 3) triangles."""
     return norm(triangles[:, [1, 2, 0]] - triangles)

@@ -118,7 +118,7 @@ class CableVerifier:
     """Checks the cables of a solved state; keeps tables of their nodes while these stay."""
 
     def __init__(self) -> None:
-        self._network: CableNumbering | None = None
+        self._numbering: CableNumbering | None = None
         self._nodes: list[_Nodes] = []
 
     def check(self, system: System, ends: Array, force: float) -> list[Check]:
@@ -136,8 +136,8 @@ class CableVerifier:
         nodal = force / np.sqrt(system.unknowns.n_global)
         assert system.cables is not None
         scene, numbering = system.scene, system.cables.numbering
-        if numbering is not self._network:
-            self._network = numbering
+        if numbering is not self._numbering:
+            self._numbering = numbering
             self._nodes = [_Nodes.of(cable, numbering) for cable in scene.cables]
         shape = scene.net.strip_shape()
         parts, pulls = _parts_and_pulls(system)
@@ -304,8 +304,7 @@ def _contacts(
         span = norm(cable.positions[contacts[after - 1 : after + 1]] - cable.positions[k])
         if span.min() <= 1e-9 * cable.length:  # its edge lies beyond an end of the span
             continue
-        ids, weights = cable.interpolation(int(k))
-        place = np.dot(weights, [shape.at(i) for i in ids])
+        place = shape.mean(*cable.interpolation(int(k)))
         normal, cell = shape.normals_and_sizes([point.support])
         depth = max(depth, -float((cable.positions[k] - place) @ normal[0]) / float(cell[0]))
     return {"pull on the membrane": max(pull, 0.0), "depth below the membrane": depth}
