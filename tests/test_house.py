@@ -20,8 +20,7 @@ FLOORS = (
 DOORS = (
     "energies.membrane cables.deformed_surface paths.held_vertices paths.laying "
     "paths.vertex_trials scene contributions equilibrium.search equilibrium.friction_loop "
-    "equilibrium.path_loop equilibrium.system verification.cable_checks verification.verifier "
-    "checkpoint solver"
+    "equilibrium.path_loop equilibrium.system verification.cable_checks verification.verifier"
 ).split()
 """Where functions may import modules of the package: kernels, friction, and what most runs do not
 need."""

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.minimization.potential import Potential
-
-if TYPE_CHECKING:
-    from crms_fenicsx.model.crossing import NodeId
+from crms_fenicsx.model.crossing import NodeId
 
 
 class Contribution:

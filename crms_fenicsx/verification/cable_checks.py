@@ -9,7 +9,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from mpi4py import MPI
@@ -18,6 +17,7 @@ from crms_fenicsx.cables.numbering import CableNumbering
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces, wrap_angles
 from crms_fenicsx.contact.lift_off import is_foot, may_lift, outward_pulls
+from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.friction.gripped_nodes import held_nodes
 from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
@@ -27,10 +27,6 @@ from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.surface.points import EdgePoint
 from crms_fenicsx.surface.triangles import norm
 from crms_fenicsx.verification.report import Check
-
-if TYPE_CHECKING:
-    from crms_fenicsx.equilibrium.system import System
-
 
 LIMITS = {
     "ends of cable off their place": 1e-9,
