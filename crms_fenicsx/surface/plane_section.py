@@ -16,7 +16,14 @@ import numpy as np
 
 from crms_fenicsx.runtime.errors import PathError, as_text
 from crms_fenicsx.surface.closest_point import Node, Place, Surface, edge_count
-from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint
+from crms_fenicsx.surface.points import (
+    LEAST,
+    MOST,
+    CellPoint,
+    EdgePoint,
+    SurfacePoint,
+    VertexPoint,
+)
 from crms_fenicsx.surface.triangles import (
     WALL,
     Bools,
@@ -29,9 +36,6 @@ from crms_fenicsx.surface.triangles import (
     lists,
     norm,
 )
-
-# A fraction that rounding has put on a vertex, where the signs say that it is not, goes here.
-LEAST, MOST = float(np.finfo(float).tiny), float(1.0 - np.finfo(float).epsneg)
 
 # Nodes of a section: (vertex,), (smaller, larger) for an edge, and the two ends of a leg where
 # they are neither.
@@ -252,7 +256,7 @@ def section_with(
                 on_rim = node[0] in rim_vertices
             else:
                 t = float(offset[here[0]] / (offset[here[0]] - offset[here[1]]))
-                t = min(max(t, LEAST), MOST)
+                t = min(max(t, LEAST), MOST)  # rounding must not undo what the signs say
                 section.points[node] = EdgePoint((node[0], node[1]), t)
                 section.positions[node] = (1.0 - t) * x[0] + t * x[1]
                 on_rim = count[node] == 1

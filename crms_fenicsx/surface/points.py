@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from crms_fenicsx.runtime.errors import PathError
 
 Support = tuple[int, ...]
 
 Edge = tuple[int, int]
+
+LEAST, MOST = float(np.finfo(float).tiny), float(1.0 - np.finfo(float).epsneg)
+"""The first and the last place inside an edge: for points that run into its ends, or that rounding
+has put there."""
 
 
 def edge_of(a: int, b: int) -> Edge:
