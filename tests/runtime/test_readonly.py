@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from reference_meshes import square
+from cabled_square import sheet
 
-from crms_fenicsx import Cable, ConvergenceError, Friction, IsotropicMembrane, Scene, Solver
+from crms_fenicsx import Cable, ConvergenceError, Friction, Scene, Solver
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.model.cable_state import CableState
 from crms_fenicsx.model.laid_cable import LaidCable
@@ -25,8 +25,7 @@ CABLES = {
 
 
 def laid(comm, kind: str = "plain") -> tuple[Scene, Solver, LaidCable]:
-    scene = Scene(square(comm, 4), IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
-    scene.fix("boundary")
+    scene = sheet(comm, 4)
     cable = scene.lay_cable(CABLES[kind], [(-9.0, 47.0, 0.0), (109.0, 56.0, 0.0)], tension=9.0)
     return scene, Solver(scene, max_halvings=0), cable
 
