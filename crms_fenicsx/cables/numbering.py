@@ -1,4 +1,4 @@
-"""The points of all cables: who owns which, what its number is, and where it is now.
+"""The points of all cables: which rank owns each, and what its number is.
 
 A crossed cell is evaluated by the rank that owns it, with all segments, chords and facets in it.
 Cable points belong to one rank and are ghosts on the others that need them. All ranks know the
@@ -25,7 +25,7 @@ from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import Edge, SurfacePoint
 
-Corner = int | tuple[int, int]
+Corner = int | NodeId
 """A corner of a piece of a folded cell: a vertex by its id, or a cable's point (cable, node)."""
 
 

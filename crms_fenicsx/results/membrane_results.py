@@ -1,4 +1,4 @@
-"""What a state says: stresses and strains of the membrane, reactions, the volume gained."""
+"""Stresses and strains of the membrane in an equilibrium, cell by cell."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a cable crosses the mesh: typed points of the surface and the paths through them.
+"""The path of a cable through typed points of the mesh: which cells and edges it goes through.
 
 A cable is a polyline whose points lie on vertices and edges of the mesh, never strictly inside a
 cell, except its two ends. Vertices are named by their global ids, so a path means the same on
