@@ -68,7 +68,7 @@ class CableContribution(Contribution):
     def __init__(
         self, scene: Scene, membrane: MembraneContribution, pressure: PressureContribution
     ) -> None:
-        self.scene = scene
+        super().__init__(scene)
         scene.net.arrange_crossings()
         assert scene.net.strip is not None
         self.numbering = CableNumbering(scene.cables, scene.net.strip, scene.u)
