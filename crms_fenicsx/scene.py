@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 from weakref import proxy
 
-import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 from mpi4py import MPI
 
@@ -24,7 +22,7 @@ from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.membrane import Marker, Membrane
 from crms_fenicsx.model.penalty import warn_of_penalty
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.runtime.errors import InputError, collective, raised_together
 from crms_fenicsx.runtime.readonly import ReadOnly
 
@@ -91,7 +89,7 @@ class Scene:
     """Space of the displacements."""
     u: ReadOnly[fem.Function] = ReadOnly("membrane.u", "write to its array, scene.u.x.array[:]")
     """Displacement of the vertices from the stress-free shape (length)."""
-    held: ReadOnly[npt.NDArray[np.bool_]] = ReadOnly("membrane.held", "call scene.fix(...)")
+    held: ReadOnly[Booleans] = ReadOnly("membrane.held", "call scene.fix(...)")
     """Held components of the vertices, by local degree of freedom."""
     materials: ReadOnly[dict[int, MembraneMaterial]] = ReadOnly("membrane.materials", ANOTHER)
     pressure: ReadOnly[float] = ReadOnly("_pressure", "call solver.advance(pressure=...)")
@@ -189,7 +187,7 @@ class Scene:
         """Current positions of the vertices by local degree of freedom, (n, 3), with ghosts."""
         return self.membrane.positions()
 
-    def vertices(self, where: str | Marker) -> npt.NDArray[np.int32]:
+    def vertices(self, where: str | Marker) -> Indices:
         """Local degrees of freedom of the vertices of a named group or marked by a function.
 
         Collective; see `Membrane.vertices`.

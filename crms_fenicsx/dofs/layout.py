@@ -19,14 +19,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 from petsc4py import PETSc
 
-from crms_fenicsx.runtime.arrays import Array, Indices
+from crms_fenicsx.runtime.arrays import Array, Indices, Integers
 
 
-def vertex_starts(V: fem.FunctionSpace) -> npt.NDArray[np.int64]:
+def vertex_starts(V: fem.FunctionSpace) -> Integers:
     """Global numbers of the ranks' first vertices, (ranks,). Collective."""
     return np.array(V.mesh.comm.allgather(V.dofmap.index_map.local_range[0]))
 

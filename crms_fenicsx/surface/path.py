@@ -12,8 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint
 
@@ -75,9 +76,7 @@ class Path:
                 raise PathError(f"{name} {position} of a path: give three finite coordinates")
             object.__setattr__(self, name, position)
 
-    def positions(
-        self, vertices: NDArray[np.int64], points: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def positions(self, vertices: Integers, points: Array) -> Array:
         """Return where the path's points are, anchors left out.
 
         Parameters
@@ -111,7 +110,7 @@ class Path:
             result[i] = np.array(point.weights) @ corners
         return result
 
-    def links(self, cells: NDArray[np.int64]) -> tuple[Link, ...]:
+    def links(self, cells: Integers) -> tuple[Link, ...]:
         """Return the way from each point to the next, and check the whole path.
 
         Parameters
@@ -185,7 +184,7 @@ class _Surroundings:
 
 
 def without_backtracking(
-    points: Sequence[SurfacePoint], cells: NDArray[np.int64]
+    points: Sequence[SurfacePoint], cells: Integers
 ) -> tuple[SurfacePoint, ...]:
     """Return the points without the detours that a polyline makes at its corners.
 
