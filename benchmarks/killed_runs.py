@@ -54,8 +54,8 @@ class Watched:
             self.memory = mmap.mmap(file.fileno(), 2 * len(PHASES))
         self.stack = ["start"]
 
-    def watch(self, owner: type, name: str, phase: str) -> None:
-        """Let calls of a method be a phase."""
+    def watch(self, owner: object, name: str, phase: str) -> None:
+        """Let calls of a method of a class, or of a function of a module, be a phase."""
         whole = getattr(owner, name)
 
         def watched(*arguments: Any, **options: Any) -> Any:
@@ -106,7 +106,7 @@ def run(folder: Path, resume: bool) -> None:
         watched.watch(Recorder, "write", "results")
         watched.watch(Journal, "keep", "checkpoint")
         watched.watch(Journal, "begin", "replay")
-        watched.watch(Solver, "draw", "picture")
+        watched.watch(sys.modules[__name__], "draw", "picture")
     scene = scene_of(comm)
     solver = Solver(scene, results=folder / "out", resume=resume)
     solver.advance(pressure=0.01, steps=2)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
+from weakref import proxy
 
-import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 from mpi4py import MPI
 
@@ -23,7 +22,7 @@ from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.membrane import Marker, Membrane
 from crms_fenicsx.model.penalty import warn_of_penalty
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.runtime.errors import InputError, collective, raised_together
 from crms_fenicsx.runtime.readonly import ReadOnly
 
@@ -36,14 +35,7 @@ ANOTHER = "make another Scene(...)"
 class Cables(tuple[LaidCable, ...]):
     """The cables of a scene in the order of laying; `remove` is all that changes them."""
 
-    _scene: Scene
-
-    @classmethod
-    def of(cls, scene: Scene) -> Cables:
-        """Those that a scene has now."""
-        cables = cls(scene.net.cables)
-        cables._scene = scene
-        return cables
+    _scene: Scene  # by a proxy: scene and cables do not keep each other alive
 
     def remove(self, cable: LaidCable | str) -> None:
         """Take a cable away; see `Scene.remove`. Collective."""
@@ -97,7 +89,7 @@ class Scene:
     """Space of the displacements."""
     u: ReadOnly[fem.Function] = ReadOnly("membrane.u", "write to its array, scene.u.x.array[:]")
     """Displacement of the vertices from the stress-free shape (length)."""
-    held: ReadOnly[npt.NDArray[np.bool_]] = ReadOnly("membrane.held", "call scene.fix(...)")
+    held: ReadOnly[Booleans] = ReadOnly("membrane.held", "call scene.fix(...)")
     """Held components of the vertices, by local degree of freedom."""
     materials: ReadOnly[dict[int, MembraneMaterial]] = ReadOnly("membrane.materials", ANOTHER)
     pressure: ReadOnly[float] = ReadOnly("_pressure", "call solver.advance(pressure=...)")
@@ -106,7 +98,6 @@ class Scene:
     """Current factor of the dead load."""
     cables: ReadOnly[Cables] = ReadOnly("_cables", "call scene.lay_cable(...) or scene.remove(...)")
     """The laid cables, in their order."""
-    _cables = property(Cables.of)
     terms: ReadOnly[tuple[EnergyTerm, ...]] = ReadOnly("_terms", "call scene.add_term(term)")
     """The terms of the energy that have been added."""
     dead_forces: ReadOnly[DeadForces | None] = ReadOnly("_dead_forces", "call scene.put_load(...)")
@@ -152,6 +143,7 @@ class Scene:
         if strain == "step":
             self.membrane.refuse_step_strain()
         self.net = CableNet(self.membrane)
+        self._shown_cables = Cables()
         self._floor_level: float | None = None
         self._pressure = self._load = 0.0
         self._dead_forces: DeadForces | None = None
@@ -164,6 +156,13 @@ class Scene:
         """Counts the states that load steps and checkpoints have brought it to."""
         self.step_history: StepHistory | None = None
         """What the step-wise laws know of the load steps before; None before the first."""
+
+    @property
+    def _cables(self) -> Cables:
+        if self._shown_cables != self.net.cables:
+            self._shown_cables = Cables(self.net.cables)
+            self._shown_cables._scene = proxy(self)
+        return self._shown_cables
 
     @property
     def energy(self) -> float:
@@ -188,7 +187,7 @@ class Scene:
         """Current positions of the vertices by local degree of freedom, (n, 3), with ghosts."""
         return self.membrane.positions()
 
-    def vertices(self, where: str | Marker) -> npt.NDArray[np.int32]:
+    def vertices(self, where: str | Marker) -> Indices:
         """Local degrees of freedom of the vertices of a named group or marked by a function.
 
         Collective; see `Membrane.vertices`.

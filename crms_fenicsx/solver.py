@@ -14,7 +14,7 @@ from crms_fenicsx.checkpoint import Run
 from crms_fenicsx.checkpoint.call_record import plain_loads
 from crms_fenicsx.checkpoint.codec import Plain
 from crms_fenicsx.checkpoint.journal import FOLDER, Journal, Progress
-from crms_fenicsx.contact.contact_force import ContactForces
+from crms_fenicsx.contact.contact_force import ContactForces, contact_forces
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
@@ -194,8 +194,6 @@ class Solver:
         InputError
             It is no cable of this scene.
         """
-        from crms_fenicsx.contact.contact_force import contact_forces
-
         checks.same(self.comm, "contact_forces", cable=cable)
         if not any(cable is own for own in self.scene.cables):
             raise InputError(f"contact_forces: {cable!r} is not a cable of this scene.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,8 +20,7 @@ FLOORS = (
 DOORS = (
     "energies.membrane cables.deformed_surface paths.held_vertices paths.laying "
     "paths.vertex_trials scene contributions equilibrium.search equilibrium.friction_loop "
-    "equilibrium.path_loop equilibrium.system verification.cable_checks verification.verifier "
-    "checkpoint solver"
+    "equilibrium.path_loop equilibrium.system verification.cable_checks verification.verifier"
 ).split()
 """Where functions may import modules of the package: kernels, friction, and what most runs do not
 need."""
@@ -122,6 +122,32 @@ def test_functions_are_short() -> None:
         if (n := lines_of_code(function, text(module))) > MOST_CODE
     ]
     assert not long, "\n".join(long)
+
+
+def test_docstrings_name_the_parameters_that_there_are() -> None:
+    """And no others, nor texts below them, which belong into notes."""
+    wrong = []
+    for module, tree in MODULES.items():
+        for node in ast.walk(tree):
+            if not isinstance(node, ast.FunctionDef | ast.ClassDef):
+                continue
+            made = [f for f in node.body if isinstance(f, ast.FunctionDef) and f.name == "__init__"]
+            function = node if isinstance(node, ast.FunctionDef) else next(iter(made), None)
+            fields = [f.target for f in node.body if isinstance(f, ast.AnnAssign)]
+            known = {ast.unparse(field) for field in fields} if function is None else {
+                argument.arg for argument in ast.walk(function) if isinstance(argument, ast.arg)
+            }  # fmt: skip
+            unknown = documented_parameters(ast.get_docstring(node) or "") - known
+            wrong += [f"{module}.{node.name}: {name}" for name in sorted(unknown)]
+    assert not wrong, "\n".join(wrong)
+
+
+def documented_parameters(docstring: str) -> set[str]:
+    """The names in the section "Parameters" of a docstring, that of numpydoc."""
+    section = re.search(r"^Parameters\n-+\n(.*?)(\n\n\w+\n---|\Z)", docstring, re.DOTALL | re.M)
+    lines = section[1].splitlines() if section else []
+    entries = [line.partition(" : ")[0] for line in lines if line[:1].strip()]
+    return {name.strip(" *") for entry in entries for name in entry.split(",")}
 
 
 def text(module: str) -> str:

@@ -18,6 +18,8 @@ def pieces(
 
     Parameters
     ----------
+    numbering
+        The cables.
     number
         Gives the number of a corner in the caller's arrays.
 

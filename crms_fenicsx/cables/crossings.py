@@ -42,6 +42,8 @@ def arrange(
 ) -> tuple[Crossing, ...]:
     """Find the crossings of the cables in tension, and insert their points into the cables.
 
+    What the last solve has found of a cable's points stays where these are as before.
+
     Parameters
     ----------
     cables
@@ -50,8 +52,6 @@ def arrange(
         Cells around them.
     known
         The crossings before: which of them are separated is kept.
-
-    What the last solve has found of a cable's points stays where these are as before.
     """
     before = [(_points(cable), cable.reference_positions, cable.blocked) for cable in cables]
     for cable in cables:

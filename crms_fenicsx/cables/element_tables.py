@@ -10,7 +10,6 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.cables.cell_cuts import chords_by_row, cut, folded_rows
 from crms_fenicsx.cables.numbering import CableNumbering, Link
@@ -23,7 +22,7 @@ from crms_fenicsx.minimization.damping import Damping
 from crms_fenicsx.model.crossing import NodeId
 from crms_fenicsx.model.materials import N_PARAMETERS
 from crms_fenicsx.model.tolerances import SAME_PLACE, SMOOTHING
-from crms_fenicsx.runtime.arrays import Array, Indices
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.surface.points import Edge, EdgePoint
 from crms_fenicsx.surface.polygons import fan_facets
@@ -72,7 +71,7 @@ class CableTables:
 
 
 def cable_tables(
-    numbering: CableNumbering, membrane: MembraneEnergy, pressed: npt.NDArray[np.bool_]
+    numbering: CableNumbering, membrane: MembraneEnergy, pressed: Booleans
 ) -> CableTables:
     """Tables of the cables in tension; `pressed` says which local cells are under pressure."""
     taut = {c: n for n, c in enumerate(c for c, k in enumerate(numbering.cables) if k.taut)}
@@ -183,7 +182,7 @@ class _FoldedCellsOf:
                         kinks.append((corners, n, member))
         return kinks
 
-    def facets(self, pressed: npt.NDArray[np.bool_]) -> Facets:
+    def facets(self, pressed: Booleans) -> Facets:
         """Facets of the polygons into which chords cut the cells under pressure."""
         numbering = self.numbering
         rows = [row for row in self.rows if pressed[numbering.strip.local[row]]]

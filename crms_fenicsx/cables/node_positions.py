@@ -1,4 +1,4 @@
-"""Where the cables' points are, told to all ranks: in space, on edges, on the membrane."""
+"""Where the cables' points are, gathered on all ranks: in space, on edges, on the membrane."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ class NodePositions:
 
     Parameters
     ----------
-    network
+    numbering
         The cables; what they touch and which of them are in tension stays as it is.
     unknowns
-        The layout that the network has made.
+        The layout that the numbering has made.
     """
 
     def __init__(self, numbering: CableNumbering, unknowns: Unknowns) -> None:
@@ -49,7 +49,7 @@ class NodePositions:
                 weights.append([*share, 0.0, 0.0, 0.0][:3])
                 slides.append(node.slides)
         self._own, self._blocks = np.array(own, dtype=np.int64), np.array(blocks, dtype=np.int64)
-        self._masters = np.array(interpolation, dtype=np.int64).reshape(-1, 3)
+        self._corners = np.array(interpolation, dtype=np.int64).reshape(-1, 3)
         self._weights = np.array(weights, dtype=float).reshape(-1, 3)
         self._sliders = np.flatnonzero(np.array(slides, dtype=bool))
 
@@ -72,14 +72,14 @@ class NodePositions:
     def _list_links(self) -> None:
         """Links with crossings on them, and which two nodes each crossing is."""
         links, shared = [], defaultdict(list)
-        told, slides, free = [], [], []
+        known, slides, free = [], [], []
         for start, cable in zip(self._starts, self.numbering.cables, strict=False):
             kinds = [node.kind for node in cable.nodes]
             on = [
                 node.point is not None and not lifted
                 for node, lifted in zip(cable.nodes, cable.lifted, strict=True)
             ]
-            told += [here and kind != "crossing" for here, kind in zip(on, kinds, strict=True)]
+            known += [here and kind != "crossing" for here, kind in zip(on, kinds, strict=True)]
             slides += [node.slides for node in cable.nodes]
             free += [cable.taut and not lifted for lifted in cable.lifted]
             for a, b in pairwise([k for k, kind in enumerate(kinds) if kind != "crossing"]):
@@ -88,7 +88,7 @@ class NodePositions:
             for k, node in enumerate(cable.nodes):
                 if node.crossing is not None:
                     shared[node.crossing].append(start + k)
-        self._told, self._slides = np.array(told, dtype=bool), np.array(slides, dtype=bool)
+        self._known, self._slides = np.array(known, dtype=bool), np.array(slides, dtype=bool)
         self._free = np.array(free, dtype=bool)
         self._links = _Lines(links)
         pairs = [pair for pair in shared.values() if len(pair) == 2]
@@ -114,10 +114,10 @@ class NodePositions:
         sliders = self._own[self._sliders]
         s = np.where(self._free[sliders], fraction[sliders], before[sliders])
         self._weights[self._sliders, :2] = np.stack([1 - s, s], axis=1)
-        material[self._own] = np.einsum("nm,nmi->ni", self._weights, unknowns.X[self._masters])
+        material[self._own] = np.einsum("nm,nmi->ni", self._weights, unknowns.X[self._corners])
         # A slack cable may have been draped anew since its points began to ride where they were.
         slack = self._sliders[~self._free[sliders]]
-        corners = places[self._masters[slack]]
+        corners = places[self._corners[slack]]
         position[self._own[slack]] = np.einsum("nm,nmi->ni", self._weights[slack], corners)
         total = np.zeros_like(local)
         unknowns.comm.Allreduce(local, total)
@@ -145,7 +145,7 @@ class NodePositions:
         cable does not say where it is, but the other one may.
         """
         position, material = total[:, :3], total[:, 4:]
-        material[~self._told] = np.nan
+        material[~self._known] = np.nan
         first, last = material[self._links.first], material[self._links.last]
         share = self._links.shares(position)[:, None]
         material[self._links.inner] = first + share * (last - first)

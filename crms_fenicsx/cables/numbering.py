@@ -1,4 +1,4 @@
-"""The points of all cables: who owns which, what its number is, and where it is now.
+"""The points of all cables: which rank owns each, and what its number is.
 
 A crossed cell is evaluated by the rank that owns it, with all segments, chords and facets in it.
 Cable points belong to one rank and are ghosts on the others that need them. All ranks know the
@@ -25,7 +25,7 @@ from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import Edge, SurfacePoint
 
-Corner = int | tuple[int, int]
+Corner = int | NodeId
 """A corner of a piece of a folded cell: a vertex by its id, or a cable's point (cable, node)."""
 
 
@@ -168,9 +168,7 @@ class CableNumbering:
         Those that are the ends themselves, and those on which rails and riders at ends depend.
         """
         strip = self.strip
-        far = [
-            (rank, v) for rank, v in far if not np.any(strip.owner[strip.rows((v,))] == rank)
-        ]  # fmt: skip
+        far = [(rank, v) for rank, v in far if not np.any(strip.owner[strip.rows((v,))] == rank)]
         self.far_vertices: dict[int, tuple[int, int]] = {}
         self._far_X: list[Array] = []
         if not far:  # all ranks know the same

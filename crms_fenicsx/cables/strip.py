@@ -109,9 +109,7 @@ class Strip:
 
     def merged(self, other: Strip) -> Strip:
         """Cells of both."""
-        keys = np.concatenate(
-            [np.stack([s.owner, s.local], axis=1) for s in (self, other)]
-        )  # fmt: skip
+        keys = np.concatenate([np.stack([s.owner, s.local], axis=1) for s in (self, other)])
         _, first = np.unique(keys, axis=0, return_index=True)
         return Strip(
             np.concatenate([self.cells, other.cells])[first],

@@ -52,7 +52,7 @@ def _own_cells(membrane: Membrane) -> Integers:
     return cell_vertex_ids(mesh)[: mesh.topology.index_map(2).size_local]
 
 
-def _gathered(membrane: Membrane, ids: Integers, chosen: npt.NDArray[np.int64]) -> Strip:
+def _gathered(membrane: Membrane, ids: Integers, chosen: Integers) -> Strip:
     """Chosen cells of all ranks."""
     edges = membrane.mesh.mesh.topology.connectivity(2, 1).array.reshape(-1, 3)[chosen]
     cell, k = np.nonzero(membrane.held_edges[edges])  # edge k lies opposite to vertex k

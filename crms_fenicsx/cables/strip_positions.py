@@ -51,6 +51,10 @@ class StripShape:
         """Current position of a vertex, by id, (3,)."""
         return self.current[self.strip.row_of[vertex]]
 
+    def mean(self, vertices: Sequence[int], weights: Sequence[float]) -> Array:
+        """Current position of a place given by weights of vertices (ids), (3,)."""
+        return np.asarray(np.dot(weights, [self.at(vertex) for vertex in vertices]))
+
     @cached_property
     def normals(self) -> Array:
         """Current normals of the cells, twice as long as their areas, (n, 3)."""

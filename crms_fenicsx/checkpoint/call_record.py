@@ -6,14 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from mpi4py import MPI
 
 from crms_fenicsx.checkpoint.codec import Plain, encode
 from crms_fenicsx.checkpoint.fields import dof_vertex_ids, edge_vertices
 from crms_fenicsx.checkpoint.fingerprint import fingerprint, mixed
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.scene import Scene
 
 Vector = Sequence[float]
@@ -79,7 +78,7 @@ def scene_record(scene: Scene) -> Plain:
     }
 
 
-def _sums(scene: Scene, ids: npt.NDArray[np.int64], values: Array) -> list[float]:
+def _sums(scene: Scene, ids: Integers, values: Array) -> list[float]:
     """Sums of the components over all ranks, weighted by the vertices' ids."""
     weights = 0.5 + (0.6180339887498949 * ids) % 1.0
     total: Array = scene.comm.allreduce(weights @ values)

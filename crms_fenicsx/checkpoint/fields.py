@@ -12,14 +12,12 @@ import numpy.typing as npt
 
 from crms_fenicsx.meshes.edge_table import edge_keys
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids, vertex_ids
+from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.output.npy import read_rows, write_rows
 from crms_fenicsx.output.shared_file import first_row
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.scene import Scene
-
-SAME_PLACE = 1e-9
-"""Distance of vertices, relative to the membrane's size, that is rounding."""
 
 
 @dataclass(frozen=True)

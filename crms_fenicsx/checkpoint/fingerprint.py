@@ -6,12 +6,12 @@ import math
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.ufl_material import UflMembrane
 from crms_fenicsx.output.npy import digest
+from crms_fenicsx.runtime.arrays import Integers
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.scene import Scene
 
@@ -100,6 +100,6 @@ def _described(material: MembraneMaterial) -> list[Any]:
     return [type(material).__name__, values, direction]
 
 
-def mixed(scene: Scene, rows: npt.NDArray[np.int64]) -> str:
+def mixed(scene: Scene, rows: Integers) -> str:
     """A number of all ranks' rows of integers, whatever their order. Collective."""
     return digest(scene.comm, np.zeros(len(rows), dtype=np.int64), rows)

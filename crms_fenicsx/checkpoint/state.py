@@ -9,16 +9,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from mpi4py import MPI
 
+from crms_fenicsx.cables.strip import Strip
+from crms_fenicsx.cables.strip_gather import cells_at
 from crms_fenicsx.checkpoint.codec import Plain, decode, encode
 from crms_fenicsx.checkpoint.contents import Contents, Run, SavedCable
 from crms_fenicsx.checkpoint.fields import Fields, read_fields, write_fields
 from crms_fenicsx.checkpoint.fingerprint import check_same, fingerprint
 from crms_fenicsx.checkpoint.folder import complete, replaced_folder
+from crms_fenicsx.energies.dead_load import DeadForces
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.output.npy import read_rows, write_rows
 from crms_fenicsx.runtime.arrays import Integers
@@ -26,9 +28,6 @@ from crms_fenicsx.runtime.checks import LONGEST
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import explained, read_text, readable
 from crms_fenicsx.scene import Scene
-
-if TYPE_CHECKING:
-    from crms_fenicsx.cables.strip import Strip
 
 STATE, CELLS = "state.json", "cells.npy"
 FORMAT = "crms_fenicsx checkpoint 4"
@@ -204,8 +203,6 @@ def _restore(scene: Scene, fields: Fields, saved: Saved) -> None:
     net.laid, net.removed_dissipation = contents.laid, contents.dissipated
     scene._dead_forces = None
     if fields.dead_forces is not None and contents.intensity is not None:
-        from crms_fenicsx.energies.dead_load import DeadForces
-
         scene._dead_forces = DeadForces(fields.dead_forces, contents.intensity)
     for own, cable in zip(scene.cables, contents.cables, strict=False):
         own.state = cable.state
@@ -218,8 +215,6 @@ def _restore(scene: Scene, fields: Fields, saved: Saved) -> None:
 
 def _strip(scene: Scene, contents: Contents) -> Strip | None:
     """The cells around the cables; None if one lies on none of them. Collective."""
-    from crms_fenicsx.cables.strip_gather import cells_at
-
     strip = cells_at(scene.membrane, contents.strip)
     points = (node.point for cable in contents.cables for node in cable.state.nodes)
     on_cells = (bool(strip.rows(point.support)) for point in points if point is not None)

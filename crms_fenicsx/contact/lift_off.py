@@ -22,7 +22,7 @@ from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 from crms_fenicsx.model.tolerances import INSIDE, SAME_PLACE
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint, VertexPoint
-from crms_fenicsx.surface.triangles import dot, norm
+from crms_fenicsx.surface.triangles import arc_lengths, dot, norm
 
 PULL = 1e-6
 """Outward force, relative to the tension, from which on a cable is let go."""
@@ -73,7 +73,7 @@ def outward_pulls(cable: LaidCable, nodes: Sequence[int], normals: Array, reache
     """
     contacts = cable.contacts()
     x, i = cable.positions[contacts], np.searchsorted(contacts, nodes)
-    arc = np.concatenate([[0.0], np.cumsum(norm(np.diff(x, axis=0)))])
+    arc = arc_lengths(x)
     crossings = [m for m, k in enumerate(contacts) if cable.nodes[k].touches_cable]
     stops = np.array([0, *crossings, len(contacts) - 1])
     before = stops[np.searchsorted(stops, i) - 1]
@@ -241,8 +241,7 @@ def drape(cable: LaidCable, shape: StripShape) -> None:
         touch(cable, places)
         positions = cable.positions.copy()
         for k in places:  # nothing moves it from there to where it says that it is
-            ids, weights = cable.interpolation(k)
-            positions[k] = np.dot(weights, [shape.at(i) for i in ids])
+            positions[k] = shape.mean(*cable.interpolation(k))
         cable.update(positions=positions)
         if not free and not places:
             return
@@ -255,6 +254,5 @@ def flat_length(cable: LaidCable, shape: StripShape) -> float:
         if cable.nodes[k].kind == "anchor":
             points.append(cable.positions[k])
         elif cable.nodes[k].kind != "crossing":
-            vertices, weights = cable.interpolation(k)
-            points.append(np.dot(weights, [shape.at(vertex) for vertex in vertices]))
+            points.append(shape.mean(*cable.interpolation(k)))
     return polyline_length(np.array(points))

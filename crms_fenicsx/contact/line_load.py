@@ -8,6 +8,7 @@ from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.gap import size_at
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.surface.triangles import arc_lengths
 
 WIDTH = 2.0
 """Width of the box filter that is applied twice, in sizes of the cells."""
@@ -62,8 +63,7 @@ def smooth_line_load(
     # Of the turn at the cable's ends nothing is known, and what presses on an edge of the boundary,
     # next to an anchor, is no line force.
     rows = [i for i, k in enumerate(run) if _may_slide(cable, k) and not _beside_anchor(cable, k)]
-    steps = np.linalg.norm(np.diff(cable.positions[run], axis=0), axis=1)
-    arc = np.concatenate([[0.0], np.cumsum(steps)])
+    arc = arc_lengths(cable.positions[run])
     own = stretches(arc)[rows]
     inner = [run[i] for i in rows]
     if len(inner) < 2 or own[-1, 1] <= own[0, 0]:

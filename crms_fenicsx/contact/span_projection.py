@@ -1,4 +1,4 @@
-"""Shadows: the cells under the free spans of a cable, where it may touch down.
+"""Projections of spans: the cells under a cable off the membrane, where it may touch down.
 
 A span is straight; the path under it is the section of the membrane with the plane through the
 span and the membrane's normal. It is found by walking from cell to cell, by the signs of the
@@ -133,7 +133,7 @@ def anchor_foot(shape: StripShape, cell: tuple[int, int, int], place: Array) -> 
 def with_span_projections(
     cable: LaidCable, shape: StripShape
 ) -> tuple[list[SurfacePoint], list[bool]] | None:
-    """The path of a cable with the shadows of its spans renewed: points, and which are lifted.
+    """The path of a cable with the projections of its spans renewed: points, and which are lifted.
 
     Returns
     -------
@@ -164,14 +164,14 @@ def _supports(points: Sequence[SurfacePoint]) -> list[tuple[int, ...]]:
 
 
 def _renewed(cable: LaidCable, a: int, b: int, shape: StripShape) -> list[SurfacePoint] | None:
-    """The shadow of the span between two contacts."""
+    """The projection of the span between two contacts."""
     ends = [(cable.nodes[k], cable.positions[k]) for k in (a, b)]
     if ends[0][0].point is not None:
         return project_span(shape, *ends[0], *ends[1])
     if ends[1][0].point is not None:
         back = project_span(shape, *ends[1], *ends[0])
         return None if back is None else back[::-1]
-    # Off the membrane altogether: both ways from the middle of the shadow that there was.
+    # Off the membrane altogether: both ways from the middle of the old projection.
     own = [k for k in range(a + 1, b) if cable.nodes[k].point is not None]
     middle = own[len(own) // 2]
     node = cable.nodes[middle]

@@ -12,16 +12,7 @@ from crms_fenicsx.scene import Scene
 
 
 class AddedTermsContribution(Contribution):
-    """The terms of `Scene.add_term`.
-
-    Parameters
-    ----------
-    scene
-        The scene.
-    """
-
-    def __init__(self, scene: Scene) -> None:
-        self.scene = scene
+    """The terms of `Scene.add_term`."""
 
     @property
     def has_history(self) -> bool:

@@ -47,10 +47,14 @@ class CableContribution(Contribution):
 
     Attributes
     ----------
-    network
+    numbering
         Numbering of the cables' points.
     unknowns
         The layout with these points.
+    node_positions
+        Copies the positions of the points to the cables.
+    taut
+        The cables in tension.
     tables
         This rank's elements of the cables in tension; None without any.
     folds
@@ -64,7 +68,7 @@ class CableContribution(Contribution):
     def __init__(
         self, scene: Scene, membrane: MembraneContribution, pressure: PressureContribution
     ) -> None:
-        self.scene = scene
+        super().__init__(scene)
         scene.net.arrange_crossings()
         assert scene.net.strip is not None
         self.numbering = CableNumbering(scene.cables, scene.net.strip, scene.u)
@@ -122,11 +126,11 @@ class CableContribution(Contribution):
         return CableTension(*links, EA, L0)
 
     def read_scene(self, potential: Potential) -> None:
-        numbering, unknowns = self.numbering, self.unknowns
+        numbering, unknowns, cables = self.numbering, self.unknowns, self.scene.cables
         for (c, k), number in numbering.numbers.items():
             block = numbering.blocks[number]
             if block >= 0:
-                potential.x[block] = self.scene.cables[c].positions[k] - unknowns.X[block]
+                potential.x[block] = cables[c].positions[k] - unknowns.X[block]
         unknowns.update_ghosts(potential.x_vector)  # far vertices, with rails on them
         numbering.rails.place(unknowns, potential.x)
         if self.tension is not None:
@@ -140,13 +144,13 @@ class CableContribution(Contribution):
 
     def write_scene(self, potential: Potential) -> None:
         self.locate(potential)
-        for cable in self.scene.cables:
-            length = polyline_length(cable.positions[cable.contacts()])
-            cable.update(length=length, tension=0.0)
+        tensions = dict.fromkeys(self.scene.cables, 0.0)
         if self.tension is not None:
             forces = self.tension.tensions(potential.sums_of(self.tension))
-            for cable, force in zip(self.sliding, forces, strict=True):
-                cable.update(tension=float(force))
+            tensions.update(zip(self.sliding, map(float, forces), strict=True))
+        for cable, tension in tensions.items():
+            length = polyline_length(cable.positions[cable.contacts()])
+            cable.update(length=length, tension=tension)
 
     def renew_excess(self, potential: Potential) -> bool:
         lengths: list[tuple[LaidCable, float]] = []

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.minimization.potential import Potential
-
-if TYPE_CHECKING:
-    from crms_fenicsx.model.crossing import NodeId
+from crms_fenicsx.model.crossing import NodeId
+from crms_fenicsx.scene import Scene
 
 
 class Contribution:
     """One feature of a scene: its terms, and what goes between them and the scene.
 
     Every method does nothing by default. All are called on all ranks, in the order of the terms.
+
+    Parameters
+    ----------
+    scene
+        The scene.
     """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
 
     @property
     def is_stale(self) -> bool:

@@ -50,7 +50,8 @@ class FoldContribution(Contribution):
         pressure: PressureContribution,
         tables: CableTables | None,
     ) -> None:
-        self.scene, self.membrane, self.pressure, self.tables = scene, membrane, pressure, tables
+        super().__init__(scene)
+        self.membrane, self.pressure, self.tables = membrane, pressure, tables
 
     def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
         # Every rank has the same terms, so that sums line up; folds may be on some ranks only.

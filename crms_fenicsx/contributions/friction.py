@@ -34,7 +34,8 @@ class FrictionContribution(Contribution):
     """
 
     def __init__(self, scene: Scene, cables: CableContribution) -> None:
-        self.scene, self.cables = scene, cables
+        super().__init__(scene)
+        self.cables = cables
         self.stick_slip: LateralFriction | None = None
         self.elements: FrictionElementEnergy | None = None
 

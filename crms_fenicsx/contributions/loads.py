@@ -46,7 +46,8 @@ class PressureContribution(Contribution):
     """
 
     def __init__(self, scene: Scene, membrane: MembraneContribution) -> None:
-        self.scene, self.membrane = scene, membrane
+        super().__init__(scene)
+        self.membrane = membrane
         self.cells = fem.Function(membrane.energy.plain.function_space)
         self.value = fem.Constant(scene.mesh.mesh, PETSc.ScalarType(0.0))
         self.term: FollowerPressure | StepPressure | None = None
@@ -101,17 +102,9 @@ class PressureContribution(Contribution):
 
 
 class DeadLoadContribution(Contribution):
-    """The dead load that `Scene.put_load` has put on the membrane.
+    """The dead load that `Scene.put_load` has put on the membrane."""
 
-    Parameters
-    ----------
-    scene
-        The scene.
-    """
-
-    def __init__(self, scene: Scene) -> None:
-        self.scene = scene
-        self.term: DeadLoad | None = None
+    term: DeadLoad | None = None
 
     def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
         forces = self.scene.dead_forces

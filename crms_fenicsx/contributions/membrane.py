@@ -38,7 +38,7 @@ class MembraneContribution(Contribution):
     """
 
     def __init__(self, scene: Scene) -> None:
-        self.scene = scene
+        super().__init__(scene)
         law = MembraneEnergy if scene.strain_law == "total" else StepMembraneEnergy
         self.energy = law(scene.u, scene.materials, scene.membrane.cell_tags)
         self.folded_energy = np.zeros(1)

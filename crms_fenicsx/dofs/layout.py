@@ -19,14 +19,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 from petsc4py import PETSc
 
-from crms_fenicsx.runtime.arrays import Array, Indices
+from crms_fenicsx.runtime.arrays import Array, Indices, Integers
 
 
-def vertex_starts(V: fem.FunctionSpace) -> npt.NDArray[np.int64]:
+def vertex_starts(V: fem.FunctionSpace) -> Integers:
     """Global numbers of the ranks' first vertices, (ranks,). Collective."""
     return np.array(V.mesh.comm.allgather(V.dofmap.index_map.local_range[0]))
 
@@ -180,24 +179,24 @@ class Unknowns:
     ) -> None:
         """Let points ride on vertices: their position is a weighted mean of the vertices'.
 
+        `X` must have the places of all these blocks.
+
         Parameters
         ----------
         riders
             Local blocks of cable points, (n,).
-        masters, weights
+        interpolation, weights
             Local blocks of three vertices each and their weights, (n, 3).
         n_loaded
             How many of the first of them have forces; None: all. Others are idle: an evaluation of
             the energy leaves them where they are, see `place_idle_riders`.
-
-        `X` must have the places of all these blocks.
         """
         self.riders, self.interpolation, self.weights = riders, interpolation, weights
         self.n_riders, self.n_loaded = len(riders), len(riders) if n_loaded is None else n_loaded
         self.held[riders] = True
         self._undisplaced = np.einsum("nk,nki->ni", weights, self.X[interpolation]) - self.X[riders]
         loaded = interpolation[: self.n_loaded]
-        self._master_components = (3 * loaded[:, :, None] + np.arange(3)).ravel()
+        self._loaded_components = (3 * loaded[:, :, None] + np.arange(3)).ravel()
 
     def place_riders(self, x: Array) -> None:
         """Move the riders that have forces with their vertices."""
@@ -252,7 +251,7 @@ class Unknowns:
             riders = self.riders[: self.n_loaded]
             parts = self.weights[: self.n_loaded, :, None] * g[riders][:, None, :]
             # one by one: six times as fast as by rows of three
-            np.add.at(g.reshape(-1), self._master_components, parts.ravel())
+            np.add.at(g.reshape(-1), self._loaded_components, parts.ravel())
             g[riders] = 0.0
 
     def spread(self, rows: Indices, cols: Indices) -> tuple[Indices, Indices, Array]:

@@ -29,6 +29,7 @@ from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import Support
+from crms_fenicsx.surface.triangles import arc_lengths
 
 LEAST_PART = 0.01
 """Least part of a change of the bounds that is taken."""
@@ -58,12 +59,9 @@ class RestPlaces:
 def initial_state(cable: LaidCable, shape: StripShape) -> AxialGrip:
     """Grip of a cable that has the same strain everywhere, as one that has just been laid."""
     supports = _supports(cable)
-    n = len(supports)
     curve, rest = _curve(cable, shape, [], np.zeros(0))
-    none, zero = np.zeros(0), np.zeros(n)
-    return AxialGrip(
-        curve, rest, supports, zero, zero, none, none, none, zero
-    )  # fmt: skip
+    none, zero = np.zeros(0), np.zeros(len(supports))
+    return AxialGrip(curve, rest, supports, zero, zero, none, none, none, zero)
 
 
 def _supports(cable: LaidCable) -> tuple[Support, ...]:
@@ -221,11 +219,8 @@ def _curve(
     last = len(cable.nodes) - 1
     on = [k for k in cable.path_nodes() if not (0 < k < last and is_foot(cable, k))]
     points = np.array([material_place(cable, k, shape) for k in on]).reshape(-1, 3)
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    arc = np.concatenate([np.zeros(min(len(points), 1)), np.cumsum(steps)])
-    none = np.zeros(len(on))
-    curve = MaterialCurve(points, arc, np.zeros(len(on), dtype=np.int64), none, none)
-    way = np.linalg.norm(np.diff(cable.positions, axis=0), axis=1)
-    passed = np.concatenate([[0.0], np.cumsum(way)])
+    parts, none = np.zeros(len(on), dtype=np.int64), np.zeros(len(on))
+    curve = MaterialCurve(points, arc_lengths(points), parts, none, none)
+    passed = arc_lengths(cable.positions)
     rest = np.interp(passed, passed[[0, *nodes, last]], [0.0, *arcs, cable.L0 + cable.excess])
     return curve, rest[on]

@@ -19,7 +19,7 @@ from crms_fenicsx.model.friction_history import MaterialCurve
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import Support
-from crms_fenicsx.surface.triangles import cross
+from crms_fenicsx.surface.triangles import arc_lengths, cross
 
 
 @dataclass(frozen=True)
@@ -73,10 +73,9 @@ def material_curve(
         nodes += run
         part += [number] * len(run)
     points = np.array([material_place(cable, k, shape) for k in nodes]).reshape(-1, 3)
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     return MaterialCurve(
         points,
-        np.concatenate([np.zeros(min(len(points), 1)), np.cumsum(steps)]),
+        arc_lengths(points),
         np.array(part, dtype=np.int64),
         np.array([elastic.get(k, 0.0) for k in nodes]),
         np.array([moving.get(k, 0.0) for k in nodes]),

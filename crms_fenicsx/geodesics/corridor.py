@@ -105,8 +105,8 @@ def why_invalid(
     ----------
     supports
         A corridor in which consecutive supports share a cell.
-    thirds
-        Vertices opposite to an edge; see `Surface.opposite_vertices`.
+    opposite_vertices
+        Gives the vertices opposite to an edge; see `Surface.opposite_vertices`.
 
     Returns
     -------

@@ -87,7 +87,9 @@ def pull_taut(
         Lengths of the edges of these cells. Three lengths that make no triangle count as those
         of a flat one.
 
-    Source: D. T. Lee and F. P. Preparata, Euclidean shortest paths in the presence of rectilinear
+    Notes
+    -----
+    D. T. Lee and F. P. Preparata, Euclidean shortest paths in the presence of rectilinear
     barriers, Networks 14 (1984).
     """
     return _through(start, edges, end, lengths) if edges else _direct(start, end, lengths)

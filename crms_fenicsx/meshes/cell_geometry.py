@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem, la
 
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.runtime.compat import geometry_dofmap
 
 
@@ -42,13 +41,13 @@ class OpenEdges:
         How many more cells pass from the first vertex to the second one than back.
     """
 
-    numbers: npt.NDArray[np.int32]
-    vertices: npt.NDArray[np.int32]
-    ids: npt.NDArray[np.int64]
+    numbers: Indices
+    vertices: Indices
+    ids: Integers
     senses: Array
 
 
-def open_edges(V: fem.FunctionSpace, pressed: npt.NDArray[np.bool_]) -> OpenEdges:
+def open_edges(V: fem.FunctionSpace, pressed: Booleans) -> OpenEdges:
     """Edges at which the cells under pressure do not cancel each other. Collective.
 
     The exact follower pressure has a potential only if these are held or slide in planes: each cell

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from crms_fenicsx.runtime.arrays import Booleans, Integers
 
-def edge_keys(pairs: NDArray[np.integer]) -> NDArray[np.int64]:
+
+def edge_keys(pairs: NDArray[np.integer]) -> Integers:
     """Give each vertex pair, shape (k, 2), an integer that does not depend on its order."""
     pairs = np.sort(pairs.astype(np.int64).reshape(-1, 2), axis=1)
     return (pairs[:, 0] << 32) | pairs[:, 1]
@@ -32,14 +34,14 @@ class EdgeTable:
         Sides sorted by the edge they lie on, shape (3 m,).
     """
 
-    keys: NDArray[np.int64]
-    vertices: NDArray[np.int64]
+    keys: Integers
+    vertices: Integers
     counts: NDArray[np.intp]
-    ascending: NDArray[np.bool_]
+    ascending: Booleans
     order: NDArray[np.intp]
 
     @classmethod
-    def of(cls, cells: NDArray[np.int64]) -> EdgeTable:
+    def of(cls, cells: Integers) -> EdgeTable:
         """Build the table of the cells, shape (m, 3)."""
         sides = cells[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
         side_keys = edge_keys(sides)
@@ -60,14 +62,14 @@ class EdgeTable:
         """Return pairs of sides that link all cells of every seam, an edge of three or more."""
         return self._chained(self.counts > 2)
 
-    def _chained(self, edges: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    def _chained(self, edges: Booleans) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return each side on the edges marked but the last one of its edge, and the next side."""
         before_last = np.repeat(edges, self.counts)
         before_last[np.cumsum(self.counts) - 1] = False
         at = np.flatnonzero(before_last)
         return self.order[at], self.order[at + 1]
 
-    def boundary(self) -> NDArray[np.int64]:
+    def boundary(self) -> Integers:
         """Return the vertex pairs of the edges with one cell, shape (k, 2)."""
-        pairs: NDArray[np.int64] = self.vertices[self.counts == 1]
+        pairs: Integers = self.vertices[self.counts == 1]
         return pairs

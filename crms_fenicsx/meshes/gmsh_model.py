@@ -7,11 +7,10 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crms_fenicsx.meshes.reader_process import gmsh_arrays
 from crms_fenicsx.meshes.surface import SurfaceArrays
-from crms_fenicsx.runtime.arrays import Integers
+from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.errors import MeshError
 
 _TRIANGLE = "Triangle 3"  # gmsh's name
@@ -69,7 +68,7 @@ def own_model(*, quiet_only: bool = False) -> Iterator[Any]:
             gmsh.finalize()
 
 
-def mesh_with_sizes(gmsh: Any, target: Callable[[NDArray[np.float64]], float]) -> None:
+def mesh_with_sizes(gmsh: Any, target: Callable[[Array], float]) -> None:
     """Mesh the surfaces of the current model.
 
     Parameters
@@ -147,8 +146,8 @@ def surface_of_model(model: dict[str, Any]) -> SurfaceArrays:
 
 
 def _without_repetitions(
-    triangles: NDArray[np.int64],
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    triangles: Integers,
+) -> tuple[Integers, Integers]:
     """Return the different triangles, in the order given, and the place of each one there."""
     corners = np.sort(triangles, axis=1)
     order = np.lexsort(corners.T)

@@ -12,13 +12,14 @@ from typing import ParamSpec
 import dolfinx.mesh
 import numpy as np
 from mpi4py import MPI
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from crms_fenicsx.meshes.edge_table import edge_keys
 from crms_fenicsx.meshes.orientation import UPWARD, Outside
 from crms_fenicsx.meshes.partition import Ranks, cell_ranks, checked_ranks
 from crms_fenicsx.meshes.surface import EMPTY, SurfaceArrays, checked_surface
 from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Indices, Integers
 from crms_fenicsx.runtime.compat import create_mesh, geometry_dofmap
 from crms_fenicsx.runtime.errors import raised_together
 
@@ -50,10 +51,10 @@ class MembraneMesh:
     """
 
     mesh: dolfinx.mesh.Mesh
-    edges: Mapping[str, NDArray[np.int32]]
-    parts: Mapping[str, NDArray[np.int32]]
-    points: Mapping[str, NDArray[np.int32]]
-    hidden: NDArray[np.int32]
+    edges: Mapping[str, Indices]
+    parts: Mapping[str, Indices]
+    points: Mapping[str, Indices]
+    hidden: Indices
 
     @property
     def comm(self) -> MPI.Intracomm:
@@ -194,7 +195,7 @@ def mesh_generator(shape: Callable[P, SurfaceArrays]) -> Callable[P, MembraneMes
     return generate
 
 
-def vertex_nodes(mesh: dolfinx.mesh.Mesh) -> NDArray[np.int32]:
+def vertex_nodes(mesh: dolfinx.mesh.Mesh) -> Indices:
     """Return the geometry node of each local vertex, shape (vertices on this rank,)."""
     vertex_map = mesh.topology.index_map(0)
     nodes = np.empty(vertex_map.size_local + vertex_map.num_ghosts, dtype=np.int32)
@@ -202,19 +203,19 @@ def vertex_nodes(mesh: dolfinx.mesh.Mesh) -> NDArray[np.int32]:
     return nodes
 
 
-def vertex_ids(mesh: dolfinx.mesh.Mesh) -> NDArray[np.int64]:
+def vertex_ids(mesh: dolfinx.mesh.Mesh) -> Integers:
     """Return the number of each local vertex in the mesh as it was given, shape (n,)."""
     return np.asarray(mesh.geometry.input_global_indices[vertex_nodes(mesh)], dtype=np.int64)
 
 
-def cell_vertex_ids(mesh: dolfinx.mesh.Mesh) -> NDArray[np.int64]:
+def cell_vertex_ids(mesh: dolfinx.mesh.Mesh) -> Integers:
     """Return the `vertex_ids` of each local cell's corners, shape (m, 3)."""
     return np.asarray(mesh.geometry.input_global_indices[geometry_dofmap(mesh)], dtype=np.int64)
 
 
 def _local_groups(
-    comm: MPI.Intracomm, keys: NDArray[np.int64], groups: Mapping[str, NDArray[np.int64]]
-) -> Mapping[str, NDArray[np.int32]]:
+    comm: MPI.Intracomm, keys: Integers, groups: Mapping[str, Integers]
+) -> Mapping[str, Indices]:
     """Find each rank's members of the groups that rank 0 knows, by the keys of its entities.
 
     Rank 0 looks up the keys of one rank after the other, so that no other rank ever holds
@@ -230,7 +231,7 @@ def _local_groups(
             }
             for theirs in asked
         ]
-    local: dict[str, NDArray[np.int32]] = comm.scatter(answers, root=0)
+    local: dict[str, Indices] = comm.scatter(answers, root=0)
     for indices in local.values():
         indices.setflags(write=False)
     return MappingProxyType(local)

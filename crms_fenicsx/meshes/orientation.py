@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crms_fenicsx.meshes.edge_table import EdgeTable
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.runtime.errors import MeshError, as_text
 
 _VANISHING = 1e-6  # share of a piece's area below which `outside` does not tell its sides apart
@@ -38,23 +39,23 @@ Outside = Side | Mapping[str, Side]
 """A side for the whole surface, or for some parts by name, where others have theirs upward."""
 
 
-def connected_labels(size: int, a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
+def connected_labels(size: int, a: Integers, b: Integers) -> Integers:
     """Label the connected components of the graph with links a[k]-b[k] between `size` nodes."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
     links = coo_array((np.ones(len(a), dtype=bool), (a, b)), shape=(size, size))
-    labels: NDArray[np.int64] = connected_components(links, directed=False)[1].astype(np.int64)
+    labels: Integers = connected_components(links, directed=False)[1].astype(np.int64)
     return labels
 
 
 def oriented(
-    points: NDArray[np.float64],
-    cells: NDArray[np.int64],
+    points: Array,
+    cells: Integers,
     table: EdgeTable,
     outside: Outside,
-    parts: Mapping[str, NDArray[np.int64]],
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    parts: Mapping[str, Integers],
+) -> tuple[Integers, Integers]:
     """Turn cells so that all normals point outside.
 
     Each cell is two nodes of a graph, "as given" (index c) and "turned" (index m + c). An inner
@@ -108,13 +109,11 @@ def oriented(
     return _turned(cells, turn), piece.astype(np.int64)
 
 
-def _turned(cells: NDArray[np.int64], turn: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _turned(cells: Integers, turn: Booleans) -> Integers:
     return np.where(turn[:, None], cells[:, [0, 2, 1]], cells)
 
 
-def _targets(
-    centres: NDArray[np.float64], outside: Outside, parts: Mapping[str, NDArray[np.int64]]
-) -> NDArray[np.float64]:
+def _targets(centres: Array, outside: Outside, parts: Mapping[str, Integers]) -> Array:
     """Return what the normal of each cell shall point along, shape (m, 3), of any length."""
     if not isinstance(outside, Mapping):
         return _along(centres, outside)
@@ -137,7 +136,7 @@ def _targets(
     return targets
 
 
-def _along(centres: NDArray[np.float64], side: Side) -> NDArray[np.float64]:
+def _along(centres: Array, side: Side) -> Array:
     if isinstance(side, AwayFrom):
         return centres - _three_numbers(side.point, "the inner point of `outside`")
     direction = _three_numbers(side, "the direction `outside`")
@@ -147,12 +146,12 @@ def _along(centres: NDArray[np.float64], side: Side) -> NDArray[np.float64]:
 
 
 def _pieces_inside_out(
-    points: NDArray[np.float64],
-    cells: NDArray[np.int64],
+    points: Array,
+    cells: Integers,
     piece: NDArray[np.intp],
-    targets: NDArray[np.float64],
+    targets: Array,
     outside: Outside,
-) -> NDArray[np.bool_]:
+) -> Booleans:
     """Tell for each piece whether its normals point inside on the whole."""
     corners = points[cells]
     area = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -170,7 +169,7 @@ def _pieces_inside_out(
     return flux < 0
 
 
-def _three_numbers(values: Sequence[float], what: str) -> NDArray[np.float64]:
+def _three_numbers(values: Sequence[float], what: str) -> Array:
     try:
         vector = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.runtime.errors import MeshError
 
 
-def simple_outline(corners: Sequence[Sequence[float]]) -> NDArray[np.float64]:
+def simple_outline(corners: Sequence[Sequence[float]]) -> Array:
     """Return the corners of a simple polygon, shape (n, 2), in the given order.
 
     Raises
@@ -51,21 +51,21 @@ def simple_outline(corners: Sequence[Sequence[float]]) -> NDArray[np.float64]:
     return outline
 
 
-def _cross(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+def _cross(u: Array, v: Array) -> Array:
     return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
 
 
-def _folds_back(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _folds_back(u: Array, v: Array) -> Booleans:
     back = (_cross(u, v) == 0) & (np.einsum("ij,ij->i", u, v) < 0)
     return np.asarray(back, dtype=np.bool_)
 
 
 def _meet(
-    a: NDArray[np.float64],
-    b: NDArray[np.float64],
-    c: NDArray[np.float64],
-    d: NDArray[np.float64],
-) -> NDArray[np.bool_]:
+    a: Array,
+    b: Array,
+    c: Array,
+    d: Array,
+) -> Booleans:
     """Tell which segments a-b and c-d have a point in common."""
     apart = (np.maximum(a, b) < np.minimum(c, d)) | (np.maximum(c, d) < np.minimum(a, b))
     c_d_sides = _cross(b - a, c - a) * _cross(b - a, d - a)

@@ -11,20 +11,19 @@ from collections.abc import Callable
 
 import numpy as np
 from mpi4py import MPI
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from crms_fenicsx.meshes.orientation import connected_labels
 from crms_fenicsx.meshes.surface import Surface
+from crms_fenicsx.runtime.arrays import Array, Indices, Integers
 from crms_fenicsx.runtime.compat import default_ranks
 from crms_fenicsx.runtime.errors import MeshError
 
-Ranks = ArrayLike | Callable[[NDArray[np.float64]], ArrayLike]
+Ranks = ArrayLike | Callable[[Array], ArrayLike]
 """The rank of each cell, (m,), or a function that gives it from the cells' midpoints, (m, 3)."""
 
 
-def cell_ranks(
-    comm: MPI.Intracomm, surface: Surface, given: NDArray[np.int32] | None
-) -> NDArray[np.int32] | None:
+def cell_ranks(comm: MPI.Intracomm, surface: Surface, given: Indices | None) -> Indices | None:
     """Choose the ranks of the cells of a surface that is all on rank 0. Collective.
 
     Parameters
@@ -50,7 +49,7 @@ def cell_ranks(
     return kept_together(given, surface.seam_links)
 
 
-def kept_together(ranks: NDArray[np.int32], links: NDArray[np.int64]) -> NDArray[np.int32]:
+def kept_together(ranks: Indices, links: Integers) -> Indices:
     """Move linked cells to one rank: the lowest among those that they had.
 
     Parameters
@@ -65,11 +64,11 @@ def kept_together(ranks: NDArray[np.int32], links: NDArray[np.int64]) -> NDArray
     label = connected_labels(len(ranks), links[:, 0], links[:, 1])
     least = np.full(label.max() + 1, np.iinfo(np.int32).max, dtype=np.int32)
     np.minimum.at(least, label, ranks)
-    moved: NDArray[np.int32] = least[label]
+    moved: Indices = least[label]
     return moved
 
 
-def checked_ranks(surface: Surface, ranks: Ranks, size: int) -> NDArray[np.int32]:
+def checked_ranks(surface: Surface, ranks: Ranks, size: int) -> Indices:
     """Return the rank of each cell as the caller wants it.
 
     Parameters

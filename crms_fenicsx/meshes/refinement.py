@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crms_fenicsx.meshes.arguments import check_positive
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
 
 
@@ -101,7 +101,7 @@ class TargetSize:
             squared = np.einsum("ij,ij->i", self._along, self._along)
             self._squared = np.where(squared > 0, squared, 1.0)
 
-    def __call__(self, point: NDArray[np.float64]) -> float:
+    def __call__(self, point: Array) -> float:
         """Return the wanted edge length at a point, shape (3,)."""
         if not self.refined:
             return self.general

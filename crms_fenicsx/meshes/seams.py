@@ -8,14 +8,12 @@ down on the wall that hangs below it.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crms_fenicsx.meshes.edge_table import EdgeTable
+from crms_fenicsx.runtime.arrays import Array, Integers
 
 
-def hidden_cells(
-    points: NDArray[np.float64], cells: NDArray[np.int64], piece: NDArray[np.int64]
-) -> NDArray[np.int64]:
+def hidden_cells(points: Array, cells: Integers, piece: Integers) -> Integers:
     """Find the cells of pieces that no cable can reach over a seam.
 
     Parameters

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from crms_fenicsx.meshes.edge_table import EdgeTable, edge_keys
 from crms_fenicsx.meshes.orientation import Outside, connected_labels, oriented
 from crms_fenicsx.meshes.seams import hidden_cells
+from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.errors import MeshError, as_text
 
 BOUNDARY = "boundary"
@@ -51,13 +52,13 @@ class Surface:
         Indices of the cells of pieces behind seams; see `seams.hidden_cells`.
     """
 
-    points: NDArray[np.float64]
-    cells: NDArray[np.int64]
-    edges: dict[str, NDArray[np.int64]]
-    parts: dict[str, NDArray[np.int64]]
-    point_groups: dict[str, NDArray[np.int64]]
-    seam_links: NDArray[np.int64]
-    hidden: NDArray[np.int64]
+    points: Array
+    cells: Integers
+    edges: dict[str, Integers]
+    parts: dict[str, Integers]
+    point_groups: dict[str, Integers]
+    seam_links: Integers
+    hidden: Integers
 
 
 EMPTY = Surface(
@@ -98,15 +99,15 @@ def checked_surface(arrays: SurfaceArrays, outside: Outside) -> Surface:
     )
 
 
-def _place(points: NDArray[np.float64], vertex: int) -> str:
+def _place(points: Array, vertex: int) -> str:
     return f"vertex {vertex} at {as_text(points[vertex])}"
 
 
-def _places(points: NDArray[np.float64], vertices: NDArray[np.int64]) -> str:
+def _places(points: Array, vertices: Integers) -> str:
     return ", ".join(_place(points, int(vertex)) for vertex in vertices)
 
 
-def _coordinates(given: ArrayLike) -> NDArray[np.float64]:
+def _coordinates(given: ArrayLike) -> Array:
     try:
         points = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
@@ -124,7 +125,7 @@ def _coordinates(given: ArrayLike) -> NDArray[np.float64]:
     return np.ascontiguousarray(points)
 
 
-def _integers(given: ArrayLike, what: str) -> NDArray[np.int64]:
+def _integers(given: ArrayLike, what: str) -> Integers:
     try:
         array: NDArray[Any] = np.asarray(given)
     except ValueError as error:  # rows of different lengths
@@ -134,7 +135,7 @@ def _integers(given: ArrayLike, what: str) -> NDArray[np.int64]:
     return array.astype(np.int64)
 
 
-def _cells(given: ArrayLike, points: NDArray[np.float64]) -> NDArray[np.int64]:
+def _cells(given: ArrayLike, points: Array) -> Integers:
     cells = _integers(given, "the cells")
     if cells.size == 0:
         raise MeshError("the mesh has no cells: give at least one triangle")
@@ -152,7 +153,7 @@ def _cells(given: ArrayLike, points: NDArray[np.float64]) -> NDArray[np.int64]:
     return cells
 
 
-def _check_shapes(points: NDArray[np.float64], cells: NDArray[np.int64]) -> None:
+def _check_shapes(points: Array, cells: Integers) -> None:
     """Refuse degenerate cells, duplicate cells and loose vertices."""
     corners = points[cells]
     sides = corners[:, [1, 2, 0]] - corners
@@ -181,7 +182,7 @@ def _check_shapes(points: NDArray[np.float64], cells: NDArray[np.int64]) -> None
         )
 
 
-def _check_fans(points: NDArray[np.float64], cells: NDArray[np.int64], table: EdgeTable) -> None:
+def _check_fans(points: Array, cells: Integers, table: EdgeTable) -> None:
     """Refuse vertices where separate fans only touch; one edge with any number of cells joins."""
     first, second = table.joined_sides()
     next_corner = np.arange(cells.size).reshape(-1, 3)[:, [1, 2, 0]].ravel()
@@ -216,8 +217,8 @@ def _members(groups: Mapping[str, ArrayLike], kind: str) -> Iterable[tuple[str, 
 
 
 def _edge_groups(
-    groups: Mapping[str, ArrayLike], points: NDArray[np.float64], table: EdgeTable
-) -> dict[str, NDArray[np.int64]]:
+    groups: Mapping[str, ArrayLike], points: Array, table: EdgeTable
+) -> dict[str, Integers]:
     checked = {BOUNDARY: edge_keys(table.boundary())}
     for name, given in _members(groups, "edge group"):
         _check_name(name, "edge group")
@@ -248,7 +249,7 @@ def _edge_groups(
 
 def _index_groups(
     groups: Mapping[str, ArrayLike], kind: str, items: str, count: int
-) -> dict[str, NDArray[np.int64]]:
+) -> dict[str, Integers]:
     checked = {}
     for name, given in _members(groups, kind):
         _check_name(name, kind)
@@ -262,7 +263,7 @@ def _index_groups(
     return checked
 
 
-def _check_range(indices: NDArray[np.int64], what: str, items: str, count: int) -> None:
+def _check_range(indices: Integers, what: str, items: str, count: int) -> None:
     bad = indices[(indices < 0) | (indices >= count)]
     if len(bad):
         raise MeshError(f"{what} names {bad[0]}, but there are only {items} 0 to {count - 1}")

@@ -9,7 +9,7 @@ import numpy as np
 
 from crms_fenicsx.model.friction_history import AxialGrip, Grip
 from crms_fenicsx.runtime.arrays import Array, Booleans
-from crms_fenicsx.surface.points import EdgePoint, SurfacePoint, VertexPoint
+from crms_fenicsx.surface.points import EdgePoint, SurfacePoint
 
 End = Literal["tied", "held", "off"]
 """How a cable's end is held: tied to a place of the membrane, held at its place on a held part of
@@ -59,13 +59,10 @@ class CableNode:
     ) -> tuple[tuple[int, ...], tuple[float, ...]]:
         """Vertices (ids) and weights that give the place on the unfolded mesh."""
         point = self.point
-        if isinstance(point, VertexPoint):
-            return (point.vertex,), (1.0,)
-        if isinstance(point, EdgePoint):
-            s = point.fraction if fraction is None else fraction
-            return point.edge, (1 - s, s)
         assert point is not None, "an anchor has no place on the mesh"
-        return point.cell, point.weights
+        if fraction is not None and isinstance(point, EdgePoint):
+            return point.edge, (1 - fraction, fraction)
+        return point.support, point.weights
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,7 @@ from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.runtime.readonly import ReadOnly
 from crms_fenicsx.surface.path import Path
-from crms_fenicsx.surface.points import EdgePoint, SurfacePoint
-
-LEAST, MOST = float(np.finfo(float).tiny), float(1.0 - np.finfo(float).epsneg)
-"""Places on an edge of points that run into its ends."""
-
+from crms_fenicsx.surface.points import LEAST, MOST, EdgePoint, SurfacePoint
 
 FOUND = "it follows from the loads, call solver.advance(...)"
 RELAY = "lay another cable with scene.lay_cable(...) instead"

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 from dolfinx.mesh import MeshTags, meshtags
 
@@ -14,10 +13,10 @@ from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.meshes.cell_geometry import OpenEdges, area_vectors, open_edges
 from crms_fenicsx.model.materials import LINEAR, UFL_LAW, MembraneMaterial
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array, Indices
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.runtime.errors import InputError, PathError, collective, raised_together
 
-Marker = Callable[[Array], npt.NDArray[np.bool_]]
+Marker = Callable[[Array], Booleans]
 """A function of stress-free coordinates (3, n) that returns (n,) booleans."""
 COMPONENTS = {"x": 0, "y": 1, "z": 2}
 
@@ -130,7 +129,7 @@ class Membrane:
                 )
 
     @collective
-    def vertices(self, where: str | Marker) -> npt.NDArray[np.int32]:
+    def vertices(self, where: str | Marker) -> Indices:
         """Local degrees of freedom of the vertices of a named group or marked by a function.
 
         Parameters
@@ -146,7 +145,7 @@ class Membrane:
         """
         checks.same(self.comm, "vertices", where=where)
         mesh = self.mesh
-        dofs: npt.NDArray[np.int32] = np.zeros(0, dtype=np.int32)
+        dofs: Indices = np.zeros(0, dtype=np.int32)
         with raised_together(self.comm):
             if callable(where):
                 marks = np.asarray(where(self.V.tabulate_dof_coordinates().T))
@@ -254,7 +253,7 @@ class Membrane:
                 f"fix: directions = {directions!r} must be made of the letters x, y and z."
             )
         dofs = self.vertices(where)
-        edges: npt.NDArray[np.int32] = np.zeros(0, dtype=np.int32)
+        edges: Indices = np.zeros(0, dtype=np.int32)
         if isinstance(where, str) and where in self.mesh.edges and set(directions) == set("xyz"):
             edges = self.mesh.edges[where]
         new = self.comm.allreduce(int(np.count_nonzero(~self.held_edges[edges])))
@@ -310,7 +309,7 @@ def _assign_materials(
     return meshtags(mesh.mesh, 2, cells, tags), {k: value for k, (_, value) in enumerate(given)}
 
 
-def _pressed_cells(mesh: MembraneMesh, pressure_on: Sequence[str] | None) -> npt.NDArray[np.bool_]:
+def _pressed_cells(mesh: MembraneMesh, pressure_on: Sequence[str] | None) -> Booleans:
     """Whether pressure acts on each local cell, (n,)."""
     cells = mesh.mesh.topology.index_map(2)
     n = cells.size_local + cells.num_ghosts

@@ -7,8 +7,8 @@ reason given, so that what one module has placed is not taken for something else
 from __future__ import annotations
 
 SAME_PLACE = 1e-9
-"""Distance, relative to a cable's length or to the size of the cells around, of points that were
-given as one place."""
+"""Distance, relative to a cable's length or to the size of the membrane or of the cells around, of
+points that were given as one place."""
 
 SMOOTHING = 3e-3
 """Lengths of segments are smoothed by this part of the size of the cells around. Fold points that

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
 
 
@@ -116,7 +117,7 @@ class Line:
         return Line(points, data, self.name)
 
 
-def checked_points(what: str, given: ArrayLike) -> NDArray[np.float64]:
+def checked_points(what: str, given: ArrayLike) -> Array:
     """Return points as an (n, 3) array of finite floats, or raise `InputError`."""
     points = np.ascontiguousarray(given, dtype=np.float64)
     if points.size == 0:

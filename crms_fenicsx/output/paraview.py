@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from crms_fenicsx.output.data import Line, Surface
 from crms_fenicsx.output.vtu import write_vtu
+from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import PARTIAL, absolute, make_writable, read_text, replaced
 
@@ -113,7 +114,7 @@ class Series:
                     self._list("cables", time, f"cables_{step:06d}.vtu")
         self.times.append(float(time))
 
-    def _rows(self, surface: Surface) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _rows(self, surface: Surface) -> tuple[Integers, Integers]:
         """The points that this rank writes, and the row of each of its points in the file."""
         n = len(surface.points)  # type: ignore[arg-type]
         homes = np.stack([np.full(n, self.comm.rank), np.arange(n)], axis=1)
@@ -206,9 +207,7 @@ def _entry(time: float, name: str) -> str:
     return f'    <DataSet timestep="{float(time)!r}" part="0" file={file}/>\n'
 
 
-Joined = tuple[
-    NDArray[np.float64], NDArray[np.int64], dict[str, NDArray[Any]], dict[str, NDArray[Any]]
-]
+Joined = tuple[Array, Integers, dict[str, NDArray[Any]], dict[str, NDArray[Any]]]
 """Points, cells, and data on both."""
 
 
@@ -231,5 +230,5 @@ def _joined(lines: Sequence[Line]) -> Joined:
                 name, np.full(starts[-1] if per_point else len(first), np.nan)
             )
             whole[start : start + counts[index] - (not per_point)] = array
-    points: NDArray[np.float64] = np.concatenate([np.empty((0, 3)), *(a.points for a in lines)])
+    points: Array = np.concatenate([np.empty((0, 3)), *(a.points for a in lines)])
     return points, np.column_stack([first, first + 1]), on_points, on_segments

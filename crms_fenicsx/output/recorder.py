@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.cables.deformed_surface import current_surface
 from crms_fenicsx.cables.enclosed_volume import gained_volume
@@ -18,6 +17,7 @@ from crms_fenicsx.output.history import History, Value
 from crms_fenicsx.output.lock import FolderLock
 from crms_fenicsx.output.paraview import Series
 from crms_fenicsx.results.membrane_results import membrane_results
+from crms_fenicsx.runtime.arrays import Integers
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.steps.load_step import Step
@@ -185,7 +185,7 @@ def _begins(path: Path, history: History) -> bool:
     )
 
 
-def _homes(scene: Scene, points: int) -> npt.NDArray[np.int64]:
+def _homes(scene: Scene, points: int) -> Integers:
     """Rank and number there of the points of the current surface, (points, 2). Collective.
 
     Vertices belong to their owners. After them come the points of cables on folded cells: each

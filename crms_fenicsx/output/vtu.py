@@ -16,6 +16,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from crms_fenicsx.output.shared_file import Part, first_row, write_together
+from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.errors import InputError
 
 CELL_TYPES = {2: 3, 3: 5}
@@ -72,8 +73,8 @@ class Column(NamedTuple):
 def write_vtu(
     path: Path,
     comm: MPI.Intracomm,
-    points: NDArray[np.float64],
-    cells: NDArray[np.int64],
+    points: Array,
+    cells: Integers,
     point_data: Mapping[str, NDArray[Any]],
     cell_data: Mapping[str, NDArray[Any]],
 ) -> None:

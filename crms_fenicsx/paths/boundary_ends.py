@@ -129,8 +129,8 @@ def _follow(change: PathChange, cable: LaidCable, last: bool) -> bool:
     ids, weights = foot.interpolation()
     for rings in itertools.count(1):
         shape = change.surface(ids).shape
-        start = np.dot(weights, [shape.at(i) for i in ids])
         try:
+            start = shape.mean(ids, weights)
             way = project_span(shape, foot, start, cable.nodes[anchor], place)
             break
         except MissingCells as missing:

@@ -17,7 +17,7 @@ from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.intrinsic import MissingCells, Ring, ring_of
 from crms_fenicsx.surface.points import Edge
-from crms_fenicsx.surface.triangles import norm
+from crms_fenicsx.surface.triangles import arc_lengths, norm
 
 
 class CreasedSurface:
@@ -79,13 +79,10 @@ class CreasedSurface:
             around = self.membrane_ring(edge[0]).neighbours
             return tuple(v for v in (around[0], around[-1]) if edge[1] in self._joined_to(v))
         cells = (self.strip.corners[row] for row in self.strip.outer_rows(edge))
-        opposite_vertices = tuple(v for cell in cells for v in cell if v not in edge)
+        opposite = tuple(v for cell in cells for v in cell if v not in edge)
         if self.anchors and self.is_boundary(edge):
-            return (
-                *opposite_vertices,
-                *sorted(self._joined_to(edge[0]) & self._joined_to(edge[1])),
-            )
-        return opposite_vertices
+            return (*opposite, *sorted(self._joined_to(edge[0]) & self._joined_to(edge[1])))
+        return opposite
 
     def is_boundary(self, support: tuple[int, ...]) -> bool:
         """Whether a vertex or an edge of the membrane lies on its boundary."""
@@ -126,6 +123,6 @@ class CreasedSurface:
     def place(self, edge: Edge, fraction: float) -> Array:
         """Position on an edge at a share of its length."""
         line = self.line(edge)
-        run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+        run = arc_lengths(line)
         place = [np.interp(fraction * run[-1], run, line[:, i]) for i in range(3)]
         return np.array(place)

@@ -52,7 +52,6 @@ def unfolded(net: CableNet, route: Array) -> tuple[Array, dict[int, SurfacePoint
                 continue
             known[len(rows)] = cable.point(k)
             folds.append(x[at[0]])
-            ids, weights = cable.interpolation(k)
-            target = np.dot(weights, [shape.at(v) for v in ids])
+            target = shape.mean(*cable.interpolation(k))
         rows.append(target)
     return np.array(rows), known, folds

@@ -95,16 +95,16 @@ def straighten_kinks(
         cable = change.net.cables[c]
         if cable.slides_freely or not cable.nodes[k].slides:
             continue
-        rim = cable.path_nodes()
-        i = rim.index(k)
-        way = cable.name, tuple(cable.nodes[m].support for m in rim[max(i - 1, 0) : i + 2])
+        on_path = cable.path_nodes()
+        i = on_path.index(k)
+        way = cable.name, tuple(cable.nodes[m].support for m in on_path[max(i - 1, 0) : i + 2])
         if way in tried.straightened:
             continue
         tried.straightened.add(way)
-        contacts = [j for j, m in enumerate(rim) if not cable.lifted[m]]
+        contacts = [j for j, m in enumerate(on_path) if not cable.lifted[m]]
         at = contacts.index(i)
         first, last = contacts[max(at - 2, 0)], contacts[min(at + 2, len(contacts) - 1)]
-        moved |= straighten(change, cable, rim[first : last + 1])
+        moved |= straighten(change, cable, on_path[first : last + 1])
     return moved
 
 

@@ -26,7 +26,7 @@ from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import GRIPPED, PRESSED
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import Support, edge_of
-from crms_fenicsx.surface.triangles import norm
+from crms_fenicsx.surface.triangles import arc_lengths
 
 SLACK, TINY = 0.05, 1e-5
 """By how much a pull must exceed the friction force, relative to it and to the tension."""
@@ -177,7 +177,7 @@ def held_runs(cable: LaidCable, shape: StripShape) -> list[Run]:
 def _parts(row: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]]:
     """The parts of a row that are left to one side and to the other."""
     contacts = cable.contacts()
-    arc = np.concatenate([[0.0], np.cumsum(norm(np.diff(cable.positions[contacts], axis=0)))])
+    arc = arc_lengths(cable.positions[contacts])
     at = np.searchsorted(contacts, [one.nodes[0] for one in row])
     ends = max(int(at[0]) - 1, 0), min(int(at[-1]) + 1, len(arc) - 1)
     places = np.concatenate([arc[[ends[0]]], arc[at], arc[[ends[1]]]])

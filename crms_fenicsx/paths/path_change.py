@@ -139,8 +139,7 @@ class PathChange:
             elif isinstance(node.point, EdgePoint):
                 positions[k] = surface.place(node.point.edge, node.point.fraction)
             else:
-                ids, weights = node.interpolation()
-                positions[k] = np.dot(weights, [surface.shape.at(i) for i in ids])
+                positions[k] = surface.shape.mean(*node.interpolation())
         self.net.crossings = at_nodes(self.net.crossings, cable)
         cable.set_nodes(nodes, positions, fractions, flags)
 

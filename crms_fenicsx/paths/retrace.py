@@ -94,7 +94,7 @@ class Retracer:
                 except MissingCells as missing:
                     self.net.grow_strip(missing.vertices, rings)
                     surface = self.change.surface()
-            # A span that turns over its own touchdown keeps the shadow that it had.
+            # A span that turns over its own touchdown keeps the projection that it had.
             if found is not None and not why_invalid(corridor(found[0]), surface.opposite_vertices):
                 points, lifted = found
                 surface = self.change.surface([v for point in points for v in point.support])
@@ -190,9 +190,8 @@ class Retracer:
                 before, after = self.change.beyond(cable, surface, path, run)
                 joined = self.change.with_anchors(cable, surface)
                 string = [*before, *new, *after]
-                if why_invalid(
-                    corridor(string), joined.opposite_vertices
-                ):  # a span over its own touchdown
+                # Not where a span turns over its own touchdown.
+                if why_invalid(corridor(string), joined.opposite_vertices):
                     before, after, string = [], [], new
                 if len(string) > 2 and not why_invalid(corridor(string), joined.opposite_vertices):
                     refused.add(corridor(string))

@@ -116,11 +116,11 @@ def way_past(change: PathChange, cable: LaidCable, run: Run) -> WayPast | None:
 
 def adopt(change: PathChange, cable: LaidCable, way: WayPast) -> None:
     """Give a cable a way past vertices; all nodes that it had stay where they are."""
-    supports, rim = way.supports, cable.path_nodes()
+    supports, on_path = way.supports, cable.path_nodes()
     change.net.grow_strip([v for support in supports for v in support])
     strip = change.net.strip
     assert strip is not None
-    old = {cable.nodes[k].support: k for k in rim}
+    old = {cable.nodes[k].support: k for k in on_path}
     least = BEYOND * (1 + 0.02 * change.net.cables.index(cable))
 
     def kept(k: int) -> tuple[CableNode, Array, float, bool]:
@@ -134,15 +134,15 @@ def adopt(change: PathChange, cable: LaidCable, way: WayPast) -> None:
         return node, way.surface.place(edge, fraction), fraction, False
 
     last = len(cable.nodes) - 1
-    rows = [kept(0)] if rim[0] > 0 else []  # an anchor
+    rows = [kept(0)] if on_path[0] > 0 else []  # an anchor
     rows += [kept(old[s]) if s in old else new((s[0], s[1])) for s in supports]
-    rows += [kept(last)] if rim[-1] < last else []
+    rows += [kept(last)] if on_path[-1] < last else []
     nodes, positions, fractions, lifted = zip(*rows, strict=True)
     cable.set_nodes(nodes, np.array(positions), np.array(fractions), np.array(lifted))
-    rim = cable.path_nodes()
-    added = [i for i, k in enumerate(rim) if cable.nodes[k].support not in old]
+    on_path = cable.path_nodes()
+    added = [i for i, k in enumerate(on_path) if cable.nodes[k].support not in old]
     if added:  # along the membrane's boundary there may only be fewer
-        straighten(change, cable, rim[max(added[0] - 1, 0) : added[-1] + 2])
+        straighten(change, cable, on_path[max(added[0] - 1, 0) : added[-1] + 2])
 
 
 def straighten(change: PathChange, cable: LaidCable, part: list[int]) -> bool:

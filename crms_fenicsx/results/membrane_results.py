@@ -1,4 +1,4 @@
-"""What a state says: stresses and strains of the membrane, reactions, the volume gained."""
+"""Stresses and strains of the membrane in an equilibrium, cell by cell."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.scene import Scene
 
@@ -53,7 +53,7 @@ class MembraneResults:
     state: npt.NDArray[np.int8]
     normals: Array
     areas: Array
-    folded: npt.NDArray[np.bool_]
+    folded: Booleans
 
 
 def membrane_results(system: System) -> MembraneResults:

@@ -34,7 +34,7 @@ def reactions(system: System, where: str | Marker) -> Reactions:
     """Forces that the supports of vertices exert on the membrane. Collective.
 
     They include what a cable hands on that passes over held edges, and not the pull of a cable's
-    end, which is its anchor's: `crms_fenicsx.model.cable.CableEnd.reaction`.
+    end, which is its anchor's: `crms_fenicsx.model.laid_cable.CableEnd.reaction`.
 
     Parameters
     ----------

@@ -15,12 +15,14 @@ from dolfinx.cpp.graph import AdjacencyList_int32
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from crms_fenicsx.runtime.arrays import Array, Indices, Integers
+
 
 def create_mesh(
     comm: MPI.Intracomm,
-    cells: NDArray[np.int64],
-    points: NDArray[np.float64],
-    ranks: NDArray[np.int32] | None = None,
+    cells: Integers,
+    points: Array,
+    ranks: Indices | None = None,
 ) -> dolfinx.mesh.Mesh:
     """Distribute a triangulated surface in space, without ghost cells.
 
@@ -48,7 +50,7 @@ def create_mesh(
     return dolfinx.mesh.create_mesh(comm, cells=cells, x=points, e=element, partitioner=partitioner)
 
 
-def default_ranks(comm: MPI.Intracomm, cells: NDArray[np.int64]) -> NDArray[np.int32]:
+def default_ranks(comm: MPI.Intracomm, cells: Integers) -> Indices:
     """Return the ranks that DOLFINx would send cells to. Collective.
 
     Parameters
@@ -73,12 +75,10 @@ def default_ranks(comm: MPI.Intracomm, cells: NDArray[np.int64]) -> NDArray[np.i
     return np.array(found.array, dtype=np.int32)
 
 
-def geometry_dofmap(mesh: dolfinx.mesh.Mesh) -> NDArray[np.int32]:
+def geometry_dofmap(mesh: dolfinx.mesh.Mesh) -> Indices:
     """Return the geometry nodes of each local cell, shape (cells on this rank, 3)."""
     geometry: Any = mesh.geometry
-    dofmap: NDArray[np.int32] = (
-        geometry.dofmaps[0] if hasattr(geometry, "dofmaps") else geometry.dofmap
-    )
+    dofmap: Indices = geometry.dofmaps[0] if hasattr(geometry, "dofmaps") else geometry.dofmap
     return dofmap
 
 

@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, TypeVar, cast
 
-import numpy as np
-import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc  # noqa: F401 (its end is registered before what is registered here)
+
+from crms_fenicsx.runtime.arrays import Array
 
 PATIENCE = 60.0
 """Seconds for which a rank with an error waits for the others to have one as well."""
@@ -62,7 +62,7 @@ class PictureWarning(UserWarning):
     """A mesh too large for a picture, which one process draws from all of it."""
 
 
-def as_text(position: Sequence[float] | npt.NDArray[np.float64]) -> str:
+def as_text(position: Sequence[float] | Array) -> str:
     """A place as messages show it: what rounding has left of a zero is one."""
     least = 1e-12 * max(map(abs, position))
     return "(" + ", ".join(f"{x if abs(x) > least else 0.0:.6g}" for x in position) + ")"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
@@ -11,15 +10,13 @@ from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.steps.loading import Target, has_free_rim
 from crms_fenicsx.steps.options import Options
 from crms_fenicsx.steps.starting_prestress import starting_prestress
 from crms_fenicsx.verification.report import Verification
 from crms_fenicsx.verification.verifier import Verifier
-
-if TYPE_CHECKING:
-    from crms_fenicsx.paths.tried_paths import TriedPaths
 
 MOST_TURNS = 50
 """Solves of an increment with the paper's pressure on a membrane with free edges."""

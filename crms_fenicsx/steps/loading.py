@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx.fem import locate_dofs_topological
 from mpi4py import MPI
 
@@ -15,7 +14,7 @@ from crms_fenicsx.energies.pressure_rim import rim_of
 from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Indices
 from crms_fenicsx.runtime.errors import InputError, as_text, raised_together
 from crms_fenicsx.scene import Scene
 
@@ -117,7 +116,7 @@ def checked_target(
                 f"advance: {name} = {given!r} is no mapping; write {name}={{what: value}}."
             )
     ends: list[tuple[int, int, Array]] = []
-    vertices: list[tuple[npt.NDArray[np.int32], Array]] = []
+    vertices: list[tuple[Indices, Array]] = []
     for key, vector in _in_order(move):
         displacement = checks.vector(f"advance: move of {key!r}", vector)
         if isinstance(key, LaidCable):
@@ -172,7 +171,7 @@ def _number(scene: Scene, cable: object) -> int:
     raise InputError(f"advance: {cable!r} is not a cable of this scene.")
 
 
-def _held_group(scene: Scene, name: str, displacement: Array) -> npt.NDArray[np.int32]:
+def _held_group(scene: Scene, name: str, displacement: Array) -> Indices:
     dofs = scene.vertices(name)
     moving = displacement != 0.0
     with raised_together(scene.comm):
@@ -201,7 +200,7 @@ def _check_above_floor(scene: Scene, moved: Array) -> None:
             )
 
 
-def _moved(scene: Scene, vertices: list[tuple[npt.NDArray[np.int32], Array]]) -> Array:
+def _moved(scene: Scene, vertices: list[tuple[Indices, Array]]) -> Array:
     """Movements of all vertices, (n, 3); those of a vertex in several groups add up."""
     moved = np.zeros_like(scene.held, dtype=np.float64)
     for dofs, displacement in vertices:

@@ -11,12 +11,11 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import ArrayLike
 
+from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.errors import PathError, as_text
 from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint
 from crms_fenicsx.surface.triangles import (
     WALL,
-    Floats,
-    Ints,
     altitudes,
     balls,
     closest,
@@ -46,9 +45,9 @@ Node = tuple[int, ...]
 class Surface:
     """A triangulated surface: global ids (n,), positions (n, 3), rows of both (m, 3)."""
 
-    ids: Ints
-    points: Floats
-    cells: Ints
+    ids: Integers
+    points: Array
+    cells: Integers
     size: float  # its longest edge
 
     @classmethod
@@ -83,7 +82,7 @@ class Surface:
         return {int(vertex): row for row, vertex in enumerate(self.ids)}
 
     @cached_property
-    def boxes(self) -> tuple[Floats, Floats]:
+    def boxes(self) -> tuple[Array, Array]:
         """Least and greatest coordinates of the cells in plan, (m, 2) each."""
         corners = self.points[self.cells][:, :, :2]
         return corners.min(axis=1), corners.max(axis=1)
@@ -93,9 +92,9 @@ class Surface:
 class Foot:
     """The place of a surface nearest to a point in space, in a cell of a certain size."""
 
-    position: Floats
+    position: Array
     distance: float
-    normal: Floats
+    normal: Array
     size: float
 
 
@@ -107,8 +106,8 @@ class Place:
     """
 
     point: SurfacePoint | None
-    position: Floats
-    normal: Floats
+    position: Array
+    normal: Array
     foot: Foot | None = None
     beyond: bool = False
 
@@ -118,14 +117,14 @@ class Place:
         x, y, z = (float(c) for c in self.position)
         return None if self.point is not None else (x, y, z)
 
-    def is_straight_over(self, position: Floats, snap: float) -> bool:
+    def is_straight_over(self, position: Array, snap: float) -> bool:
         """Say whether it is an anchor with its foot at a place of the surface."""
         return self.foot is not None and bool(
             norm(self.foot.position - position) <= snap * self.foot.size
         )
 
 
-def place_in_plan(surface: Surface, xy: Floats, index: int, snap: float) -> Place:
+def place_in_plan(surface: Surface, xy: Array, index: int, snap: float) -> Place:
     """Return the place of a route point given in plan, on the uppermost sheet there.
 
     A point outside by less than `RIM` of the cell there is meant to lie on the rim.
@@ -148,7 +147,7 @@ def place_in_plan(surface: Surface, xy: Floats, index: int, snap: float) -> Plac
     return Place(point, position, np.array([0.0, 0.0, 1.0]))
 
 
-def _on_the_rim(surface: Surface, xy: Floats, index: int) -> Floats:
+def _on_the_rim(surface: Surface, xy: Array, index: int) -> Array:
     """Return the nearest place in plan to a point just outside, as a curved rim's points are."""
     triangles = surface.points[surface.cells]
     flat, target = flattened(triangles), np.array([xy[0], xy[1], 0.0])
@@ -165,8 +164,8 @@ def _on_the_rim(surface: Surface, xy: Floats, index: int) -> Floats:
 
 
 def locate(
-    surface: Surface, rows: Ints, triangles: Floats, target: Floats, snap: float
-) -> tuple[SurfacePoint, Floats]:
+    surface: Surface, rows: Integers, triangles: Array, target: Array, snap: float
+) -> tuple[SurfacePoint, Array]:
     """Return the point of the surface at `target`, which all the cells `rows` hold or touch."""
     corners = surface.cells[rows]
     reach = snap * altitudes(triangles)
@@ -175,7 +174,7 @@ def locate(
     if np.isfinite(to_corner).any():
         row = corners.ravel()[np.argmin(to_corner)]
         return VertexPoint(int(surface.ids[row])), surface.points[row].copy()
-    best: tuple[float, Node, float, Floats] | None = None
+    best: tuple[float, Node, float, Array] | None = None
     for cell, triangle, near in zip(lists(corners), vectors(triangles), reach, strict=True):
         for i, j in ((0, 1), (1, 2), (2, 0)):
             if surface.ids[cell[i]] > surface.ids[cell[j]]:
@@ -197,7 +196,9 @@ def locate(
     return CellPoint((a, b, c), (u, v, w)), position
 
 
-def foot_of(points: Floats, cells: Ints, target: Floats, comm: MPI.Intracomm | None = None) -> Foot:
+def foot_of(
+    points: Array, cells: Integers, target: Array, comm: MPI.Intracomm | None = None
+) -> Foot:
     """Return the nearest place of the surface, the same on all ranks of `comm`."""
     triangles = points[cells]
     centre, radius = balls(triangles)
@@ -232,7 +233,7 @@ def foot_of(points: Floats, cells: Ints, target: Floats, comm: MPI.Intracomm | N
     return Foot(position, held[0], normal / max(float(norm(normal)), 1e-300), size)
 
 
-def touching(points: Floats, cells: Ints, position: Floats, snap: float) -> Ints:
+def touching(points: Array, cells: Integers, position: Array, snap: float) -> Integers:
     """Return the rows of the cells that hold or touch a place of the surface."""
     triangles = points[cells]
     centre, radius = balls(triangles)
@@ -244,7 +245,7 @@ def touching(points: Floats, cells: Ints, position: Floats, snap: float) -> Ints
 
 
 def places_in_space(
-    surface: Surface, course: Floats, snap: float, known: Mapping[int, SurfacePoint]
+    surface: Surface, course: Array, snap: float, known: Mapping[int, SurfacePoint]
 ) -> list[Place]:
     """Return the places of route points given in space; the first and last may be anchors.
 

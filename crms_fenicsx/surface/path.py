@@ -1,4 +1,4 @@
-"""Where a cable crosses the mesh: typed points of the surface and the paths through them.
+"""The path of a cable through typed points of the mesh: which cells and edges it goes through.
 
 A cable is a polyline whose points lie on vertices and edges of the mesh, never strictly inside a
 cell, except its two ends. Vertices are named by their global ids, so a path means the same on
@@ -12,8 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint
 
@@ -75,9 +76,7 @@ class Path:
                 raise PathError(f"{name} {position} of a path: give three finite coordinates")
             object.__setattr__(self, name, position)
 
-    def positions(
-        self, vertices: NDArray[np.int64], points: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def positions(self, vertices: Integers, points: Array) -> Array:
         """Return where the path's points are, anchors left out.
 
         Parameters
@@ -108,10 +107,10 @@ class Path:
         result = np.empty((len(self.points), 3))
         for i, point in enumerate(self.points):
             corners = points[[row_of[v] for v in point.support]]
-            result[i] = np.array(_weights(point)) @ corners
+            result[i] = np.array(point.weights) @ corners
         return result
 
-    def links(self, cells: NDArray[np.int64]) -> tuple[Link, ...]:
+    def links(self, cells: Integers) -> tuple[Link, ...]:
         """Return the way from each point to the next, and check the whole path.
 
         Parameters
@@ -142,15 +141,6 @@ class Path:
                 )
             links.append(link)
         return tuple(links)
-
-
-def _weights(point: SurfacePoint) -> tuple[float, ...]:
-    """Return the weights of the point's support."""
-    if isinstance(point, VertexPoint):
-        return (1.0,)
-    if isinstance(point, EdgePoint):
-        return (1.0 - point.fraction, point.fraction)
-    return point.weights
 
 
 def _on_one_edge(a: SurfacePoint, b: SurfacePoint) -> bool:
@@ -194,7 +184,7 @@ class _Surroundings:
 
 
 def without_backtracking(
-    points: Sequence[SurfacePoint], cells: NDArray[np.int64]
+    points: Sequence[SurfacePoint], cells: Integers
 ) -> tuple[SurfacePoint, ...]:
     """Return the points without the detours that a polyline makes at its corners.
 

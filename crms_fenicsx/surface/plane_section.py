@@ -14,24 +14,18 @@ from itertools import combinations
 
 import numpy as np
 
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.runtime.errors import PathError, as_text
 from crms_fenicsx.surface.closest_point import Node, Place, Surface, edge_count
-from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint
-from crms_fenicsx.surface.triangles import (
-    WALL,
-    Bools,
-    Floats,
-    Ints,
-    altitudes,
-    cross,
-    dot,
-    double_areas,
-    lists,
-    norm,
+from crms_fenicsx.surface.points import (
+    LEAST,
+    MOST,
+    CellPoint,
+    EdgePoint,
+    SurfacePoint,
+    VertexPoint,
 )
-
-# A fraction that rounding has put on a vertex, where the signs say that it is not, goes here.
-LEAST, MOST = float(np.finfo(float).tiny), float(1.0 - np.finfo(float).epsneg)
+from crms_fenicsx.surface.triangles import WALL, altitudes, cross, dot, double_areas, lists, norm
 
 # Nodes of a section: (vertex,), (smaller, larger) for an edge, and the two ends of a leg where
 # they are neither.
@@ -52,13 +46,13 @@ class Plane:
     `length` is that of the leg seen along the normal.
     """
 
-    origin: Floats
-    ahead: Floats
-    across: Floats
+    origin: Array
+    ahead: Array
+    across: Array
     length: float
 
     @classmethod
-    def of(cls, a: Floats, b: Floats, normal_a: Floats, normal_b: Floats) -> Plane:
+    def of(cls, a: Array, b: Array, normal_a: Array, normal_b: Array) -> Plane:
         """Return the plane through two points and the mean of two directions."""
         up = normal_a + normal_b
         across = cross(up, (b - a) / norm(b - a))
@@ -72,15 +66,15 @@ class Plane:
         ahead = np.asarray(cross(across, up) / norm(up), dtype=np.float64)
         return cls(a, ahead, across, float(dot(b - a, ahead)))
 
-    def offsets(self, points: Floats) -> Floats:
+    def offsets(self, points: Array) -> Array:
         """Return the distances (n,) of (n, 3) points from the plane, with sign."""
         return dot(points - self.origin, self.across)
 
-    def advances(self, points: Floats) -> Floats:
+    def advances(self, points: Array) -> Array:
         """Return how far (n,) along the leg (n, 3) points are, seen along its mean normal."""
         return dot(points - self.origin, self.ahead)
 
-    def altitudes(self, triangles: Floats) -> Floats:
+    def altitudes(self, triangles: Array) -> Array:
         """Return the smallest altitudes (m,) of the projections of (m, 3, 3) triangles.
 
         A wall has none: it counts with its true one, if it is not parallel to the plane.
@@ -93,7 +87,7 @@ class Plane:
         return np.where(wall, upright, altitudes(flat))
 
 
-def in_strip(plane: Plane, points: Floats, cells: Ints, reach: float) -> Bools:
+def in_strip(plane: Plane, points: Array, cells: Integers, reach: float) -> Booleans:
     """Mark the cells that the plane crosses or passes within `reach`.
 
     `reach` covers what the ends may be moved when they snap, and grows beyond the ends, where
@@ -128,7 +122,7 @@ class Section:
     """
 
     points: dict[Node, SurfacePoint]
-    positions: dict[Node, Floats]
+    positions: dict[Node, Array]
     arcs: dict[Node, dict[Node, float]]
     rim: set[Node]
     cells: dict[Node, list[Node]]
@@ -139,7 +133,7 @@ class Section:
         length = float(norm(self.positions[a] - self.positions[b]))
         self.arcs[a][b] = self.arcs[b][a] = length
 
-    def put(self, point: SurfacePoint, position: Floats, own: Node) -> Node:
+    def put(self, point: SurfacePoint, position: Array, own: Node) -> Node:
         """Return the node of a point, which is `own`, put in, where there is none yet."""
         known = not isinstance(point, CellPoint) and point.support in self.points
         node = point.support if known else own
@@ -158,8 +152,8 @@ class Section:
         return node
 
     def nearest(
-        self, target: Floats, surface: Surface, snap: float
-    ) -> tuple[SurfacePoint, Floats] | None:
+        self, target: Array, surface: Surface, snap: float
+    ) -> tuple[SurfacePoint, Array] | None:
         """Return the section's place nearest to a point of its plane; None if it is empty.
 
         It is a node where it is as near to one as `snap` says.
@@ -198,7 +192,7 @@ class Section:
         away from the membrane there.
         """
         ends: list[Node] = []
-        looks: list[Floats] = []
+        looks: list[Array] = []
         for node in sorted(self.rim):
             if len(self.arcs[node]) == 1:
                 (inner,) = self.arcs[node]
@@ -252,7 +246,7 @@ def section_with(
                 on_rim = node[0] in rim_vertices
             else:
                 t = float(offset[here[0]] / (offset[here[0]] - offset[here[1]]))
-                t = min(max(t, LEAST), MOST)
+                t = min(max(t, LEAST), MOST)  # rounding must not undo what the signs say
                 section.points[node] = EdgePoint((node[0], node[1]), t)
                 section.positions[node] = (1.0 - t) * x[0] + t * x[1]
                 on_rim = count[node] == 1

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from crms_fenicsx.runtime.errors import PathError
 
 Support = tuple[int, ...]
 
 Edge = tuple[int, int]
+
+LEAST, MOST = float(np.finfo(float).tiny), float(1.0 - np.finfo(float).epsneg)
+"""The first and the last place inside an edge: for points that run into its ends, or that rounding
+has put there."""
 
 
 def edge_of(a: int, b: int) -> Edge:
@@ -42,6 +48,11 @@ class VertexPoint:
     def support(self) -> tuple[int, ...]:
         """Vertices of the smallest simplex that holds the point."""
         return (self.vertex,)
+
+    @property
+    def weights(self) -> tuple[float, ...]:
+        """Barycentric weights of these vertices."""
+        return (1.0,)
 
     def __str__(self) -> str:
         return f"vertex {self.vertex}"
@@ -83,6 +94,11 @@ class EdgePoint:
     def support(self) -> tuple[int, ...]:
         """Vertices of the smallest simplex that holds the point."""
         return self.edge
+
+    @property
+    def weights(self) -> tuple[float, ...]:
+        """Barycentric weights of these vertices."""
+        return (1.0 - self.fraction, self.fraction)
 
     def __str__(self) -> str:
         return f"edge {self.edge} at {self.fraction:.6g}"

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 
 from crms_fenicsx.runtime.arrays import Array, Indices, Integers
 
@@ -15,7 +14,7 @@ from crms_fenicsx.runtime.arrays import Array, Indices, Integers
 def fan_facets(polygons: Sequence[Sequence[int]]) -> tuple[Indices, Array]:
     """Facets (n, 3) of the mean over the fans from every corner of polygons, with weights (n,)."""
     sizes = np.array([len(polygon) for polygon in polygons], dtype=np.int64)
-    numbers: list[npt.NDArray[np.int64]] = []
+    numbers: list[Integers] = []
     corners: list[Indices] = [np.zeros((0, 3), dtype=np.int32)]
     weights: list[Array] = [np.zeros(0)]
     for n in np.unique(sizes):

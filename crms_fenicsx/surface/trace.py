@@ -17,6 +17,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import ArrayLike
 
+from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.runtime.errors import PathError, as_text
 from crms_fenicsx.surface.closest_point import (
     RIM,
@@ -39,16 +40,7 @@ from crms_fenicsx.surface.plane_section import (
     way_back,
 )
 from crms_fenicsx.surface.points import CellPoint, SurfacePoint
-from crms_fenicsx.surface.triangles import (
-    Bools,
-    Floats,
-    balls,
-    dot,
-    flattened,
-    longest_sides,
-    norm,
-    vectors,
-)
+from crms_fenicsx.surface.triangles import balls, dot, flattened, longest_sides, norm, vectors
 
 # The direct way is shorter than one around the back by more than this: two ways around a tube that
 # are about as long are as good as each other.
@@ -138,7 +130,7 @@ def near_section(
     *,
     snap: float = 1e-3,
     comm: MPI.Intracomm | None = None,
-) -> Bools:
+) -> Booleans:
     """Mark the cells that `trace` needs: it finds the same path on them as on the whole mesh.
 
     Parameters
@@ -203,7 +195,7 @@ def near_section(
     return mask
 
 
-def _refuse_shortcuts(surface: Surface, path: Path, course: Floats, places: list[Place]) -> None:
+def _refuse_shortcuts(surface: Surface, path: Path, course: Array, places: list[Place]) -> None:
     """Refuse a path that does not pass the route's places in order, within the size of their cells.
 
     A route that comes back through the cells that it went out by cannot be held by their edges:
@@ -234,7 +226,7 @@ def _refuse_shortcuts(surface: Surface, path: Path, course: Floats, places: list
         passed = k + float(first[k])
 
 
-def _checked_route(route: ArrayLike, snap: float) -> Floats:
+def _checked_route(route: ArrayLike, snap: float) -> Array:
     if not 0.0 < snap <= 0.1:
         raise PathError(f"snap {snap} of a route: give a part of the mesh size, 0 < snap <= 0.1")
     try:

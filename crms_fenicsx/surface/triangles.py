@@ -6,32 +6,29 @@ Everything is elementwise, so that a part of a mesh rounds as the whole.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
+from crms_fenicsx.runtime.arrays import Array, Integers
 
 # Cells whose projection keeps less than this part of their area are walls.
 WALL = 1e-6
 
 
-def vectors(rows: Floats) -> list[Floats]:
+def vectors(rows: Array) -> list[Array]:
     """Return the rows of an array, for loops."""
     return [rows[i] for i in range(len(rows))]
 
 
-def lists(rows: Ints) -> list[list[int]]:
+def lists(rows: Integers) -> list[list[int]]:
     """Return the rows of an array as lists of Python integers."""
     return [[int(v) for v in rows[i]] for i in range(len(rows))]
 
 
-def norm(a: Floats) -> Floats:
+def norm(a: Array) -> Array:
     """Return the lengths of the vectors in the last axis."""
     return np.asarray(np.sqrt(dot(a, a)), dtype=np.float64)
 
 
-def cross(a: Floats, b: Floats) -> Floats:
+def cross(a: Array, b: Array) -> Array:
     """Return the cross products of the vectors in the last axes."""
     # by components: the library's cross product takes longer to set up than to compute
     c = np.empty(np.broadcast_shapes(a.shape, b.shape))
@@ -41,41 +38,47 @@ def cross(a: Floats, b: Floats) -> Floats:
     return c
 
 
-def dot(a: Floats, b: Floats) -> Floats:
+def dot(a: Array, b: Array) -> Array:
     """Return the scalar products of the vectors in the last axes."""
     total = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
     return np.asarray(total, dtype=np.float64)
 
 
-def side_lengths(triangles: Floats) -> Floats:
+def arc_lengths(points: Array) -> Array:
+    """Return the lengths (n,) of a polyline (n, 3) from its first point to each one."""
+    first = np.zeros(min(len(points), 1))
+    return np.concatenate([first, np.cumsum(norm(np.diff(points, axis=0)))])
+
+
+def side_lengths(triangles: Array) -> Array:
     """Return (m, 3) lengths of the sides of (m, 3, 3) triangles."""
     return norm(triangles[:, [1, 2, 0]] - triangles)
 
 
-def longest_sides(triangles: Floats) -> Floats:
+def longest_sides(triangles: Array) -> Array:
     """Return (m,) lengths of the longest sides."""
     return np.asarray(np.max(side_lengths(triangles), axis=1, initial=0.0))
 
 
-def double_areas(triangles: Floats) -> Floats:
+def double_areas(triangles: Array) -> Array:
     """Return (m, 3) normals, as long as twice the area."""
     return cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
 
 
-def altitudes(triangles: Floats) -> Floats:
+def altitudes(triangles: Array) -> Array:
     """Return (m,) smallest altitudes."""
     longest = longest_sides(triangles)
     quotient = norm(double_areas(triangles)) / np.where(longest > 0.0, longest, 1.0)
     return np.asarray(quotient, dtype=np.float64)
 
 
-def balls(triangles: Floats) -> tuple[Floats, Floats]:
+def balls(triangles: Array) -> tuple[Array, Array]:
     """Return (m, 3) centres and (m,) radii of balls around the triangles."""
     centre = np.asarray(triangles.sum(axis=1) / 3.0, dtype=np.float64)
     return centre, np.asarray(np.max(norm(triangles - centre[:, None]), axis=1, initial=0.0))
 
 
-def closest(triangles: Floats, target: Floats) -> tuple[Floats, Floats, Floats]:
+def closest(triangles: Array, target: Array) -> tuple[Array, Array, Array]:
     """Return the places nearest to `target` in each of (m, 3, 3) triangles.
 
     As (m, 3) weights of the corners, (m, 3) positions and (m,) distances. In slivers the weights
@@ -106,14 +109,14 @@ def closest(triangles: Floats, target: Floats) -> tuple[Floats, Floats, Floats]:
     return weights, places, gaps
 
 
-def mix(weights: Floats, triangles: Floats) -> Floats:
+def mix(weights: Array, triangles: Array) -> Array:
     """Return (m, 3) positions from (m, 3) weights of the corners of (m, 3, 3) triangles."""
     product = weights[:, :, None] * triangles
-    mixed: Floats = product[:, 0] + product[:, 1] + product[:, 2]
+    mixed: Array = product[:, 0] + product[:, 1] + product[:, 2]
     return mixed
 
 
-def flattened(triangles: Floats) -> Floats:
+def flattened(triangles: Array) -> Array:
     """Return the triangles' plans: z = 0."""
     flat = triangles.copy()
     flat[..., 2] = 0.0

@@ -9,7 +9,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from mpi4py import MPI
@@ -18,6 +17,7 @@ from crms_fenicsx.cables.numbering import CableNumbering
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces, wrap_angles
 from crms_fenicsx.contact.lift_off import is_foot, may_lift, outward_pulls
+from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.friction.gripped_nodes import held_nodes
 from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
@@ -27,10 +27,6 @@ from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.surface.points import EdgePoint
 from crms_fenicsx.surface.triangles import norm
 from crms_fenicsx.verification.report import Check
-
-if TYPE_CHECKING:
-    from crms_fenicsx.equilibrium.system import System
-
 
 LIMITS = {
     "ends of cable off their place": 1e-9,
@@ -101,8 +97,8 @@ class _Nodes:
                 ids[k, : len(own)], weights[k, : len(own)] = own, share
             if node.kind == "fold" and isinstance(node.point, EdgePoint):
                 alone[k] = len(numbering.on_edge.get(node.point.edge, ())) == 1
-        rim = cable.path_nodes()
-        supports = [p.support for k in rim if (p := cable.nodes[k].point) is not None]
+        on_path = cable.path_nodes()
+        supports = [p.support for k in on_path if (p := cable.nodes[k].point) is not None]
         both = (tuple(sorted({*a, *b})) for a, b in itertools.pairwise(supports))
         return cls(
             ids,
@@ -118,7 +114,7 @@ class CableVerifier:
     """Checks the cables of a solved state; keeps tables of their nodes while these stay."""
 
     def __init__(self) -> None:
-        self._network: CableNumbering | None = None
+        self._numbering: CableNumbering | None = None
         self._nodes: list[_Nodes] = []
 
     def check(self, system: System, ends: Array, force: float) -> list[Check]:
@@ -136,8 +132,8 @@ class CableVerifier:
         nodal = force / np.sqrt(system.unknowns.n_global)
         assert system.cables is not None
         scene, numbering = system.scene, system.cables.numbering
-        if numbering is not self._network:
-            self._network = numbering
+        if numbering is not self._numbering:
+            self._numbering = numbering
             self._nodes = [_Nodes.of(cable, numbering) for cable in scene.cables]
         shape = scene.net.strip_shape()
         parts, pulls = _parts_and_pulls(system)
@@ -304,8 +300,7 @@ def _contacts(
         span = norm(cable.positions[contacts[after - 1 : after + 1]] - cable.positions[k])
         if span.min() <= 1e-9 * cable.length:  # its edge lies beyond an end of the span
             continue
-        ids, weights = cable.interpolation(int(k))
-        place = np.dot(weights, [shape.at(i) for i in ids])
+        place = shape.mean(*cable.interpolation(int(k)))
         normal, cell = shape.normals_and_sizes([point.support])
         depth = max(depth, -float((cable.positions[k] - place) @ normal[0]) / float(cell[0]))
     return {"pull on the membrane": max(pull, 0.0), "depth below the membrane": depth}

@@ -17,14 +17,13 @@ import time
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 from mpi4py import MPI
 
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes.cell_geometry import area_vectors
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.results.reactions import pressed_facets
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.verification.report import Check, Verification
 
@@ -154,7 +153,7 @@ class Verifier:
         way *= np.sqrt(12.0)
         shake = way.reshape(n, 3)
         self._spare_small_cells(system, scene.membrane.size / np.sqrt(cells), shake)
-        fixed: npt.NDArray[np.bool_] = np.array(unknowns.held[:n])
+        fixed: Booleans = np.array(unknowns.held[:n])
         if unknowns.bounds is not None:
             fixed |= potential.x[:n] <= unknowns.bounds[0][:n]
         shake[fixed] = 0.0

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cabled_square import clamped
 from mpi4py import MPI
-from term_scene import ISOTROPIC
 
 from crms_fenicsx import Cable, Scene, Solver, meshes
 from crms_fenicsx.model.friction import Friction
@@ -25,8 +25,7 @@ def inflated(comm: MPI.Intracomm, *, structured: bool = True) -> tuple[Scene, So
 
 
 def inflated_on(mesh: meshes.MembraneMesh) -> tuple[Scene, Solver]:
-    scene = Scene(mesh, ISOTROPIC)
-    scene.fix("boundary")
+    scene = clamped(mesh)
     solver = Solver(scene)
     solver.advance(pressure=0.01)
     return scene, solver

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cabled_square import FOIL, LINEAR, clamped
 from mpi4py import MPI
 from reference_meshes import square
 from vtu_file import read_vtu
 
-from crms_fenicsx import Cable, Friction, InputError, IsotropicMembrane, LaidCable, Scene, Solver
+from crms_fenicsx import Cable, Friction, InputError, LaidCable, Scene, Solver
 from crms_fenicsx.checkpoint.journal import Journal
 from crms_fenicsx.output import History, draw, draw_history
 
@@ -33,10 +34,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def sheet(n: int = 8, **laws: Any) -> Scene:
-    material = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, wrinkling=not laws)
-    scene = Scene(square(COMM, n), material, **laws)
-    scene.fix("boundary")
-    return scene
+    return clamped(square(COMM, n), LINEAR if laws else FOIL, **laws)
 
 
 def lay(scene: Scene, name: str, cable: Cable = SMOOTH, **options: Any) -> LaidCable:

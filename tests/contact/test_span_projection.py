@@ -35,7 +35,7 @@ def route(shape: StripShape, start, end) -> tuple:
 
 
 @pytest.mark.parametrize("kind", ["structured", "unstructured", "rotated"])
-def test_shadows_are_sections(comm, kind: str) -> None:
+def test_projections_are_sections(comm, kind: str) -> None:
     """From the first to the last point inside: in both directions, the same points between."""
     _, shape = whole(comm, kind)
     for start, end in [((0, 13), (100, 71)), ((7, 100), (83, 0)), ((0, 52), (100, 45))]:
@@ -57,7 +57,7 @@ def node_place(shape: StripShape, node: CableNode) -> np.ndarray:
 
 
 def test_towards_anchors(comm) -> None:
-    """Beyond the boundary the shadow ends on it; above the membrane it ends at the foot."""
+    """Beyond the boundary the projection ends on it; above the membrane it ends at the foot."""
     _, shape = whole(comm, "unstructured")
     points = route(shape, (0, 13), (100, 71))
     node = CableNode("fold", points[len(points) // 2])

@@ -9,39 +9,44 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cabled_square import CABLE, LINEAR, clamped
 from reference_meshes import square
 
-from crms_fenicsx import Cable, IsotropicMembrane, OrthotropicMembrane, Scene, Solver
+from crms_fenicsx import Cable, LaidCable, OrthotropicMembrane, Scene, Solver
 
 FABRIC = OrthotropicMembrane(
     E1=400.0, E2=200.0, G12=90.0, nu21=0.2, thickness=0.08, warp=(1.0, 0.4, 0.0), wrinkling=False
 )
-SHEET = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, wrinkling=False)
-MATERIALS = [SHEET, FABRIC]
+MATERIALS = [LINEAR, FABRIC]
+ACROSS = ((0, 50), (100, 50))
 
 
-def inflated(comm, steps: int, pressure: float = 0.01, material=SHEET, **laws: str) -> float:
+def inflated(comm, steps: int, pressure: float = 0.01, material=LINEAR, **laws: str) -> float:
     """Energy of the square inflated in steps."""
-    scene = Scene(square(comm, 8), material, **laws)
-    scene.fix("boundary")
+    scene = clamped(square(comm, 8), material, **laws)
     Solver(scene).advance(pressure=pressure, steps=steps)
     return scene.energy
 
 
-def tightened(comm, steps: int, drop: float, cable_law: str = "total", **laws: str) -> float:
-    """Tension of a cable across an inflated square whose ends are pulled down in steps."""
-    scene = Scene(square(comm, 9), SHEET, **laws)
-    scene.fix("boundary")
+def tightened(
+    scene: Scene, steps: int, pressure: float, drop: float, path=ACROSS
+) -> tuple[Solver, LaidCable]:
+    """Inflate a scene in steps, and pull the ends of a cable across it down in as many."""
     solver = Solver(scene)
-    solver.advance(pressure=0.01, steps=steps)
-    cable = scene.lay_cable(Cable(EA=32000.0, law=cable_law), [(0, 50), (100, 50)])
+    solver.advance(pressure=pressure, steps=steps)
+    cable = scene.lay_cable(CABLE, path)
     solver.advance(move={cable: (0.0, 0.0, -drop)}, steps=steps)
-    return cable.tension
+    return solver, cable
 
 
 def test_step_pressure_converges_with_order_one(comm) -> None:
-    exact = tightened(comm, 4, 0.5)
-    errors = [tightened(comm, n, 0.5, pressure="step") / exact - 1 for n in (5, 10, 20, 40)]
+
+    def tension(steps: int, law: str) -> float:
+        scene = clamped(square(comm, 9), LINEAR, pressure=law)
+        return tightened(scene, steps, 0.01, 0.5)[1].tension
+
+    exact = tension(4, "total")
+    errors = [tension(n, "step") / exact - 1 for n in (5, 10, 20, 40)]
     rate = np.polyfit(np.log([5, 10, 20, 40]), np.log(np.abs(errors)), 1)[0]
     assert rate == pytest.approx(-1.0, abs=0.15)
     assert abs(errors[-1]) < 5e-3
@@ -64,12 +69,8 @@ def test_step_strain_in_folded_cells_converges_with_the_strain(comm) -> None:
     """Small loads, so that only the difference of the laws in folded cells could remain."""
     tensions = []
     for law in ("total", "step"):
-        scene = Scene(square(comm, 9), SHEET, strain=law)
-        scene.fix("boundary")
-        solver = Solver(scene)
-        solver.advance(pressure=1e-5, steps=4)
-        cable = scene.lay_cable(Cable(EA=32000.0), [(0, 50), (100, 50)])
-        solver.advance(move={cable: (0.0, 0.0, -0.01)}, steps=4)
+        scene = clamped(square(comm, 9), LINEAR, strain=law)
+        _, cable = tightened(scene, 4, 1e-5, 0.01)
         assert any(node.kind == "fold" for node in cable.nodes)
         tensions.append(cable.tension)
     assert tensions[1] == pytest.approx(tensions[0], rel=1e-3)
@@ -77,11 +78,10 @@ def test_step_strain_in_folded_cells_converges_with_the_strain(comm) -> None:
 
 def test_step_cable_tends_to_the_logarithm_of_its_length(comm) -> None:
     """With l_n in the place of L0 the tension is EA ln(L/L0) as the steps get small."""
-    scene = Scene(square(comm, 9), SHEET)
-    scene.fix("boundary")
+    scene = clamped(square(comm, 9), LINEAR)
     solver = Solver(scene)
     solver.advance(pressure=0.01)
-    cable = scene.lay_cable(Cable(EA=32000.0, law="step"), [(0, 50), (100, 50)])
+    cable = scene.lay_cable(Cable(EA=32000.0, law="step"), ACROSS)
     start = cable.length
     errors = []
     for _ in range(40):
@@ -96,12 +96,8 @@ def test_stresses_of_the_step_law_tend_to_those_of_the_total_law(comm, material)
     """At small strain, in plain and in folded cells alike."""
     found = []
     for law in ("total", "step"):
-        scene = Scene(square(comm, 7), material, strain=law)
-        scene.fix("boundary")
-        solver = Solver(scene)
-        solver.advance(pressure=1e-5, steps=4)
-        cable = scene.lay_cable(Cable(EA=32000.0), [(0, 47), (100, 52)])
-        solver.advance(move={cable: (0.0, 0.0, -0.1)}, steps=4)
+        scene = clamped(square(comm, 7), material, strain=law)
+        solver, _ = tightened(scene, 4, 1e-5, 0.1, [(0, 47), (100, 52)])
         results = solver.results()
         assert comm.allreduce(int(results.folded.sum())) > 7
         found.append(results)
@@ -124,8 +120,8 @@ def test_solvers_by_turns(comm, laws: dict[str, str]) -> None:
     laws = TOTAL | laws
     found = []
     for turns in (1, 2, 9):  # one solver, two by turns, one for each step
-        scene = Scene(square(comm, 4), SHEET, strain=laws["strain"], pressure=laws["pressure"])
-        scene.fix("boundary")
+        strain, pressure = laws["strain"], laws["pressure"]
+        scene = clamped(square(comm, 4), LINEAR, strain=strain, pressure=pressure)
         solvers = [Solver(scene) for _ in range(turns)]
         for k, solver in enumerate(solvers):
             assert k > 1 or solver.results() is not None  # which makes its tables

@@ -8,20 +8,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cabled_square import FOIL, LINEAR, clamped
 from mpi4py import MPI
 from reference_meshes import square
 
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Cable, Scene, Solver, meshes
 from crms_fenicsx.minimization.minimizer import REBUILD
 from crms_fenicsx.runtime.compat import geometry_dofmap
 
 PRESSURE = 0.01
-
-
-def sheet(mesh, wrinkling: bool = True) -> Scene:
-    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, wrinkling=wrinkling))
-    scene.fix("boundary")
-    return scene
 
 
 def height(scene: Scene) -> float:
@@ -44,7 +39,7 @@ def order(sizes: list[float], errors: list[float]) -> float:
 )
 def test_inflated_square(comm, n: int, wrinkling: bool, w: float, W: float) -> None:
     """Full pressure on a flat, stress-free sheet in one step."""
-    scene = sheet(square(comm, n), wrinkling)
+    scene = clamped(square(comm, n), FOIL if wrinkling else LINEAR)
     solver = Solver(scene)
     step = solver.advance(pressure=PRESSURE)
     assert height(scene) == pytest.approx(w, rel=1e-7)
@@ -58,7 +53,7 @@ def test_inflated_square(comm, n: int, wrinkling: bool, w: float, W: float) -> N
 def test_inflated_square_converges_to_the_continuum(comm) -> None:
     sizes, w, W, V = [], [], [], []
     for n in (8, 16, 32):
-        scene = sheet(square(comm, n))
+        scene = clamped(square(comm, n))
         Solver(scene).advance(pressure=PRESSURE)
         sizes.append(1 / n)
         w.append(height(scene) - 10.184544)
@@ -82,7 +77,7 @@ def at_centre(comm, points, values) -> float:
 def test_inflated_circle_converges(comm) -> None:
     sizes, errors = [20.0, 10.0, 5.0, 2.5], []
     for size in sizes:
-        scene = sheet(meshes.circle(comm, 100.0, size=size))
+        scene = clamped(meshes.circle(comm, 100.0, size=size))
         solver = Solver(scene)
         solver.advance(pressure=PRESSURE)
         results = solver.results()
@@ -107,7 +102,7 @@ CONTINUUM = {"T": 112.60349, "w": 3.704951, "W": -273.55493}
 
 def cable_on_square(comm, n: int, kind: str):
     """A cable of stiffness 32000 and length 100 across the middle, at full pressure."""
-    scene = sheet(square(comm, n, kind))
+    scene = clamped(square(comm, n, kind))
     cable = scene.lay_cable(Cable(EA=32000.0), [(0, 50, 0), (100, 50, 0)], L0=100.0)
     Solver(scene).advance(pressure=PRESSURE)
     x = cable.positions

@@ -166,7 +166,7 @@ def test_cables_stay_on_the_roof():
 
 
 def test_what_cables_see_of_a_seam(comm):
-    """Neighbours, normals, sizes, slips and shadows at a seam are those of the roof alone."""
+    """Neighbours, normals, sizes, slips and projections of spans are those of the roof alone."""
     scene = tent(comm, SOFT)
     h, cosine = 100.0 / 7.0, 100.0 / np.hypot(100.0, 30.0)
     route = [(0.0, 31.0), (100.0, 61.0)]

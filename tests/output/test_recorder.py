@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cabled_square import sheet
 from mpi4py import MPI
 from vtu_file import VtuFile, read_vtu
 
@@ -12,11 +13,8 @@ from crms_fenicsx import (
     Cable,
     ConvergenceError,
     InputError,
-    IsotropicMembrane,
     PictureWarning,
-    Scene,
     Solver,
-    meshes,
 )
 from crms_fenicsx.cables.deformed_surface import current_surface
 from crms_fenicsx.minimization.minimizer import Minimizer
@@ -34,16 +32,9 @@ def folder(tmp_path: Path) -> Path:
     return Path(COMM.bcast(str(tmp_path)))
 
 
-def scene_of_a_square() -> Scene:
-    mesh = meshes.rectangle(COMM, 100.0, 100.0, size=100 / 7, structured=True)
-    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
-    scene.fix("boundary")
-    return scene
-
-
 def run(results: Path | None) -> Solver:
     """Inflate a square in 2 steps, then tighten a cable over it in 1."""
-    scene = scene_of_a_square()
+    scene = sheet(COMM, 7)
     solver = Solver(scene, results=results)
     solver.advance(pressure=0.01, steps=2)
     cable = scene.lay_cable(Cable(EA=32000.0), [(0.0, 45.0), (100.0, 52.0)], name="ridge")
@@ -140,7 +131,7 @@ def test_cables_lift_off_in_files_and_pictures(
 ) -> None:
     """A cable between anchors over a square is drawn down onto it: the number of its points that
     are lifted changes from step to step."""
-    solver = Solver(scene_of_a_square(), results=folder / "out")
+    solver = Solver(sheet(COMM, 7), results=folder / "out")
     scene = solver.scene
     solver.advance(pressure=0.01)
     ends = [(-80.0, 45.0, 0.0), (180.0, 52.0, 0.0)]
@@ -168,11 +159,11 @@ def test_a_folder_that_cannot_be_written_is_refused_at_once(folder: Path) -> Non
         (folder / "taken").write_text("a file")
     COMM.barrier()
     with pytest.raises(InputError, match="taken"):
-        Solver(scene_of_a_square(), results=folder / "taken")
+        Solver(sheet(COMM, 7), results=folder / "taken")
 
 
 def test_names_that_make_no_column_are_refused_at_laying() -> None:
-    scene = scene_of_a_square()
+    scene = sheet(COMM, 7)
     for name in ("", "ridge ", "\n"):
         with pytest.raises(InputError, match="without blanks"):
             scene.lay_cable(Cable(EA=1.0), [(0.0, 45.0), (100.0, 52.0)], name=name)
@@ -182,7 +173,7 @@ def test_names_that_make_no_column_are_refused_at_laying() -> None:
 def test_a_failed_step_is_not_recorded_and_the_run_goes_on(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    scene = scene_of_a_square()
+    scene = sheet(COMM, 7)
     solver = Solver(scene, max_halvings=0)
     solver.advance(pressure=0.01)
     cable = scene.lay_cable(Cable(EA=32000.0), [(0.0, 45.0), (100.0, 52.0)], L0=110.0)
@@ -256,7 +247,7 @@ def test_paths_are_drawn_over_the_whole_stress_free_mesh(
 
 
 def test_drawing_needs_nothing_but_the_scene(folder: Path) -> None:
-    solver = Solver(scene_of_a_square())
+    solver = Solver(sheet(COMM, 7))
     draw(solver, folder / "flat.png")
     with pytest.raises(InputError, match="history is empty"):
         draw_history(solver.history, folder / "history.png")
@@ -268,7 +259,7 @@ def test_drawing_needs_nothing_but_the_scene(folder: Path) -> None:
 
 
 def test_meshes_too_large_for_a_picture(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    solver = Solver(scene_of_a_square())
+    solver = Solver(sheet(COMM, 7))
     monkeypatch.setattr(scene_pictures, "MOST_CELLS", 2 * 7 * 7)
     draw(solver, folder / "drawn.png")
     monkeypatch.setattr(scene_pictures, "MOST_CELLS", 2 * 7 * 7 - 1)
@@ -290,7 +281,7 @@ def test_meshes_too_large_for_a_picture(folder: Path, monkeypatch: pytest.Monkey
 
 
 def test_what_cannot_be_drawn_is_said_on_all_ranks(folder: Path) -> None:
-    solver = Solver(scene_of_a_square())
+    solver = Solver(sheet(COMM, 7))
     with pytest.raises(InputError, match="colour = 'blue' is not known"):
         draw(solver, folder / "shape.png", colour="blue")
     with pytest.raises(InputError, match="come from the scene"):

@@ -160,7 +160,7 @@ def test_nets_do_not_depend_on_the_ranks(comm) -> None:
 
 
 def test_crossed_cables_pass_only_vertices_that_hold_them(comm, monkeypatch) -> None:
-    """Strings do not know where crossings are pressed in, and say more: see `_is_crossed`."""
+    """Strings do not know where crossings are pressed in, and say more: see `is_crossed`."""
     from crms_fenicsx.paths import retrace
 
     passed: list[tuple[set[int], set[int]]] = []

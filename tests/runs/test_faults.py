@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cabled_square import sheet
 from mpi4py import MPI
 from processes import MPIRUN, run
 from vtu_file import read_vtu
 
-from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Cable, InputError, Solver
 from crms_fenicsx.checkpoint import folder as checkpoint_folder
 from crms_fenicsx.checkpoint.folder import complete
 from crms_fenicsx.output import History, shared_file
@@ -33,16 +34,9 @@ def folder(tmp_path: Path) -> Path:
     return Path(COMM.bcast(str(tmp_path)))
 
 
-def scene_of(comm: MPI.Intracomm) -> Scene:
-    mesh = meshes.rectangle(comm, 100.0, 100.0, size=100 / 3, structured=True)
-    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
-    scene.fix("boundary")
-    return scene
-
-
 def script(folder: Path, resume: bool) -> Solver:
     """Two calls, three load steps and a cable."""
-    scene = scene_of(COMM)
+    scene = sheet(COMM, 3)
     solver = Solver(scene, results=folder, resume=resume)
     solver.advance(pressure=0.01)
     scene.lay_cable(Cable(9000.0), [(0, 33), (100, 41)], tension=20.0)
@@ -64,7 +58,7 @@ def assert_whole(folder: Path) -> None:
     for call in ("0001", "0002"):
         place = complete(folder / "checkpoints" / call)
         if place.exists():
-            Solver(scene_of(MPI.COMM_SELF)).load(place)
+            Solver(sheet(MPI.COMM_SELF, 3)).load(place)
 
 
 def full_at(count: int, whole: Callable[..., Any]) -> Callable[..., Any]:
@@ -118,7 +112,7 @@ def test_a_disk_that_is_full_at_some_write(
 
 def test_a_folder_that_goes_away(folder: Path) -> None:
     """In the middle of the run a file is where the folder was; the scene is as it was computed."""
-    scene = scene_of(COMM)
+    scene = sheet(COMM, 3)
     solver = Solver(scene, results=folder / "out", resume=False)
     solver.advance(pressure=0.01)
     COMM.barrier()
@@ -136,7 +130,7 @@ def test_a_folder_that_goes_away(folder: Path) -> None:
         shutil.move(folder / "moved", folder / "out")
     del solver
     COMM.barrier()
-    again = Solver(scene_of(COMM), results=folder / "out", resume=True)
+    again = Solver(sheet(COMM, 3), results=folder / "out", resume=True)
     again.advance(pressure=0.01)
     again.advance(pressure=0.011)
     assert again.scene.energy == pytest.approx(scene.energy, rel=1e-9)

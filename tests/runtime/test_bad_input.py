@@ -80,9 +80,9 @@ class Recorder:
 def refused_load(scene: Scene, *words: str, **loads: Any) -> None:
     """Assert that `advance` refuses the loads, with nothing changed or written."""
     solver = Solver(scene)
-    solver._output = Recorder()  # type: ignore[assignment]
+    solver._recorder = Recorder()  # type: ignore[assignment]
     refused(lambda: solver.advance(**loads), "advance", *words, scene=scene)
-    assert solver.steps == [] and solver._output.written == 0
+    assert solver.steps == [] and solver._recorder.written == 0
 
 
 @pytest.mark.parametrize("value", [0.0, -0.1, NAN, float("inf"), "a", None, [1.0]])

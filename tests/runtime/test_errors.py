@@ -13,6 +13,7 @@ import time
 
 import numpy as np
 import pytest
+from cabled_square import sheet
 from processes import MPIRUN, ROOT, run
 from reference_meshes import rotated_lattice
 
@@ -95,10 +96,7 @@ def test_random_bad_input() -> None:
 
 @pytest.fixture
 def scene(comm) -> Scene:
-    mesh = meshes.rectangle(comm, 100.0, 100.0, 25.0, structured=True)
-    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
-    scene.fix("boundary")
-    return scene
+    return sheet(comm, 4)
 
 
 def test_arguments_that_differ_between_ranks(scene: Scene) -> None:

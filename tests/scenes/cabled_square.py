@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -11,15 +12,18 @@ from reference_meshes import square
 from crms_fenicsx import Cable, IsotropicMembrane, Scene
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.materials import MembraneMaterial
 
+FOIL = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)
+LINEAR = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, wrinkling=False)
 CABLE = Cable(EA=32000.0)
 PRESSURE = 0.01
 KINDS = ("structured", "unstructured", "rotated")
 
 
-def clamped(mesh: MembraneMesh) -> Scene:
-    """A flat, stress-free sheet, held all around."""
-    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
+def clamped(mesh: MembraneMesh, material: MembraneMaterial = FOIL, **laws: Any) -> Scene:
+    """A stress-free sheet, held all around."""
+    scene = Scene(mesh, material, **laws)
     scene.fix("boundary")
     return scene
 

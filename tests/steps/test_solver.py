@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cabled_square import FOIL, clamped
 from dolfinx import fem, la
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -34,7 +35,6 @@ from crms_fenicsx.model.laid_cable import polyline_length
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.steps.loading import checked_target
 
-MATERIAL = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)
 CABLE = Cable(EA=32000.0)
 ACROSS = [(0.0, 47.0), (100.0, 52.0)]
 """A path across the square through cells' interiors, its ends on the boundary."""
@@ -49,12 +49,6 @@ def square(comm: MPI.Intracomm) -> meshes.MembraneMesh:
 def free_mesh(comm: MPI.Intracomm) -> meshes.MembraneMesh:
     """The square without mesh lines that run through."""
     return meshes.rectangle(comm, 100.0, 100.0, 20.0)
-
-
-def clamped(mesh: meshes.MembraneMesh, **settings: Any) -> Scene:
-    scene = Scene(mesh, MATERIAL, **settings)
-    scene.fix("boundary")
-    return scene
 
 
 def state(scene: Scene) -> list[np.ndarray]:
@@ -128,7 +122,7 @@ def test_movements_of_groups_add_up_and_need_hold_only_where_they_move(
     square: meshes.MembraneMesh,
 ) -> None:
     """Uniform biaxial stretch: left and right slide along y, front and back along x."""
-    scene = Scene(square, MATERIAL)
+    scene = Scene(square, FOIL)
     for sides, direction in ((("left", "right"), "x"), (("front", "back"), "y")):
         for side in sides:
             scene.fix(side, direction)
