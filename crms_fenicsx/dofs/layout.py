@@ -194,6 +194,8 @@ class Unknowns:
         self.riders, self.interpolation, self.weights = riders, interpolation, weights
         self.n_riders, self.n_loaded = len(riders), len(riders) if n_loaded is None else n_loaded
         self.held[riders] = True
+        self._rider = np.full(self.n_local, -1)
+        self._rider[riders] = np.arange(len(riders))
         self._undisplaced = np.einsum("nk,nki->ni", weights, self.X[interpolation]) - self.X[riders]
         loaded = interpolation[: self.n_loaded]
         self._loaded_components = (3 * loaded[:, :, None] + np.arange(3)).ravel()
@@ -269,14 +271,32 @@ class Unknowns:
         sources, weights
             Which of the n blocks goes there, and what part of it, (m,).
         """
-        blocks = np.zeros((self.n_local, 3), dtype=np.int32)
-        share = np.zeros((self.n_local, 3))
-        blocks[:, 0], share[:, 0] = np.arange(self.n_local), 1.0
-        blocks[self.riders], share[self.riders] = self.interpolation, self.weights
-        weights = share[rows][:, :, None] * share[cols][:, None, :]
+        ride = np.flatnonzero((self._rider[rows] >= 0) | (self._rider[cols] >= 0))
+        plain = np.ones(len(rows), dtype=bool)
+        plain[ride] = False
+        own = np.flatnonzero(plain).astype(np.int32)
+        if len(ride) == 0:
+            return np.stack([rows, cols]), own, np.ones(len(own))
+        (row_blocks, row_shares), (col_blocks, col_shares) = (
+            self._moved_by(some[ride]) for some in (rows, cols)
+        )
+        weights = row_shares[:, :, None] * col_shares[:, None, :]
         entry, i, j = np.nonzero(weights)
-        places = np.stack([blocks[rows[entry], i], blocks[cols[entry], j]])
-        return places, entry.astype(np.int32), weights[entry, i, j]
+        handed = np.stack([row_blocks[entry, i], col_blocks[entry, j]])
+        return (
+            np.concatenate([np.stack([rows[own], cols[own]]), handed], axis=1),
+            np.concatenate([own, ride[entry].astype(np.int32)]),
+            np.concatenate([np.ones(len(own)), weights[entry, i, j]]),
+        )
+
+    def _moved_by(self, blocks: Indices) -> tuple[Indices, Array]:
+        """Blocks that blocks move with, themselves or riders' vertices, and weights, (n, 3)."""
+        others, share = np.zeros((len(blocks), 3), dtype=np.int32), np.zeros((len(blocks), 3))
+        others[:, 0], share[:, 0] = blocks, 1.0
+        rider = self._rider[blocks]
+        ride = rider >= 0
+        others[ride], share[ride] = self.interpolation[rider[ride]], self.weights[rider[ride]]
+        return others, share
 
     def project_blocks(self, rows: Indices, cols: Indices, values: Array) -> Array:
         """Stiffness blocks (n, 3, 3) with those of rails projected: P_row K P_col."""

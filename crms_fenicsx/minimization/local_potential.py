@@ -49,17 +49,19 @@ class LocalPotential:
         Forces on the blocks, in the clusters' order, at the last evaluation (force).
     energies : (n_clusters,)
         Energy of each cluster there (force x length).
+    left
+        Blocks of clusters that are too large.
     steps
         Steps of Newton's method that were made.
     """
 
     def __init__(self, whole: Potential, blocks: Indices) -> None:
-        chosen = np.zeros(whole.unknowns.n_local, dtype=bool)
-        chosen[blocks] = True
-        chosen[whole.unknowns.riders] |= chosen[whole.unknowns.interpolation].any(axis=1)
-        parts = [term.restricted(chosen, whole.sums_of(term)) for term in whole.terms]
-        terms = [part for part in parts if part is not None]
-        self.layout = ClusterLayout(whole.unknowns, blocks, [term.element_blocks() for term in terms])
+        terms, layout, chosen = _restricted(whole, blocks)
+        large = (np.diff(layout.starts) > LARGEST)[layout.cluster]
+        self.left = layout.blocks[large]
+        if large.any():
+            terms, layout, chosen = _restricted(whole, layout.blocks[~large])
+        self.layout = layout
         self.terms: list[EnergyTerm] = [term.split(self.layout.groups()) for term in terms]
         self._clusters = [self.layout.clusters_of(*term.element_blocks()) for term in self.terms]
         for term in self.terms:
@@ -68,7 +70,7 @@ class LocalPotential:
         self._damping = None if whole.damping is None else whole.damping.restricted(chosen)
         self.x, self._forces = whole.x, np.zeros_like(whole.x)
         self.blocks = self.layout.blocks
-        self.g, self.energies = np.zeros((len(blocks), 3)), np.zeros(self.layout.n_clusters)
+        self.g, self.energies = np.zeros((len(self.blocks), 3)), np.zeros(self.layout.n_clusters)
         self._others, self._start = np.zeros_like(self.g), self.x[self.blocks]
         self.steps = 0
         given = whole.g[self.blocks]
@@ -129,11 +131,11 @@ class LocalPotential:
 
         Returns
         -------
-        Blocks of the clusters that have not come there.
+        Blocks of the clusters that have not come there, too large ones among them.
         """
         n = self.layout.n_clusters
         least = np.maximum(tolerance / max(n, 1) ** 0.5, 1e-3 * self.residuals())
-        able = np.diff(self.layout.starts) <= LARGEST
+        able = np.ones(n, dtype=bool)
         short = np.zeros(n, dtype=int)
         for step in range(most):
             todo = able & (self.residuals() > least)
@@ -144,7 +146,8 @@ class LocalPotential:
             able &= ~todo | (lengths > 0.0)
             short = np.where(exact, np.where(lengths < SHORT, short + 1, 0), short)
             short -= todo & ~exact & (short >= TWICE)
-        return self.blocks[(self.residuals() > least)[self.layout.cluster]]
+        late = (self.residuals() > least)[self.layout.cluster]
+        return np.concatenate([self.left, self.blocks[late]])
 
     def _step(self, todo: Booleans, exact: Booleans) -> Array:
         """Make a step of Newton's method in each cluster, as far as its energy falls.
@@ -212,3 +215,16 @@ class LocalPotential:
             (term.add_hessian if exact else term.add_stiffness)(self.x, sums, A)
             term.add_dyads(self.x, sums, A)
         A.close()
+
+
+def _restricted(
+    whole: Potential, blocks: Indices
+) -> tuple[list[EnergyTerm], ClusterLayout, Booleans]:
+    """Parts of the terms that depend on blocks, these in clusters, and what moves, (n_local,)."""
+    chosen = np.zeros(whole.unknowns.n_local, dtype=bool)
+    chosen[blocks] = True
+    chosen[whole.unknowns.riders] |= chosen[whole.unknowns.interpolation].any(axis=1)
+    parts = [term.restricted(chosen, whole.sums_of(term)) for term in whole.terms]
+    terms = [part for part in parts if part is not None]
+    elements = [term.element_blocks() for term in terms]
+    return terms, ClusterLayout(whole.unknowns, blocks, elements), chosen
