@@ -19,6 +19,7 @@ from crms_fenicsx.cables.points_on_edges import points_by_edge
 from crms_fenicsx.cables.rails import Rails
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.vertex_places import vertex_places
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.crossing import NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
@@ -177,7 +178,7 @@ class CableNumbering:
             return
         vertices = self.u.function_space.dofmap.index_map
         wanted = {v for _, v in far if self._dof.get(v, vertices.size_local) < vertices.size_local}
-        X = self.u.function_space.tabulate_dof_coordinates()
+        X = vertex_places(self.u.function_space)
         mine = {v: (self.rank, self._dof[v], X[self._dof[v]]) for v in wanted if v in self._dof}
         known = {
             v: place

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.strip import Strip
+from crms_fenicsx.cables.strip import Strip, ascending
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime.arrays import Array, Integers
@@ -59,10 +59,12 @@ def _gathered(membrane: Membrane, ids: Integers, chosen: npt.NDArray[np.int64]) 
     ends = np.stack([ids[chosen[cell], (k + 1) % 3], ids[chosen[cell], (k + 2) % 3]], axis=1)
     hidden = np.sort(ids[chosen[np.isin(chosen, membrane.mesh.hidden)]], axis=1)
     parts = membrane.comm.allgather((ids[chosen], chosen, np.sort(ends, axis=1), hidden))
+    cells = np.concatenate([part[0] for part in parts]).reshape(-1, 3)
+    rows = ascending(cells)
     return Strip(
-        np.concatenate([part[0] for part in parts]).reshape(-1, 3),
-        np.concatenate([np.full(len(part[1]), rank) for rank, part in enumerate(parts)]),
-        np.concatenate([part[1] for part in parts]),
+        cells[rows],
+        np.concatenate([np.full(len(part[1]), rank) for rank, part in enumerate(parts)])[rows],
+        np.concatenate([part[1] for part in parts])[rows],
         held_edges=frozenset((int(a), int(b)) for part in parts for a, b in part[2]),
         hidden=frozenset((int(a), int(b), int(c)) for part in parts for a, b, c in part[3]),
     )

@@ -23,6 +23,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from petsc4py import PETSc
 
+from crms_fenicsx.dofs.vertex_places import vertex_places
 from crms_fenicsx.runtime.arrays import Array, Indices
 
 
@@ -97,7 +98,7 @@ class Unknowns:
         self.n_global = int(starts[-1])
 
         self.X = np.zeros((self.n_local, 3))
-        self.X[self.vertex_blocks()] = V.tabulate_dof_coordinates()
+        self.X[self.vertex_blocks()] = vertex_places(V)
         self.held = np.zeros((self.n_local, 3), dtype=bool)
         self.matrix_numbers = np.argsort(self.matrix_order()).astype(PETSc.IntType)
         self.bounds: tuple[Array, Array] | None = None
