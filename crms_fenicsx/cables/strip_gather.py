@@ -12,7 +12,7 @@ from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.compat import geometry_dofmap
-from crms_fenicsx.surface.trace import near_section
+from crms_fenicsx.surface.route import near_section
 
 
 def cells_at(membrane: Membrane, vertices: npt.ArrayLike) -> Strip:
@@ -25,15 +25,16 @@ def cells_at(membrane: Membrane, vertices: npt.ArrayLike) -> Strip:
     return replace(strip, complete=complete)
 
 
-def cells_near(membrane: Membrane, route: Array) -> Strip:
+def cells_near(membrane: Membrane, route: Array, along_legs: bool) -> Strip:
     """Gather the cells that tracing a route on the current shape needs. Collective.
 
-    None behind a seam is among them.
+    None behind a seam is among them. Those along the legs are enough for most routes, see
+    `near_section`.
     """
     positions, nodes = own_surface(membrane)
     outer = np.setdiff1d(np.arange(len(nodes)), membrane.mesh.hidden)
-    near = outer[near_section(positions, nodes[outer], route, comm=membrane.comm)]
-    return _gathered(membrane, _own_cells(membrane), near)
+    near = near_section(positions, nodes[outer], route, comm=membrane.comm, along_legs=along_legs)
+    return _gathered(membrane, _own_cells(membrane), outer[near])
 
 
 def own_surface(membrane: Membrane) -> tuple[Array, Integers]:
