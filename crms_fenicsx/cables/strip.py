@@ -106,7 +106,14 @@ class Strip:
 
     def owner_of(self, vertices: tuple[int, ...]) -> int:
         """The rank that owns what lies on these vertices: the lowest one with a cell there."""
-        return min(self.owners[row] for row in self.rows(vertices))
+        if vertices not in self._owner_of:
+            self._owner_of[vertices] = min(self.owners[row] for row in self.rows(vertices))
+        return self._owner_of[vertices]
+
+    @cached_property
+    def _owner_of(self) -> dict[tuple[int, ...], int]:
+        """What `owner_of` has found."""
+        return {}
 
     def merged(self, other: Strip) -> Strip:
         """Cells of both."""

@@ -123,10 +123,10 @@ class CableContribution(Contribution):
 
     def read_scene(self, potential: Potential) -> None:
         numbering, unknowns = self.numbering, self.unknowns
-        for (c, k), number in numbering.numbers.items():
-            block = numbering.blocks[number]
-            if block >= 0:
-                potential.x[block] = self.scene.cables[c].positions[k] - unknowns.X[block]
+        own = numbering.blocks[numbering.blocks >= 0]
+        places = unknowns.X.copy()
+        numbering.place_points(places)
+        potential.x[own] = places[own] - unknowns.X[own]
         unknowns.update_ghosts(potential.x_vector)  # far vertices, with rails on them
         numbering.rails.place(unknowns, potential.x)
         if self.tension is not None:

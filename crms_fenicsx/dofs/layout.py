@@ -271,10 +271,22 @@ class Unknowns:
         share = np.zeros((self.n_local, 3))
         blocks[:, 0], share[:, 0] = np.arange(self.n_local), 1.0
         blocks[self.riders], share[self.riders] = self.interpolation, self.weights
-        weights = share[rows][:, :, None] * share[cols][:, None, :]
-        entry, i, j = np.nonzero(weights)
-        places = np.stack([blocks[rows[entry], i], blocks[cols[entry], j]])
-        return places, entry.astype(np.int32), weights[entry, i, j]
+        rides = np.zeros(self.n_local, dtype=bool)
+        rides[self.riders] = True
+        spreads = rides[rows] | rides[cols]
+        some, plain = np.flatnonzero(spreads), np.flatnonzero(~spreads)
+        parts = share[rows[some]][:, :, None] * share[cols[some]][:, None, :]
+        part, i, j = np.nonzero(parts)
+        entry = some[part]
+        order = np.argsort(np.concatenate([plain, entry]), kind="stable")
+        places = np.stack(
+            [
+                np.concatenate([rows[plain], blocks[rows[entry], i]])[order],
+                np.concatenate([cols[plain], blocks[cols[entry], j]])[order],
+            ]
+        )
+        weights = np.concatenate([np.ones(len(plain)), parts[part, i, j]])[order]
+        return places, np.concatenate([plain, entry])[order].astype(np.int32), weights
 
     def project_blocks(self, rows: Indices, cols: Indices, values: Array) -> Array:
         """Stiffness blocks (n, 3, 3) with those of rails projected: P_row K P_col."""
