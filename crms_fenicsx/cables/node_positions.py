@@ -39,8 +39,9 @@ class NodePositions:
         numbering = self.numbering
         own, blocks, interpolation, weights, slides = [], [], [], [], []
         for start, (c, cable) in zip(self._starts, enumerate(numbering.cables), strict=False):
+            lifted = cable.lifted & cable.taut
             for k, node in enumerate(cable.nodes):
-                if (cable.taut and cable.lifted[k]) or not numbering.is_mine(c, k):
+                if lifted[k] or not numbering.is_mine(c, k):
                     continue
                 own.append(start + k)
                 blocks.append(numbering.block(c, k))

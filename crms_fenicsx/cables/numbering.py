@@ -19,6 +19,7 @@ from crms_fenicsx.cables.points_on_edges import points_by_edge
 from crms_fenicsx.cables.rails import Rails
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.vertex_places import vertex_places
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.crossing import NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
@@ -61,6 +62,7 @@ class CableNumbering:
 
     def __init__(self, cables: Sequence[LaidCable], strip: Strip, u: fem.Function) -> None:
         self.cables, self.strip, self.u = tuple(cables), strip, u
+        self._nodes = [cable.nodes for cable in cables]  # loops read them faster
         self.rank = u.function_space.mesh.comm.rank
         self._number_points()
         self._find_owners()
@@ -103,7 +105,7 @@ class CableNumbering:
 
         An anchor belongs to whom the point next to it belongs.
         """
-        nodes = self.cables[c].nodes
+        nodes = self._nodes[c]
         point = nodes[k].point or nodes[1 if k == 0 else k - 1].point
         assert point is not None, "two anchors in a row"
         return point
@@ -116,7 +118,7 @@ class CableNumbering:
 
     def is_mine(self, c: int, k: int) -> bool:
         """Whether this rank owns a cable's node; whoever owns a vertex has the nodes on it."""
-        node = self.cables[c].nodes[k]
+        node = self._nodes[c][k]
         if node.kind == "vertex":
             return self.strip.owner_of(node.interpolation()[0]) == self.rank
         return bool(self.owners[self.numbers[c, k]] == self.rank)
@@ -141,7 +143,7 @@ class CableNumbering:
             for c, k in ((link.cable, link.first), (link.cable, link.second)):
                 if (c, k) in self.numbers and owner == self.rank:
                     needed.add(self.numbers[c, k])
-                node = self.cables[c].nodes[k]
+                node = self._nodes[c][k]
                 if link.vertices is None and node.kind in ("vertex", "rail", "rider"):
                     far |= {(owner, vertex) for vertex in node.interpolation()[0]}
         self.owned = np.flatnonzero(self.owners == self.rank)
@@ -157,7 +159,7 @@ class CableNumbering:
 
     def _near(self, c: int, k: int) -> bool:
         """Whether a node lies on a cell of this rank."""
-        point, strip = self.cables[c].nodes[k].point, self.strip
+        point, strip = self._nodes[c][k].point, self.strip
         return point is not None and any(
             strip.owners[row] == self.rank for row in strip.rows(point.support)
         )
@@ -175,7 +177,7 @@ class CableNumbering:
             return
         vertices = self.u.function_space.dofmap.index_map
         wanted = {v for _, v in far if self._dof.get(v, vertices.size_local) < vertices.size_local}
-        X = self.u.function_space.tabulate_dof_coordinates()
+        X = vertex_places(self.u.function_space)
         mine = {v: (self.rank, self._dof[v], X[self._dof[v]]) for v in wanted if v in self._dof}
         known = {
             v: place
@@ -196,16 +198,23 @@ class CableNumbering:
         self.blocks = np.full(len(self.owners), -1, dtype=np.int32)
         self.blocks[self.owned] = unknowns.owned_point_blocks()
         self.blocks[self.foreign] = unknowns.ghost_point_blocks()
+        self._block_of: list[int] = self.blocks.tolist()
         blocks = unknowns.vertex_blocks()
         self._vertex_blocks = {v: int(blocks[dof]) for v, dof in self._dof.items()}
         far = unknowns.far_vertex_blocks()
         for v, block in zip(self.far_vertices, far, strict=True):
             self._vertex_blocks[v] = int(block)
         unknowns.X[far] = np.array(self._far_X).reshape(-1, 3)
-        for (c, k), number in self.numbers.items():
-            if self.blocks[number] >= 0:
-                unknowns.X[self.blocks[number]] = self.cables[c].positions[k]
+        self.place_points(unknowns.X)
         return unknowns
+
+    def place_points(self, places: Array) -> None:
+        """Put the cables' points into the rows of `places`, local blocks, where they are now."""
+        positions = [cable.positions for cable in self.cables]
+        here = [(self._block_of[n], positions[c][k]) for (c, k), n in self.numbers.items()]
+        here = [(block, place) for block, place in here if block >= 0]
+        if here:
+            places[[block for block, _ in here]] = [place for _, place in here]
 
     def dof(self, vertex: int) -> int:
         """Local degree of freedom of a vertex, by id."""
@@ -217,14 +226,16 @@ class CableNumbering:
 
     def block(self, c: int, k: int) -> int:
         """Local block of a cable's node."""
-        point = self.cables[c].nodes[k]
-        if point.kind == "vertex":
-            return self.vertex(point.interpolation()[0][0])
-        return int(self.blocks[self.numbers[c, k]])
+        number = self.numbers.get((c, k))
+        if number is not None:
+            return self._block_of[number]
+        node = self._nodes[c][k]
+        assert node.kind == "vertex", "a lifted node has no block"
+        return self.vertex(node.interpolation()[0][0])
 
     def corner(self, c: int, k: int) -> Corner:
         """A cable's node as a corner, the same one for both cables of a crossing."""
-        node = self.cables[c].nodes[k]
+        node = self._nodes[c][k]
         return (
             node.interpolation()[0][0] if node.kind == "vertex" else self._first[self.numbers[c, k]]
         )
@@ -238,10 +249,9 @@ class CableNumbering:
         idle: list[tuple[int, list[int], list[float]]] = []
         rails: list[NodeId] = []
         for (c, k), number in self.numbers.items():
-            block, cable = int(self.blocks[number]), self.cables[c]
+            block, cable, node = self._block_of[number], self.cables[c], self._nodes[c][k]
             if block < 0:
                 continue
-            node = cable.nodes[k]
             unknowns.held[block] = node.kind == "anchor"
             if node.kind == "rail" and cable.taut:
                 rails.append((c, k))

@@ -24,7 +24,8 @@ class Strip:
     Attributes
     ----------
     cells : (n, 3)
-        Vertex ids (numbers in the mesh as it was given), in the cells' own order.
+        Vertex ids (numbers in the mesh as it was given), each cell's in its own order; the cells
+        as `ascending` orders them, so that sums over cells round alike on any number of ranks.
     owner, local : (n,)
         Owning rank and the cell's local number on it.
     complete
@@ -105,20 +106,35 @@ class Strip:
 
     def owner_of(self, vertices: tuple[int, ...]) -> int:
         """The rank that owns what lies on these vertices: the lowest one with a cell there."""
-        return min(self.owners[row] for row in self.rows(vertices))
+        if vertices not in self._owner_of:
+            self._owner_of[vertices] = min(self.owners[row] for row in self.rows(vertices))
+        return self._owner_of[vertices]
+
+    @cached_property
+    def _owner_of(self) -> dict[tuple[int, ...], int]:
+        """What `owner_of` has found."""
+        return {}
 
     def merged(self, other: Strip) -> Strip:
         """Cells of both."""
-        keys = np.concatenate([np.stack([s.owner, s.local], axis=1) for s in (self, other)])
-        _, first = np.unique(keys, axis=0, return_index=True)
+        cells = np.concatenate([self.cells, other.cells])
+        rows = ascending(cells)
+        repeated = (np.diff(np.sort(cells[rows], axis=1), axis=0) == 0).all(axis=1)
+        rows = rows[np.concatenate([[True], ~repeated])] if len(rows) else rows
         return Strip(
-            np.concatenate([self.cells, other.cells])[first],
-            np.concatenate([self.owner, other.owner])[first],
-            np.concatenate([self.local, other.local])[first],
+            cells[rows],
+            np.concatenate([self.owner, other.owner])[rows],
+            np.concatenate([self.local, other.local])[rows],
             self.complete | other.complete,
             self.held_edges | other.held_edges,
             self.hidden | other.hidden,
         )
+
+
+def ascending(cells: Integers) -> Integers:
+    """Rows of the cells (n, 3) by their lowest vertex ids, then by their middle ones, and so on."""
+    low, middle, high = np.sort(cells, axis=1).T
+    return np.lexsort((high, middle, low))
 
 
 def _around(

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.strip import Strip
+from crms_fenicsx.cables.strip import Strip, ascending
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.compat import geometry_dofmap
-from crms_fenicsx.surface.trace import near_section
+from crms_fenicsx.surface.route import near_section
 
 
 def cells_at(membrane: Membrane, vertices: npt.ArrayLike) -> Strip:
@@ -25,15 +25,16 @@ def cells_at(membrane: Membrane, vertices: npt.ArrayLike) -> Strip:
     return replace(strip, complete=complete)
 
 
-def cells_near(membrane: Membrane, route: Array) -> Strip:
+def cells_near(membrane: Membrane, route: Array, along_legs: bool) -> Strip:
     """Gather the cells that tracing a route on the current shape needs. Collective.
 
-    None behind a seam is among them.
+    None behind a seam is among them. Those along the legs are enough for most routes, see
+    `near_section`.
     """
     positions, nodes = own_surface(membrane)
     outer = np.setdiff1d(np.arange(len(nodes)), membrane.mesh.hidden)
-    near = outer[near_section(positions, nodes[outer], route, comm=membrane.comm)]
-    return _gathered(membrane, _own_cells(membrane), near)
+    near = near_section(positions, nodes[outer], route, comm=membrane.comm, along_legs=along_legs)
+    return _gathered(membrane, _own_cells(membrane), outer[near])
 
 
 def own_surface(membrane: Membrane) -> tuple[Array, Integers]:
@@ -59,10 +60,12 @@ def _gathered(membrane: Membrane, ids: Integers, chosen: Integers) -> Strip:
     ends = np.stack([ids[chosen[cell], (k + 1) % 3], ids[chosen[cell], (k + 2) % 3]], axis=1)
     hidden = np.sort(ids[chosen[np.isin(chosen, membrane.mesh.hidden)]], axis=1)
     parts = membrane.comm.allgather((ids[chosen], chosen, np.sort(ends, axis=1), hidden))
+    cells = np.concatenate([part[0] for part in parts]).reshape(-1, 3)
+    rows = ascending(cells)
     return Strip(
-        np.concatenate([part[0] for part in parts]).reshape(-1, 3),
-        np.concatenate([np.full(len(part[1]), rank) for rank, part in enumerate(parts)]),
-        np.concatenate([part[1] for part in parts]),
+        cells[rows],
+        np.concatenate([np.full(len(part[1]), rank) for rank, part in enumerate(parts)])[rows],
+        np.concatenate([part[1] for part in parts])[rows],
         held_edges=frozenset((int(a), int(b)) for part in parts for a, b in part[2]),
         hidden=frozenset((int(a), int(b), int(c)) for part in parts for a, b, c in part[3]),
     )

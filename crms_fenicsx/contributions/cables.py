@@ -126,11 +126,11 @@ class CableContribution(Contribution):
         return CableTension(*links, EA, L0)
 
     def read_scene(self, potential: Potential) -> None:
-        numbering, unknowns, cables = self.numbering, self.unknowns, self.scene.cables
-        for (c, k), number in numbering.numbers.items():
-            block = numbering.blocks[number]
-            if block >= 0:
-                potential.x[block] = cables[c].positions[k] - unknowns.X[block]
+        numbering, unknowns = self.numbering, self.unknowns
+        own = numbering.blocks[numbering.blocks >= 0]
+        places = unknowns.X.copy()
+        numbering.place_points(places)
+        potential.x[own] = places[own] - unknowns.X[own]
         unknowns.update_ghosts(potential.x_vector)  # far vertices, with rails on them
         numbering.rails.place(unknowns, potential.x)
         if self.tension is not None:

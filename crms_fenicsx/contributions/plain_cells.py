@@ -47,7 +47,7 @@ class PlainCells:
             return None
         cells, n = self.cells[rows], 3 * len(rows)
         mesh = membrane.u.function_space.mesh
-        X = mesh.geometry.x[geometry_dofmap(mesh)[cells]]
+        X: Array = np.asarray(mesh.geometry.x[geometry_dofmap(mesh)[cells]], dtype=float)
         sides = np.roll(X, -1, axis=1) - X
         tags, material = np.unique(membrane.material_tags(cells), return_inverse=True)
         materials = [membrane.materials[int(tag)] for tag in tags]

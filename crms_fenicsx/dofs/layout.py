@@ -22,6 +22,7 @@ import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
 
+from crms_fenicsx.dofs.vertex_places import vertex_places
 from crms_fenicsx.runtime.arrays import Array, Indices, Integers
 
 
@@ -96,7 +97,7 @@ class Unknowns:
         self.n_global = int(starts[-1])
 
         self.X = np.zeros((self.n_local, 3))
-        self.X[self.vertex_blocks()] = V.tabulate_dof_coordinates()
+        self.X[self.vertex_blocks()] = vertex_places(V)
         self.held = np.zeros((self.n_local, 3), dtype=bool)
         self.matrix_numbers = np.argsort(self.matrix_order()).astype(PETSc.IntType)
         self.bounds: tuple[Array, Array] | None = None
@@ -194,8 +195,6 @@ class Unknowns:
         self.riders, self.interpolation, self.weights = riders, interpolation, weights
         self.n_riders, self.n_loaded = len(riders), len(riders) if n_loaded is None else n_loaded
         self.held[riders] = True
-        self._rider = np.full(self.n_local, -1)
-        self._rider[riders] = np.arange(len(riders))
         self._undisplaced = np.einsum("nk,nki->ni", weights, self.X[interpolation]) - self.X[riders]
         loaded = interpolation[: self.n_loaded]
         self._loaded_components = (3 * loaded[:, :, None] + np.arange(3)).ravel()
@@ -271,32 +270,26 @@ class Unknowns:
         sources, weights
             Which of the n blocks goes there, and what part of it, (m,).
         """
-        ride = np.flatnonzero((self._rider[rows] >= 0) | (self._rider[cols] >= 0))
-        plain = np.ones(len(rows), dtype=bool)
-        plain[ride] = False
-        own = np.flatnonzero(plain).astype(np.int32)
-        if len(ride) == 0:
-            return np.stack([rows, cols]), own, np.ones(len(own))
-        (row_blocks, row_shares), (col_blocks, col_shares) = (
-            self._moved_by(some[ride]) for some in (rows, cols)
+        blocks = np.zeros((self.n_local, 3), dtype=np.int32)
+        share = np.zeros((self.n_local, 3))
+        blocks[:, 0], share[:, 0] = np.arange(self.n_local), 1.0
+        blocks[self.riders], share[self.riders] = self.interpolation, self.weights
+        rides = np.zeros(self.n_local, dtype=bool)
+        rides[self.riders] = True
+        spreads = rides[rows] | rides[cols]
+        some, plain = np.flatnonzero(spreads), np.flatnonzero(~spreads)
+        parts = share[rows[some]][:, :, None] * share[cols[some]][:, None, :]
+        part, i, j = np.nonzero(parts)
+        entry = some[part]
+        order = np.argsort(np.concatenate([plain, entry]), kind="stable")
+        places = np.stack(
+            [
+                np.concatenate([rows[plain], blocks[rows[entry], i]])[order],
+                np.concatenate([cols[plain], blocks[cols[entry], j]])[order],
+            ]
         )
-        weights = row_shares[:, :, None] * col_shares[:, None, :]
-        entry, i, j = np.nonzero(weights)
-        handed = np.stack([row_blocks[entry, i], col_blocks[entry, j]])
-        return (
-            np.concatenate([np.stack([rows[own], cols[own]]), handed], axis=1),
-            np.concatenate([own, ride[entry].astype(np.int32)]),
-            np.concatenate([np.ones(len(own)), weights[entry, i, j]]),
-        )
-
-    def _moved_by(self, blocks: Indices) -> tuple[Indices, Array]:
-        """Blocks that blocks move with, themselves or riders' vertices, and weights, (n, 3)."""
-        others, share = np.zeros((len(blocks), 3), dtype=np.int32), np.zeros((len(blocks), 3))
-        others[:, 0], share[:, 0] = blocks, 1.0
-        rider = self._rider[blocks]
-        ride = rider >= 0
-        others[ride], share[ride] = self.interpolation[rider[ride]], self.weights[rider[ride]]
-        return others, share
+        weights = np.concatenate([np.ones(len(plain)), parts[part, i, j]])[order]
+        return places, np.concatenate([plain, entry])[order].astype(np.int32), weights
 
     def project_blocks(self, rows: Indices, cols: Indices, values: Array) -> Array:
         """Stiffness blocks (n, 3, 3) with those of rails projected: P_row K P_col."""

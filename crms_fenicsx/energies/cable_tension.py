@@ -52,7 +52,7 @@ class CableTension(EnergyTerm):
     ) -> None:
         self.segments, self.eps, self.cable = segments, eps, cable
         self.EA, self.L0 = EA, L0
-        self.excess = np.zeros(len(EA))
+        self.excess: Array = np.zeros(len(EA))
         self.n_sums = len(EA)
         self._lengths = np.zeros(len(segments))
         self._forces = np.zeros(len(segments))
@@ -135,7 +135,7 @@ class CableTension(EnergyTerm):
 
     def _moving(self) -> Array:
         """Length of each cable in these segments at the last `sums`, (n_cables,)."""
-        return np.bincount(self.cable, weights=self._lengths, minlength=len(self.EA))
+        return np.bincount(self.cable, self._lengths, len(self.EA)).astype(np.float64)
 
     def split(self, groups: Integers) -> CableTension:
         """Cables in pieces, one for each group that they run through.

@@ -162,7 +162,6 @@ def add_curvature(X, x, points, coefficients, weighted, r, blocks):  # type: ign
         value = r[k] / w if w > 0.0 else 0.0
         ra, rb = unit[0], unit[1]
         for i in range(3):
-            gc_i = gca[i] + gcb[i]
             for j in range(3):
                 same = 1.0 if i == j else 0.0
                 if a > 0.0:
@@ -171,7 +170,9 @@ def add_curvature(X, x, points, coefficients, weighted, r, blocks):  # type: ign
                     H[1, 1, i, j] += value * wb * (same - rb[i] * rb[j]) / b
                 H[0, 0, i, j] += value * waa * ra[i] * ra[j] + wa * (ra[i] * ga[j] + ga[i] * ra[j])
                 H[1, 1, i, j] += value * wbb * rb[i] * rb[j] + wb * (rb[i] * gb[j] + gb[i] * rb[j])
-                H[0, 1, i, j] += value * wab * ra[i] * rb[j] + wa * ra[i] * gb[j] + wb * ga[i] * rb[j]
+                H[0, 1, i, j] += (
+                    value * wab * ra[i] * rb[j] + wa * ra[i] * gb[j] + wb * ga[i] * rb[j]
+                )
                 gc_j = gca[j] + gcb[j]
                 H[0, 2, i, j] += wa * ra[i] * gc_j
                 H[1, 2, i, j] += wb * rb[i] * gc_j

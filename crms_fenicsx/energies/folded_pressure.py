@@ -50,10 +50,14 @@ def _volume(X, x, corners, weights, origin, volumes):  # type: ignore[no-untyped
         for m in range(3):
             for i in range(3):
                 p[m, i] = X[corners[f, m], i] - origin[i] + x[corners[f, m], i]
-        volumes[f] = weights[f] / 6.0 * (
-            p[0, 0] * (p[1, 1] * p[2, 2] - p[1, 2] * p[2, 1])
-            + p[0, 1] * (p[1, 2] * p[2, 0] - p[1, 0] * p[2, 2])
-            + p[0, 2] * (p[1, 0] * p[2, 1] - p[1, 1] * p[2, 0])
+        volumes[f] = (
+            weights[f]
+            / 6.0
+            * (
+                p[0, 0] * (p[1, 1] * p[2, 2] - p[1, 2] * p[2, 1])
+                + p[0, 1] * (p[1, 2] * p[2, 0] - p[1, 0] * p[2, 2])
+                + p[0, 2] * (p[1, 0] * p[2, 1] - p[1, 1] * p[2, 0])
+            )
         )
         total += volumes[f]
     return total
@@ -117,9 +121,7 @@ class FoldedFollowerPressure(EnergyTerm):
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the volume gained (length cubed)."""
         t = self.table
-        volume = _volume(
-            self.unknowns.X, x, t.corners, t.weights, self.origin, self._volumes
-        )
+        volume = _volume(self.unknowns.X, x, t.corners, t.weights, self.origin, self._volumes)
         out[0] = volume - self._stress_free
 
     def energy(self, sums: Array) -> float:

@@ -86,7 +86,7 @@ class FollowerPressure(EnergyTerm):
         """Add the second derivatives, in places that the membrane's stiffness has filled."""
         if self._hessian is None:
             self._hessian = self._hessian_form()
-        fem_petsc.assemble_matrix(A, self._hessian)
+        fem_petsc.assemble_matrix(A, self._hessian)  # type: ignore[arg-type]
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the volume gained, V - V0 (length cubed)."""

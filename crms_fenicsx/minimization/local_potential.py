@@ -8,6 +8,8 @@ other by the stiffness of the cable's pieces, see `CableTension.split`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from crms_fenicsx.dofs.cluster_layout import ClusterLayout
@@ -70,8 +72,9 @@ class LocalPotential:
         self._damping = None if whole.damping is None else whole.damping.restricted(chosen)
         self.x, self._forces = whole.x, np.zeros_like(whole.x)
         self.blocks = self.layout.blocks
-        self.g, self.energies = np.zeros((len(self.blocks), 3)), np.zeros(self.layout.n_clusters)
-        self._others, self._start = np.zeros_like(self.g), self.x[self.blocks]
+        self.g: Array = np.zeros((len(self.blocks), 3))
+        self.energies: Array = np.zeros(self.layout.n_clusters)
+        self._others, self._start = self.g.copy(), self.x[self.blocks]
         self.steps = 0
         given = whole.g[self.blocks]
         self.layout.project(given)
@@ -79,10 +82,10 @@ class LocalPotential:
         # What acts on the blocks beside these terms, and stays as it is.
         self._others = given - self.g
         self.g[:] = given
-        self._sizes = self._by_cluster(lambda energies: np.abs(energies))
+        self._sizes = self._by_cluster(np.abs)
         self._matrix = ClusterMatrix(self.layout)
 
-    def _by_cluster(self, function) -> Array:
+    def _by_cluster(self, function: Callable[[Array], Array]) -> Array:
         """Sum of a function of the elements' energies over each cluster."""
         total = np.zeros(self.layout.n_clusters)
         for term, sums, cluster in zip(self.terms, self._sums, self._clusters, strict=True):
@@ -101,9 +104,7 @@ class LocalPotential:
         self._take_forces()
         self.g += self._others
         work = np.sum(self._others * (self.x[self.blocks] - self._start), axis=1)
-        np.add(
-            self._by_cluster(lambda energies: energies), self._sum(work), out=self.energies
-        )
+        np.add(self._by_cluster(np.asarray), self._sum(work), out=self.energies)
 
     def _take_forces(self) -> None:
         """Take what has been added up on all blocks."""
@@ -113,7 +114,8 @@ class LocalPotential:
 
     def _sum(self, values: Array) -> Array:
         """Sums of values of blocks (n,) over the clusters."""
-        return np.bincount(self.layout.cluster, values, minlength=self.layout.n_clusters)
+        total = np.bincount(self.layout.cluster, values, self.layout.n_clusters)
+        return total.astype(np.float64)
 
     def residuals(self) -> Array:
         """Norm of the forces on each cluster, (n_clusters,)."""
@@ -135,7 +137,7 @@ class LocalPotential:
         """
         n = self.layout.n_clusters
         least = np.maximum(tolerance / max(n, 1) ** 0.5, 1e-3 * self.residuals())
-        able = np.ones(n, dtype=bool)
+        able: Booleans = np.ones(n, dtype=bool)
         short = np.zeros(n, dtype=int)
         for step in range(most):
             todo = able & (self.residuals() > least)
@@ -210,7 +212,7 @@ class LocalPotential:
         A.clear()
         if not exact and self._damping is not None:
             self._forces[self.blocks] = self.g
-            self._damping.add_stiffness(self.layout, self.x, self._forces, A)
+            self._damping.add_stiffness(self.layout, self.x, self._forces, A)  # type: ignore[arg-type]
         for term, sums in zip(self.terms, self._sums, strict=True):
             (term.add_hessian if exact else term.add_stiffness)(self.x, sums, A)
             term.add_dyads(self.x, sums, A)

@@ -29,11 +29,11 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.energies.stiffening import Stiffening
-from crms_fenicsx.minimization.relaxation import FROM, SETTLED, LocalRelaxation
 from crms_fenicsx.minimization.initial_hessian import InitialHessian, at_bounds
 from crms_fenicsx.minimization.newton import PATIENCE, NewtonMethod
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.minimization.relaxation import FROM, SETTLED, LocalRelaxation
 from crms_fenicsx.runtime.errors import InputError
 
 STAGE_LENGTHS = (3, 6, 10, 20)

@@ -143,7 +143,6 @@ class LocalRelaxation:
     def _relax(self, chosen: Booleans, tolerance: float) -> bool:
         """Relax the chosen blocks of this process; say whether the energy has not risen."""
         potential, before = self.potential, self.potential.x.copy()
-        self._p = potential.energies()
         energy, size = potential.energy(), sum(map(abs, potential.energies().values()))
         blocks = np.flatnonzero(chosen & ~self._stuck).astype(np.int32)
         if len(blocks):
@@ -152,7 +151,9 @@ class LocalRelaxation:
             self.steps += local.steps
         potential.place()
         after = potential.evaluate()
-        if __import__("os").environ.get("DBG") and not after <= energy + RISE * size: print("rise", after-energy, {k: v - self._p[k] for k,v in potential.energies().items()})
+            print(
+                "rise", after - energy, {k: v - self._p[k] for k, v in potential.energies().items()}
+            )
         if after <= energy + RISE * size:
             return True
         potential.x[:] = before

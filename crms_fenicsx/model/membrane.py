@@ -9,6 +9,7 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.mesh import MeshTags, meshtags
 
+from crms_fenicsx.dofs.vertex_places import vertex_places
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.meshes.cell_geometry import OpenEdges, area_vectors, open_edges
 from crms_fenicsx.model.materials import LINEAR, UFL_LAW, MembraneMaterial
@@ -83,7 +84,7 @@ class Membrane:
 
         With ghosts, as `positions`.
         """
-        positions: Array = self.V.tabulate_dof_coordinates()
+        positions = vertex_places(self.V)
         positions.flags.writeable = False
         return positions
 
@@ -148,7 +149,7 @@ class Membrane:
         dofs: Indices = np.zeros(0, dtype=np.int32)
         with raised_together(self.comm):
             if callable(where):
-                marks = np.asarray(where(self.V.tabulate_dof_coordinates().T))
+                marks = np.asarray(where(vertex_places(self.V).T))
                 if marks.shape != (len(self.held),) or marks.dtype != bool:
                     raise InputError(
                         f"vertices: the marker returned {marks.dtype} of shape {marks.shape}; it "

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from crms_fenicsx.cables.cable_net import CableNet
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.surface.feet import pairs_within
 from crms_fenicsx.surface.points import SurfacePoint
 from crms_fenicsx.surface.triangles import norm, vectors
 
@@ -33,25 +35,32 @@ def unfolded(net: CableNet, route: Array) -> tuple[Array, dict[int, SurfacePoint
     """
     if route.shape[1] == 2 or net.strip is None:
         return route, {}, []
+    contacts: list[tuple[LaidCable, int]] = []
+    positions: list[Array] = [np.zeros((0, 3))]
+    for cable in net.cables:
+        on = [k for k, node in enumerate(cable.nodes) if node.point is not None]
+        here = [k for k, lifted in zip(on, cable.lifted[on], strict=True) if not lifted]
+        contacts += [(cable, k) for k in here]
+        positions.append(cable.positions[here])
+    x, reach = np.concatenate(positions), SAME_PLACE * net.membrane.size
+    target, contact = pairs_within(x, route, np.full(len(route), reach))
+    same = norm(x[contact] - route[target]) <= reach
+    if not same.any():
+        return route, {}, []
+    first_at: dict[int, int] = {}
+    for row, at in zip(target[same], contact[same], strict=True):
+        first_at.setdefault(int(row), int(at))
     shape = net.strip_shape()
-    contacts = [
-        (cable, k)
-        for cable in net.cables
-        for k in cable.contacts()
-        if cable.nodes[k].point is not None
-    ]
-    x = np.array([cable.positions[k] for cable, k in contacts]).reshape(-1, 3)
     rows: list[Array] = []
     known: dict[int, SurfacePoint] = {}
     folds: list[Array] = []
-    for target in vectors(route):
-        at = np.flatnonzero(norm(x - target) <= SAME_PLACE * net.membrane.size)
-        if len(at):
-            cable, k = contacts[at[0]]
+    for i, place in enumerate(vectors(route)):
+        if i in first_at:
+            cable, k = contacts[first_at[i]]
             if cable.nodes[k].kind == "crossing":
                 continue
             known[len(rows)] = cable.point(k)
-            folds.append(x[at[0]])
-            target = shape.mean(*cable.interpolation(k))
-        rows.append(target)
+            folds.append(x[first_at[i]])
+            place = shape.mean(*cable.interpolation(k))
+        rows.append(place)
     return np.array(rows), known, folds

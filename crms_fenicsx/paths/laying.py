@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from itertools import count
 
 import numpy as np
@@ -24,7 +25,8 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, PathError
 from crms_fenicsx.surface.path import Path
 from crms_fenicsx.surface.points import EdgePoint, SurfacePoint, VertexPoint
-from crms_fenicsx.surface.trace import trace
+from crms_fenicsx.surface.trace import IndirectLeg, trace
+from crms_fenicsx.surface.triangles import mix
 
 
 def lay(
@@ -59,18 +61,15 @@ def lay(
             checks.positive(f"lay_cable: {name!r} with {key}", value)
     route, known, folds = unfolded(net, _route(path))
     refuse_places_behind(net.membrane, route, name)
-    near = cells_near(net.membrane, route)
-    shape = StripShape.of(net.membrane, near)
-    rows = np.searchsorted(near.vertices, near.cells)
     try:
-        traced = trace(near.vertices, shape.current, rows, route, known=known)
+        traced = _traced(net.membrane, route, known)
     except PathError as error:
         raise PathError(f"lay_cable: {name!r}: {error}") from None
     strip = cells_at(net.membrane, [v for point in traced.points for v in point.support])
     shape = StripShape.of(net.membrane, strip)
     refuse_forks(traced, shape, name)
     nodes = nodes_of(traced.points, strip, _ends(net.membrane, strip, traced))
-    positions = np.array([_position(node, k, traced, shape) for k, node in enumerate(nodes)])
+    positions = _positions(nodes, traced, shape)
     in_fold = dict(zip(known.values(), folds, strict=True))
     for k, node in enumerate(nodes):
         if node.point in in_fold:
@@ -97,6 +96,19 @@ def lay(
         laid.update(axial=initial_state(laid, shape))
     net.add(laid, strip)
     return laid
+
+
+def _traced(membrane: Membrane, route: Array, known: Mapping[int, SurfacePoint]) -> Path:
+    """Trace a route on the cells along it, or if they are not enough across the whole mesh."""
+    for along_legs in (True, False):
+        near = cells_near(membrane, route, along_legs)
+        shape = StripShape.of(membrane, near)
+        rows = np.searchsorted(near.vertices, near.cells)
+        with suppress(IndirectLeg):
+            return trace(
+                near.vertices, shape.current, rows, route, known=known, along_legs=along_legs
+            )
+    raise AssertionError("the whole mesh is enough")
 
 
 def _refuse_folds(membrane: Membrane, strip: Strip, cable: LaidCable) -> None:
@@ -147,14 +159,22 @@ def _ends(membrane: Membrane, strip: Strip, path: Path) -> tuple[End, End]:
     return end(path.start_anchor, path.points[0]), end(path.end_anchor, path.points[-1])
 
 
-def _position(node: CableNode, k: int, path: Path, shape: StripShape) -> Array:
-    """Where a node is at laying; an anchor without a place of its own is where the path ends."""
-    if node.kind == "anchor":
-        anchor, point = (
-            (path.start_anchor, path.points[0]) if k == 0 else (path.end_anchor, path.points[-1])
-        )
+def _positions(nodes: Sequence[CableNode], path: Path, shape: StripShape) -> Array:
+    """Where nodes are at laying; an anchor without a place of its own is where the path ends."""
+    ends = {
+        k: (path.points[k], anchor)
+        for k, anchor in ((0, path.start_anchor), (-1, path.end_anchor))
+        if nodes[k].kind == "anchor"
+    }
+    if 0 in ends:
+        nodes = [CableNode("rider", ends[0][0]), *nodes[1:]]
+    if -1 in ends:
+        nodes = [*nodes[:-1], CableNode("rider", ends[-1][0])]
+    found = [node.interpolation() for node in nodes]
+    rows = np.array([[*(shape.strip.row_of[v] for v in ids), 0, 0][:3] for ids, _ in found])
+    weights = np.array([[*share, 0.0, 0.0][:3] for _, share in found])
+    positions = mix(weights, shape.current[rows])
+    for k, (_, anchor) in ends.items():
         if anchor is not None:
-            return np.array(anchor, dtype=float)
-        node = CableNode("rider", point)
-    ids, weights = node.interpolation()
-    return np.sum([w * shape.at(i) for i, w in zip(ids, weights, strict=True)], axis=0)
+            positions[k] = anchor
+    return positions

@@ -9,7 +9,8 @@ from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError, as_text
-from crms_fenicsx.surface.closest_point import ON_SURFACE, foot_of
+from crms_fenicsx.surface.closest_point import ON_SURFACE
+from crms_fenicsx.surface.feet import feet_of
 from crms_fenicsx.surface.path import Path
 from crms_fenicsx.surface.triangles import vectors
 
@@ -43,9 +44,9 @@ def refuse_places_behind(membrane: Membrane, route: Array, name: str) -> None:
         return
     if route.shape[1] == 2:
         positions = positions * (1.0, 1.0, 0.0)
-    for i, point in enumerate(vectors(np.pad(route, ((0, 0), (0, 3 - route.shape[1]))))):
-        on_hidden = foot_of(positions, cells[hidden], point, membrane.comm)
-        on_outer = foot_of(positions, cells[~hidden], point, membrane.comm)
+    course = np.pad(route, ((0, 0), (0, 3 - route.shape[1])))
+    feet = [feet_of(positions, cells[some], course, membrane.comm) for some in (hidden, ~hidden)]
+    for i, (point, on_hidden, on_outer) in enumerate(zip(vectors(course), *feet, strict=True)):
         reach = ON_SURFACE * on_hidden.size
         if on_hidden.distance <= reach and on_outer.distance > max(reach, on_hidden.distance):
             raise PathError(

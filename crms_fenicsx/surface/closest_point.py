@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import ArrayLike
 
 from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.errors import PathError, as_text
-from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint
+from crms_fenicsx.surface.feet import Foot, feet_of, pairs_within
+from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint, edge_of
 from crms_fenicsx.surface.triangles import (
     WALL,
     altitudes,
@@ -26,7 +27,6 @@ from crms_fenicsx.surface.triangles import (
     longest_sides,
     mix,
     norm,
-    vectors,
 )
 
 # A point in space counts as lying on the surface up to this part of the local mesh size: a
@@ -82,20 +82,27 @@ class Surface:
         return {int(vertex): row for row, vertex in enumerate(self.ids)}
 
     @cached_property
+    def around(self) -> dict[int, set[int]]:
+        """Rows of the cells around each vertex."""
+        found: dict[int, set[int]] = {int(vertex): set() for vertex in self.ids}
+        for row, corners in enumerate(lists(self.ids[self.cells])):
+            for vertex in corners:
+                found[vertex].add(row)
+        return found
+
+    def cells_at(self, point: SurfacePoint) -> set[int]:
+        """Rows of the cells that hold a point."""
+        return set.intersection(*(self.around[vertex] for vertex in point.support))
+
+    def in_one_cell(self, points: Iterable[SurfacePoint]) -> bool:
+        """Say whether a cell holds all the points."""
+        return bool(set.intersection(*(self.cells_at(point) for point in points)))
+
+    @cached_property
     def boxes(self) -> tuple[Array, Array]:
         """Least and greatest coordinates of the cells in plan, (m, 2) each."""
         corners = self.points[self.cells][:, :, :2]
         return corners.min(axis=1), corners.max(axis=1)
-
-
-@dataclass(frozen=True)
-class Foot:
-    """The place of a surface nearest to a point in space, in a cell of a certain size."""
-
-    position: Array
-    distance: float
-    normal: Array
-    size: float
 
 
 @dataclass(frozen=True)
@@ -124,27 +131,53 @@ class Place:
         )
 
 
-def place_in_plan(surface: Surface, xy: Array, index: int, snap: float) -> Place:
-    """Return the place of a route point given in plan, on the uppermost sheet there.
+def places_in_plan(surface: Surface, course: Array, snap: float) -> list[Place]:
+    """Return the places of route points given in plan, on the uppermost sheet there.
 
     A point outside by less than `RIM` of the cell there is meant to lie on the rim.
     """
+    found = _held_in_plan(surface, course, snap)
+    outside = [i for i, place in enumerate(found) if place is None]
+    on_rim = np.array([_on_the_rim(surface, course[i], i) for i in outside]).reshape(-1, 2)
+    for i, place in zip(outside, _held_in_plan(surface, on_rim, snap), strict=True):
+        found[i] = place
+    lacking = [i for i, place in enumerate(found) if place is None]
+    if lacking:
+        raise PathError(
+            f"route point {lacking[0]} at {as_text(course[lacking[0]])} lies on a wall, where a "
+            "plan does not tell the height; give the route in space"
+        )
+    return [place for place in found if place is not None]
+
+
+def _held_in_plan(surface: Surface, course: Array, snap: float) -> list[Place | None]:
+    """Return the places of points in plan; None for those outside of the surface."""
     least, most = surface.boxes
     reach = snap * surface.size
-    near = np.flatnonzero(((least <= xy + reach) & (most >= xy - reach)).all(axis=1))
+    inside = (least <= course[:, None] + reach) & (most >= course[:, None] - reach)
+    target, near = np.nonzero(inside.all(axis=2))
     triangles = surface.points[surface.cells[near]]
-    flat, target = flattened(triangles), np.array([xy[0], xy[1], 0.0])
-    weights, _, gap = closest(flat, target)
+    flat, targets = flattened(triangles), np.pad(course, ((0, 0), (0, 1)))
+    weights, _, gap = closest(flat, targets[target])
     floor = norm(double_areas(flat)) > WALL * norm(double_areas(triangles))
     holds = floor & (gap <= snap * altitudes(flat))
-    if not holds.any():
-        return place_in_plan(surface, _on_the_rim(surface, xy, index), index, snap)
-    near, weights, triangles = near[holds], weights[holds], triangles[holds]
     heights = mix(weights, triangles)[:, 2]
-    top = surface.cells[near[np.argmax(heights)]]
-    sheet = np.isin(surface.cells[near], top).any(axis=1)
-    point, position = locate(surface, near[sheet], flattened(triangles[sheet]), target, snap)
-    return Place(point, position, np.array([0.0, 0.0, 1.0]))
+    kept = []
+    for rows in _by_target(target, len(course)):
+        here = rows[holds[rows]]
+        if len(here):
+            top = surface.cells[near[here[np.argmax(heights[here])]]]
+            kept.append(here[np.isin(surface.cells[near[here]], top).any(axis=1)])
+    sheet = np.concatenate(kept) if kept else np.zeros(0, dtype=np.int64)
+    places = located(surface, targets, target[sheet], near[sheet], flat[sheet], snap)
+    up = np.array([0.0, 0.0, 1.0])
+    return [None if place is None else Place(*place, up) for place in places]
+
+
+def _by_target(target: Integers, count: int) -> list[Integers]:
+    """Return the rows of each target in an ascending list of them."""
+    ends = np.searchsorted(target, np.arange(count + 1))
+    return [np.arange(a, b) for a, b in pairwise(ends)]
 
 
 def _on_the_rim(surface: Surface, xy: Array, index: int) -> Array:
@@ -163,85 +196,63 @@ def _on_the_rim(surface: Surface, xy: Array, index: int) -> Array:
     return place[:2]
 
 
-def locate(
-    surface: Surface, rows: Integers, triangles: Array, target: Array, snap: float
-) -> tuple[SurfacePoint, Array]:
-    """Return the point of the surface at `target`, which all the cells `rows` hold or touch."""
-    corners = surface.cells[rows]
+def located(
+    surface: Surface,
+    targets: Array,
+    target: Integers,
+    rows: Integers,
+    triangles: Array,
+    snap: float,
+) -> list[tuple[SurfacePoint, Array] | None]:
+    """Return the points of the surface at targets (k, 3), with their positions.
+
+    Parameters
+    ----------
+    target, rows
+        (p,) which cells hold or touch which target, ascending by targets.
+    triangles
+        (p, 3, 3) these cells, in plan if the targets are in plan.
+
+    Returns
+    -------
+    A vertex where one is near, else an edge, else a place in the nearest cell; None for a target
+    without cells.
+    """
+    corners, at = surface.cells[rows], targets[target]
     reach = snap * altitudes(triangles)
-    to_corner = norm(triangles - target)
+    to_corner = norm(triangles - at[:, None])
     to_corner = np.where(to_corner <= reach[:, None], to_corner, np.inf)
-    if np.isfinite(to_corner).any():
-        row = corners.ravel()[np.argmin(to_corner)]
-        return VertexPoint(int(surface.ids[row])), surface.points[row].copy()
-    best: tuple[float, Node, float, Array] | None = None
-    for cell, triangle, near in zip(lists(corners), vectors(triangles), reach, strict=True):
-        for i, j in ((0, 1), (1, 2), (2, 0)):
-            if surface.ids[cell[i]] > surface.ids[cell[j]]:
-                i, j = j, i
-            side = triangle[j] - triangle[i]
-            t = float(dot(target - triangle[i], side) / max(float(dot(side, side)), 1e-300))
-            gap = float(norm(triangle[i] + t * side - target))
-            edge = (int(surface.ids[cell[i]]), int(surface.ids[cell[j]]))
-            if gap <= near and 0.0 < t < 1.0 and (best is None or (gap, edge) < best[:2]):
-                ends = surface.points[[cell[i], cell[j]]]
-                best = gap, edge, t, (1.0 - t) * ends[0] + t * ends[1]
-    if best is not None:
-        return EdgePoint((best[1][0], best[1][1]), best[2]), best[3]
-    weights, _, gaps = closest(triangles, target)
-    nearest = int(np.argmin(gaps))
-    position = mix(weights[[nearest]], surface.points[corners[[nearest]]])[0]
-    a, b, c = surface.ids[corners[nearest]].tolist()
-    u, v, w = weights[nearest].tolist()
-    return CellPoint((a, b, c), (u, v, w)), position
-
-
-def foot_of(
-    points: Array, cells: Integers, target: Array, comm: MPI.Intracomm | None = None
-) -> Foot:
-    """Return the nearest place of the surface, the same on all ranks of `comm`."""
-    triangles = points[cells]
-    centre, radius = balls(triangles)
-    least = np.min(norm(triangles - target), initial=np.inf)
-    near = norm(centre - target) - radius <= least * (1.0 + 1e-9)
-    triangles = triangles[near]
-    weights, places, gaps = closest(triangles, target)
-    held = (float("inf"), 0)
-    found = (np.zeros(3), np.zeros(3), np.zeros((3, 3)))
-    if len(gaps):
-        i = int(np.argmin(gaps))
-        held = (float(gaps[i]), 0)
-        found = (places[i], weights[i], triangles[i])
-    if comm is not None:
-        held = comm.allreduce((held[0], comm.rank), op=MPI.MINLOC)
-        found = comm.bcast(found, root=held[1])
-    position, share, corners = found
-    size = float(longest_sides(corners[None])[0])
-    # interpolated from the vertices: the facets' own normals are off by the angle between them;
-    # vertices are known by their place, as ranks share no other name for them here
-    around = points[cells]
-    area = double_areas(around)
-    normals = np.zeros((3, 3))
-    for i, corner in enumerate(vectors(corners)):
-        fan = (norm(around - corner) <= 1e-9 * size).any(axis=1)
-        normals[i] = area[fan].sum(axis=0)
-    if comm is not None:
-        normals = comm.allreduce(normals, op=MPI.SUM)
-    lengths = norm(normals)
-    normals = normals / np.where(lengths > 0.0, lengths, 1.0)[:, None]
-    normal = mix(share[None], normals[None])[0]
-    return Foot(position, held[0], normal / max(float(norm(normal)), 1e-300), size)
-
-
-def touching(points: Array, cells: Integers, position: Array, snap: float) -> Integers:
-    """Return the rows of the cells that hold or touch a place of the surface."""
-    triangles = points[cells]
-    centre, radius = balls(triangles)
-    near = np.flatnonzero(norm(centre - position) <= radius * (1.0 + snap))
-    triangles = triangles[near]
-    _, _, gap = closest(triangles, position)
-    scale = float(np.max(np.abs(position)))
-    return near[gap <= snap * altitudes(triangles) + 1e-14 * scale]
+    ids = surface.ids[corners]
+    i, j = np.array([0, 1, 2]), np.array([1, 2, 0])
+    turned = ids[:, i] > ids[:, j]
+    i, j = np.where(turned, j, i), np.where(turned, i, j)
+    every = np.arange(len(rows))[:, None]
+    side = triangles[every, j] - triangles[every, i]
+    t = dot(at[:, None] - triangles[every, i], side) / np.maximum(dot(side, side), 1e-300)
+    gap = norm(triangles[every, i] + t[..., None] * side - at[:, None])
+    on_edge = (gap <= reach[:, None]) & (0.0 < t) & (t < 1.0)
+    weights, _, gaps = closest(triangles, at)
+    positions = mix(weights, surface.points[corners])
+    found: list[tuple[SurfacePoint, Array] | None] = []
+    for own in _by_target(target, len(targets)):
+        if not len(own):
+            found.append(None)
+        elif np.isfinite(to_corner[own]).any():
+            row = corners[own].ravel()[np.argmin(to_corner[own])]
+            found.append((VertexPoint(int(surface.ids[row])), surface.points[row].copy()))
+        elif on_edge[own].any():
+            _, a, b, n, k = min(
+                (gap[n, k], ids[n, i[n, k]], ids[n, j[n, k]], n, k)
+                for n, k in zip(*np.nonzero(on_edge[own]), strict=True)
+                for n in [own[n]]
+            )
+            s, ends = float(t[n, k]), surface.points[[corners[n, i[n, k]], corners[n, j[n, k]]]]
+            found.append((EdgePoint((int(a), int(b)), s), (1.0 - s) * ends[0] + s * ends[1]))
+        else:
+            n = own[np.argmin(gaps[own])]
+            (a, b, c), (u, v, w) = ids[n].tolist(), weights[n].tolist()
+            found.append((CellPoint((a, b, c), (u, v, w)), positions[n]))
+    return found
 
 
 def places_in_space(
@@ -251,54 +262,71 @@ def places_in_space(
 
     Of those that are known only the normal is found.
     """
+    feet = feet_of(surface.points, surface.cells, course)
+    positions = np.array([foot.position for foot in feet])
+    target, rows = _touching(surface, positions, snap)
+    triangles = surface.points[surface.cells[rows]]
+    points = located(surface, positions, target, rows, triangles, snap)
+    altitude, longest = altitudes(triangles), longest_sides(triangles)
     places = []
-    for i, target in enumerate(vectors(course)):
-        foot = foot_of(surface.points, surface.cells, target)
+    for i, own in enumerate(_by_target(target, len(course))):
+        foot = feet[i]
         if i in known:
-            places.append(Place(known[i], target, foot.normal))
+            places.append(Place(known[i], course[i], foot.normal))
             continue
-        rows = touching(surface.points, surface.cells, foot.position, snap)
-        triangles = surface.points[surface.cells[rows]]
-        point, position = locate(surface, rows, triangles, foot.position, snap)
-        offset = target - foot.position
+        found = points[i]
+        assert found is not None
+        point, position = found
+        offset = course[i] - foot.position
         height = float(dot(offset, foot.normal))
         aside = float(norm(offset - height * foot.normal))
-        rim = on_boundary(surface, point)
         # an offset along the normal is that of a faceted surface from a smooth one
-        beyond = rim and aside > max(snap * float(altitudes(triangles).max()), 0.5 * abs(height))
-        off = foot.distance > ON_SURFACE * float(longest_sides(triangles).max())
-        if not off and not beyond:
+        is_aside = aside > max(snap * float(altitude[own].max()), 0.5 * abs(height))
+        off = foot.distance > ON_SURFACE * float(longest[own].max())
+        rim = (is_aside or off) and on_boundary(surface, point)
+        if not off and not (rim and is_aside):
             places.append(Place(point, position, foot.normal))
         elif i not in (0, len(course) - 1):
             raise PathError(
-                f"route point {i} at {as_text(target)} leaves the membrane: it is "
+                f"route point {i} at {as_text(course[i])} leaves the membrane: it is "
                 f"{foot.distance:.6g} from its nearest place {as_text(foot.position)}; move it "
                 "there, only a first or last point may be off"
             )
         elif height < 0.0 and not rim:
             raise PathError(
-                f"route point {i} at {as_text(target)} lies {foot.distance:.6g} inside the "
+                f"route point {i} at {as_text(course[i])} lies {foot.distance:.6g} inside the "
                 f"membrane, behind {as_text(foot.position)}, and a cable lies on the outside, "
                 "where the normals point; move this anchor outside or beyond the boundary, or "
                 "turn the membrane with the `outside` of its mesh"
             )
         else:
-            places.append(Place(None, target, foot.normal, foot, beyond=rim))
+            places.append(Place(None, course[i], foot.normal, foot, beyond=rim))
     return places
+
+
+def _touching(surface: Surface, positions: Array, snap: float) -> tuple[Integers, Integers]:
+    """Return which cells hold or touch places of the surface (k, 3): places and cells, (p,)."""
+    triangles = surface.points[surface.cells]
+    centre, radius = balls(triangles)
+    widest = float(radius.max()) * (1.0 + 2.0 * snap)
+    target, near = pairs_within(centre, positions, np.full(len(positions), widest))
+    _, _, gap = closest(triangles[near], positions[target])
+    scale = np.abs(positions).max(axis=1)[target]
+    touches = gap <= snap * altitudes(triangles[near]) + 1e-14 * scale
+    return target[touches], near[touches]
 
 
 def on_boundary(surface: Surface, point: SurfacePoint) -> bool:
     """Say whether a point of the surface lies on its boundary."""
-    support = np.flatnonzero(np.isin(surface.ids, point.support))
-    around = surface.cells[np.isin(surface.cells, support).any(axis=1)]
-    count = edge_count(lists(surface.ids[around]))
+    if isinstance(point, CellPoint):
+        return False
+    around = sorted({row for vertex in point.support for row in surface.around[vertex]})
+    count = edge_count(lists(surface.ids[surface.cells[around]]))
     if isinstance(point, EdgePoint):
         return count[point.edge] == 1
-    if isinstance(point, VertexPoint):
-        return any(n == 1 and point.vertex in edge for edge, n in count.items())
-    return False
+    return any(n == 1 and point.vertex in edge for edge, n in count.items())
 
 
-def edge_count(cells: list[list[int]]) -> Counter[Node]:
+def edge_count(cells: Iterable[Sequence[int]]) -> Counter[Node]:
     """Count the cells at each edge (smaller, larger)."""
-    return Counter((min(a, b), max(a, b)) for u, v, w in cells for a, b in ((u, v), (v, w), (w, u)))
+    return Counter(edge_of(a, b) for u, v, w in cells for a, b in ((u, v), (v, w), (w, u)))

@@ -8,24 +8,17 @@ contradict it.
 from __future__ import annotations
 
 import heapq
-from collections import Counter
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
-from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError, as_text
-from crms_fenicsx.surface.closest_point import Node, Place, Surface, edge_count
-from crms_fenicsx.surface.points import (
-    LEAST,
-    MOST,
-    CellPoint,
-    EdgePoint,
-    SurfacePoint,
-    VertexPoint,
-)
-from crms_fenicsx.surface.triangles import WALL, altitudes, cross, dot, double_areas, lists, norm
+from crms_fenicsx.surface.closest_point import Node, Surface, edge_count
+from crms_fenicsx.surface.plane_cuts import Cut
+from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint, edge_of
+from crms_fenicsx.surface.triangles import altitudes, dot, norm
 
 # Nodes of a section: (vertex,), (smaller, larger) for an edge, and the two ends of a leg where
 # they are neither.
@@ -39,71 +32,6 @@ FACING = float(np.sqrt(0.5))
 
 
 @dataclass(frozen=True)
-class Plane:
-    """The plane of a leg, through both ends and the mean normal of the surface there.
-
-    `ahead` and `across`, unit vectors, lie across the mean normal, in the plane and athwart it;
-    `length` is that of the leg seen along the normal.
-    """
-
-    origin: Array
-    ahead: Array
-    across: Array
-    length: float
-
-    @classmethod
-    def of(cls, a: Array, b: Array, normal_a: Array, normal_b: Array) -> Plane:
-        """Return the plane through two points and the mean of two directions."""
-        up = normal_a + normal_b
-        across = cross(up, (b - a) / norm(b - a))
-        size = float(norm(across))
-        if size < 1e-6:
-            raise PathError(
-                f"the leg from {as_text(a)} to {as_text(b)} has no section plane, as the surface's "
-                "normals there are opposite or point along it; put a route point between them"
-            )
-        across = np.asarray(across / size, dtype=np.float64)
-        ahead = np.asarray(cross(across, up) / norm(up), dtype=np.float64)
-        return cls(a, ahead, across, float(dot(b - a, ahead)))
-
-    def offsets(self, points: Array) -> Array:
-        """Return the distances (n,) of (n, 3) points from the plane, with sign."""
-        return dot(points - self.origin, self.across)
-
-    def advances(self, points: Array) -> Array:
-        """Return how far (n,) along the leg (n, 3) points are, seen along its mean normal."""
-        return dot(points - self.origin, self.ahead)
-
-    def altitudes(self, triangles: Array) -> Array:
-        """Return the smallest altitudes (m,) of the projections of (m, 3, 3) triangles.
-
-        A wall has none: it counts with its true one, if it is not parallel to the plane.
-        """
-        flat = np.zeros_like(triangles)
-        flat[..., 0], flat[..., 1] = self.advances(triangles), self.offsets(triangles)
-        wall = norm(double_areas(flat)) <= WALL * norm(double_areas(triangles))
-        spread = flat[..., 1].max(axis=1) - flat[..., 1].min(axis=1)
-        upright = np.minimum(altitudes(triangles), spread)
-        return np.where(wall, upright, altitudes(flat))
-
-
-def in_strip(plane: Plane, points: Array, cells: Integers, reach: float) -> Booleans:
-    """Mark the cells that the plane crosses or passes within `reach`.
-
-    `reach` covers what the ends may be moved when they snap, and grows beyond the ends, where
-    that turns the plane farther away.
-    """
-    offset = plane.offsets(points)
-    advance = plane.advances(points)
-    beyond = np.maximum(np.maximum(-advance, advance - plane.length), 0.0) / plane.length
-    rounding = 1e-14 * float(np.max(np.abs(points), initial=0.0))
-    margin = 2.0 * reach * (1.0 + 2.0 * beyond) + rounding
-    near = (np.abs(offset) <= margin)[cells].any(axis=1)
-    positive = (offset > 0.0)[cells]
-    return np.asarray(near | (positive.any(axis=1) & ~positive.all(axis=1)))
-
-
-@dataclass(frozen=True)
 class Section:
     """The section of a surface with a plane, as a graph of the points it meets.
 
@@ -113,20 +41,25 @@ class Section:
         Each node's point of the surface and its position (length).
     arcs
         Each node's neighbours, with the lengths to them.
-    rim
-        The nodes on the surface's boundary.
     cells
         The nodes of each cell (its vertices' ids, in any order) that the section meets.
-    edges
-        How many of these cells have each edge (smaller, larger).
     """
 
     points: dict[Node, SurfacePoint]
     positions: dict[Node, Array]
     arcs: dict[Node, dict[Node, float]]
-    rim: set[Node]
     cells: dict[Node, list[Node]]
-    edges: Counter[Node]
+
+    @property
+    def rim(self) -> set[Node]:
+        """The nodes on the surface's boundary: edges and vertices of edges with one cell."""
+        count = edge_count(self.cells)
+        vertices = {v for edge, n in count.items() if n == 1 for v in edge}
+        return {
+            node
+            for node, point in self.points.items()
+            if count[point.support] == 1 or (len(node) == 1 and node[0] in vertices)
+        }
 
     def join(self, a: Node, b: Node) -> None:
         """Put in the arc between two nodes."""
@@ -143,12 +76,11 @@ class Section:
                 self.join(node, other)
             return node
         self.arcs[node] = {}
+        support = set(point.support)
         for corners, nodes in self.cells.items():
-            if set(point.support) <= set(corners):
+            if support.issubset(corners):
                 for other in nodes:
                     self.join(node, other)
-        if self.edges.get(point.support) == 1:
-            self.rim.add(node)
         return node
 
     def nearest(
@@ -209,58 +141,33 @@ class Section:
         return found
 
 
-def section_with(
-    surface: Surface, plane: Plane, ends: tuple[Place, Place], name: str, snap: float
-) -> Section:
-    """Return the section with the plane of a leg; of its ends, those on vertices lie in it."""
-    strip = surface.cells[in_strip(plane, surface.points, surface.cells, snap * surface.size)]
-    offset = plane.offsets(surface.points)
-    tolerance = np.full(len(surface.ids), np.inf)
-    np.minimum.at(
-        tolerance, strip, snap * plane.altitudes(surface.points[strip])[:, None].repeat(3, axis=1)
-    )
-    sign = np.where(np.abs(offset) <= tolerance, 0, np.sign(offset)).astype(np.int64)
-    for place in ends:
-        if isinstance(place.point, VertexPoint):
-            sign[surface.ids == place.point.vertex] = 0
-
-    strip = strip[np.abs(sign[strip].sum(axis=1)) < 3]
-    rows = {int(surface.ids[row]): int(row) for row in np.unique(strip)}
-    ids = lists(surface.ids[strip])
-    count = edge_count(ids)
-    rim_vertices = {v for edge, n in count.items() if n == 1 for v in edge}
-    section = Section({}, {}, {}, set(), {}, count)
-    for corners, signs in zip(ids, lists(sign[strip]), strict=True):
-        nodes: list[Node] = [(v,) for v, s in zip(corners, signs, strict=True) if s == 0]
-        for i, j in ((0, 1), (1, 2), (2, 0)):
-            if signs[i] * signs[j] < 0:
-                nodes.append((min(corners[i], corners[j]), max(corners[i], corners[j])))
-        for node in nodes:
-            if node in section.points:
+def section_of(cut: Cut, name: str) -> Section:
+    """Return the section of a surface with a plane from the cells that this cuts."""
+    section = Section({}, {}, {}, {})
+    points, arcs = section.points, section.arcs
+    for row, ((u, v, w), meets) in enumerate(zip(cut.ids, cut.meets, strict=True)):
+        keys: list[Node] = [(u,), (v,), (w,), edge_of(u, v), edge_of(v, w), edge_of(w, u)]
+        nodes: list[Node] = []
+        for k, node in enumerate(keys):
+            if not meets[k]:
                 continue
-            section.arcs[node] = {}
-            here = [rows[v] for v in node]
-            x = surface.points[here]
-            if len(node) == 1:
-                section.points[node], section.positions[node] = VertexPoint(node[0]), x[0]
-                on_rim = node[0] in rim_vertices
-            else:
-                t = float(offset[here[0]] / (offset[here[0]] - offset[here[1]]))
-                t = min(max(t, LEAST), MOST)  # rounding must not undo what the signs say
-                section.points[node] = EdgePoint((node[0], node[1]), t)
-                section.positions[node] = (1.0 - t) * x[0] + t * x[1]
-                on_rim = count[node] == 1
-            if on_rim:
-                section.rim.add(node)
+            nodes.append(node)
+            if node not in points:
+                arcs[node], section.positions[node] = {}, cut.places[row, k]
+                if k < 3:
+                    points[node] = VertexPoint(node[0])
+                else:
+                    points[node] = EdgePoint((node[0], node[1]), cut.fractions[row][k - 3])
         if len(nodes) == 3:
             raise PathError(
-                f"{name} runs in the plane of cell {tuple(corners)} near "
+                f"{name} runs in the plane of cell {(u, v, w)} near "
                 f"{as_text(section.positions[nodes[0]])}, a wall or a cell without area; "
                 "turn the leg a little or put a route point beside it"
             )
         if len(nodes) == 2:
-            section.join(nodes[0], nodes[1])
-        section.cells[tuple(corners)] = nodes
+            a, b = nodes
+            arcs[a][b] = arcs[b][a] = cut.lengths[row]
+        section.cells[u, v, w] = nodes
     return section
 
 

@@ -8,43 +8,33 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import replace
 from itertools import pairwise
 from types import MappingProxyType
 from typing import NoReturn
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import ArrayLike
 
-from crms_fenicsx.runtime.arrays import Array, Booleans
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError, as_text
-from crms_fenicsx.surface.closest_point import (
-    RIM,
-    Node,
-    Place,
-    Surface,
-    foot_of,
-    place_in_plan,
-    places_in_space,
-)
+from crms_fenicsx.surface.closest_point import Node, Place, Surface, places_in_plan, places_in_space
 from crms_fenicsx.surface.path import Path, without_backtracking
+from crms_fenicsx.surface.plane_cuts import Cut, Plane, cuts
 from crms_fenicsx.surface.plane_section import (
     END,
     START,
-    Plane,
     Section,
-    in_strip,
-    section_with,
+    section_of,
     shortest,
     way_back,
 )
 from crms_fenicsx.surface.points import CellPoint, SurfacePoint
-from crms_fenicsx.surface.triangles import balls, dot, flattened, longest_sides, norm, vectors
+from crms_fenicsx.surface.route import DETOUR, checked_route
+from crms_fenicsx.surface.triangles import dot, longest_sides, norm
 
-# The direct way is shorter than one around the back by more than this: two ways around a tube that
-# are about as long are as good as each other.
-DETOUR = 0.95
+
+class IndirectLeg(LookupError):  # noqa: N818 - no error: a request for data
+    """A leg does not go straight on: the cells along it are not enough to find its way."""
 
 
 def trace(
@@ -55,6 +45,7 @@ def trace(
     *,
     snap: float = 1e-3,
     known: Mapping[int, SurfacePoint] = MappingProxyType({}),
+    along_legs: bool = False,
 ) -> Path:
     """Return the path that a cable takes over the surface along a route.
 
@@ -80,6 +71,8 @@ def trace(
         them count as lying in it; route points as near to a vertex or an edge lie on it.
     known
         Places on the surface of points of a route in space, by their numbers; others are found.
+    along_legs
+        Whether the cells are those along the legs only, see `near_section`.
 
     Returns
     -------
@@ -93,16 +86,23 @@ def trace(
         The input is no surface or no route, the route leaves the membrane or could only go around
         its back, an anchor lies inside, a leg has no section, or the route comes back through the
         cells that it went out by; the message names the place.
+    IndirectLeg
+        The cells along the legs are not enough.
     """
     surface = Surface.checked(vertices, points, cells)
-    course = _checked_route(route, snap)
+    course = checked_route(route, snap)
     if course.shape[1] == 2:
-        places = [place_in_plan(surface, xy, i, snap) for i, xy in enumerate(vectors(course))]
+        places = places_in_plan(surface, course, snap)
     else:
         places = places_in_space(surface, course, snap, known)
     found: list[SurfacePoint] = []
+    ways = _direct_ways(surface, places, snap)
     for i, (first, last) in enumerate(pairwise(places)):
-        leg = _leg_points(surface, first, last, f"leg {i} of the route", snap)
+        leg = ways[i]
+        if leg is None:
+            if along_legs and first.point is not None and last.point is not None:
+                raise IndirectLeg
+            leg = _leg_points(surface, first, last, f"leg {i} of the route", snap)
         if found and isinstance(found[-1], CellPoint):  # a corner inside a cell is cut off
             found, leg = found[:-1], leg[1:]
         found += leg
@@ -123,78 +123,6 @@ def trace(
     return path
 
 
-def near_section(
-    points: ArrayLike,
-    cells: ArrayLike,
-    route: ArrayLike,
-    *,
-    snap: float = 1e-3,
-    comm: MPI.Intracomm | None = None,
-) -> Booleans:
-    """Mark the cells that `trace` needs: it finds the same path on them as on the whole mesh.
-
-    Parameters
-    ----------
-    points
-        (n, 3) current positions (length).
-    cells
-        (m, 3) rows of `points` that make up each triangle; with `comm` the cells that this rank
-        owns, none or some.
-    route, snap
-        As for `trace`.
-    comm
-        The ranks among which the mesh is divided; then the call is collective and all give
-        the same route.
-
-    Returns
-    -------
-    (m,) mask. A strip along every leg's plane, across the whole mesh, and the cells nearest to
-    each route point.
-
-    Raises
-    ------
-    PathError
-        As `trace`, for a bad route; on all ranks.
-    """
-    course = _checked_route(route, snap)
-    x = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-    rows = np.asarray(cells, dtype=np.int64).reshape(-1, 3)
-    size = float(np.max(longest_sides(x[rows]), initial=0.0))
-    if comm is not None:
-        size = comm.allreduce(size, op=MPI.MAX)
-    mask = np.zeros(len(rows), dtype=np.bool_)
-    up = np.array([0.0, 0.0, 1.0])
-    if course.shape[1] == 2:
-        ends = np.column_stack([course, np.zeros(len(course))])
-        for a, b in pairwise(vectors(ends)):  # trace may move ends to the rim, and the plane along
-            mask |= in_strip(Plane.of(a, b, up, up), x, rows, (RIM + snap) * size)
-        flat = flattened(x[rows])
-        centre, radius = balls(flat)
-        for target in vectors(ends):  # what trace names when the route leaves the membrane
-            least = float(np.min(norm(flat - target), initial=np.inf))
-            if comm is not None:
-                least = comm.allreduce(least, op=MPI.MIN)
-            mask |= norm(centre - target) - radius <= least * (1.0 + 1e-9)
-        return mask
-    feet = [foot_of(x, rows, target, comm) for target in vectors(course)]
-    centre, radius = balls(x[rows])
-    for foot in feet:
-        # all around the vertices of the nearest cell, which make the normal
-        mask |= norm(centre - foot.position) - radius <= foot.size * (1.0 + 1e-9) + snap * size
-    for i in range(len(course) - 1):
-        # whether an end is an anchor depends on the boundary, which one rank may not see
-        starts = [feet[i].position] + ([course[i]] if i == 0 else [])
-        stops = [feet[i + 1].position] + ([course[i + 1]] if i == len(course) - 2 else [])
-        for a in starts:
-            for b in stops:
-                if norm(b - a) == 0.0:
-                    continue
-                with suppress(PathError):  # if this is the leg, trace says so
-                    plane = Plane.of(a, b, feet[i].normal, feet[i + 1].normal)
-                    mask |= in_strip(plane, x, rows, snap * size)
-    return mask
-
-
 def _refuse_shortcuts(surface: Surface, path: Path, course: Array, places: list[Place]) -> None:
     """Refuse a path that does not pass the route's places in order, within the size of their cells.
 
@@ -204,18 +132,17 @@ def _refuse_shortcuts(surface: Surface, path: Path, course: Array, places: list[
     x = path.positions(surface.ids, surface.points)
     start, side = x[:-1], np.diff(x, axis=0)
     square = np.maximum(dot(side, side), 1e-300)
+    longest = longest_sides(surface.points[surface.cells])
+    on = [(i, place.point) for i, place in enumerate(places) if place.point is not None]
+    targets = np.array([places[i].position for i, _ in on]).reshape(-1, 1, 3)
+    reach = np.array([longest[list(surface.cells_at(point))].max() for _, point in on])[:, None]
+    middles = dot(targets - start, side) / square
+    aside = norm(start + middles[..., None] * side - targets)
+    halves = np.sqrt(np.maximum(reach**2 - aside**2, 0.0) / square)
     passed = 0.0  # segments of the path that lie behind, with the part of the last one
-    for i, place in enumerate(places):
-        if place.point is None:
-            continue
-        rows = [surface.row_of[vertex] for vertex in place.point.support]
-        around = np.isin(surface.cells, rows).sum(axis=1) == len(rows)
-        reach = float(longest_sides(surface.points[surface.cells[around]]).max())
-        middle = dot(place.position - start, side) / square
-        aside = norm(start + middle[:, None] * side - place.position)
-        half = np.sqrt(np.maximum(reach**2 - aside**2, 0.0) / square)
+    for (i, _), middle, half, passes in zip(on, middles, halves, aside <= reach, strict=True):
         first = np.maximum(middle - half, np.maximum(passed - np.arange(len(side)), 0.0))
-        near = (aside <= reach) & (first <= np.minimum(middle + half, 1.0))
+        near = passes & (first <= np.minimum(middle + half, 1.0))
         if not near.any():
             raise PathError(
                 f"route point {i} at {as_text(course[i])} would be cut off, as the route comes "
@@ -224,25 +151,6 @@ def _refuse_shortcuts(surface: Surface, path: Path, course: Array, places: list[
             )
         k = int(np.argmax(near))
         passed = k + float(first[k])
-
-
-def _checked_route(route: ArrayLike, snap: float) -> Array:
-    if not 0.0 < snap <= 0.1:
-        raise PathError(f"snap {snap} of a route: give a part of the mesh size, 0 < snap <= 0.1")
-    try:
-        course = np.asarray(route, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise PathError(f"route {route!r}: give points (x, y) or (x, y, z), all alike") from None
-    if course.ndim != 2 or course.shape[1] not in (2, 3) or len(course) < 2:
-        raise PathError(
-            f"a route of shape {course.shape}: give two or more points (x, y) or (x, y, z)"
-        )
-    for i, point in enumerate(vectors(course)):
-        if not np.isfinite(point).all():
-            raise PathError(f"route point {i} is {as_text(point)}; give finite coordinates")
-        if i and np.array_equal(point, course[i - 1]):
-            raise PathError(f"route points {i - 1} and {i} are both {as_text(point)}; drop one")
-    return course
 
 
 def _leg_points(
@@ -254,23 +162,17 @@ def _leg_points(
             f"{name} has no length: both its ends lie at {as_text(first.position)} of the membrane;"
             " move them apart"
         )
-    known = [place.point for place in (first, last) if place.point is not None]
-    if len(known) == 2 and _in_one_cell(surface, known):
-        return known
     for anchor, other in ((first, last), (last, first)):
         if other.point is not None and anchor.is_straight_over(other.position, snap):
             return [other.point]
     plane = Plane.of(first.position, last.position, first.normal, last.normal)
-    direct = _direct_way(surface, plane, first, last, name, snap)
-    if direct is not None:
-        return direct
-    section = section_with(surface, plane, (first, last), name, snap)
+    section = section_of(cuts(surface, [plane], [(first, last)], snap)[0], name)
     gaps = section.gaps()
     start = _end_node(section, first, START, surface, snap)
     end = _end_node(section, last, END, surface, snap)
     if start is not None and end is not None:
         points = [section.points[node] for node in dict.fromkeys((start, end))]
-        if _in_one_cell(surface, points):
+        if surface.in_one_cell(points):
             return points
     advance = {node: float(plane.advances(x)) for node, x in section.positions.items()}
     if start is None or end is None:
@@ -295,21 +197,41 @@ def _leg_points(
     return [section.points[node] for node in way_back(before, end)]
 
 
+def _direct_ways(
+    surface: Surface, places: list[Place], snap: float
+) -> list[list[SurfacePoint] | None]:
+    """Return the points of the legs that go straight on; None for others."""
+    ways: list[list[SurfacePoint] | None] = [None] * (len(places) - 1)
+    legs: list[tuple[int, Plane, tuple[Place, Place]]] = []
+    for i, (first, last) in enumerate(pairwise(places)):
+        if first.point is None or last.point is None:
+            continue
+        if np.array_equal(first.position, last.position):
+            continue
+        if surface.in_one_cell((first.point, last.point)):
+            ways[i] = [first.point, last.point]
+            continue
+        with suppress(PathError):  # it is raised when it is this leg's turn
+            plane = Plane.of(first.position, last.position, first.normal, last.normal)
+            legs.append((i, plane, (first, last)))
+    ends = [both for _, _, both in legs]
+    along = cuts(surface, [plane for _, plane, _ in legs], ends, snap, 2.0 * surface.size)
+    for (i, plane, (first, last)), cut in zip(legs, along, strict=True):
+        ways[i] = _direct_way(surface, plane, first, last, cut)
+    return ways
+
+
 def _direct_way(
-    surface: Surface, plane: Plane, first: Place, last: Place, name: str, snap: float
+    surface: Surface, plane: Plane, first: Place, last: Place, cut: Cut
 ) -> list[SurfacePoint] | None:
     """Return the points of a leg that goes straight on, found in the cells around it alone.
 
     None unless it is the shortest way on the whole surface: one that leaves these cells is longer
     than the leg by twice a cell's size, and one over an opening is no shorter than straight on.
     """
-    if first.point is None or last.point is None:
-        return None
-    advance, margin = plane.advances(surface.points), 2.0 * surface.size
-    near = (-margin < advance) & (advance < plane.length + margin)
-    around = replace(surface, cells=surface.cells[near[surface.cells].any(axis=1)])
+    assert first.point is not None and last.point is not None
     try:
-        section = section_with(around, plane, (first, last), name, snap)
+        section = section_of(cut, "a leg")
     except PathError:  # perhaps of cells at the end of what is seen here
         return None
     start = section.put(first.point, first.position, START)
@@ -320,16 +242,9 @@ def _direct_way(
     if reached.get(end, np.inf) > longest:
         return None
     points = [section.points[node] for node in dict.fromkeys((start, end))]
-    if _in_one_cell(surface, points):
+    if surface.in_one_cell(points):
         return points
     return [section.points[node] for node in way_back(before, end)]
-
-
-def _in_one_cell(surface: Surface, points: list[SurfacePoint]) -> bool:
-    """Say whether a cell holds all the points."""
-    held = np.zeros(len(surface.ids), dtype=np.bool_)
-    held[[surface.row_of[vertex] for point in points for vertex in point.support]] = True
-    return bool((held[surface.cells].sum(axis=1) == held.sum()).any())
 
 
 def _end_node(

@@ -5,6 +5,8 @@ Everything is elementwise, so that a part of a mesh rounds as the whole.
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 
 from crms_fenicsx.runtime.arrays import Array, Integers
@@ -20,7 +22,7 @@ def vectors(rows: Array) -> list[Array]:
 
 def lists(rows: Integers) -> list[list[int]]:
     """Return the rows of an array as lists of Python integers."""
-    return [[int(v) for v in rows[i]] for i in range(len(rows))]
+    return cast(list[list[int]], rows.tolist())
 
 
 def norm(a: Array) -> Array:
@@ -79,18 +81,19 @@ def balls(triangles: Array) -> tuple[Array, Array]:
 
 
 def closest(triangles: Array, target: Array) -> tuple[Array, Array, Array]:
-    """Return the places nearest to `target` in each of (m, 3, 3) triangles.
+    """Return the places nearest to `target`, (3,) or (m, 3), in each of (m, 3, 3) triangles.
 
     As (m, 3) weights of the corners, (m, 3) positions and (m,) distances. In slivers the weights
     are badly conditioned, the positions and distances are not.
     """
     every = np.arange(len(triangles))
+    target = np.broadcast_to(target, (len(triangles), 3))
     sides = triangles[:, [1, 2, 0]] - triangles
     square = dot(sides, sides)
-    t = dot(target - triangles, sides) / np.where(square > 0.0, square, 1.0)
+    t = dot(target[:, None] - triangles, sides) / np.where(square > 0.0, square, 1.0)
     t = np.clip(t, 0.0, 1.0)
     on_sides = triangles + t[..., None] * sides
-    to_sides = norm(on_sides - target)
+    to_sides = norm(on_sides - target[:, None])
     side = np.argmin(to_sides, axis=1)
     gaps, places, t = to_sides[every, side], on_sides[every, side], t[every, side]
     weights = np.zeros((len(triangles), 3))
@@ -98,14 +101,14 @@ def closest(triangles: Array, target: Array) -> tuple[Array, Array, Array]:
 
     normal = double_areas(triangles)
     square = dot(normal, normal)
-    to_corners = triangles - target
+    to_corners = triangles - target[:, None]
     opposite = cross(to_corners[:, [1, 2, 0]], to_corners[:, [2, 0, 1]])
     inner = dot(opposite, normal[:, None]) / np.where(square > 0.0, square, 1.0)[:, None]
     inside = (inner >= 0.0).all(axis=1) & (square > 0.0)
     weights[inside] = inner[inside] / inner[inside].sum(axis=1)[:, None]
-    height = dot(triangles[inside, 0] - target, normal[inside]) / square[inside]
-    places[inside] = target + height[:, None] * normal[inside]
-    gaps[inside] = norm(places[inside] - target)
+    height = dot(triangles[inside, 0] - target[inside], normal[inside]) / square[inside]
+    places[inside] = target[inside] + height[:, None] * normal[inside]
+    gaps[inside] = norm(places[inside] - target[inside])
     return weights, places, gaps
 
 

@@ -22,6 +22,7 @@ from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes import from_arrays
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.laid_cable import polyline_length
+from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.scene import Scene
 
 
@@ -82,9 +83,10 @@ def test_matrices_count_vertices_first(comm):
 
 def test_vertices_are_where_the_mesh_has_them(comm):
     scene, unknowns, _ = with_points(comm)
-    np.testing.assert_array_equal(
-        unknowns.X[unknowns.vertex_blocks()], scene.V.tabulate_dof_coordinates()
-    )
+    X, mesh = unknowns.X[unknowns.vertex_blocks()], scene.V.mesh
+    for dofs, nodes in zip(scene.V.dofmap.list, geometry_dofmap(mesh), strict=True):
+        np.testing.assert_array_equal(X[dofs], mesh.geometry.x[nodes])
+    np.testing.assert_allclose(X, scene.V.tabulate_dof_coordinates(), rtol=0, atol=1e-12)
     assert not unknowns.held.any()
 
 

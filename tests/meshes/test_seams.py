@@ -188,7 +188,7 @@ def test_what_cables_see_of_a_seam(comm):
         assert shape.stress_free_size(support) == pytest.approx(h)
     assert all(surface.ring(vertex).closed for vertex in edge)
 
-    near = cells_near(scene.membrane, np.array(route))
+    near = cells_near(scene.membrane, np.array(route), along_legs=False)
     assert not near.hidden
     np.testing.assert_allclose(StripShape.of(scene.membrane, near).current[:, 2], 0.0, atol=1e-9)
 

@@ -20,16 +20,17 @@ from trace_surfaces import (
 )
 
 from crms_fenicsx.runtime.errors import PathError
-from crms_fenicsx.surface.closest_point import foot_of
+from crms_fenicsx.surface.feet import feet_of
 from crms_fenicsx.surface.points import CellPoint
-from crms_fenicsx.surface.trace import near_section, trace
+from crms_fenicsx.surface.route import near_section
+from crms_fenicsx.surface.trace import trace
 
 SNAP = 1e-3  # the default of `trace`
 
 
 def normal_of_leg(points, cells, a, b):
     """Return the unit normal of the plane of the leg from a to b."""
-    up = sum(foot_of(points, cells, end).normal for end in (a, b))
+    up = sum(foot.normal for foot in feet_of(points, cells, np.array([a, b])))
     across = np.cross(up, b - a)
     return across / np.linalg.norm(across)
 
@@ -69,7 +70,7 @@ def test_path_begins_in_the_plane_of_the_leg_under_the_anchor(surface):
     kinds, beside = set(), []
     for _ in range(30):
         below, b = points[rng.choice(inner, 2, replace=False)]
-        a = below + 10.0 ** rng.uniform(0, 1.5) * foot_of(points, cells, below).normal
+        a = below + 10.0 ** rng.uniform(0, 1.5) * feet_of(points, cells, below[None])[0].normal
         across = normal_of_leg(points, cells, a, b)
         path = trace(ids, points, cells, [a, b])
         path.links(ids[cells])
@@ -80,7 +81,7 @@ def test_path_begins_in_the_plane_of_the_leg_under_the_anchor(surface):
         assert np.abs((x - a) @ across).max() <= SNAP * size
         nearest = distance_in_plane(points, cells, a, across)
         assert nearest == pytest.approx(np.linalg.norm(x[0] - a), abs=2 * SNAP * size)
-        beside.append(abs((foot_of(points, cells, a).position - a) @ across))
+        beside.append(abs((feet_of(points, cells, a[None])[0].position - a) @ across))
         kinds.add(type(path.points[0]))
 
         assert trace(*part(ids, points, cells, near_section(points, cells, [a, b])), [a, b]) == path
@@ -198,7 +199,7 @@ def test_strip_holds_all_that_a_steep_leg_needs():
         points, cells = (grid(20), squashed(1.2), hall(1.5))[case % 3]
         ids = numbered(rng, points)
         top = points[rng.choice(np.flatnonzero(points[:, 2] >= 0.7 * points[:, 2].max()))]
-        a = top + 30.0 * foot_of(points, cells, top).normal + rng.uniform(-0.4, 0.4, 3)
+        a = top + 30.0 * feet_of(points, cells, top[None])[0].normal + rng.uniform(-0.4, 0.4, 3)
         b = top + rng.uniform(-2e-4, 2e-4, 3)  # it snaps
         far = points[rng.integers(len(points))]
         route = np.array([a, b, far]) if case % 2 else np.array([a, b])

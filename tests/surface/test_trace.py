@@ -25,7 +25,8 @@ from trace_surfaces import (
 
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.surface.points import CellPoint, EdgePoint, VertexPoint
-from crms_fenicsx.surface.trace import _direct_way, near_section, trace
+from crms_fenicsx.surface.route import near_section
+from crms_fenicsx.surface.trace import IndirectLeg, _direct_way, trace
 from crms_fenicsx.surface.triangles import longest_sides
 
 
@@ -480,7 +481,7 @@ def test_what_is_around_a_leg_gives_the_same_way_as_all_of_the_section(monkeypat
 
 
 def test_strip_gives_the_same_path_as_the_whole_mesh():
-    rng = np.random.default_rng(21)
+    rng, taken = np.random.default_rng(21), 0
     for case in range(120):
         points, cells = (scattered(rng, 150), grid(14), cap(1.9))[case % 3]
         if case % 3 == 1:  # graded: the cells' sizes differ a thousandfold
@@ -497,8 +498,27 @@ def test_strip_gives_the_same_path_as_the_whole_mesh():
                 route[1] += high - low  # outside: the same error
         mask = near_section(points, cells, route)
         assert_part_is_enough(ids, points, cells, mask, route)
+        along = near_section(points, cells, route, along_legs=True)
+        assert (along <= mask).all()
+        taken += assert_along_legs_is_enough(ids, points, cells, along, route)
+    assert 40 < taken < 110
     points, cells = grid(60)
     assert near_section(points, cells, [(0, 7.3), (60, 31.1)]).mean() < 0.1
+
+
+def assert_along_legs_is_enough(ids, points, cells, mask, route):
+    """On the cells along the legs a route has the same path as on all, if all go straight on."""
+    try:
+        found = trace(*part(ids, points, cells, mask), route, along_legs=True)
+    except IndirectLeg:
+        return False
+    except PathError as error:
+        with pytest.raises(PathError) as caught:
+            trace(ids, points, cells, route)
+        assert str(caught.value) == str(error)
+        return False
+    assert found == trace(ids, points, cells, route)
+    return True
 
 
 @pytest.mark.parametrize("space", [False, True])
@@ -535,6 +555,13 @@ def test_bad_routes_are_refused(route, words):
     points, cells = grid(3)
     with pytest.raises(PathError, match=words):
         trace(np.arange(len(points)), points, cells, route)
+
+
+def test_a_plan_does_not_tell_a_height_on_a_wall():
+    points, cells = grid(3)
+    upright = points[:, [0, 2, 1]]
+    with pytest.raises(PathError, match=r"route point 0 at .* lies on a wall"):
+        trace(np.arange(len(points)), upright, cells, [(1.2, 0.0), (2.0, 0.0)])
 
 
 def test_bad_surfaces_are_refused():
