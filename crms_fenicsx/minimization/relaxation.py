@@ -150,11 +150,7 @@ class LocalRelaxation:
             self._stuck[local.relax(tolerance, STEPS)] = True
             self.steps += local.steps
         potential.place()
-        after = potential.evaluate()
-            print(
-                "rise", after - energy, {k: v - self._p[k] for k, v in potential.energies().items()}
-            )
-        if after <= energy + RISE * size:
+        if potential.evaluate() <= energy + RISE * size:
             return True
         potential.x[:] = before
         potential.place()
