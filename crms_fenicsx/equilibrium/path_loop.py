@@ -89,14 +89,17 @@ class PathLoop:
         total, flips = best.outcome, best.flips
         laid_again: set[int] = set()
         tries = 0
+        settled = True  # the potential is that of the best paths, and the scene its equilibrium
         while best.outcome.converged:
             moved: list[Trial] = []
             if not flips:
-                caught, sunken = self._caught(CAUGHT), self._sunk()
-                caught = self._sliding(caught | sunken) - laid_again
-                # Through the membrane a cable is shorter: that energy is none to fall below.
-                energy = math.inf if sunken & caught else self.system.objective
-                best = replace(best, state=State.of(self.scene), energy=energy)
+                caught: set[int] = set()
+                if settled:
+                    caught, sunken = self._caught(CAUGHT), self._sunk()
+                    caught = self._sliding(caught | sunken) - laid_again
+                    # Through the membrane a cable is shorter: that energy is none to fall below.
+                    energy = math.inf if sunken & caught else self.system.objective
+                    best = replace(best, state=State.of(self.scene), energy=energy)
                 if caught:
                     laid_again |= caught
                     self.retracer.lay_again(caught)
@@ -104,6 +107,11 @@ class PathLoop:
                     scale = sum(map(abs, self.scene.energies.values()))
                     if tries < MAX_PATHS:
                         moved = trials.next(best.energy, scale)
+                    if not moved and not settled:
+                        self.system.rebuild()
+                        total = total + self.contacts.solve((0.0,), lambda: True)
+                        best, settled = replace(best, outcome=total), True
+                        continue
                     if not moved:
                         flips = self._pass_vertices(None)
                         if not flips and not self._straighten_kinks():
@@ -117,7 +125,7 @@ class PathLoop:
             new = self._try((0.0,), rough=True)
             total = total + new.outcome
             if new.outcome.converged and new.energy < best.energy:
-                best, flips = new, new.flips
+                best, flips, settled = new, new.flips, True
                 if moved:
                     laid_again.clear()
                 continue
@@ -130,9 +138,7 @@ class PathLoop:
             flips = self._change_paths(flips // 2)
             if not flips:
                 tried.rejected |= proposed
-                self.system.rebuild()
-                total = total + self.contacts.solve((0.0,), lambda: True)
-                best = replace(best, outcome=total)
+                settled = False
         return self._accepted(total, rough)
 
     def _accepted(self, total: Outcome, rough: bool) -> Outcome:

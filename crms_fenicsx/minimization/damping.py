@@ -20,7 +20,6 @@ from petsc4py import PETSc
 
 from crms_fenicsx.dofs.block_patterns import ElementPattern, SegmentPattern
 from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 
 SLIDE = 0.1
@@ -53,11 +52,6 @@ class Damping:
         """Springs of the chosen blocks, (n_local,)."""
         own, parts = chosen[self.sliders[:, 0]], chosen[self.segments].any(axis=1)
         return Damping(self.sliders[own], self.fractions[own], self.segments[parts])
-
-    def count_stiffness(self, sizes: RowSizes) -> None:
-        """Count the blocks of the stiffness."""
-        self._on_edges.count(sizes)
-        self._along.count(sizes)
 
     def add_stiffness(self, unknowns: Unknowns, x: Array, g: Array, A: PETSc.Mat) -> None:
         """Add the springs' stiffness to the matrix.

@@ -29,6 +29,8 @@ SHIFT = 1e-9
 """Added to the diagonal of K, relative to the sum of its block's trace and the geometric mean of
 all. The largest one alone, that of a segment much shorter than a cell, would slow down the soft
 sideways motion of whole cables."""
+QUIET = "mat_cholmod_print"
+"""PETSc's option for what CHOLMOD prints: with 1 errors, but not that a matrix is indefinite."""
 INDEFINITE = 76, 81
 """PETSc's error codes where another library's factorisation finds K indefinite."""
 WORKSPACE = 100
@@ -101,6 +103,9 @@ class InitialHessian:
             for name, value in MULTIGRID.items():
                 if not options.hasName(name):
                     options[name] = value
+        options = PETSc.Options(prefix)
+        if not options.hasName(QUIET):
+            options[QUIET] = 1
         self._exact = self.pc.getType() in (PETSc.PC.Type.CHOLESKY, PETSc.PC.Type.LU)
         if self._exact and self.pc.getFactorSolverType() == "mumps":
             # Its estimate is too small for some distributions of a mesh, and it fails then. What

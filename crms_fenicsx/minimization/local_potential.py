@@ -137,7 +137,7 @@ class LocalPotential:
         """
         n = self.layout.n_clusters
         least = np.maximum(tolerance / max(n, 1) ** 0.5, 1e-3 * self.residuals())
-        able: Booleans = np.ones(n, dtype=bool)
+        able = np.asarray(np.ones(n), dtype=bool)
         short = np.zeros(n, dtype=int)
         for step in range(most):
             todo = able & (self.residuals() > least)

@@ -53,15 +53,13 @@ EXACT = 1e-2
 """Residual, relative to the force scale, from which on H0 under cables is the energy's second
 derivative, where that is definite."""
 
-QUICK = 1e-4
-
 LONGEST = 15
 """Evaluations of a line search: more have hardly ever led to anything but its failure."""
 
 ROUNDED = 1e-6
 """Residual, relative to the force scale, up to which one of nothing but rounding is accepted."""
 
-ROUGH = 1e-3
+ROUGH = 1e-4
 COARSE = 1e-5
 """Residual, relative to the force scale, at which `solve` asks whether to go on."""
 
@@ -252,9 +250,8 @@ class Minimizer:
             if self._newton_method.active:
                 stiffening.floor.value = self._newton_method.restraint
         self._length = STAGE_LENGTHS[min(renewals, len(STAGE_LENGTHS) - 1)]
-        near = self._residual0 < EXACT * self._scale
-        exact = near and self._relaxation is not None and prestress == 0.0
-        if not self.h0.rebuild(exact):
+        near = self._residual0 < EXACT * self._scale and self._newton_method.trusts_exact
+        if not self.h0.rebuild(exact=near and prestress == 0.0 and failures == 0):
             self.h0.rebuild()
         if not self._h0_set:
             self.tao.setLMVMH0(self.h0.matrix)
@@ -305,7 +302,7 @@ class Minimizer:
         iterations = factorizations = failures = 0
         start, stages, best = potential.evaluations, 0.0, np.inf
         reason = "too many stages"
-        self._newton_method.active = False
+        self._newton_method.begin()
         # What lies on a floor is held in H0.
         self._aged |= h0_prestress[0] != 0.0 or self._bounds is not None
         self._length = STAGE_LENGTHS[0]
@@ -389,19 +386,16 @@ class Minimizer:
 
     def _choose_method(self, stages: float, residual: float) -> None:
         """Let Newton's method take over from slow stages, or these from it."""
+        newton = self._newton_method
         possible = self.newton and self._uses_h0 and self._bounds is None
-        if self._relaxation is not None and QUICK * self._scale < residual < FROM * self._scale:
-            self._newton_method.active = self._aged = True
-            self._newton_method.restraint = 1e-5
-        elif self._relaxation is not None:
-            self._newton_method.active = False
-        elif self._newton_method.active:
-            self._newton_method.check_progress(residual)
+        if newton.is_quick(residual, self._scale):
+            self._aged = True
+        elif newton.active:
+            newton.check_progress(residual)
         elif possible and self._aged and stages >= PATIENCE:
-            self._newton_method.take_over(residual, self._residual0, self._scale)
+            newton.take_over(residual, self._residual0, self._scale)
 
     def _newton_step(self) -> bool:
         """Make a step of Newton's method; return whether the energy has fallen."""
         vectors = self._x, self._g, self._step
-        fallen = self._newton_method.step(self._x0, self._g0, self._energy0, *vectors)
-        return fallen
+        return self._newton_method.step(self._x0, self._g0, self._energy0, *vectors)

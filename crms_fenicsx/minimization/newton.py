@@ -10,9 +10,10 @@ from __future__ import annotations
 
 from petsc4py import PETSc
 
+from crms_fenicsx.energies.stiffening import FLOOR
 from crms_fenicsx.minimization.initial_hessian import InitialHessian
 from crms_fenicsx.minimization.potential import Potential
-from crms_fenicsx.minimization.relaxation import LocalRelaxation
+from crms_fenicsx.minimization.relaxation import FROM, LocalRelaxation
 
 STUBBORN, PATIENCE = 0.1, 8
 """Reduction of the residual by a stage above which Newton's method takes over, after how many
@@ -21,6 +22,10 @@ stages: cables that pass vertices take a few, and no Newton step makes that fast
 RESTRAINT = 1e-2
 """Part of the taut stiffness that wrinkled cells have at first in Newton's method, relative to the
 root of the residual over the force scale."""
+
+NEAR, QUICK, QUICK_STEPS = 1e-4, 0.3, 10
+"""Residual, relative to the force scale, down to which steps are made by the second derivatives
+where cable points can be relaxed; and part that may be left of it after how many of them."""
 
 NEWTON_STAGES = 20
 """Iterations of Newton's method in which the residual must fall by more than that."""
@@ -49,6 +54,8 @@ class NewtonMethod:
     ----------
     active
         Whether it has taken over.
+    trusts_exact
+        Whether H0 may be the energy's second derivatives in this solve.
     restraint
         Part of the taut stiffness that wrinkled cells have on top of their tangent.
     """
@@ -57,8 +64,42 @@ class NewtonMethod:
         self, potential: Potential, h0: InitialHessian, relaxation: LocalRelaxation | None
     ) -> None:
         self.potential, self.h0, self.relaxation = potential, h0, relaxation
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin a solve, without this method at first."""
         self.active, self.restraint = False, RESTRAINT
+        self.trusts_exact = self.relaxation is not None
+        self._quick, self._failed = False, 0
         self._count, self._mark = 0, 0.0
+
+    def is_quick(self, residual: float, scale: float) -> bool:
+        """Decide whether the next step is one by the second derivatives, with points relaxed.
+
+        So it is on the way from afar to near the minimum, unless it fails or makes no progress.
+
+        Parameters
+        ----------
+        residual
+            Norm of the gradient (force).
+        scale
+            Scale of the forces.
+        """
+        if self.trusts_exact and self._quick:
+            self._count += 1
+            if self._count == QUICK_STEPS:
+                self._count, slow = 0, residual > QUICK * self._mark
+                self._mark = residual
+                self.trusts_exact = not slow
+        self.trusts_exact &= self._failed < 2
+        if self.trusts_exact and NEAR * scale < residual < FROM * scale:
+            if not self._quick:
+                self._count, self._mark = 0, residual
+            self.active = self._quick = True
+            self.restraint = FLOOR
+        elif self._quick:
+            self.active = self._quick = False
+        return self._quick
 
     def take_over(self, residual: float, reduced: float, scale: float) -> None:
         """Begin where a stage has `reduced` the residual to little less than it was.
@@ -121,4 +162,5 @@ class NewtonMethod:
             factor = 0.1 if kept > 0.9 else 0.3 if kept > 0.6 else 1.0
             factor = factor if part == 1.0 else 1.0
         self.restraint = min(factor * self.restraint, 1.0)
+        self._failed = 0 if fallen else self._failed + 1
         return fallen

@@ -175,8 +175,6 @@ class Potential:
         sizes = RowSizes(self.unknowns)
         for term in self.terms:
             term.count_stiffness(sizes)
-        if self.damping is not None:
-            self.damping.count_stiffness(sizes)
         return sizes
 
     def dyads(self) -> Iterator[tuple[EnergyTerm, int, float]]:

@@ -32,7 +32,7 @@ MOST = 0.5
 """Part of all blocks that may be relaxed at once: points beyond that are relaxed all together,
 patches not at all."""
 
-RATIO, BALANCED = 0.3, 0.3
+RATIO, BALANCED = 0.5, 0.3
 """Force on the points, relative to that on the vertices, from which on they are relaxed, and part
 of that which may be left."""
 

@@ -1,0 +1,160 @@
+"""The potential of some blocks, in clusters: against the whole's energy, forces and stiffness."""
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from taylor import OnMesh, dense, noise
+from term_scene import FABRIC, ISOTROPIC, STIFF, cable_square, displaced
+
+from crms_fenicsx.minimization.local_potential import LocalPotential
+from crms_fenicsx.minimization.relaxation import LocalRelaxation
+
+
+def evaluated(material=ISOTROPIC, size=0.3):
+    """A potential at some state with forces, on this process alone, and its layout."""
+    system = cable_square(MPI.COMM_SELF, material)
+    potential, n = system.potential, system.unknowns.n_owned
+    held = system.unknowns.held[:n]
+    potential.x[:n] += displaced(system.unknowns, size, stretch=1.03) * ~held
+    potential.place()
+    potential.evaluate()
+    potential.free_gradient(potential.g_vector.duplicate())
+    return potential
+
+
+def free_blocks(potential, points=True, vertices=False):
+    """Blocks that may move."""
+    unknowns = potential.unknowns
+    free = np.flatnonzero(~unknowns.held[: unknowns.n_owned].all(axis=1))
+    is_point = free >= unknowns.n_vertices
+    return free[(is_point & points) | (~is_point & vertices)].astype(np.int32)
+
+
+@pytest.mark.parametrize("material", [ISOTROPIC, STIFF, FABRIC], ids=["wrinkling", "raw", "fabric"])
+@pytest.mark.parametrize("vertices", [False, True], ids=["points", "with vertices"])
+def test_energy_and_forces_are_those_of_the_whole(material, vertices):
+    """One cluster, so that each cable is in one piece: exact for any displacement of its blocks."""
+    potential = evaluated(material)
+    chosen = free_blocks(potential, vertices=vertices)
+    layout = LocalPotential(potential, chosen).layout
+    largest = np.argmax(np.diff(layout.starts))
+    blocks = np.sort(layout.blocks[layout.cluster == largest]).astype(np.int32)
+    assert len(blocks) > 5
+    local = LocalPotential(potential, blocks)
+    assert local.layout.n_clusters == 1
+    before, own = potential.energy(), local.energies.sum()
+    np.testing.assert_allclose(local.g, potential.g[local.blocks], atol=1e-11)
+    kept = potential.x[local.blocks].copy()
+    step = 0.05 * noise(potential.unknowns.X[local.blocks], 4)
+    local.layout.project(step)
+    potential.x[local.blocks] = kept + step
+    local._evaluate()
+    potential.place()
+    after = potential.evaluate()
+    change = local.energies.sum() - own
+    assert abs(change) > 1e-3
+    assert change == pytest.approx(after - before, rel=1e-9)
+    g = np.where(potential.unknowns.held, 0.0, potential.g)[local.blocks]
+    np.testing.assert_allclose(local.g, g, atol=1e-9 * np.abs(g).max())
+
+
+def test_clusters_have_no_element_in_common():
+    potential = evaluated()
+    blocks = free_blocks(potential)[::3]
+    local = LocalPotential(potential, blocks)
+    assert local.layout.n_clusters > 3
+    number = {int(b): int(c) for b, c in zip(local.blocks, local.layout.cluster, strict=True)}
+    for term in local.terms:
+        pointers, members = term.element_blocks()
+        for a, b in zip(pointers[:-1], pointers[1:], strict=True):
+            assert len({number[int(m)] for m in members[a:b] if int(m) in number}) <= 1
+
+
+def test_pieces_of_a_cable_together_are_never_below_its_energy():
+    """The sum over clusters bounds the whole's change from above, with equality to first order."""
+    potential = evaluated()
+    blocks = free_blocks(potential)[::3]
+    local = LocalPotential(potential, blocks)
+    before, own = potential.energy(), local.energies.sum()
+    kept = potential.x[local.blocks].copy()
+    gaps = []
+    for h in (0.2, 0.1, 0.05):
+        step = h * noise(potential.unknowns.X[local.blocks], 2)
+        local.layout.project(step)
+        potential.x[local.blocks] = kept + step
+        local._evaluate()
+        potential.place()
+        gaps.append(local.energies.sum() - own - (potential.evaluate() - before))
+    assert min(gaps) > 0.0
+    assert gaps[0] / gaps[1] == pytest.approx(4, rel=0.2)
+    assert gaps[1] / gaps[2] == pytest.approx(4, rel=0.2)
+
+
+@pytest.mark.parametrize("exact", [False, True], ids=["H0", "exact"])
+def test_matrix_is_a_block_of_the_whole_one(exact):
+    potential = evaluated()
+    blocks = free_blocks(potential, vertices=True)[::2]
+    whole = OnMesh.__new__(OnMesh)
+    whole.potential, whole.unknowns, whole.exact = potential, potential.unknowns, exact
+    potential.damping, damping = None, potential.damping
+    local = LocalPotential(potential, blocks)
+    x = potential.x[: potential.unknowns.n_owned].copy()
+    K = dense(whole.assembled(x))
+    potential.damping = damping
+    numbers = potential.unknowns.matrix_numbers
+    for c in range(local.layout.n_clusters):
+        own = local.blocks[local.layout.cluster == c]
+        rows = (3 * numbers[own][:, None] + np.arange(3)).ravel()
+        expected = K[np.ix_(rows, rows)]
+        local._matrix.clear()
+        for term, sums in zip(local.terms, local._sums, strict=True):
+            (term.add_hessian if exact else term.add_stiffness)(local.x, sums, local._matrix)
+        atol = 1e-9 * np.abs(K).max()
+        np.testing.assert_allclose(local._matrix.of(c), expected, atol=atol)
+
+
+def test_dyads_are_those_of_the_pieces():
+    potential = evaluated()
+    local = LocalPotential(potential, free_blocks(potential)[::3])
+    (tension,) = [t for t in local.terms if t.has_dyads]
+    sums = local._sums[local.terms.index(tension)]
+    local._matrix.clear()
+    tension.add_dyads(local.x, sums, local._matrix)
+    expected = np.zeros((3 * len(local.blocks),) * 2)
+    for k, value in enumerate(tension.dyads(sums)):
+        g = np.zeros_like(potential.x)
+        tension.add_dyad_column(k, local.x, g)
+        column = g[local.blocks].ravel()
+        expected += value * np.outer(column, column)
+    for c in range(local.layout.n_clusters):
+        own = slice(3 * local.layout.starts[c], 3 * local.layout.starts[c + 1])
+        atol = 1e-12 * np.abs(expected).max()
+        np.testing.assert_allclose(local._matrix.of(c), expected[own, own], atol=atol)
+
+
+@pytest.mark.parametrize("vertices", [False, True], ids=["points", "with vertices"])
+def test_relaxed_blocks_are_in_balance(vertices):
+    potential = evaluated(size=0.1)
+    local = LocalPotential(potential, free_blocks(potential, vertices=vertices)[::4])
+    energies, residual = local.energies.copy(), np.linalg.norm(local.g)
+    late = local.relax(1e-8 * residual, 60)
+    assert len(late) == 0
+    assert np.all(local.energies <= energies)
+    assert np.linalg.norm(local.g) < 2e-3 * residual
+
+
+def test_a_relaxation_lowers_the_energy_of_the_whole(comm):
+    """On any number of processes: each relaxes what no other knows, at the same time."""
+    system = cable_square(comm)
+    potential, n = system.potential, system.unknowns.n_owned
+    shake = displaced(system.unknowns, 0.5, stretch=1.03)
+    shake[: system.unknowns.n_vertices] *= 0.2
+    potential.x[:n] += shake * ~system.unknowns.held[:n]
+    potential.place()
+    before = potential.evaluate()
+    relaxation = LocalRelaxation(potential)
+    points, _ = relaxation._residuals(relaxation._points)
+    assert relaxation.relax_points(0.0)
+    assert potential.energy() < before
+    assert comm.allreduce(relaxation.steps) > 0
+    assert relaxation._residuals(relaxation._points)[0] < points
