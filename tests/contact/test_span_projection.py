@@ -23,7 +23,8 @@ UP = np.array([0.0, 0.0, 1.0])
 def whole(comm, kind: str) -> tuple[Scene, StripShape]:
     """A flat square, all of whose cells are known."""
     scene = clamped(square(comm, 7, kind))
-    ids = cells_near(scene.membrane, np.array([(0.0, 0.0, 0.0), (100.0, 100.0, 0.0)]))
+    line = np.array([(0.0, 0.0, 0.0), (100.0, 100.0, 0.0)])
+    ids = cells_near(scene.membrane, line, along_legs=False)
     scene.net.grow_strip(ids.vertices, rings=12)
     assert scene.net.strip is not None
     return scene, StripShape.of(scene.membrane, scene.net.strip)
@@ -74,7 +75,8 @@ def test_towards_anchors(comm) -> None:
 
 def test_unknown_cells_are_asked_for(comm) -> None:
     scene = clamped(square(comm, 7, "unstructured"))
-    near = cells_near(scene.membrane, np.array([(0.0, 20.0, 0.0), (100.0, 20.0, 0.0)]))
+    between = np.array([(0.0, 20.0, 0.0), (100.0, 20.0, 0.0)])
+    near = cells_near(scene.membrane, between, along_legs=False)
     points = route(StripShape.of(scene.membrane, near), (0, 20), (100, 20))
     scene.net.grow_strip(points[1].support)
     assert scene.net.strip is not None

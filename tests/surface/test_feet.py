@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 from trace_surfaces import cap, grid, hall, scattered
 
 from crms_fenicsx.surface import feet, plane_cuts
@@ -74,7 +73,7 @@ def test_feet_on_a_mesh_divided_among_ranks(comm):
         np.testing.assert_allclose(one.normal, other.normal, atol=1e-12)
         assert one.distance == pytest.approx(other.distance, abs=1e-12)
         assert one.size in longest_sides(points[cells])  # of one of those that are equally near
-    assert MPI.COMM_WORLD.allreduce(len(own)) == len(cells)
+    assert comm.allreduce(len(own)) == len(cells)
 
 
 @pytest.mark.parametrize("block", [1, 10**7])
