@@ -7,10 +7,9 @@ solved by the formula of Sherman, Morrison and Woodbury,
 
     H0^-1 = K^-1 - Z (C^-1 + G^T Z)^-1 Z^T,   Z = K^-1 G.
 
-On meshes of more than a million unknowns, or if PETSc's options say so, M, a cycle of algebraic
-multigrid, takes the place of K in that formula, and the formula's result preconditions conjugate
-gradients on K + G C G^T. Not so by default under cables: their fold points are tied to soft fabric
-by stiff springs, on which conjugate gradients take hundreds of iterations.
+With very many unknowns, or if PETSc's options say so, a preconditioner B takes the place of K^-1 in
+that formula, and the formula's result preconditions conjugate gradients on K + G C G^T: a cycle of
+algebraic multigrid, under cables with their points eliminated first (`membrane_multigrid.py`).
 """
 
 from __future__ import annotations
@@ -22,6 +21,12 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from crms_fenicsx.minimization.membrane_multigrid import (
+    MULTIGRID,
+    MembraneMultigrid,
+    set_defaults,
+    tell_rigid_motions,
+)
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.runtime.arrays import Array
 
@@ -33,15 +38,11 @@ DIRECT = 1_000_000
 """Unknowns up to which K is factorised without cables. Next to multigrid a load step then takes 0.4
 to 0.7 times as long on one process; on two 0.9 times with 1e5 unknowns, 0.8 with 3e5, 1.2 with 1e6.
 """
+DIRECT_WITH_CABLES = 10_000_000
+"""The same with cables, by extrapolation: up to 5e4 unknowns a solve takes 20 to 30 times as long
+by multigrid, on one process and on two. Factorised, scaling over processes ends at two."""
 ACCURACY = 1e-2
 """Relative residual of H0's solves by conjugate gradients; with less, BLMVM takes more steps."""
-
-MULTIGRID = {
-    "mg_levels_pc_type": "bjacobi",
-    "mg_levels_sub_pc_type": "icc",
-    "mg_levels_sub_pc_factor_shift_type": "positive_definite",
-}
-"""Smoother of the multigrid: cables are long chains of stiff links, to which Jacobi's is blind."""
 
 
 def at_bounds(potential: Potential) -> npt.NDArray[np.bool_]:
@@ -61,9 +62,14 @@ class InitialHessian:
     potential
         Its terms' stiffness is assembled.
     prefix
-        Prefix of the options of K's preconditioner. By default it is factorised, by CHOLMOD on
-        one process and MUMPS on several; beyond `DIRECT` unknowns and without cables it is a
-        cycle of PETSc's multigrid GAMG with the rigid-body motions as near-null space.
+        Prefix of the options of K's preconditioner, `crms_h0_` for a `Solver`. By default it is
+        factorised, by CHOLMOD on one process and MUMPS on several. ``-crms_h0_pc_type gamg``,
+        default beyond `DIRECT` unknowns without cables, is a cycle of PETSc's multigrid with the
+        rigid-body motions as near-null space; ``-crms_h0_pc_type fieldsplit``, default beyond
+        `DIRECT_WITH_CABLES` with cables, eliminates their points and uses multigrid for the
+        membrane. How either is solved is told by ``-crms_h0_fieldsplit_points_pc_type`` and
+        ``-crms_h0_fieldsplit_vertices_pc_type``, both symmetric and positive definite; without
+        points it is `gamg`. ``-crms_h0_ksp_rtol`` is the accuracy of conjugate gradients.
 
     Attributes
     ----------
@@ -86,17 +92,21 @@ class InitialHessian:
         self.pc = PETSc.PC().create(unknowns.comm)
         self.pc.setOptionsPrefix(prefix)
         self.pc.setOperators(self.matrix)
-        if 3 * unknowns.n_global <= DIRECT or any(t.has_dyads for t in potential.terms):
+        cables = any(term.of_cables for term in potential.terms)
+        if 3 * unknowns.n_global <= (DIRECT_WITH_CABLES if cables else DIRECT):
             self.pc.setType(PETSc.PC.Type.CHOLESKY)
             self.pc.setFactorSolverType("cholmod" if unknowns.comm.size == 1 else "mumps")
         else:
-            self.pc.setType(PETSc.PC.Type.GAMG)
+            self.pc.setType(PETSc.PC.Type.FIELDSPLIT if cables else PETSc.PC.Type.GAMG)
         self.pc.setFromOptions()
+        self._membrane: MembraneMultigrid | None = None
+        if self.pc.getType() == PETSc.PC.Type.FIELDSPLIT:
+            if unknowns.n_global > unknowns.V.dofmap.index_map.size_global:
+                self._membrane = MembraneMultigrid(potential, self.pc)
+            else:
+                self.pc.setType(PETSc.PC.Type.GAMG)
         if self.pc.getType() == PETSc.PC.Type.GAMG:
-            options = PETSc.Options(prefix)
-            for name, value in MULTIGRID.items():
-                if not options.hasName(name):
-                    options[name] = value
+            set_defaults(prefix, MULTIGRID)
         self._exact = self.pc.getType() in (PETSc.PC.Type.CHOLESKY, PETSc.PC.Type.LU)
         if self._exact and self.pc.getFactorSolverType() == "mumps":
             # Its estimate is too small for some distributions of a mesh, and it fails then. What
@@ -112,6 +122,8 @@ class InitialHessian:
         if self._outer is not None:
             self._outer.getOperators()[0].destroy()
             self._outer.destroy()
+        if self._membrane is not None:
+            self._membrane.destroy()
         self.pc.destroy()
         self.matrix.destroy()
 
@@ -125,8 +137,10 @@ class InitialHessian:
             held |= at_bounds(self.potential)
         self._held = held
         self._assemble(held)
-        if not self._exact:
-            self._tell_rigid_motions()
+        if self._membrane is not None:
+            self._membrane.assemble(held)
+        elif not self._exact:
+            tell_rigid_motions(self.matrix, self.potential)
         self.pc.setUp()
         self._add_dyads(held)
 
@@ -164,25 +178,6 @@ class InitialHessian:
         blocks = unknowns.matrix_numbers[unknowns.rails[own], None]
         A.setValuesBlockedLocalRCV(blocks, blocks, across.reshape(-1, 9), PETSc.InsertMode.ADD)
         A.assemble()
-
-    def _tell_rigid_motions(self) -> None:
-        """Attach what costs little energy, of which multigrid makes its coarse levels."""
-        potential = self.potential
-        n = potential.unknowns.n_owned
-        places = potential.unknowns.X[:n] + potential.x[:n]
-        places = places - potential.comm.allreduce(places.sum(axis=0)) / potential.unknowns.n_global
-        motions = [potential.x_vector.duplicate() for _ in range(6)]
-        for k, axis in enumerate(np.eye(3)):
-            motions[k].array[:] = np.tile(axis, n)
-            motions[3 + k].array[:] = np.cross(axis, places).ravel()
-        for k, motion in enumerate(motions):
-            for other in motions[:k]:
-                motion.axpy(-motion.dot(other), other)
-            motion.normalize()
-        space = PETSc.NullSpace().create(vectors=motions, comm=potential.comm)
-        self.matrix.setNearNullSpace(space)
-        for kept in (space, *motions):
-            kept.destroy()
 
     def _add_dyads(self, held: npt.NDArray[np.bool_]) -> None:
         """This rank's rows of G and of Z = K^-1 G, and (C^-1 + G^T Z)^-1."""

@@ -162,12 +162,18 @@ class Potential:
         for term, part in reversed(list(zip(self.terms, self._slices, strict=True))):
             term.add_stiffness(self.x, self._sums[part], A)
 
-    def count_stiffness(self) -> RowSizes:
-        """How many blocks the rows of the stiffness have at most."""
+    def add_stiffness_without_cables(self, A: PETSc.Mat) -> None:
+        """Add the stiffness that there would be without cables to a matrix of the vertices."""
+        for term, part in reversed(list(zip(self.terms, self._slices, strict=True))):
+            term.add_stiffness_without_cables(self.x, self._sums[part], A)
+
+    def count_stiffness(self, cables: bool = True) -> RowSizes:
+        """How many blocks the rows of the stiffness have at most, or of that without cables."""
         sizes = RowSizes(self.unknowns)
         for term in self.terms:
-            term.count_stiffness(sizes)
-        if self.damping is not None:
+            if cables or not term.of_cables:
+                term.count_stiffness(sizes)
+        if cables and self.damping is not None:
             self.damping.count_stiffness(sizes)
         return sizes
 
