@@ -39,8 +39,8 @@ DIRECT = 1_000_000
 to 0.7 times as long on one process; on two 0.9 times with 1e5 unknowns, 0.8 with 3e5, 1.2 with 1e6.
 """
 DIRECT_WITH_CABLES = 10_000_000
-"""The same with cables, by extrapolation: up to 5e4 unknowns a solve takes 20 to 30 times as long
-by multigrid, on one process and on two. Factorised, scaling over processes ends at two."""
+"""The same with cables, an extrapolation: with 1e5 unknowns and 28 cables multigrid takes 65 times
+as long for a solve and 2.5 times for a new H0 (docs/parallel.md)."""
 ACCURACY = 1e-2
 """Relative residual of H0's solves by conjugate gradients; with less, BLMVM takes more steps."""
 
