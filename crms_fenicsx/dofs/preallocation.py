@@ -44,12 +44,15 @@ class RowSizes:
         self._counts[:, 1] += np.bincount(rows, weights=elsewhere, minlength=size)
 
     def allocate(self, A: PETSc.Mat) -> None:
-        """Give a matrix of the layout's size its memory. Collective, and the last call."""
-        unknowns = self.unknowns
-        unknowns.add_ghosts(self._vector)
-        own, others = self._counts[: unknowns.n_owned, :2].astype(PETSc.IntType).T
-        own = np.minimum(own, unknowns.n_owned)
-        others = np.minimum(others, unknowns.n_global - unknowns.n_owned)
+        """Give a matrix of all blocks, or of the vertices, its memory.
+
+        Collective, and the last call.
+        """
+        self.unknowns.add_ghosts(self._vector)
+        rows, all_rows = (size // 3 for size in A.getSizes()[0])
+        own, others = self._counts[:rows, :2].astype(PETSc.IntType).T
+        own = np.minimum(own, rows)
+        others = np.minimum(others, all_rows - rows)
         A.setPreallocationNNZ((np.repeat(3 * own, 3), np.repeat(3 * others, 3)))
         # PETSc does this by itself, but not on ranks without rows, which would hang the others.
         A.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, True)

@@ -118,7 +118,7 @@ class CapstanTension(EnergyTerm):
     """
 
     name = "cables"
-    has_dyads = True
+    of_cables = True
 
     def __init__(self, chains: Chains, grips: Grips, L0: Array) -> None:
         self.chains, self.grips, self.L0 = chains, grips, L0

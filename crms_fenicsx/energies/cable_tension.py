@@ -38,7 +38,7 @@ class CableTension(EnergyTerm):
     """
 
     name = "cables"
-    has_dyads = True
+    of_cables = True
     starts: Sequence[StepStart | None] = ()
     """States at the step's start of cables that have the step-wise law."""
 

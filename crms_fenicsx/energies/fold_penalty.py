@@ -207,6 +207,7 @@ class FoldPenalty(EnergyTerm):
     """
 
     name = "penalty"
+    of_cables = True
 
     def __init__(self, table: FoldAngles) -> None:
         self.table = table

@@ -222,6 +222,7 @@ class FoldedMembraneEnergy(EnergyTerm):
     """
 
     name = "membrane"
+    of_cables = True
     stiffening: Stiffening
 
     def __init__(self, table: FoldedCells, stiffening: Stiffening) -> None:

@@ -103,6 +103,7 @@ class FoldedFollowerPressure(EnergyTerm):
     """Potential ``-p (V - V0)`` of the folded cells, as `FollowerPressure`."""
 
     name = "pressure"
+    of_cables = True
 
     def __init__(self, table: Facets, pressure: fem.Constant, origin: Array) -> None:
         self.table, self.pressure, self.origin = table, pressure, origin

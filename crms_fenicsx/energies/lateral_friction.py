@@ -68,6 +68,7 @@ class LateralFriction(EnergyTerm):
     """
 
     name = "friction"
+    of_cables = True
 
     def __init__(self, table: Slips) -> None:
         self.table = table

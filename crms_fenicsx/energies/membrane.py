@@ -187,6 +187,13 @@ class MembraneEnergy(EnergyTerm):
         with self.stiffening.none():
             self.add_stiffness(x, sums, A)
 
+    def add_stiffness_without_cables(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+        """Add the stiffness of all of this rank's cells, folded ones as if they were plain."""
+        plain = self.plain.x.array.copy()
+        self.plain.x.array[:] = 1.0
+        self.add_stiffness(x, sums, A)
+        self.plain.x.array[:] = plain
+
     def count_stiffness(self, sizes: RowSizes) -> None:
         """Count the blocks that an edge of this rank's cells makes, of both its vertices."""
         a, b = self.edges().T

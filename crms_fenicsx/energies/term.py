@@ -49,8 +49,8 @@ class EnergyTerm(ABC):
         `sums`, in one pass over the mesh with all others.
     stiffening
         What its stiffness has that its energy has not, set by the minimiser.
-    has_dyads
-        Whether it has `dyads`: H0 is factorised then, however large it is.
+    of_cables
+        Whether it is there because of cables, and nothing of it would be without them.
     has_history
         Whether `begin_step` and `commit` do anything. Each solve then begins where the load step
         began. Checkpoints do not keep the history of a term of your own, and refuse it.
@@ -87,7 +87,7 @@ class EnergyTerm(ABC):
     n_sums: int = 1
     integral: Integral | None = None
     stiffening: Stiffening | None = None
-    has_dyads: bool = False
+    of_cables: bool = False
     has_history: bool = False
     links: Indices | None = None
     twin: Callable[[Booleans], EnergyTerm | None] | None = None
@@ -126,6 +126,15 @@ class EnergyTerm(ABC):
         its first call. By default they are the stiffness.
         """
         self.add_stiffness(x, sums, A)
+
+    def add_stiffness_without_cables(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+        """Add what the stiffness would be without cables to a matrix of the vertices alone.
+
+        Multigrid is made of it. By default it is that of `add_stiffness`, of which such a matrix
+        drops the entries of cables' points, and nothing of terms of cables.
+        """
+        if not self.of_cables:
+            self.add_stiffness(x, sums, A)
 
     def dyads(self, sums: Array) -> Sequence[float] | Array:
         """Values (force/length) of stiffness ``value * column column^T`` that couples many points.

@@ -8,7 +8,7 @@ from scipy.linalg import lapack
 
 from crms_fenicsx.dofs.block_patterns import BlockPattern
 from crms_fenicsx.dofs.cluster_layout import ClusterLayout
-from crms_fenicsx.minimization.initial_hessian import SHIFT
+from crms_fenicsx.minimization.membrane_multigrid import SHIFT
 from crms_fenicsx.runtime.arrays import Array, Integers
 
 

@@ -7,10 +7,9 @@ solved by the formula of Sherman, Morrison and Woodbury,
 
     H0^-1 = K^-1 - Z (C^-1 + G^T Z)^-1 Z^T,   Z = K^-1 G.
 
-On meshes of more than a million unknowns, or if PETSc's options say so, M, a cycle of algebraic
-multigrid, takes the place of K in that formula, and the formula's result preconditions conjugate
-gradients on K + G C G^T. Not so by default under cables: their fold points are tied to soft fabric
-by stiff springs, on which conjugate gradients take hundreds of iterations.
+With very many unknowns, or if PETSc's options say so, a preconditioner B takes the place of K^-1 in
+that formula, and the formula's result preconditions conjugate gradients on K + G C G^T: a cycle of
+algebraic multigrid, under cables with their points eliminated first (`membrane_multigrid.py`).
 """
 
 from __future__ import annotations
@@ -22,15 +21,18 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from crms_fenicsx.minimization.membrane_multigrid import (
+    MULTIGRID,
+    MembraneMultigrid,
+    set_defaults,
+    shift_diagonal,
+    tell_rigid_motions,
+)
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.runtime.arrays import Array
 
-SHIFT = 1e-9
-"""Added to the diagonal of K, relative to the sum of its block's trace and the geometric mean of
-all. The largest one alone, that of a segment much shorter than a cell, would slow down the soft
-sideways motion of whole cables."""
-QUIET = "mat_cholmod_print"
-"""PETSc's option for what CHOLMOD prints: with 1 errors, but not that a matrix is indefinite."""
+QUIET = {"mat_cholmod_print": "1"}
+"""CHOLMOD prints errors, but not that a matrix is indefinite."""
 INDEFINITE = 76, 81
 """PETSc's error codes where another library's factorisation finds K indefinite."""
 WORKSPACE = 100
@@ -39,15 +41,11 @@ DIRECT = 1_000_000
 """Unknowns up to which K is factorised without cables. Next to multigrid a load step then takes 0.4
 to 0.7 times as long on one process; on two 0.9 times with 1e5 unknowns, 0.8 with 3e5, 1.2 with 1e6.
 """
+DIRECT_WITH_CABLES = 10_000_000
+"""The same with cables, an extrapolation: with 1e5 unknowns and 28 cables multigrid takes 65 times
+as long for a solve and 2.5 times for a new H0 (docs/parallel.md)."""
 ACCURACY = 1e-2
 """Relative residual of H0's solves by conjugate gradients; with less, BLMVM takes more steps."""
-
-MULTIGRID = {
-    "mg_levels_pc_type": "bjacobi",
-    "mg_levels_sub_pc_type": "icc",
-    "mg_levels_sub_pc_factor_shift_type": "positive_definite",
-}
-"""Smoother of the multigrid: cables are long chains of stiff links, to which Jacobi's is blind."""
 
 
 def at_bounds(potential: Potential) -> npt.NDArray[np.bool_]:
@@ -67,9 +65,14 @@ class InitialHessian:
     potential
         Its terms' stiffness is assembled.
     prefix
-        Prefix of the options of K's preconditioner. By default it is factorised, by CHOLMOD on
-        one process and MUMPS on several; beyond `DIRECT` unknowns and without cables it is a
-        cycle of PETSc's multigrid GAMG with the rigid-body motions as near-null space.
+        Prefix of the options of K's preconditioner, `crms_h0_` for a `Solver`. By default it is
+        factorised, by CHOLMOD on one process and MUMPS on several. ``-crms_h0_pc_type gamg``,
+        default beyond `DIRECT` unknowns without cables, is a cycle of PETSc's multigrid with the
+        rigid-body motions as near-null space; ``-crms_h0_pc_type fieldsplit``, default beyond
+        `DIRECT_WITH_CABLES` with cables, eliminates their points and uses multigrid for the
+        membrane. How either is solved is told by ``-crms_h0_fieldsplit_points_pc_type`` and
+        ``-crms_h0_fieldsplit_vertices_pc_type``, both symmetric and positive definite; without
+        points it is `gamg`. ``-crms_h0_ksp_rtol`` is the accuracy of conjugate gradients.
 
     Attributes
     ----------
@@ -92,20 +95,22 @@ class InitialHessian:
         self.pc = PETSc.PC().create(unknowns.comm)
         self.pc.setOptionsPrefix(prefix)
         self.pc.setOperators(self.matrix)
-        if 3 * unknowns.n_global <= DIRECT or any(t.has_dyads for t in potential.terms):
+        cables = any(term.of_cables for term in potential.terms)
+        if 3 * unknowns.n_global <= (DIRECT_WITH_CABLES if cables else DIRECT):
             self.pc.setType(PETSc.PC.Type.CHOLESKY)
             self.pc.setFactorSolverType("cholmod" if unknowns.comm.size == 1 else "mumps")
         else:
-            self.pc.setType(PETSc.PC.Type.GAMG)
+            self.pc.setType(PETSc.PC.Type.FIELDSPLIT if cables else PETSc.PC.Type.GAMG)
         self.pc.setFromOptions()
+        self._membrane: MembraneMultigrid | None = None
+        if self.pc.getType() == PETSc.PC.Type.FIELDSPLIT:
+            if unknowns.n_global > unknowns.V.dofmap.index_map.size_global:
+                self._membrane = MembraneMultigrid(potential, self.pc)
+            else:
+                self.pc.setType(PETSc.PC.Type.GAMG)
         if self.pc.getType() == PETSc.PC.Type.GAMG:
-            options = PETSc.Options(prefix)
-            for name, value in MULTIGRID.items():
-                if not options.hasName(name):
-                    options[name] = value
-        options = PETSc.Options(prefix)
-        if not options.hasName(QUIET):
-            options[QUIET] = 1
+            set_defaults(prefix, MULTIGRID)
+        set_defaults(prefix, QUIET)
         self._exact = self.pc.getType() in (PETSc.PC.Type.CHOLESKY, PETSc.PC.Type.LU)
         if self._exact and self.pc.getFactorSolverType() == "mumps":
             # Its estimate is too small for some distributions of a mesh, and it fails then. What
@@ -121,6 +126,8 @@ class InitialHessian:
         if self._outer is not None:
             self._outer.getOperators()[0].destroy()
             self._outer.destroy()
+        if self._membrane is not None:
+            self._membrane.destroy()
         self.pc.destroy()
         self.matrix.destroy()
 
@@ -142,9 +149,11 @@ class InitialHessian:
         if self.potential.unknowns.bounds is not None:
             held |= at_bounds(self.potential)
         self._held = held
-        self._assemble(held, exact)
-        if not self._exact:
-            self._tell_rigid_motions()
+        self._assemble(held, exact and self._exact)
+        if self._membrane is not None:
+            self._membrane.assemble(held)
+        elif not self._exact:
+            tell_rigid_motions(self.matrix, self.potential)
         if not self._set_up():
             return False
         self._add_dyads(held)
@@ -183,23 +192,12 @@ class InitialHessian:
         sizes = np.array([traces.max(initial=0.0), unknowns.n_rails])
         unknowns.comm.Allreduce(MPI.IN_PLACE, sizes, op=MPI.MAX)
         largest = float(sizes[0]) if sizes[0] > 0 else 1.0
-        self._shift(traces)
+        shift_diagonal(A, traces)
         if sizes[1]:
             self._stiffen_across_rails(largest)
         rows = np.flatnonzero(held) + 3 * unknowns.start
         A.zeroRowsColumns(rows.astype(PETSc.IntType), diag=largest)
         A.setOption(PETSc.Mat.Option.SPD, True)
-
-    def _shift(self, traces: Array) -> None:
-        """Add to K's diagonal a small part of the blocks' traces, (n,), and of their mean."""
-        some = np.log(traces[traces > 0.0])
-        total = np.array([some.sum(), len(some)])
-        self.potential.comm.Allreduce(MPI.IN_PLACE, total)
-        mean = float(np.exp(total[0] / total[1])) if total[1] else 1.0
-        added = self.matrix.createVecLeft()
-        added.array[:] = np.repeat(SHIFT * (np.maximum(traces, 0.0) + mean), 3)
-        self.matrix.setDiagonal(added, PETSc.InsertMode.ADD_VALUES)
-        added.destroy()
 
     def _stiffen_across_rails(self, value: float) -> None:
         """Give the components across the rails, which have no stiffness, this one."""
@@ -210,25 +208,6 @@ class InitialHessian:
         blocks = unknowns.matrix_numbers[unknowns.rails[own], None]
         A.setValuesBlockedLocalRCV(blocks, blocks, across.reshape(-1, 9), PETSc.InsertMode.ADD)
         A.assemble()
-
-    def _tell_rigid_motions(self) -> None:
-        """Attach what costs little energy, of which multigrid makes its coarse levels."""
-        potential = self.potential
-        n = potential.unknowns.n_owned
-        places = potential.unknowns.X[:n] + potential.x[:n]
-        places = places - potential.comm.allreduce(places.sum(axis=0)) / potential.unknowns.n_global
-        motions = [potential.x_vector.duplicate() for _ in range(6)]
-        for k, axis in enumerate(np.eye(3)):
-            motions[k].array[:] = np.tile(axis, n)
-            motions[3 + k].array[:] = np.cross(axis, places).ravel()
-        for k, motion in enumerate(motions):
-            for other in motions[:k]:
-                motion.axpy(-motion.dot(other), other)
-            motion.normalize()
-        space = PETSc.NullSpace().create(vectors=motions, comm=potential.comm)
-        self.matrix.setNearNullSpace(space)
-        for kept in (space, *motions):
-            kept.destroy()
 
     def _add_dyads(self, held: npt.NDArray[np.bool_]) -> None:
         """This rank's rows of G and of Z = K^-1 G, and (C^-1 + G^T Z)^-1."""

@@ -146,7 +146,7 @@ class LocalPotential:
             exact = todo & (short < TWICE) & (step > 0)
             lengths = self._step(todo, exact)
             able &= ~todo | (lengths > 0.0)
-            short = np.where(exact, np.where(lengths < SHORT, short + 1, 0), short)
+            short[exact] = np.where(lengths < SHORT, short + 1, 0)[exact]
             short -= todo & ~exact & (short >= TWICE)
         late = (self.residuals() > least)[self.layout.cluster]
         return np.concatenate([self.left, self.blocks[late]])

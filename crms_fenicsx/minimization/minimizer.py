@@ -328,7 +328,9 @@ class Minimizer:
             potential.x_vector.copy(self._x0)
             if self._newton_method.active:
                 iterations += 1
-                failures = 0 if self._newton_step() else failures + 1
+                vectors = self._x, self._g, self._step
+                fallen = self._newton_method.step(self._x0, self._g0, self._energy0, *vectors)
+                failures = 0 if fallen else failures + 1
                 continue
             ended = self._run(residual)
             iterations += self.tao.getIterationNumber()
@@ -394,8 +396,3 @@ class Minimizer:
             newton.check_progress(residual)
         elif possible and self._aged and stages >= PATIENCE:
             newton.take_over(residual, self._residual0, self._scale)
-
-    def _newton_step(self) -> bool:
-        """Make a step of Newton's method; return whether the energy has fallen."""
-        vectors = self._x, self._g, self._step
-        return self._newton_method.step(self._x0, self._g0, self._energy0, *vectors)

@@ -170,11 +170,17 @@ class Potential:
             add = term.add_hessian if exact else term.add_stiffness
             add(self.x, self._sums[part], A)
 
-    def count_stiffness(self) -> RowSizes:
-        """How many blocks the rows of the stiffness have at most."""
+    def add_stiffness_without_cables(self, A: PETSc.Mat) -> None:
+        """Add the stiffness that there would be without cables to a matrix of the vertices."""
+        for term, part in reversed(list(zip(self.terms, self._slices, strict=True))):
+            term.add_stiffness_without_cables(self.x, self._sums[part], A)
+
+    def count_stiffness(self, cables: bool = True) -> RowSizes:
+        """How many blocks the rows of the stiffness have at most, or of that without cables."""
         sizes = RowSizes(self.unknowns)
         for term in self.terms:
-            term.count_stiffness(sizes)
+            if cables or not term.of_cables:
+                term.count_stiffness(sizes)
         return sizes
 
     def dyads(self) -> Iterator[tuple[EnergyTerm, int, float]]:

@@ -15,6 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 from mpi4py import MPI
 
+from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.minimization.local_potential import LocalPotential
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.runtime.arrays import Array, Booleans
@@ -81,9 +82,11 @@ class LocalRelaxation:
     @staticmethod
     def possible(potential: Potential) -> bool:
         """Whether a potential has cable points that can be relaxed alone."""
-        whole = [term.links is not None for term in potential.terms if term.has_dyads]
+        cables = [term for term in potential.terms if term.of_cables]
+        parts = all(type(term).restricted is not EnergyTerm.restricted for term in cables)
         history = any(term.has_history for term in potential.terms)
-        return bool(whole) and all(whole) and not history and potential.unknowns.bounds is None
+        bounds = potential.unknowns.bounds is not None
+        return len(cables) > 0 and parts and not history and not bounds
 
     def relax_points(self, tolerance: float) -> bool:
         """Relax points while they are far more out of balance than the vertices. Collective.

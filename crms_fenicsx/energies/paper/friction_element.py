@@ -49,6 +49,7 @@ class FrictionElementEnergy(EnergyTerm):
     """
 
     name = "friction"
+    of_cables = True
 
     def __init__(self, table: FrictionElements) -> None:
         self.table = table

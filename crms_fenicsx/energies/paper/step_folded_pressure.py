@@ -38,6 +38,7 @@ class FoldedStepPressure(EnergyTerm):
     """
 
     name = "pressure"
+    of_cables = True
     has_history = True
 
     def __init__(self, table: Facets, pressure: fem.Constant, gained: Array) -> None:

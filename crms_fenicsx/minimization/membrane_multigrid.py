@@ -1,0 +1,176 @@
+"""Multigrid under cables: their points eliminated exactly, then the membrane as if without them.
+
+Cables' points are tied to soft fabric by stiff springs, to which multigrid is blind: on the whole
+stiffness K conjugate gradients take more than a thousand iterations. With the points p before the
+vertices v,
+
+    K = [ Kpp  Kpv ]      S = Kvv - Kvp Kpp^-1 Kpv,
+        [ Kvp  Kvv ]
+
+Kpp is a set of chains, which is cheap to factorise. What is left of a folded cell or of a penalty
+in the Schur complement S is nearly the plain cell: the point lies near the line between the
+vertices. So multigrid on M, the stiffness of the membrane with all cells plain and without cables,
+takes the place of S^-1:
+
+    B = [ 1  -Kpp^-1 Kpv ] [ Kpp^-1      ] [ 1             ]
+        [          1     ] [         M^-1 ] [ -Kvp Kpp^-1  1 ].
+
+B is symmetric and positive definite whatever stands for Kpp^-1 and M^-1, if these are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.runtime.arrays import Array
+
+SHIFT = 1e-9
+"""Added to a stiffness's diagonal, relative to the sum of its block's trace and the geometric mean
+of all. The largest trace alone, that of a cable's segment much shorter than a cell, would slow down
+the soft sideways motion of whole cables."""
+
+MULTIGRID = {
+    "mg_levels_pc_type": "bjacobi",
+    "mg_levels_sub_pc_type": "icc",
+    "mg_levels_sub_pc_factor_shift_type": "positive_definite",
+}
+"""Smoother of the multigrid: cables are long chains of stiff links, to which Jacobi's is blind."""
+
+
+def set_defaults(prefix: str, values: dict[str, str]) -> None:
+    """Put options into PETSc's database unless they are there."""
+    options = PETSc.Options(prefix)
+    for name, value in values.items():
+        if not options.hasName(name):
+            options[name] = value
+
+
+def shift_diagonal(matrix: PETSc.Mat, traces: Array) -> None:
+    """Add to a matrix's diagonal a small part of the owned blocks' traces, (n,), and their mean."""
+    some = np.log(traces[traces > 0.0])
+    total = np.array([some.sum(), len(some)])
+    matrix.getComm().tompi4py().Allreduce(MPI.IN_PLACE, total)
+    mean = float(np.exp(total[0] / total[1])) if total[1] else 1.0
+    added = matrix.createVecLeft()
+    added.array[:] = np.repeat(SHIFT * (np.maximum(traces, 0.0) + mean), 3)
+    matrix.setDiagonal(added, PETSc.InsertMode.ADD_VALUES)
+    added.destroy()
+
+
+def tell_rigid_motions(matrix: PETSc.Mat, potential: Potential) -> None:
+    """Attach what costs little energy, of which multigrid makes its coarse levels.
+
+    The matrix is of all blocks, or of the vertices, which come first.
+    """
+    unknowns, comm = potential.unknowns, potential.comm
+    motions = [matrix.createVecLeft() for _ in range(6)]
+    n = motions[0].getLocalSize() // 3
+    places = unknowns.X[:n] + potential.x[:n]
+    places = places - comm.allreduce(places.sum(axis=0)) / (motions[0].getSize() // 3)
+    for k, axis in enumerate(np.eye(3)):
+        motions[k].array[:] = np.tile(axis, n)
+        motions[3 + k].array[:] = np.cross(axis, places).ravel()
+    for k, motion in enumerate(motions):
+        for other in motions[:k]:
+            motion.axpy(-motion.dot(other), other)
+        motion.normalize()
+    space = PETSc.NullSpace().create(vectors=motions, comm=comm)
+    matrix.setNearNullSpace(space)
+    for kept in (space, *motions):
+        kept.destroy()
+
+
+class MembraneMultigrid:
+    """The stiffness of the membrane without cables, in a preconditioner of type `fieldsplit`.
+
+    Parameters
+    ----------
+    potential
+        What has the stiffness, with cable points on some rank.
+    pc
+        The preconditioner, with its matrix K.
+
+    Attributes
+    ----------
+    matrix : PETSc.Mat
+        M, of the vertices, numbered as by DOLFINx.
+    """
+
+    def __init__(self, potential: Potential, pc: PETSc.PC) -> None:
+        self.potential = potential
+        unknowns = potential.unknowns
+        n, vertices = unknowns.n_vertices, unknowns.V.dofmap.index_map.size_global
+        self.matrix = PETSc.Mat().create(unknowns.comm)
+        self.matrix.setSizes(((3 * n, 3 * vertices),) * 2)
+        self.matrix.setBlockSize(3)
+        self.matrix.setType(PETSc.Mat.Type.AIJ)
+        lgmap = _vertex_map(unknowns)
+        self.matrix.setLGMap(lgmap, lgmap)
+        lgmap.destroy()
+        potential.count_stiffness(cables=False).allocate(self.matrix)
+        self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        self._split(pc, pc.getOptionsPrefix() or "")
+
+    def destroy(self) -> None:
+        """Free the PETSc objects."""
+        self.matrix.destroy()
+
+    def _split(self, pc: PETSc.PC, prefix: str) -> None:
+        """Set the preconditioner's fields, and how each is solved by default."""
+        unknowns = self.potential.unknowns
+        first, n = 3 * unknowns.start, 3 * unknowns.n_vertices
+        fields = []
+        for name, size, start in (
+            ("points", 3 * unknowns.n_points, first + n),
+            ("vertices", n, first),
+        ):
+            rows = PETSc.IS().createStride(size, start, 1, comm=unknowns.comm)
+            rows.setBlockSize(3)
+            fields.append((name, rows))
+        pc.setFieldSplitIS(*fields)
+        for _, rows in fields:
+            rows.destroy()
+        pc.setFieldSplitType(PETSc.PC.CompositeType.SCHUR)
+        pc.setFieldSplitSchurFactType(PETSc.PC.FieldSplitSchurFactType.FULL)
+        pc.setFieldSplitSchurPreType(PETSc.PC.FieldSplitSchurPreType.USER, self.matrix)
+        # All ranks factorise all chains: their solves take half of the time of MUMPS's on two.
+        points = {"ksp_type": "preonly", "pc_type": "redundant"}
+        points["redundant_pc_type"] = "cholesky"
+        points["redundant_pc_factor_mat_solver_type"] = "cholmod"
+        # PETSc would take residuals with S, which is not what the levels are made of.
+        vertices = {"ksp_type": "preonly", "pc_type": "gamg", "pc_use_amat": "false"}
+        set_defaults(f"{prefix}fieldsplit_points_", points)
+        set_defaults(f"{prefix}fieldsplit_vertices_", vertices | MULTIGRID)
+
+    def assemble(self, held: npt.NDArray[np.bool_]) -> None:
+        """Assemble M at the potential's current state; `held` are owned components, (n, 3)."""
+        M, n = self.matrix, self.potential.unknowns.n_vertices
+        M.zeroEntries()
+        self.potential.add_stiffness_without_cables(M)
+        M.assemble()
+        diagonal = M.getDiagonal()
+        traces = np.where(held[:n], 0.0, diagonal.array.reshape(-1, 3)).sum(axis=1)
+        diagonal.destroy()
+        largest = self.potential.comm.allreduce(float(traces.max(initial=0.0)), op=MPI.MAX) or 1.0
+        shift_diagonal(M, traces)
+        rows = np.flatnonzero(held[:n]) + M.getOwnershipRange()[0]
+        M.zeroRowsColumns(rows.astype(PETSc.IntType), diag=largest)
+        M.setOption(PETSc.Mat.Option.SPD, True)
+        tell_rigid_motions(M, self.potential)
+
+
+def _vertex_map(unknowns: Unknowns) -> PETSc.LGMap:
+    """Local blocks in matrix order to DOLFINx's global numbers of vertices; points have none."""
+    vector, numbers = unknowns.vector()
+    n = unknowns.n_vertices
+    numbers[:n, 0] = unknowns.V.dofmap.index_map.local_range[0] + np.arange(n)
+    numbers[n : unknowns.n_owned, 0] = -1
+    unknowns.update_ghosts(vector)
+    own = numbers[unknowns.matrix_order(), 0].astype(PETSc.IntType)
+    vector.destroy()
+    return PETSc.LGMap().create(own, bsize=3, comm=unknowns.comm)
