@@ -31,8 +31,8 @@ from crms_fenicsx.minimization.membrane_multigrid import (
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.runtime.arrays import Array
 
-QUIET = {"mat_cholmod_print": "1"}
-"""CHOLMOD prints errors, but not that a matrix is indefinite."""
+QUIET = {"mat_cholmod_print": "0"}
+"""Without this CHOLMOD prints that a matrix is indefinite; errors are raised anyway."""
 INDEFINITE = 76, 81
 """PETSc's error codes where another library's factorisation finds K indefinite."""
 WORKSPACE = 100

@@ -51,8 +51,6 @@ class LocalPotential:
         Forces on the blocks, in the clusters' order, at the last evaluation (force).
     energies : (n_clusters,)
         Energy of each cluster there (force x length).
-    left
-        Blocks of clusters that are too large.
     steps
         Steps of Newton's method that were made.
     """
@@ -60,7 +58,6 @@ class LocalPotential:
     def __init__(self, whole: Potential, blocks: Indices) -> None:
         terms, layout, chosen = _restricted(whole, blocks)
         large = (np.diff(layout.starts) > LARGEST)[layout.cluster]
-        self.left = layout.blocks[large]
         if large.any():
             terms, layout, chosen = _restricted(whole, layout.blocks[~large])
         self.layout = layout
@@ -133,7 +130,7 @@ class LocalPotential:
 
         Returns
         -------
-        Blocks of the clusters that have not come there, too large ones among them.
+        Blocks of the clusters that have not come there.
         """
         n = self.layout.n_clusters
         least = np.maximum(tolerance / max(n, 1) ** 0.5, 1e-3 * self.residuals())
@@ -148,8 +145,7 @@ class LocalPotential:
             able &= ~todo | (lengths > 0.0)
             short[exact] = np.where(lengths < SHORT, short + 1, 0)[exact]
             short -= todo & ~exact & (short >= TWICE)
-        late = (self.residuals() > least)[self.layout.cluster]
-        return np.concatenate([self.left, self.blocks[late]])
+        return self.blocks[(self.residuals() > least)[self.layout.cluster]]
 
     def _step(self, todo: Booleans, exact: Booleans) -> Array:
         """Make a step of Newton's method in each cluster, as far as its energy falls.

@@ -19,6 +19,8 @@ class Outcome:
         Norm of the gradient and what was asked for (force).
     iterations, evaluations, factorizations
         Quasi-Newton iterations, evaluations of energy and gradient, factorisations of H0.
+    local_steps
+        Newton steps of clusters of cable points and vertices alone, on this process.
     solves
         Minimisations: more than one where cables turned slack or taut, lifted off or slid.
     flips
@@ -40,6 +42,7 @@ class Outcome:
     iterations: int
     evaluations: int
     factorizations: int
+    local_steps: int = 0
     solves: int = 1
     flips: int = 0
     passes: int = 0
@@ -56,6 +59,7 @@ class Outcome:
             self.iterations + other.iterations,
             self.evaluations + other.evaluations,
             self.factorizations + other.factorizations,
+            self.local_steps + other.local_steps,
             self.solves + other.solves,
             self.flips + other.flips,
             self.passes + other.passes,

@@ -160,6 +160,10 @@ class LocalRelaxation:
         potential.evaluate()
         return False
 
+    def vertex_residual(self) -> float:
+        """Norm of the free forces on all but the points that can be relaxed. Collective."""
+        return self._residuals(self._points)[1]
+
     def _sizes(self, of: Booleans) -> Array:
         """Norms of the free forces on some owned blocks, of others zero, (n_owned,)."""
         n = self.potential.unknowns.n_owned
