@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 
 import numpy as np
 
 from crms_fenicsx.cables.node_table import CROSSING, NodeTable
+from crms_fenicsx.model.crossing import NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.surface.points import Edge, EdgePoint
@@ -55,13 +56,17 @@ class PointsOnEdges:
         self.place[self.nodes] = np.arange(len(self.nodes)) - self.starts[edge]
 
 
-def nodes_on_edges(cables: Sequence[LaidCable]) -> dict[Edge, list[tuple[int, int]]]:
-    """Nodes of cables in tension on each edge, lifted ones too: numbers of cables and nodes."""
-    found: dict[Edge, list[tuple[int, int]]] = defaultdict(list)
+def nodes_on_edges(
+    cables: Sequence[LaidCable], wanted: Container[Edge] | None = None
+) -> dict[Edge, list[NodeId]]:
+    """Nodes of cables in tension on wanted edges, or on all, lifted ones too."""
+    found: dict[Edge, list[NodeId]] = defaultdict(list)
     for c, cable in enumerate(cables):
         for k, node in enumerate(cable.nodes) if cable.taut else ():
-            if isinstance(node.point, EdgePoint) and node.kind != "crossing":
-                found[node.point.edge].append((c, k))
+            point = node.point
+            if isinstance(point, EdgePoint) and node.kind != "crossing":
+                if wanted is None or point.edge in wanted:
+                    found[point.edge].append((c, k))
     return found
 
 
