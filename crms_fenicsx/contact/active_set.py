@@ -77,7 +77,7 @@ class ActiveSet:
         net, shape = self.net, self.net.strip_shape()
         changes = [text for cable in net.cables for text in self._switch(cable, shape, True)]
         if not changes:
-            tops, on_edges = self._tops(), nodes_on_edges(net.cables)
+            tops, on_edges = self._tops(), nodes_on_edges(net.cables, self._edges_under_spans())
             for c, cable in enumerate(net.cables):
                 if cable.taut and not cable.sleeve:
                     covered = {v for v, top in tops.items() if top > (cable.layer, c)}
@@ -144,9 +144,7 @@ class ActiveSet:
         free = [k for k in released if key(k) not in self._settled]
         places = {}
         if cable.lifted.any():
-            off = [cable.nodes[k].point for k in np.flatnonzero(cable.lifted)]
-            edges = [point.edge for point in off if isinstance(point, EdgePoint)]
-            near = {edge: on_edges[edge] for edge in edges if edge in on_edges}
+            near = {edge: on_edges[edge] for edge in _edges_under(cable) if edge in on_edges}
             folds = bends(self.net.cables, near, but=cable)
             places = contact.captured(cable, shape, folds)
             unclear = cable.slides_freely and not self._rested(cable)
@@ -159,6 +157,10 @@ class ActiveSet:
         self._released |= {key(k) for k in free}
         texts = [f"{cable.name} lifts off at {cable.nodes[k].point}" for k in free]
         return texts + [f"{cable.name} touches down at {cable.nodes[k].point}" for k in places]
+
+    def _edges_under_spans(self) -> set[Edge]:
+        """Edges at which cables in tension are lifted off."""
+        return {e for cable in self.net.cables if cable.taut for e in _edges_under(cable)}
 
     def _tops(self) -> dict[int, tuple[int, int]]:
         """The uppermost cable in tension on each vertex that one touches: its layer and number."""
@@ -190,3 +192,9 @@ class ActiveSet:
                 changes.append("{} touches {}".format(*names))
         net.crossings = tuple(crossings)
         return changes
+
+
+def _edges_under(cable: LaidCable) -> list[Edge]:
+    """Edges over which a cable is lifted off, in order."""
+    points = (cable.nodes[k].point for k in np.flatnonzero(cable.lifted))
+    return [point.edge for point in points if isinstance(point, EdgePoint)]

@@ -37,16 +37,16 @@ SUNK = 0.02
 
 def may_lift(cable: LaidCable) -> Iterator[int]:
     """Nodes at which a cable may leave the membrane: all but its ends and its crossings."""
-    for k in range(1, len(cable.nodes) - 1):
-        if not cable.nodes[k].touches_cable:
+    for k, node in enumerate(cable.nodes[1:-1], start=1):
+        if not node.touches_cable:
             yield k
 
 
 def is_foot(cable: LaidCable, k: int) -> bool:
     """Whether a node only marks the place under an anchor, where no cable can touch."""
-    node = cable.nodes[k]
-    beside = cable.nodes[k - 1].kind == "anchor" or cable.nodes[k + 1].kind == "anchor"
-    return isinstance(node.point, CellPoint) and beside
+    nodes = cable.nodes
+    beside = nodes[k - 1].kind == "anchor" or nodes[k + 1].kind == "anchor"
+    return isinstance(nodes[k].point, CellPoint) and beside
 
 
 def outward_pulls(cable: LaidCable, nodes: Sequence[int], normals: Array, reaches: Array) -> Array:
@@ -74,7 +74,8 @@ def outward_pulls(cable: LaidCable, nodes: Sequence[int], normals: Array, reache
     contacts = cable.contacts()
     x, i = cable.positions[contacts], np.searchsorted(contacts, nodes)
     arc = arc_lengths(x)
-    crossings = [m for m, k in enumerate(contacts) if cable.nodes[k].touches_cable]
+    all_nodes = cable.nodes
+    crossings = [m for m, k in enumerate(contacts) if all_nodes[k].touches_cable]
     stops = np.array([0, *crossings, len(contacts) - 1])
     before = stops[np.searchsorted(stops, i) - 1]
     after = stops[np.searchsorted(stops, i, side="right")]
@@ -104,12 +105,12 @@ def released(cable: LaidCable, shape: StripShape, covered: Set[int] = frozenset(
     if cable.sleeve:
         return []
     on, supports = [], []
+    nodes, lifted = cable.nodes, cable.lifted
     for k in may_lift(cable):
-        point = cable.nodes[k].point
-        assert point is not None
-        if not cable.lifted[k] and not (len(point.support) == 1 and point.support[0] in covered):
+        support = nodes[k].support
+        if not lifted[k] and not (len(support) == 1 and support[0] in covered):
             on.append(k)
-            supports.append(point.support)
+            supports.append(support)
     pulls = outward_pulls(cable, on, *shape.normals_and_sizes(supports))
     return [k for k, pull in zip(on, pulls, strict=True) if pull > PULL or is_foot(cable, k)]
 
