@@ -110,7 +110,6 @@ class InitialHessian:
                 self.pc.setType(PETSc.PC.Type.GAMG)
         if self.pc.getType() == PETSc.PC.Type.GAMG:
             set_defaults(prefix, MULTIGRID)
-        set_defaults(prefix, QUIET)
         self._exact = self.pc.getType() in (PETSc.PC.Type.CHOLESKY, PETSc.PC.Type.LU)
         if self._exact and self.pc.getFactorSolverType() == "mumps":
             # Its estimate is too small for some distributions of a mesh, and it fails then. What
@@ -161,6 +160,8 @@ class InitialHessian:
 
     def _set_up(self) -> bool:
         """Factorise K, or set up multigrid; say whether K is definite."""
+        if self._exact and self.pc.getFactorSolverType() == "cholmod":
+            set_defaults(self.pc.getOptionsPrefix(), QUIET)
         try:
             self.pc.setUp()
         except PETSc.Error as error:

@@ -8,7 +8,9 @@ longer to the end than with a new H0; or when its line searches have cost as muc
 solve of the same potential, at other loads, begins with the H0 that is there.
 
 Once a stage has come to little, as where much of a membrane is wrinkled or slack, Newton's method
-takes over, with H0 rebuilt in each iteration.
+takes over, with H0 rebuilt in each iteration. Under cables it makes the way from afar to near the
+minimum: there H0 is the energy's second derivative, and what is far out of balance, points of
+cables near vertices and crossings, is relaxed alone before each step (see `relaxation`).
 
 Near the minimum the energy's differences drown in rounding, long before the forces balance to the
 tolerance. There a stage, which keeps the H0 of the one before, measures energy from its start x0 by
@@ -31,7 +33,13 @@ from petsc4py import PETSc
 from crms_fenicsx.energies.stiffening import Stiffening
 from crms_fenicsx.minimization.initial_hessian import InitialHessian, at_bounds
 from crms_fenicsx.minimization.newton import PATIENCE, NewtonMethod
-from crms_fenicsx.minimization.outcome import Outcome
+from crms_fenicsx.minimization.outcome import (
+    DROWNED,
+    OUT_OF_RANGE,
+    REASONS,
+    SEARCH_FAILED,
+    Outcome,
+)
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.minimization.relaxation import FROM, SETTLED, LocalRelaxation
 from crms_fenicsx.runtime.errors import InputError
@@ -68,18 +76,6 @@ TINY = 1e-300
 
 BOUNDED_TYPES, UNBOUNDED_TYPES = ("blmvm", "bqnls", "bncg"), ("lmvm", "cg")
 """Minimisers that need energy and gradient only, with bounds and without."""
-
-SEARCH_FAILED, OUT_OF_RANGE = -6, 63
-"""TAO's reason, and PETSc's error code, for a line search that has led nowhere."""
-
-REASONS = {
-    -2: "too many iterations",
-    -4: "energy or gradient not finite",
-    -5: "too many evaluations",
-    SEARCH_FAILED: "line search failed",
-    -7: "trust region failed",
-    -8: "stopped by the user",
-}
 
 
 class Minimizer:
@@ -343,13 +339,11 @@ class Minimizer:
         for stiffening in self._stiffenings():
             stiffening.set(0.0)
         self._aged |= reason != "converged"
-        if reason not in ("converged", "interrupted") and rounding > tolerance:
-            reason += (
-                f", where forces cancel to their rounding ({rounding:.2g}): a tension, a penalty or"
-                " a stiffness is too large for the loads"
-            )
+        converged = reason in ("converged", "interrupted")
+        if not converged and rounding > tolerance:
+            reason += DROWNED.format(rounding)
         return Outcome(
-            reason in ("converged", "interrupted"),
+            converged,
             reason,
             residual,
             tolerance,

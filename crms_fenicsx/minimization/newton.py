@@ -1,4 +1,9 @@
-"""Newton's method, which takes over where quasi-Newton stages come to little.
+"""Newton's method, which takes over under cables, and where quasi-Newton stages come to little.
+
+Under cables it steps by the exact second derivatives where these are definite. What has learnt from
+a few gradients knows nothing of the handful of cable points that hold nearly all the force, each
+nonlinear over a tiny distance of its own. These are relaxed alone, also at the end of a step that
+has raised the energy, before that is shortened.
 
 Where much of a membrane is wrinkled or slack, what the quasi-Newton updates have learnt is wrong as
 soon as some more cells have wrinkled. Then H0 without updates is rebuilt in each iteration:

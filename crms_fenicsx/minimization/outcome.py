@@ -4,6 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+SEARCH_FAILED, OUT_OF_RANGE = -6, 63
+"""TAO's reason, and PETSc's error code, for a line search that has led nowhere."""
+
+REASONS = {
+    -2: "too many iterations",
+    -4: "energy or gradient not finite",
+    -5: "too many evaluations",
+    SEARCH_FAILED: "line search failed",
+    -7: "trust region failed",
+    -8: "stopped by the user",
+}
+
+DROWNED = (
+    ", where forces cancel to their rounding ({:.2g}): a tension, a penalty or a stiffness is too "
+    "large for the loads"
+)
+
 
 @dataclass(frozen=True)
 class Outcome:
