@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 
+from crms_fenicsx.model.cable_state import CableState
 from crms_fenicsx.paths.held_vertices import Run, held_runs
 from crms_fenicsx.paths.path_change import PathChange
 from crms_fenicsx.paths.tried_paths import TriedPaths
@@ -46,6 +47,8 @@ class VertexTrials:
         self._groups: list[tuple[int, list[Trial]]] = []  # with how often halved
         self._energy = math.inf
         self._halved = 0
+        self._runs: dict[int, tuple[CableState, list[Run]]] = {}
+        """What holds each cable, by number, in the state in which it was found."""
 
     def next(self, energy: float, scale: float) -> list[Trial]:
         """Move cables past runs of vertices that hold them. Collective.
@@ -71,7 +74,10 @@ class VertexTrials:
             self._halved, group = self._groups.pop()
             known = {self._key(trial) for trial in group}
             group = [trial for trial in runs if self._key(trial) in known]
-            moved = [(c, run) for c, run in group if pass_run(self.change, c, run)]
+            # The cells for all of them at once, also around the edges that the ways past cross.
+            vertices = [vertex for _, run in group for vertex in run.vertices]
+            shape = self.change.surface(vertices, rings=2).shape
+            moved = [(c, run) for c, run in group if pass_run(self.change, c, run, shape)]
             self._note([trial for trial in group if trial not in moved])
             if moved:
                 return moved
@@ -102,8 +108,9 @@ class VertexTrials:
 
                 remap(cable)
                 least = 2  # single vertices have been passed by `friction_release`
-            runs = (run for run in held_runs(cable, shape) if len(run.vertices) >= least)
-            found += [(c, run) for run in runs]
+            if c not in self._runs or self._runs[c][0] is not cable.state:
+                self._runs[c] = cable.state, held_runs(cable, shape)
+            found += [(c, run) for run in self._runs[c][1] if len(run.vertices) >= least]
         return [trial for trial in found if self._key(trial)[1] not in self._tried(trial[0])]
 
     def _tried(self, c: int) -> set[tuple[int, ...]]:
