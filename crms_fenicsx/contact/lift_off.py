@@ -37,16 +37,16 @@ SUNK = 0.02
 
 def may_lift(cable: LaidCable) -> Iterator[int]:
     """Nodes at which a cable may leave the membrane: all but its ends and its crossings."""
-    for k in range(1, len(cable.nodes) - 1):
-        if not cable.nodes[k].touches_cable:
+    for k, node in enumerate(cable.nodes[1:-1], start=1):
+        if not node.touches_cable:
             yield k
 
 
 def is_foot(cable: LaidCable, k: int) -> bool:
     """Whether a node only marks the place under an anchor, where no cable can touch."""
-    node = cable.nodes[k]
-    beside = cable.nodes[k - 1].kind == "anchor" or cable.nodes[k + 1].kind == "anchor"
-    return isinstance(node.point, CellPoint) and beside
+    nodes = cable.nodes
+    in_cell = isinstance(nodes[k].point, CellPoint)
+    return in_cell and "anchor" in (nodes[k - 1].kind, nodes[k + 1].kind)
 
 
 def outward_pulls(cable: LaidCable, nodes: Sequence[int], normals: Array, reaches: Array) -> Array:
@@ -74,7 +74,8 @@ def outward_pulls(cable: LaidCable, nodes: Sequence[int], normals: Array, reache
     contacts = cable.contacts()
     x, i = cable.positions[contacts], np.searchsorted(contacts, nodes)
     arc = arc_lengths(x)
-    crossings = [m for m, k in enumerate(contacts) if cable.nodes[k].touches_cable]
+    all_nodes = cable.nodes
+    crossings = [m for m, k in enumerate(contacts) if all_nodes[k].touches_cable]
     stops = np.array([0, *crossings, len(contacts) - 1])
     before = stops[np.searchsorted(stops, i) - 1]
     after = stops[np.searchsorted(stops, i, side="right")]
@@ -103,15 +104,13 @@ def released(cable: LaidCable, shape: StripShape, covered: Set[int] = frozenset(
     """
     if cable.sleeve:
         return []
-    on, supports = [], []
-    for k in may_lift(cable):
-        point = cable.nodes[k].point
-        assert point is not None
-        if not cable.lifted[k] and not (len(point.support) == 1 and point.support[0] in covered):
-            on.append(k)
-            supports.append(point.support)
-    pulls = outward_pulls(cable, on, *shape.normals_and_sizes(supports))
-    return [k for k, pull in zip(on, pulls, strict=True) if pull > PULL or is_foot(cable, k)]
+    nodes, lifted = cable.nodes, cable.lifted.tolist()
+    on = [k for k in may_lift(cable) if not lifted[k]]
+    if covered:
+        on = [k for k in on if len(nodes[k].support) > 1 or nodes[k].support[0] not in covered]
+    normals, sizes = shape.normals_and_sizes([nodes[k].support for k in on])
+    up = (outward_pulls(cable, on, normals, sizes) > PULL).tolist()
+    return [k for k, pulls in zip(on, up, strict=True) if pulls or is_foot(cable, k)]
 
 
 def captured(

@@ -275,7 +275,7 @@ class LaidCable:
 
     def contacts(self) -> list[int]:
         """Nodes that the cable touches, its ends included, in order."""
-        return [k for k, lifted in enumerate(self.lifted) if not lifted]
+        return [k for k, lifted in enumerate(self.lifted.tolist()) if not lifted]
 
     def line_nodes(self) -> list[int]:
         """Nodes of its line: its contacts, but an anchor that lies on the next one only once."""

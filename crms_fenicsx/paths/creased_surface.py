@@ -57,7 +57,11 @@ class CreasedSurface:
         bends = self.bends.get(edge)
         if bends is None:
             return math.dist(self._at[edge[0]], self._at[edge[1]])
-        return _arcs(self._line(edge, bends))[-1]
+        total, (x, y, z) = 0.0, self._at[edge[0]]
+        for p, q, r in self._line(edge, bends)[1:]:
+            total += math.sqrt((p - x) * (p - x) + (q - y) * (q - y) + (r - z) * (r - z))
+            x, y, z = p, q, r
+        return total
 
     def _line(self, edge: Edge, bends: Sequence[Array]) -> list[Sequence[float]]:
         """Positions along an edge: its vertices and the fold points between."""
