@@ -2,79 +2,92 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Callable, Sequence
+import numpy as np
 
-from crms_fenicsx.cables.numbering import CableNumbering, Corner
-from crms_fenicsx.model.crossing import NodeId
-from crms_fenicsx.surface.points import Edge
-from crms_fenicsx.surface.polygons import split_polygon
+from crms_fenicsx.cables.numbering import CableNumbering
+from crms_fenicsx.runtime.arrays import Integers, pointers, runs
+from crms_fenicsx.surface.polygons import Polygons, split_polygons
 
 
-def pieces(
-    numbering: CableNumbering, number: Callable[[Corner], int]
-) -> list[tuple[int, list[int]]]:
-    """Polygons into which the cables in tension cut this rank's folded cells.
+class CutCells:
+    """This rank's folded cells, those with points on a side, and the chords through their inside.
 
     Parameters
     ----------
     numbering
         The cables.
-    number
-        Gives the number of a corner in the caller's arrays.
 
-    Returns
-    -------
-    list of (cell, polygon)
-        Local cell number, and corners in the membrane's orientation, by number. Points on
-        sides that no chord leaves are corners too.
+    Attributes
+    ----------
+    rows : (n,)
+        Rows of the cells in the strip, ascending.
+    chords_of : (n + 1,)
+        Where the chords of each cell begin among the m chords.
+    chords : (m + 1,), (k,)
+        Rows of the nodes on each chord from rim to rim, in CSR form: pointers, rows. Between its
+        two ends a chord has the crossings on it.
     """
-    chords = chords_by_row(numbering)
 
-    def line(edge: Edge) -> list[int]:
-        inner = (number((c, k)) for _, c, k in numbering.on_edge.get(edge, []))
-        return [number(edge[0]), *inner, number(edge[1])]
+    def __init__(self, numbering: CableNumbering) -> None:
+        self.numbering = numbering
+        strip, simplices = numbering.strip, numbering.strip.simplices
+        rows = np.unique(simplices.around(numbering.points.edges)[1])
+        self.rows = rows[strip.owner[rows] == numbering.rank]
+        links, nodes = numbering.links, numbering.nodes
+        inside = (links.on >= 0) & nodes.taut[links.first]
+        inside &= simplices.corners[links.on, 2] >= 0
+        row = np.full(len(inside), -1)
+        row[inside] = simplices.rows[simplices.pointers[links.on[inside]]]
+        goes_on = (row[1:] == row[:-1]) & (links.first[1:] == links.second[:-1]) & inside[1:]
+        first = np.flatnonzero(inside & ~np.concatenate([[False], goes_on]))
+        last = np.flatnonzero(inside & ~np.concatenate([goes_on, [False]]))
+        place = np.searchsorted(self.rows, row[first])
+        mine = np.append(self.rows, -1)[place] == row[first]
+        first, last, place = first[mine], last[mine], place[mine]
+        order = np.argsort(place, kind="stable")
+        first, last = first[order], last[order]
+        self.chords_of = np.searchsorted(place[order], np.arange(len(self.rows) + 1))
+        starts = pointers(last - first + 2)
+        members = np.empty(starts[-1], dtype=np.int64)
+        members[runs(starts[:-1], last - first + 1)] = links.first[runs(first, last - first + 1)]
+        members[starts[1:] - 1] = links.second[last]
+        self.chords = starts, members
 
-    pieces = []
-    for row in folded_rows(numbering):
-        own = [[number(numbering.corner(*k)) for k in chord] for chord in chords.get(row, [])]
-        cell = int(numbering.strip.local[row])
-        pieces += [(cell, polygon) for polygon in cut(numbering, row, line, own)]
-    return pieces
+    def pieces(self, some: Integers, vertices: Integers, nodes: Integers) -> Polygons:
+        """Polygons into which the chords cut some cells.
 
+        Parameters
+        ----------
+        some
+            Places of the cells among `rows`, (n,).
+        vertices, nodes
+            Numbers, in the caller's arrays, of the strip's vertices and of the cables' nodes.
 
-def chords_by_row(numbering: CableNumbering) -> dict[int, list[list[NodeId]]]:
-    """Chords through the inside of this rank's cells, by row: nodes from rim to rim.
+        Returns
+        -------
+        The polygons in the membrane's orientation, with the place in `some` of the cell of each.
+        Points on sides that no chord leaves are corners too.
+        """
+        cut = np.diff(self.chords_of)[some]
+        chord = runs(self.chords_of[some], cut)
+        starts, members = self.chords
+        sizes = np.diff(starts)[chord]
+        members = nodes[members[runs(starts[chord], sizes)]]
+        rims = self._rims(self.rows[some], vertices, nodes)
+        return split_polygons(rims, pointers(cut), (pointers(sizes), members))
 
-    Between its two ends a chord has the crossings on it.
-    """
-    chords: dict[int, list[list[NodeId]]] = defaultdict(list)
-    for c, k, m, on in numbering.links:
-        if numbering.cables[c].taut and on is not None and len(on) == 3:
-            row = numbering.strip.rows(on)[0]
-            if numbering.strip.owners[row] == numbering.rank:
-                if chords[row] and chords[row][-1][-1] == (c, k):
-                    chords[row][-1].append((c, m))
-                else:
-                    chords[row].append([(c, k), (c, m)])
-    return chords
-
-
-def folded_rows(numbering: CableNumbering) -> list[int]:
-    """Rows of this rank's cells with points on a side."""
-    strip = numbering.strip
-    rows = {row for edge in numbering.on_edge for row in strip.rows(edge)}
-    return sorted(row for row in rows if strip.owners[row] == numbering.rank)
-
-
-def cut(
-    numbering: CableNumbering,
-    row: int,
-    line: Callable[[Edge], list[int]],
-    chords: Sequence[Sequence[int]],
-) -> list[list[int]]:
-    """Polygons of one cell; `line` gives the corners along an edge."""
-    around: list[int] = []
-    for edge, forward in numbering.strip.sides[row]:
-        around += line(edge)[:-1] if forward else line(edge)[:0:-1]
-    return split_polygon(around, chords)
+    def _rims(
+        self, rows: Integers, vertices: Integers, nodes: Integers
+    ) -> tuple[Integers, Integers]:
+        """Corners around cells in CSR form: vertices, and the points on the sides after each."""
+        points, simplices = self.numbering.points, self.numbering.strip.simplices
+        sides, forward = simplices.sides[rows].ravel(), simplices.forward[rows].ravel()
+        counts = points.counts[sides]
+        begins = pointers(counts + 1)
+        corners = np.empty(begins[-1], dtype=np.int64)
+        corners[begins[:-1]] = vertices[simplices.cells[rows].ravel()]
+        place = runs(np.zeros_like(counts), counts)  # of each point along its side
+        side = np.repeat(np.arange(len(sides)), counts)
+        along = np.where(forward[side], place, counts[side] - 1 - place)
+        corners[begins[side] + 1 + place] = nodes[points.nodes[points.starts[sides][side] + along]]
+        return begins[::3], corners

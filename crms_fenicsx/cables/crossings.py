@@ -11,30 +11,21 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations, pairwise
-from typing import NamedTuple
+from itertools import combinations
 
 import numpy as np
 
+from crms_fenicsx.cables.meetings import Meetings
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.crossing import Crossing, NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint
+from crms_fenicsx.surface.points import CellPoint, EdgePoint
 
 TANGLED = 8
 """Two crossings of the same cables with fewer cells than this between them are no way for taut
 cables to lie."""
-
-
-class _Meeting(NamedTuple):
-    """Two links that cross: their first nodes, how far along each, and the place in the cell."""
-
-    first: NodeId
-    second: NodeId
-    along: tuple[float, float]
-    point: CellPoint | EdgePoint
 
 
 def arrange(
@@ -53,12 +44,15 @@ def arrange(
     known
         The crossings before: which of them are separated is kept.
     """
-    before = [(_points(cable), cable.reference_positions, cable.blocked) for cable in cables]
+    before = [cable.state for cable in cables]
     for cable in cables:
         known = _remove_crossings(cable, known)
-    meetings = _meetings(cables, strip)
-    inserted: dict[NodeId, list[tuple[float, CableNode, Array]]] = defaultdict(list)
-    left = list(known)
+    meetings = Meetings(cables, strip).find()
+    inserted: list[dict[int, list[tuple[float, CableNode, Array]]]]
+    inserted = [defaultdict(list) for _ in cables]
+    left: dict[tuple[int, int], list[Crossing]] = defaultdict(list)
+    for one in known:
+        left[one.lower, one.upper].append(one)
     crossings: list[Crossing] = []
     for first, second, along, point in sorted(meetings, key=lambda m: (m.first, m.along[0])):
         links = [_link(cables, member) for member in (first, second)]
@@ -72,27 +66,31 @@ def arrange(
             for node in cables[c].nodes[k : k + 2]
         )
         numbers = (lower[1], upper[1])
-        place = np.mean(places, axis=0)
+        place = (places[0] + places[1]) / 2
         crossing = Crossing(lower[0], upper[0], point.support, numbers, place, between)
-        crossing, number = _inherited(crossing, left, cables), len(crossings)
+        crossing = _inherited(crossing, left[crossing.lower, crossing.upper], cables)
+        number = len(crossings)
         crossings.append(crossing)
         if crossing.separated:
             continue
         node = CableNode("crossing", point, number)
         for member, t in ((lower, t_lower), (upper, t_upper)):
             if not _is_fold_point(cables, member, number, point):
-                inserted[member].append((t, node, crossing.place))
+                inserted[member[0]][member[1]].append((t, node, crossing.place))
     for c, cable in enumerate(cables):
-        _insert(cable, {k: new for (d, k), new in inserted.items() if d == c})
-        points, reference_positions, blocked = before[c]
-        if _points(cable) == points:
-            cable.update(reference_positions=reference_positions, blocked=blocked)
+        _insert(cable, inserted[c])
+        old = before[c]
+        if len(cable.nodes) == len(old.nodes) and all(map(_is_alike, cable.nodes, old.nodes)):
+            cable.update(reference_positions=old.reference_positions, blocked=old.blocked)
     return tuple(crossings)
 
 
-def _points(cable: LaidCable) -> list[tuple[str, tuple[int, ...]]]:
-    """What a cable's nodes are, and the vertices that they lie on or between."""
-    return [(node.kind, () if node.point is None else node.point.support) for node in cable.nodes]
+def _is_alike(one: CableNode, other: CableNode) -> bool:
+    """Whether two nodes are of one kind, on or between the same vertices."""
+    if one is other or one.point is other.point:
+        return one.kind == other.kind
+    alone = one.point is None or other.point is None
+    return one.kind == other.kind and not alone and one.support == other.support
 
 
 def tangled(crossings: Sequence[Crossing]) -> set[int]:
@@ -115,17 +113,16 @@ def _link(cables: Sequence[LaidCable], member: NodeId) -> tuple[Array, Array]:
 
 
 def _inherited(crossing: Crossing, left: list[Crossing], cables: Sequence[LaidCable]) -> Crossing:
-    """Go on from the nearest known crossing of these cables; a new one starts as they lie.
+    """Go on from the nearest one left of these cables' crossings; a new one starts as they lie.
 
     It stays where it was if they cross the same edges before and after it: else it would draw them
     aside.
     """
-    same = [k for k in left if (k.lower, k.upper) == (crossing.lower, crossing.upper)]
-    if not same:
+    if not left:
         upper, k = cables[crossing.upper], crossing.links[1]
         return replace(crossing, separated=all(upper.lifted[k : k + 2]))
-    old = min(same, key=lambda k: float(np.linalg.norm(k.place - crossing.place)))
-    left.remove(old)
+    away = [float(np.linalg.norm(k.place - crossing.place)) for k in left]
+    old = left.pop(away.index(min(away)))
     place = old.place if old.between == crossing.between else crossing.place
     return replace(crossing, separated=old.separated, place=place)
 
@@ -162,117 +159,30 @@ def _remove_crossings(cable: LaidCable, known: Sequence[Crossing]) -> Sequence[C
     known = at_nodes(known, cable)
     nodes = [node for node, kept in zip(cable.nodes, keep, strict=True) if kept]
     cable.set_nodes(
-        [CableNode(node.kind, node.point) for node in nodes],
+        [node if node.crossing is None else CableNode(node.kind, node.point) for node in nodes],
         cable.positions[keep], cable.fractions[keep], cable.lifted[keep],
     )  # fmt: skip
     return known
 
 
 def _insert(cable: LaidCable, new: dict[int, list[tuple[float, CableNode, Array]]]) -> None:
+    """Insert crossings after some nodes, sorted by how far along the links they are."""
     if not new:
         return
     nodes: list[CableNode] = []
-    positions, fractions, lifted = [], [], []
-    for k, node in enumerate(cable.nodes):
-        nodes.append(node)
-        positions.append(cable.positions[k])
-        fractions.append(float(cable.fractions[k]))
-        lifted.append(bool(cable.lifted[k]))
-        for _, shared, place in sorted(new.get(k, []), key=lambda entry: entry[0]):
+    places: list[Array] = []
+    after: list[int] = []
+    last = 0
+    for k in sorted(new):
+        nodes += cable.nodes[last : k + 1]
+        for _, shared, place in sorted(new[k], key=lambda entry: entry[0]):
             nodes.append(shared)
-            positions.append(place)
-            fractions.append(np.nan)
-            lifted.append(False)
-    cable.set_nodes(nodes, np.array(positions), np.array(fractions), np.array(lifted))
-
-
-def _meetings(cables: Sequence[LaidCable], strip: Strip) -> list[_Meeting]:
-    """Where the paths of cables in tension cross, lifted parts by the cells under them."""
-    on_edge: dict[Edge, list[tuple[float, int, int]]] = defaultdict(list)
-    chords: dict[int, list[NodeId]] = defaultdict(list)
-    followed: dict[Edge, list[NodeId]] = defaultdict(list)
-    for c, cable in enumerate(cables):
-        if not cable.taut:
-            continue
-        for k, node in enumerate(cable.nodes):
-            if isinstance(node.point, EdgePoint):
-                on_edge[node.point.edge].append((float(cable.fractions[k]), c, k))
-        for k, (a, b) in enumerate(pairwise(cable.nodes)):
-            if a.point is None or b.point is None:
-                continue
-            both = tuple(sorted({*a.point.support, *b.point.support}))
-            if len(both) == 2:
-                followed[both[0], both[1]].append((c, k))
-            else:
-                chords[strip.rows(both)[0]].append((c, k))
-    found = []
-    for edge, links in followed.items():
-        for fraction, c, k in on_edge.get(edge, []):
-            for link in links:
-                if link[0] != c:
-                    ascending = cables[link[0]].nodes[link[1]].point.support == (edge[0],)  # type: ignore[union-attr]
-                    along = fraction if ascending else 1 - fraction
-                    found.append(_Meeting(link, (c, k), (along, 0.0), EdgePoint(edge, fraction)))
-    for row, members in chords.items():
-        if len({c for c, _ in members}) > 1:
-            cell = [int(vertex) for vertex in strip.cells[row]]
-            found += _meetings_in_cell(cables, cell, members, on_edge)
-    return found
-
-
-def _meetings_in_cell(
-    cables: Sequence[LaidCable],
-    cell: list[int],
-    chords: Sequence[NodeId],
-    on_edge: dict[Edge, list[tuple[float, int, int]]],
-) -> list[_Meeting]:
-    """Chords of one cell that cross: their ends alternate around it."""
-    around: dict[NodeId | int, int] = {}  # places on the rim, of corners and of points
-    for i, j in ((cell[0], cell[1]), (cell[1], cell[2]), (cell[2], cell[0])):
-        around[i] = len(around)
-        line = sorted(on_edge.get((min(i, j), max(i, j)), []))
-        for _, c, k in line if i < j else line[::-1]:
-            around[c, k] = len(around)
-
-    def rim(member: NodeId) -> int | None:
-        node = cables[member[0]].nodes[member[1]]
-        assert node.point is not None
-        return around.get(node.point.support[0] if node.kind == "vertex" else member)
-
-    def flat(member: NodeId) -> Array:
-        """Barycentric weights."""
-        ids, weights = cables[member[0]].interpolation(member[1])
-        share = dict(zip(ids, weights, strict=True))
-        return np.array([share.get(vertex, 0.0) for vertex in cell])
-
-    found = []
-    for first, second in combinations(chords, 2):
-        if first[0] == second[0]:
-            continue
-        ends = [(c, k + i) for c, k in (first, second) for i in (0, 1)]
-        places = [rim(member) for member in ends]
-        t = _intersection(*(flat(member) for member in ends))
-        on_rim = [place for place in places if place is not None]
-        if len(on_rim) < 4:  # an end of a cable inside the cell
-            crosses = 0.0 < t[0] < 1.0 and 0.0 < t[1] < 1.0
-        else:
-            low, high = sorted(on_rim[:2])
-            between = [low < place < high for place in on_rim[2:]]
-            crosses = len(set(on_rim)) == 4 and between[0] != between[1]
-        if crosses:
-            t = (min(max(t[0], 0.0), 1.0), min(max(t[1], 0.0), 1.0))
-            start, end = flat(ends[0]), flat(ends[1])
-            weights: Array = np.maximum(start + t[0] * (end - start), 0.0)
-            u, v, w = (float(x) for x in weights / weights.sum())
-            point = CellPoint((cell[0], cell[1], cell[2]), (u, v, w))
-            found.append(_Meeting(first, second, t, point))
-    return found
-
-
-def _intersection(a: Array, b: Array, p: Array, q: Array) -> tuple[float, float]:
-    """Where lines ab and pq, in barycentric weights, cross: their parameters."""
-    u, v, w = (b - a)[:2], (q - p)[:2], (p - a)[:2]
-    cross = u[0] * v[1] - u[1] * v[0]
-    if cross == 0.0:
-        return 0.5, 0.5
-    return float((w[0] * v[1] - w[1] * v[0]) / cross), float((w[0] * u[1] - w[1] * u[0]) / cross)
+            places.append(place)
+            after.append(k + 1)
+        last = k + 1
+    cable.set_nodes(
+        [*nodes, *cable.nodes[last:]],
+        np.insert(cable.positions, after, places, axis=0),
+        np.insert(cable.fractions, after, np.nan),
+        np.insert(cable.lifted, after, False),
+    )

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.runtime.arrays import Array, Integers
-from crms_fenicsx.surface.polygons import best_fan
-
-if TYPE_CHECKING:
-    from crms_fenicsx.cables.numbering import Corner
+from crms_fenicsx.surface.polygons import Polygons, best_fan
 
 
 @dataclass(frozen=True)
@@ -24,18 +20,18 @@ class FoldedShape:
     points, stress_free : (n, 3)
         Current and stress-free places (length): the vertices by local degree of freedom, then the
         cable points on edges of folded cells.
-    pieces : list of (cell, corners)
+    pieces
         Polygons, oriented as the membrane, with the local number of the cell they are part of.
     """
 
     points: Array
     stress_free: Array
-    pieces: list[tuple[int, list[int]]]
+    pieces: Polygons
 
     @property
     def cells(self) -> Integers:
         """Local numbers of the folded cells, sorted, (n,)."""
-        return np.unique(np.array([cell for cell, _ in self.pieces], dtype=np.int64))
+        return np.unique(self.pieces.cell)
 
 
 @dataclass(frozen=True)
@@ -67,26 +63,31 @@ def folded_shape(net: CableNet) -> FoldedShape:
     membrane = net.membrane
     places, stress_free = membrane.positions(), membrane.stress_free
     if net.strip is None or not any(cable.taut for cable in net.cables):
-        return FoldedShape(places, stress_free, [])
-    from crms_fenicsx.cables.cell_cuts import pieces
+        none = np.zeros(0, dtype=np.int64)
+        return FoldedShape(places, stress_free, Polygons(np.zeros(1, dtype=np.int64), none, none))
+    from crms_fenicsx.cables.cell_cuts import CutCells
+    from crms_fenicsx.cables.node_table import VERTEX
     from crms_fenicsx.cables.numbering import CableNumbering
 
     numbering = CableNumbering(net.cables, net.strip, membrane.u)
-    added: dict[tuple[int, int], int] = {}
-
-    def number(corner: Corner) -> int:
-        if isinstance(corner, int):
-            return numbering.dof(corner)
-        return added.setdefault(corner, len(places) + len(added))
-
-    cut = pieces(numbering, number)
+    nodes, corners_of = numbering.nodes, net.strip.simplices.corners
+    numbers = len(places) + numbering.number
+    at_vertex = nodes.kind == VERTEX
+    numbers[at_vertex] = numbering.dofs[corners_of[numbering.on[at_vertex], 0]]
+    cells = CutCells(numbering)
+    cut = cells.pieces(np.arange(len(cells.rows)), numbering.dofs, numbers)
+    added, place = np.unique(cut.corners[cut.corners >= len(places)], return_inverse=True)
+    cut.corners[cut.corners >= len(places)] = len(places) + place
     new, new_free = np.zeros((len(added), 3)), np.zeros((len(added), 3))
-    for i, (c, k) in enumerate(added):
-        cable = net.cables[c]
+    for i, row in enumerate(numbering.first[added - len(places)]):
+        cable, k = net.cables[nodes.cable[row]], int(nodes.place[row])
         vertices, weights = cable.nodes[k].interpolation(_fraction(cable.fractions[k]))
         new[i] = cable.positions[k]
         new_free[i] = np.dot(weights, stress_free[[numbering.dof(v) for v in vertices]])
-    return FoldedShape(np.concatenate([places, new]), np.concatenate([stress_free, new_free]), cut)
+    pieces = Polygons(cut.starts, cut.corners, net.strip.local[cells.rows[cut.cell]])
+    return FoldedShape(
+        np.concatenate([places, new]), np.concatenate([stress_free, new_free]), pieces
+    )
 
 
 def _fraction(value: float) -> float | None:
@@ -102,8 +103,9 @@ def current_surface(net: CableNet) -> CurrentSurface:
     triangles = [np.asarray(net.membrane.V.dofmap.list[plain], dtype=np.int64)]
     parents = [plain]
     inner: list[Integers] = [np.empty((0, 2), dtype=np.int64)]
-    for cell, corners in shape.pieces:
-        fan = best_fan(shape.points, corners)
+    starts, corners, cells = shape.pieces
+    for cell, polygon in zip(cells, np.split(corners, starts[1:-1]), strict=False):
+        fan = best_fan(shape.points, [int(k) for k in polygon])
         triangles.append(fan)
         parents.append(np.full(len(fan), cell))
         inner.append(fan[1:, :2])

@@ -6,25 +6,23 @@ what.
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
 
-from crms_fenicsx.cables.cell_cuts import chords_by_row, cut, folded_rows
-from crms_fenicsx.cables.numbering import CableNumbering, Link
+from crms_fenicsx.cables.cell_cuts import CutCells
+from crms_fenicsx.cables.node_table import ANCHOR, CROSSING, FOLD, RIDER
+from crms_fenicsx.cables.numbering import CableNumbering
 from crms_fenicsx.energies.fold_penalty import FoldAngles
 from crms_fenicsx.energies.folded_membrane import FoldedCells
 from crms_fenicsx.energies.folded_pressure import Facets
 from crms_fenicsx.energies.membrane import MembraneEnergy
 from crms_fenicsx.meshes.cell_geometry import area_vectors
 from crms_fenicsx.minimization.damping import Damping
-from crms_fenicsx.model.crossing import NodeId
 from crms_fenicsx.model.materials import N_PARAMETERS
 from crms_fenicsx.model.tolerances import SAME_PLACE, SMOOTHING
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers, pointers, runs
 from crms_fenicsx.runtime.compat import geometry_dofmap
-from crms_fenicsx.surface.points import Edge, EdgePoint
 from crms_fenicsx.surface.polygons import fan_facets
 
 NEAR_ANCHOR = 1e-3
@@ -39,12 +37,13 @@ class CableTables:
     ----------
     segments : (n, 2), eps : (n,), cable : (n,)
         Segments of the cables' polylines, their smoothing, and the cable's place among the taut.
-    links
-        Which nodes of which cables the segments join.
+    links : (n, 2)
+        Rows of the two nodes that the segments join, in the table of nodes.
     folded : FoldedCells
         Cells with folded sides.
-    kinks : list of (corner blocks (4,), row of `folded`, fold point)
-        Where chords meet sides at fold points that are free.
+    kinks : (k, 4), kink_cells : (k,), kink_nodes : (k,)
+        Where chords meet sides at fold points that are free: corner blocks, row of `folded`, row of
+        the fold point in the table of nodes.
     facets : Facets
         Facets of the folded cells under pressure.
     """
@@ -52,111 +51,96 @@ class CableTables:
     segments: Indices
     eps: Array
     cable: Indices
-    links: list[Link]
+    links: Integers
     folded: FoldedCells
-    kinks: list[tuple[tuple[int, int, int, int], int, NodeId]]
+    kinks: Indices
+    kink_cells: Integers
+    kink_nodes: Integers
     facets: Facets
 
     def penalty(self, factor: float, moduli: Array) -> FoldAngles:
         """Weighted penalty with mu = factor x E t x A; `moduli` (n,) is E t of the folded cells."""
-        rows = np.array([row for _, row, _ in self.kinks], dtype=np.int64)
-        return FoldAngles(self._corners(), (factor * moduli * self.folded.areas)[rows], True)
+        areas = (factor * moduli * self.folded.areas)[self.kink_cells]
+        return FoldAngles(self.kinks, areas, True)
 
     def literal_penalty(self, mu: float) -> FoldAngles:
         """The paper's penalty with one coefficient for all, (2.5-1)."""
-        return FoldAngles(self._corners(), np.full(len(self.kinks), mu), False)
-
-    def _corners(self) -> Indices:
-        return np.array([k for k, _, _ in self.kinks], dtype=np.int32).reshape(-1, 4)
+        return FoldAngles(self.kinks, np.full(len(self.kinks), mu), False)
 
 
 def cable_tables(
     numbering: CableNumbering, membrane: MembraneEnergy, pressed: Booleans
 ) -> CableTables:
     """Tables of the cables in tension; `pressed` says which local cells are under pressure."""
-    taut = {c: n for n, c in enumerate(c for c, k in enumerate(numbering.cables) if k.taut)}
-    mesh = numbering.u.function_space.mesh
-    strip, rows = numbering.strip, numbering.own_rows
-    sizes = np.zeros(len(strip.cells))  # of this rank's cells of the strip
-    areas = np.linalg.norm(area_vectors(mesh, strip.local[rows]), axis=1)
-    sizes[rows] = np.sqrt(2 * areas)
-    own = [
-        k for k in numbering.links if k.cable in taut and numbering.link_owner(k) == numbering.rank
-    ]
-    segments = [(numbering.block(c, k), numbering.block(c, m)) for c, k, m, _ in own]
+    nodes, links = numbering.nodes, numbering.links
+    own = np.flatnonzero(nodes.taut[links.first] & (links.owner == numbering.rank))
+    ends = np.stack([links.first[own], links.second[own]], axis=1)
+    number = np.cumsum([cable.taut for cable in numbering.cables]) - 1
     cells = _FoldedCellsOf(numbering)
     return CableTables(
-        np.array(segments, dtype=np.int32).reshape(-1, 2),
-        np.array([_smoothing(numbering, link, sizes) for link in own]),
-        np.array([taut[link.cable] for link in own], dtype=np.int32),
-        own,
+        numbering.node_blocks[ends].astype(np.int32),
+        _smoothing(numbering, own),
+        number[nodes.cable[ends[:, 0]]].astype(np.int32),
+        ends,
         cells.folded(membrane),
-        cells.kinks(),
+        *cells.kinks(),
         cells.facets(pressed),
     )
 
 
-def _smoothing(numbering: CableNumbering, link: Link, sizes: Array) -> float:
-    """Smoothing of a link's length; negative where its ends are given."""
-    nodes = numbering.cables[link.cable].nodes
-    first, second = nodes[link.first], nodes[link.second]
-    around = link.vertices or numbering.place_of(link.cable, link.first).support
-    slides = "crossing" in (first.kind, second.kind) or first.slides or second.slides
-    if link.vertices is not None:
-        slides = not {first.kind, second.kind} <= {"rider"}
-    strip = numbering.strip
-    rows = [row for row in strip.rows(around) if strip.owners[row] == numbering.rank]
-    size = float(min(sizes[row] for row in rows))
-    # An anchor may lie on the held place next to it: no direction, and none is needed.
-    if not slides:
-        return -SAME_PLACE * size
-    # It may be moved off that place by very little: lengths are exact from there on.
-    return SMOOTHING * size * (NEAR_ANCHOR if "anchor" in (first.kind, second.kind) else 1.0)
+def _smoothing(numbering: CableNumbering, own: Integers) -> Array:
+    """Smoothing of this rank's links; negative where their ends are given."""
+    nodes, links, strip = numbering.nodes, numbering.links, numbering.strip
+    rows = numbering.own_rows
+    sizes = np.full(len(strip.cells), np.inf)  # of this rank's cells of the strip
+    areas = area_vectors(numbering.u.function_space.mesh, strip.local[rows])
+    sizes[rows] = np.sqrt(2 * np.linalg.norm(areas, axis=1))
+    counts, around = strip.simplices.around(links.around[own])
+    size = np.minimum.reduceat(sizes[around], pointers(counts)[:-1]) if len(own) else np.zeros(0)
+    first, second = links.first[own], links.second[own]
+
+    def one(of: Booleans) -> Booleans:
+        return of[first] | of[second]
+
+    slides = one((nodes.kind == CROSSING) | nodes.slides)
+    slides |= (links.on[own] >= 0) & one(nodes.kind != RIDER)
+    # An anchor may be moved off the held place next to it by very little: lengths are exact from
+    # there on. It may lie on that place: no direction, and none is needed.
+    near = np.where(one(nodes.kind == ANCHOR), NEAR_ANCHOR, 1.0)
+    return np.where(slides, SMOOTHING * size * near, -SAME_PLACE * size)
 
 
 class _FoldedCellsOf:
-    """This rank's cells that the cables in tension fold, cell by cell."""
+    """This rank's cells that the cables in tension fold."""
 
     def __init__(self, numbering: CableNumbering) -> None:
-        self.numbering = numbering
-        self.chords = chords_by_row(numbering)
-        self.rows = folded_rows(numbering)
-
-    def sides(self, row: int) -> list[Edge]:
-        """The three sides of a cell."""
-        return [edge for edge, _ in self.numbering.strip.sides[row]]
+        self.numbering, self.cells = numbering, CutCells(numbering)
+        self.strip = numbering.strip
+        self.local = self.strip.local[self.cells.rows].astype(np.int32)
 
     def folded(self, membrane: MembraneEnergy) -> FoldedCells:
         """Sides in segments, and the cells' material."""
-        mesh = self.numbering.u.function_space.mesh
-        cells = self.numbering.strip.local[self.rows].astype(np.int32)
+        mesh, cells = self.numbering.u.function_space.mesh, self.local
         X: Array = np.asarray(mesh.geometry.x[geometry_dofmap(mesh)[cells]], dtype=float)
         vectors = np.roll(X, -1, axis=1) - X
-        lengths = np.linalg.norm(vectors, axis=2)
-        segments: list[tuple[int, int]] = []
-        eps: list[float] = []
-        numbers: dict[Edge, int] = {}
-        pointers = [0]
-        sides = np.zeros((len(self.rows), 3), dtype=np.int32)
-        for n, row in enumerate(self.rows):
-            for k, edge in enumerate(self.sides(row)):
-                if edge not in numbers:
-                    numbers[edge] = len(numbers)
-                    parts = list(itertools.pairwise(self.numbering.blocks_along(edge)))
-                    segments += parts
-                    pointers.append(len(segments))
-                    smoothing = SMOOTHING * float(lengths[n, k]) if len(parts) > 1 else 0.0
-                    eps += [smoothing] * len(parts)
-                sides[n, k] = numbers[edge]
+        lengths = np.linalg.norm(vectors, axis=2).ravel()
+        # The sides by number as they first occur.
+        sides = self.strip.simplices.sides[self.cells.rows].ravel()
+        edges, first, inverse = np.unique(sides, return_index=True, return_inverse=True)
+        order = np.argsort(first)
+        lines, blocks = self.numbering.lines(edges[order])
+        parts = np.diff(lines) - 1
+        start = runs(lines[:-1], parts)
+        smoothing = np.where(parts > 1, SMOOTHING * lengths[first[order]], 0.0)
         tags, material = np.unique(membrane.material_tags(cells), return_inverse=True)
         materials = [membrane.materials[int(tag)] for tag in tags]
         return FoldedCells(
             cells=cells,
-            segments=np.array(segments, dtype=np.int32).reshape(-1, 2),
-            eps=np.array(eps),
-            side_pointers=np.array(pointers, dtype=np.int32),
-            side_segments=np.arange(len(segments), dtype=np.int32),
-            sides=sides,
+            segments=np.stack([blocks[start], blocks[start + 1]], axis=1),
+            eps=np.repeat(smoothing, parts),
+            side_pointers=pointers(parts).astype(np.int32),
+            side_segments=np.arange(len(start), dtype=np.int32),
+            sides=np.argsort(order)[inverse].reshape(-1, 3).astype(np.int32),
             side_vectors=np.einsum("nki,nai->nka", vectors, membrane.material_axes(cells)),
             laws=np.array([m.law for m in materials], dtype=np.int32)[material],
             parameters=np.array([m.parameters for m in materials]).reshape(-1, N_PARAMETERS)[
@@ -164,45 +148,36 @@ class _FoldedCellsOf:
             ],
         )
 
-    def kinks(self) -> list[tuple[tuple[int, int, int, int], int, NodeId]]:
+    def kinks(self) -> tuple[Indices, Integers, Integers]:
         """Where chords meet sides at free fold points: corner blocks, the cell's place, point."""
-        numbering, kinks = self.numbering, []
-        for n, row in enumerate(self.rows):
-            for chord in self.chords.get(row, []):
-                # From rim to rim: a crossing may come as near to the rim as it likes.
-                for member, other in ((chord[0], chord[-1]), (chord[-1], chord[0])):
-                    node = numbering.cables[member[0]].nodes[member[1]]
-                    if node.kind == "fold" and isinstance(node.point, EdgePoint):
-                        block, line = (
-                            numbering.block(*member),
-                            numbering.blocks_along(node.point.edge),
-                        )
-                        k = line.index(block)
-                        corners = (line[k - 1], block, line[k + 1], numbering.block(*other))
-                        kinks.append((corners, n, member))
-        return kinks
+        numbering = self.numbering
+        starts, members = self.cells.chords
+        # From rim to rim: a crossing may come as near to the rim as it likes.
+        ends = np.stack([members[starts[:-1]], members[starts[1:] - 1]], axis=1)
+        cell = np.repeat(np.arange(len(self.cells.rows)), np.diff(self.cells.chords_of))
+        node, other, cell = ends.ravel(), ends[:, ::-1].ravel(), np.repeat(cell, 2)
+        free = numbering.nodes.kind[node] == FOLD
+        node, other, cell = node[free], other[free], cell[free]
+        lines, blocks = numbering.lines(numbering.on[node])
+        at = lines[:-1] + 1 + numbering.points.place[node]
+        around = blocks[np.stack([at - 1, at, at + 1], axis=1)]
+        last = numbering.node_blocks[other].astype(np.int32)
+        return np.concatenate([around, last[:, None]], axis=1), cell, node
 
     def facets(self, pressed: Booleans) -> Facets:
         """Facets of the polygons into which chords cut the cells under pressure."""
         numbering = self.numbering
-        rows = [row for row in self.rows if pressed[numbering.strip.local[row]]]
-        polygons: list[list[int]] = []
-        for row in rows:
-            chords = [[numbering.block(*k) for k in chord] for chord in self.chords.get(row, [])]
-            polygons += cut(numbering, row, numbering.blocks_along, chords)
-        corners, weights = fan_facets(polygons)
-        plain = [[numbering.vertex(v) for v in numbering.strip.corners[row]] for row in rows]
-        return Facets(corners, weights, np.array(plain, dtype=np.int32).reshape(-1, 3))
+        some = np.flatnonzero(pressed[self.local])
+        pieces = self.cells.pieces(some, numbering.vertex_blocks, numbering.node_blocks)
+        plain = numbering.vertex_blocks[self.strip.simplices.cells[self.cells.rows[some]]]
+        return Facets(*fan_facets(pieces.starts, pieces.corners), plain)
 
 
 def damping(numbering: CableNumbering, segments: Indices) -> Damping:
     """What holds back the points of the cables in tension, with this rank's segments (m, 2)."""
-    sliders, fractions = [], []
-    for edge, points in numbering.on_edge.items():
-        for fraction, c, k in points:
-            own = numbering.owners[numbering.numbers[c, k]] == numbering.rank
-            if own and numbering.cables[c].nodes[k].slides:
-                ends = (numbering.vertex(vertex) for vertex in edge)
-                sliders.append((numbering.block(c, k), *ends))
-                fractions.append(fraction)
-    return Damping(np.array(sliders, dtype=np.int32).reshape(-1, 3), np.array(fractions), segments)
+    rows = numbering.points.nodes
+    own = (numbering.node_owners[rows] == numbering.rank) & numbering.nodes.slides[rows]
+    rows = rows[own]
+    ends = numbering.support_blocks(rows)[:, :2]
+    sliders = np.concatenate([numbering.node_blocks[rows, None], ends], axis=1).astype(np.int32)
+    return Damping(sliders, numbering.fractions()[rows], segments)

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.deformed_surface import folded_shape
 from crms_fenicsx.energies.pressure_rim import gain, rim_of
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, pointers, runs
 from crms_fenicsx.surface.polygons import fan_facets
 
 
@@ -28,11 +28,12 @@ def gained_volume(net: CableNet) -> float:
     cells = V.dofmap.list[:owned]
     X, u = shape.stress_free - membrane.centre, shape.points - shape.stress_free
     local = _volume_change(X, u, cells[plain]).sum()
-    pieces = [corners for cell, corners in shape.pieces if membrane.pressed[cell]]
-    if pieces:
-        corners, weights = fan_facets(pieces)
-        # Pieces of a folded cell together are, stress-free, the cell: their changes add up.
-        local += np.sum(weights * _volume_change(X, u, corners))
+    starts, corners, cell = shape.pieces
+    pressed = np.flatnonzero(membrane.pressed[cell])
+    sizes = np.diff(starts)[pressed]
+    facets, weights = fan_facets(pointers(sizes), corners[runs(starts[pressed], sizes)])
+    # Pieces of a folded cell together are, stress-free, the cell: their changes add up.
+    local += np.sum(weights * _volume_change(X, u, facets))
     rim = rim_of(membrane)
     local += rim.factors @ gain(*(places.reshape(-1)[rim.components] for places in (X, u)))
     return float(membrane.comm.allreduce(float(local)))

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Sequence
-from itertools import accumulate, pairwise
+from itertools import pairwise
 
 import numpy as np
+import numpy.typing as npt
 
+from crms_fenicsx.cables.node_table import CROSSING
 from crms_fenicsx.cables.numbering import CableNumbering
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.model.tolerances import BLOCKED
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Integers, pointers, runs
 from crms_fenicsx.surface.triangles import norm
 
 
@@ -28,72 +28,49 @@ class NodePositions:
 
     def __init__(self, numbering: CableNumbering, unknowns: Unknowns) -> None:
         self.numbering, self.unknowns = numbering, unknowns
-        sizes = (len(cable.nodes) for cable in numbering.cables)
-        self._starts = list(accumulate(sizes, initial=0))
+        self._starts = [int(start) for start in numbering.nodes.starts]
+        empty = np.zeros(0, dtype=bool)
+        self._lifted = np.concatenate([empty, *(cable.lifted for cable in numbering.cables)])
         self._list_own_nodes()
         self._list_lines()
         self._list_links()
 
     def _list_own_nodes(self) -> None:
         """Nodes that this rank places: their blocks, and what they lie on on the membrane."""
-        numbering = self.numbering
-        own, blocks, interpolation, weights, slides = [], [], [], [], []
-        for start, (c, cable) in zip(self._starts, enumerate(numbering.cables), strict=False):
-            lifted = cable.lifted & cable.taut
-            for k, node in enumerate(cable.nodes):
-                if lifted[k] or not numbering.is_mine(c, k):
-                    continue
-                own.append(start + k)
-                blocks.append(numbering.block(c, k))
-                ids, share = ((), ()) if node.point is None else node.interpolation()
-                interpolation.append([*(numbering.vertex(i) for i in ids), 0, 0, 0][:3])
-                weights.append([*share, 0.0, 0.0, 0.0][:3])
-                slides.append(node.slides)
-        self._own, self._blocks = np.array(own, dtype=np.int64), np.array(blocks, dtype=np.int64)
-        self._corners = np.array(interpolation, dtype=np.int64).reshape(-1, 3)
-        self._weights = np.array(weights, dtype=float).reshape(-1, 3)
-        self._sliders = np.flatnonzero(np.array(slides, dtype=bool))
+        numbering, nodes = self.numbering, self.numbering.nodes
+        own = ~(self._lifted & nodes.taut) & (numbering.node_owners == numbering.rank)
+        self._own = np.flatnonzero(own)
+        self._blocks = numbering.node_blocks[self._own]
+        self._corners = np.maximum(numbering.support_blocks(self._own), 0)
+        self._weights = nodes.weights[self._own]
+        self._sliders = np.flatnonzero(nodes.slides[self._own])
 
     def _list_lines(self) -> None:
         """This rank's edges with the points on them, and its rails."""
-        numbering = self.numbering
-        lines, on_lines = [], []
-        for edge, points in numbering.on_edge.items():
-            if numbering.strip.owner_of(edge) == numbering.rank:
-                lines.append(numbering.blocks_along(edge))
-                on_lines.append([self._starts[c] + k for _, c, k in points])
-        self._lines = _Lines(lines)
-        self._on_lines = np.array([m for line in on_lines for m in line], dtype=np.int64)
-        mine = [n for n, (c, k) in enumerate(numbering.rails.members) if numbering.is_mine(c, k)]
-        self._own_rails = np.array(mine, dtype=np.int64)
-        self._rails = np.array(
-            [self._starts[c] + k for c, k in numbering.rails.members], dtype=np.int64
-        )
+        numbering, points, nodes = self.numbering, self.numbering.points, self.numbering.nodes
+        owner = numbering.strip.simplices.owner
+        edges = points.edges[owner[points.edges] == numbering.rank]
+        self._lines = _Lines(*numbering.lines(edges))
+        self._on_lines = points.nodes[runs(points.starts[edges], points.counts[edges])]
+        rails = [int(nodes.starts[c]) + k for c, k in numbering.rails.members]
+        self._rails = np.array(rails, dtype=np.int64)
+        self._own_rails = np.flatnonzero(numbering.node_owners[self._rails] == numbering.rank)
 
     def _list_links(self) -> None:
         """Links with crossings on them, and which two nodes each crossing is."""
-        links, shared = [], defaultdict(list)
-        known, slides, free = [], [], []
-        for start, cable in zip(self._starts, self.numbering.cables, strict=False):
-            kinds = [node.kind for node in cable.nodes]
-            on = [
-                node.point is not None and not lifted
-                for node, lifted in zip(cable.nodes, cable.lifted, strict=True)
-            ]
-            known += [here and kind != "crossing" for here, kind in zip(on, kinds, strict=True)]
-            slides += [node.slides for node in cable.nodes]
-            free += [cable.taut and not lifted for lifted in cable.lifted]
-            for a, b in pairwise([k for k, kind in enumerate(kinds) if kind != "crossing"]):
-                if b - a > 1 and on[a] and on[b]:
-                    links.append([start + k for k in range(a, b + 1)])
-            for k, node in enumerate(cable.nodes):
-                if node.crossing is not None:
-                    shared[node.crossing].append(start + k)
-        self._known, self._slides = np.array(known, dtype=bool), np.array(slides, dtype=bool)
-        self._free = np.array(free, dtype=bool)
-        self._links = _Lines(links)
-        pairs = [pair for pair in shared.values() if len(pair) == 2]
-        self._pairs = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+        nodes = self.numbering.nodes
+        on = (nodes.size > 0) & ~self._lifted
+        self._known, self._slides = on & (nodes.kind != CROSSING), nodes.slides
+        self._free = nodes.taut & ~self._lifted
+        others = np.flatnonzero(nodes.kind != CROSSING)
+        a, b = others[:-1], others[1:]
+        crossed = (nodes.cable[a] == nodes.cable[b]) & (b - a > 1) & on[a] & on[b]
+        a, counts = a[crossed], (b - a)[crossed] + 1
+        self._links = _Lines(pointers(counts), runs(a, counts))
+        sides = np.flatnonzero(nodes.crossing >= 0)
+        sides = sides[np.argsort(nodes.crossing[sides], kind="stable")]
+        _, first, counts = np.unique(nodes.crossing[sides], return_index=True, return_counts=True)
+        self._pairs = sides[first[counts == 2][:, None] + np.arange(2)]
 
     def gather(self, x: Array) -> None:
         """Give the cables the places of their points at the displacements x (n, 3). Collective.
@@ -156,7 +133,7 @@ class NodePositions:
 
 
 class _Lines:
-    """Polylines of three or more points each, given by rows of a table of places.
+    """Polylines of three or more points each, given by rows of a table of places in CSR form.
 
     Attributes
     ----------
@@ -164,11 +141,11 @@ class _Lines:
         The rows of all their inner points, and of the ends of the polylines that these are on.
     """
 
-    def __init__(self, lines: Sequence[Sequence[int]]) -> None:
-        longest = max((len(line) for line in lines), default=3)
-        rows = [[*line, *[line[-1]] * (longest - len(line))] for line in lines]
-        self._rows = np.array(rows, dtype=np.int64).reshape(-1, longest)
-        sizes = np.array([len(line) for line in lines], dtype=np.int64)
+    def __init__(self, starts: Integers, members: npt.NDArray[np.integer]) -> None:
+        sizes = np.diff(starts)
+        longest = int(sizes.max(initial=3))
+        place = np.minimum(np.arange(longest), sizes[:, None] - 1)  # the last one fills the rest
+        self._rows = members[starts[:-1, None] + place].astype(np.int64)
         self._inner = np.arange(1, longest - 1) < sizes[:, None] - 1
         self.inner = self._rows[:, 1:-1][self._inner]
         self.first, self.last = (np.repeat(self._rows[:, k], sizes - 2) for k in (0, -1))

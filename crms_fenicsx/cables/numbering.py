@@ -7,44 +7,47 @@ cables' paths and the strip of crossed cells, so they number alike without commu
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from itertools import pairwise
 
 import numpy as np
 from dolfinx import fem
 
-from crms_fenicsx.cables.points_on_edges import points_by_edge
+from crms_fenicsx.cables.node_table import ANCHOR, RAIL, RIDER, VERTEX, NodeTable
+from crms_fenicsx.cables.points_on_edges import PointsOnEdges
 from crms_fenicsx.cables.rails import Rails
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.vertex_places import vertex_places
-from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.crossing import NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.surface.points import Edge, SurfacePoint
-
-Corner = int | NodeId
-"""A corner of a piece of a folded cell: a vertex by its id, or a cable's point (cable, node)."""
+from crms_fenicsx.runtime.arrays import Array, Indices, Integers, pointers, runs
+from crms_fenicsx.surface.points import Edge
 
 
-class Link(NamedTuple):
-    """A straight part of a cable's polyline, from a node that it touches to the next.
+@dataclass(frozen=True)
+class Links:
+    """The straight parts of the cables' polylines, from a node that one touches to the next, n.
 
     Attributes
     ----------
-    cable, first, second
-        Numbers of the cable and of the two nodes.
-    vertices
-        Ids of the cell (3) or edge (2) that it lies on; None off the membrane.
+    first, second : (n,)
+        Rows of the two nodes in the table of nodes.
+    on : (n,)
+        Number of the cell or edge of the strip that a link lies on; -1 off the membrane.
+    around : (n,)
+        The same; off the membrane that of what its first node lies on.
+    owner : (n,)
+        The rank that computes it.
     """
 
-    cable: int
-    first: int
-    second: int
-    vertices: tuple[int, ...] | None
+    first: Integers
+    second: Integers
+    on: Integers
+    around: Integers
+    owner: Integers
 
 
 class CableNumbering:
@@ -58,111 +61,120 @@ class CableNumbering:
         Cells around their paths.
     u
         Vertex displacements.
+
+    Attributes
+    ----------
+    nodes
+        The table of all nodes.
+    on : (nodes,)
+        Number of what each node lies on among the strip's simplices; -1 for anchors.
+    number : (nodes,)
+        Number of each node's point, which the two sides of a crossing share. -1 for vertices and
+        lifted nodes.
+    owners : (points,)
+        Owning ranks of the points.
+    links
+        The links between nodes.
+    blocks, node_blocks : (points,), (nodes,)
+        Local blocks of points and of nodes, -1 where this rank has none; from `unknowns` on.
     """
 
     def __init__(self, cables: Sequence[LaidCable], strip: Strip, u: fem.Function) -> None:
         self.cables, self.strip, self.u = tuple(cables), strip, u
-        self._nodes = [cable.nodes for cable in cables]  # loops read them faster
         self.rank = u.function_space.mesh.comm.rank
+        self.nodes = NodeTable(self.cables)
+        self.on = strip.simplices.find(self.nodes.support)
+        # The points of a slack cable ride on the membrane, all of them.
+        self._used = np.flatnonzero(~(self.nodes.taut & self.nodes.lifted))
+        self.links = self._find_links()
         self._number_points()
-        self._find_owners()
         self._number_vertices()
-        self._lines: dict[Edge, list[int]] = {}
+
+    def _places(self, rows: Integers) -> Integers:
+        """Simplices that say which ranks nodes belong to: an anchor's is that of the next node."""
+        nodes = self.nodes
+        beside = np.where(nodes.place[rows] == 0, rows + 1, rows - 1)
+        places = self.on[np.where(nodes.size[rows] == 0, beside, rows)]
+        assert np.all(places >= 0), "two anchors in a row, or a node off the strip"
+        return places
+
+    def _find_links(self) -> Links:
+        nodes, simplices = self.nodes, self.strip.simplices
+        first, second = self._used[:-1], self._used[1:]
+        same = nodes.cable[first] == nodes.cable[second]
+        first, second = first[same], second[same]
+        on = simplices.spanned(nodes.support[first], nodes.support[second])
+        around = on.copy()
+        off = on < 0
+        around[off] = self._places(first[off])
+        return Links(first, second, on, around, simplices.owner[around])
 
     def _number_points(self) -> None:
-        """Numbers of the points that are no vertices, and the links between nodes."""
-        self.numbers: dict[NodeId, int] = {}  # the two sides of a crossing have the same one
-        self.links: list[Link] = []
-        self._first: list[NodeId] = []  # a node of each point
-        shared: dict[int, int] = {}
-        for c, cable in enumerate(self.cables):
-            # The points of a slack cable ride on the membrane, all of them.
-            contacts = cable.contacts() if cable.taut else list(range(len(cable.nodes)))
-            for k in contacts:
-                node = cable.nodes[k]
-                if node.kind == "vertex":
-                    continue
-                number = len(self._first)
-                if node.crossing is not None:
-                    number = shared.setdefault(node.crossing, number)
-                if number == len(self._first):
-                    self._first.append((c, k))
-                self.numbers[c, k] = number
-            for k, m in itertools.pairwise(contacts):
-                self.links.append(
-                    Link(c, k, m, self._shared_simplex(cable.nodes[k], cable.nodes[m]))
-                )
-
-    def _shared_simplex(self, a: CableNode, b: CableNode) -> tuple[int, ...] | None:
-        """The cell or edge that two nodes of a cable lie on."""
-        if a.point is None or b.point is None:
-            return None
-        both = tuple(sorted({*a.point.support, *b.point.support}))
-        return both if self.strip.rows(both) else None
-
-    def place_of(self, c: int, k: int) -> SurfacePoint:
-        """The place of the mesh that says which rank a node belongs to.
-
-        An anchor belongs to whom the point next to it belongs.
-        """
-        nodes = self._nodes[c]
-        point = nodes[k].point or nodes[1 if k == 0 else k - 1].point
-        assert point is not None, "two anchors in a row"
-        return point
-
-    def _find_owners(self) -> None:
-        self.owners = np.array(
-            [self.strip.owner_of(self.place_of(c, k).support) for c, k in self._first],
-            dtype=np.int64,
+        """Numbers and owners of the points that are no vertices."""
+        nodes = self.nodes
+        points = self._used[nodes.kind[self._used] != VERTEX]
+        shared = np.flatnonzero(nodes.crossing[points] >= 0)
+        _, first, side = np.unique(
+            nodes.crossing[points[shared]], return_index=True, return_inverse=True
         )
+        same = np.arange(len(points))
+        same[shared] = shared[first[side]]
+        new = same == np.arange(len(points))
+        self.number = np.full(len(nodes.kind), -1)
+        self.number[points] = (np.cumsum(new) - 1)[same]
+        self.first = points[new]
+        """Row of a node of each point."""
+        self.owners = self.strip.simplices.owner[self._places(self.first)].astype(np.int64)
+        self.node_owners = np.where(self.number >= 0, np.append(self.owners, -1)[self.number], -1)
+        at_vertex = nodes.kind == VERTEX  # whoever owns a vertex has the nodes on it
+        self.node_owners[at_vertex] = self.strip.simplices.owner[self.on[at_vertex]]
+
+    @property
+    def numbers(self) -> dict[NodeId, int]:
+        """Numbers of the points by cable and node."""
+        rows = np.flatnonzero(self.number >= 0)
+        return dict(zip(self.nodes.ids(rows), map(int, self.number[rows]), strict=True))
+
+    def row(self, c: int, k: int) -> int:
+        """Row of a cable's node in the table of nodes."""
+        return int(self.nodes.starts[c]) + k
 
     def is_mine(self, c: int, k: int) -> bool:
-        """Whether this rank owns a cable's node; whoever owns a vertex has the nodes on it."""
-        node = self._nodes[c][k]
-        if node.kind == "vertex":
-            return self.strip.owner_of(node.interpolation()[0]) == self.rank
-        return bool(self.owners[self.numbers[c, k]] == self.rank)
-
-    def link_owner(self, link: Link) -> int:
-        """The rank that computes a link of a cable."""
-        on = link.vertices or self.place_of(link.cable, link.first).support
-        return self.strip.owner_of(on)
+        """Whether this rank owns a cable's node."""
+        return bool(self.node_owners[self.row(c, k)] == self.rank)
 
     def _number_vertices(self) -> None:
-        """Degrees of freedom of the vertices of this rank's cells of the strip, by id."""
-        strip, dofmap = self.strip, self.u.function_space.dofmap
+        """Degrees of freedom of the vertices of this rank's cells of the strip, and its points."""
+        strip, links, simplices = self.strip, self.links, self.strip.simplices
         self.own_rows = np.flatnonzero(strip.owner == self.rank)
-        ids = strip.cells[self.own_rows].ravel()
-        dofs = dofmap.list[strip.local[self.own_rows]].ravel()
-        self._dof: dict[int, int] = {int(i): int(dof) for i, dof in zip(ids, dofs, strict=True)}
+        self.dofs = np.full(len(strip.vertices), -1)
+        """Local degrees of freedom of the strip's vertices; -1 for those of other ranks."""
+        dofs = self.u.function_space.dofmap.list[strip.local[self.own_rows]]
+        self.dofs[simplices.cells[self.own_rows]] = dofs
         # Points that this rank needs: those on its links and on the edges of its cells.
-        needed = {number for number, (c, k) in enumerate(self._first) if self._near(c, k)}
-        far: set[tuple[int, int]] = set()  # vertices at ends of spans, on ranks without them
-        for link in self.links:
-            owner = self.link_owner(link)
-            for c, k in ((link.cable, link.first), (link.cable, link.second)):
-                if (c, k) in self.numbers and owner == self.rank:
-                    needed.add(self.numbers[c, k])
-                node = self._nodes[c][k]
-                if link.vertices is None and node.kind in ("vertex", "rail", "rider"):
-                    far |= {(owner, vertex) for vertex in node.interpolation()[0]}
+        near = simplices.touch(strip.owner == self.rank)
+        on = self.on[self.first]
+        needed = (on >= 0) & np.append(near, False)[on]
+        ends = np.stack([links.first, links.second], axis=1)
+        numbers = self.number[ends[links.owner == self.rank]]
+        needed[numbers[numbers >= 0]] = True
         self.owned = np.flatnonzero(self.owners == self.rank)
         index = np.zeros(len(self.owners), dtype=np.int64)
         for rank in np.unique(self.owners):
             own = np.flatnonzero(self.owners == rank)
             index[own] = np.arange(len(own))
-        self.foreign = np.array(
-            sorted(n for n in needed if self.owners[n] != self.rank), dtype=np.int64
-        )
-        self.ghosts = [(int(self.owners[n]), int(index[n])) for n in self.foreign]
-        self._find_far_vertices(sorted(far))
-
-    def _near(self, c: int, k: int) -> bool:
-        """Whether a node lies on a cell of this rank."""
-        point, strip = self._nodes[c][k].point, self.strip
-        return point is not None and any(
-            strip.owners[row] == self.rank for row in strip.rows(point.support)
-        )
+        self.foreign = np.flatnonzero(needed & (self.owners != self.rank))
+        owners = self.owners[self.foreign]
+        self.ghosts = [
+            (int(rank), int(n)) for rank, n in zip(owners, index[self.foreign], strict=True)
+        ]
+        off = np.repeat(links.on < 0, 2)
+        owner, ends = np.repeat(links.owner, 2)[off], ends.ravel()[off]
+        given = np.isin(self.nodes.kind[ends], (VERTEX, RAIL, RIDER))
+        supports = self.nodes.support[ends[given]]
+        far = np.stack([np.repeat(owner[given], 3), supports.ravel()], axis=1)
+        # Vertices at ends of spans, on ranks without them.
+        self._find_far_vertices([(int(a), int(b)) for a, b in np.unique(far, axis=0) if b >= 0])
 
     def _find_far_vertices(self, far: Sequence[tuple[int, int]]) -> None:
         """Owner and number there of the vertices at ends of spans that this rank has not.
@@ -176,9 +188,10 @@ class CableNumbering:
         if not far:  # all ranks know the same
             return
         vertices = self.u.function_space.dofmap.index_map
-        wanted = {v for _, v in far if self._dof.get(v, vertices.size_local) < vertices.size_local}
         X = vertex_places(self.u.function_space)
-        mine = {v: (self.rank, self._dof[v], X[self._dof[v]]) for v in wanted if v in self._dof}
+        dofs = {v: self.dof(v) for _, v in far}
+        wanted = {v: dof for v, dof in dofs.items() if 0 <= dof < vertices.size_local}
+        mine = {v: (self.rank, dof, X[dof]) for v, dof in wanted.items()}
         known = {
             v: place
             for part in self.u.function_space.mesh.comm.allgather(mine)
@@ -198,108 +211,123 @@ class CableNumbering:
         self.blocks = np.full(len(self.owners), -1, dtype=np.int32)
         self.blocks[self.owned] = unknowns.owned_point_blocks()
         self.blocks[self.foreign] = unknowns.ghost_point_blocks()
-        self._block_of: list[int] = self.blocks.tolist()
-        blocks = unknowns.vertex_blocks()
-        self._vertex_blocks = {v: int(blocks[dof]) for v, dof in self._dof.items()}
+        dofs = unknowns.vertex_blocks()
+        self.vertex_blocks = np.where(self.dofs < 0, -1, dofs[self.dofs])
+        """Local blocks of the strip's vertices, or -1."""
         far = unknowns.far_vertex_blocks()
-        for v, block in zip(self.far_vertices, far, strict=True):
-            self._vertex_blocks[v] = int(block)
+        self.vertex_blocks[[self.strip.row_of[v] for v in self.far_vertices]] = far
+        self.node_blocks = np.where(self.number >= 0, np.append(self.blocks, -1)[self.number], -1)
+        at_vertex = self.nodes.kind == VERTEX
+        corners = self.strip.simplices.corners[self.on[at_vertex], 0]
+        self.node_blocks[at_vertex] = self.vertex_blocks[corners]
         unknowns.X[far] = np.array(self._far_X).reshape(-1, 3)
         self.place_points(unknowns.X)
         return unknowns
 
     def place_points(self, places: Array) -> None:
         """Put the cables' points into the rows of `places`, local blocks, where they are now."""
-        positions = [cable.positions for cable in self.cables]
-        here = [(self._block_of[n], positions[c][k]) for (c, k), n in self.numbers.items()]
-        here = [(block, place) for block, place in here if block >= 0]
-        if here:
-            places[[block for block, _ in here]] = [place for _, place in here]
+        rows = self._own_points
+        positions = np.concatenate([np.zeros((0, 3)), *(cable.positions for cable in self.cables)])
+        places[self.node_blocks[rows]] = positions[rows]
+
+    @cached_property
+    def _own_points(self) -> Integers:
+        """Rows of the nodes whose points this rank has."""
+        return np.flatnonzero((self.number >= 0) & (self.node_blocks >= 0))
 
     def dof(self, vertex: int) -> int:
-        """Local degree of freedom of a vertex, by id."""
-        return self._dof[vertex]
+        """Local degree of freedom of a vertex, by id; -1 on ranks without a cell there."""
+        return int(self.dofs[self.strip.row_of[vertex]])
 
     def vertex(self, vertex: int) -> int:
         """Local block of a vertex, by id."""
-        return self._vertex_blocks[vertex]
+        return int(self.vertex_blocks[self.strip.row_of[vertex]])
 
     def block(self, c: int, k: int) -> int:
-        """Local block of a cable's node."""
-        number = self.numbers.get((c, k))
-        if number is not None:
-            return self._block_of[number]
-        node = self._nodes[c][k]
-        assert node.kind == "vertex", "a lifted node has no block"
-        return self.vertex(node.interpolation()[0][0])
+        """Local block of a cable's node, or -1."""
+        return int(self.node_blocks[self.row(c, k)])
 
-    def corner(self, c: int, k: int) -> Corner:
-        """A cable's node as a corner, the same one for both cables of a crossing."""
-        node = self._nodes[c][k]
-        return (
-            node.interpolation()[0][0] if node.kind == "vertex" else self._first[self.numbers[c, k]]
-        )
+    def support_blocks(self, rows: Integers) -> Integers:
+        """Local blocks of the vertices on which nodes lie, (n, 3); -1 where there is none."""
+        on = self.on[rows]
+        corners = self.strip.simplices.corners[on]
+        return np.where((corners < 0) | (on < 0)[:, None], -1, self.vertex_blocks[corners])
 
     def hold(self, unknowns: Unknowns) -> None:
         """Hold the anchors; let tied points and the sliding points of slack cables ride.
 
         Collective.
         """
-        loaded: list[tuple[int, list[int], list[float]]] = []
-        idle: list[tuple[int, list[int], list[float]]] = []
-        rails: list[NodeId] = []
-        for (c, k), number in self.numbers.items():
-            block, cable, node = self._block_of[number], self.cables[c], self._nodes[c][k]
-            if block < 0:
-                continue
-            unknowns.held[block] = node.kind == "anchor"
-            if node.kind == "rail" and cable.taut:
-                rails.append((c, k))
-            if node.kind == "rider" or (node.slides and not cable.taut):
-                ids, share = node.interpolation(cable.fractions[k] if node.slides else None)
-                own = [self.vertex(i) for i in ids]
-                interpolation, weights = own + own[:1] * (3 - len(own)), [*share, 0.0, 0.0][:3]
-                (loaded if cable.taut else idle).append((block, interpolation, weights))
-        riders = loaded + idle
+        nodes, rows = self.nodes, self._own_points
+        unknowns.held[self.node_blocks[rows[nodes.kind[rows] == ANCHOR]]] = True
+        rides = (nodes.kind == RIDER) | (nodes.slides & ~nodes.taut)
+        loaded, idle = (rows[rides[rows] & (nodes.taut[rows] == taut)] for taut in (True, False))
+        riders = np.concatenate([loaded, idle])
+        weights = nodes.weights[riders]
+        slides = nodes.slides[riders]
+        s = self.fractions()[riders[slides]]
+        weights[slides, :2] = np.stack([1 - s, s], axis=1)
+        ends = self.support_blocks(riders)
         unknowns.set_riders(
-            np.array([block for block, _, _ in riders], dtype=np.int32),
-            np.array([interpolation for _, interpolation, _ in riders], dtype=np.int32).reshape(
-                -1, 3
-            ),
-            np.array([weights for _, _, weights in riders], dtype=float).reshape(-1, 3),
+            self.node_blocks[riders].astype(np.int32),
+            np.where(ends < 0, ends[:, :1], ends).astype(np.int32),
+            weights,
             len(loaded),
         )
+        rails = rows[(nodes.kind[rows] == RAIL) & nodes.taut[rows]]
         self.rails = Rails(
             self.cables,
-            rails,
-            np.array([self.block(c, k) for c, k in rails], dtype=np.int32),
-            np.array(
-                [
-                    [self.vertex(v) for v in self.cables[c].nodes[k].interpolation()[0]]
-                    for c, k in rails
-                ],
-                dtype=np.int32,
-            ).reshape(-1, 2),
+            nodes.ids(rails),
+            self.node_blocks[rails].astype(np.int32),
+            self.support_blocks(rails)[:, :2].astype(np.int32),
         )
-        if any(n.kind == "rail" for cable in self.cables if cable.taut for n in cable.nodes):
+        if np.any((nodes.kind == RAIL) & nodes.taut):
             vector, x = unknowns.vector()
             x[unknowns.vertex_blocks()] = self.u.x.array.reshape(-1, 3)
             unknowns.update_ghosts(vector)  # on far vertices
             self.rails.place(unknowns, x)
             vector.destroy()
 
-    @cached_property
-    def on_edge(self) -> dict[Edge, list[tuple[float, int, int]]]:
-        """Points of the cables in tension on each edge, in the order that they keep."""
-        return points_by_edge(self.cables)
+    def fractions(self) -> Array:
+        """Where the nodes are on their edges now, (nodes,)."""
+        return np.concatenate([np.zeros(0), *(cable.fractions for cable in self.cables)])
 
-    def blocks_along(self, edge: Edge) -> list[int]:
-        """Local blocks along an edge with the points of all cables in tension; see `line`."""
-        if edge not in self._lines:
-            self._lines[edge] = self.line(edge, self.on_edge.get(edge, []))
-        return self._lines[edge]
+    @cached_property
+    def points(self) -> PointsOnEdges:
+        """Points of the cables in tension on each edge, in the order that they keep."""
+        size = len(self.strip.simplices.owner)
+        return PointsOnEdges(self.nodes, ~self.nodes.lifted, self.on, self.fractions(), size)
+
+    @property
+    def on_edge(self) -> dict[Edge, list[tuple[float, int, int]]]:
+        """The same by the edges' vertices; see `points_by_edge`."""
+        points, corners = self.points, self.strip.simplices.corners
+        edges = self.strip.vertices[corners[points.edges, :2]]
+        fractions = map(float, self.fractions()[points.nodes])
+        ids = self.nodes.ids(points.nodes)
+        members = [(s, c, k) for s, (c, k) in zip(fractions, ids, strict=True)]
+        starts = pairwise([*points.starts[points.edges], len(members)])
+        return {
+            (int(a), int(b)): members[i:j] for (a, b), (i, j) in zip(edges, starts, strict=True)
+        }
+
+    def lines(self, edges: Integers) -> tuple[Integers, Indices]:
+        """Local blocks along edges, given by number, in CSR form: pointers, blocks.
+
+        Each begins with the edge's first vertex, which the points of the cables in tension follow
+        and its last vertex.
+        """
+        points = self.points
+        counts = points.counts[edges]
+        starts = pointers(counts + 2)
+        blocks = np.empty(starts[-1], dtype=np.int32)
+        ends = self.vertex_blocks[self.strip.simplices.corners[edges, :2]]
+        blocks[starts[:-1]], blocks[starts[1:] - 1] = ends.T
+        inner = points.nodes[runs(points.starts[edges], counts)]
+        blocks[runs(starts[:-1] + 1, counts)] = self.node_blocks[inner]
+        return starts, blocks
 
     def line(self, edge: Edge, points: Sequence[tuple[float, int, int]]) -> list[int]:
-        """Local blocks along an edge: its first vertex, its points in order, its last vertex."""
+        """Local blocks along an edge: its first vertex, points in order, its last vertex."""
         inner = (self.block(c, k) for _, c, k in points)
         return [self.vertex(edge[0]), *inner, self.vertex(edge[1])]

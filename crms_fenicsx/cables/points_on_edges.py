@@ -3,20 +3,70 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 
+import numpy as np
+
+from crms_fenicsx.cables.node_table import CROSSING, NodeTable
+from crms_fenicsx.model.crossing import NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.surface.points import Edge, EdgePoint
 
 
-def nodes_on_edges(cables: Sequence[LaidCable]) -> dict[Edge, list[tuple[int, int]]]:
-    """Nodes of cables in tension on each edge, lifted ones too: numbers of cables and nodes."""
-    found: dict[Edge, list[tuple[int, int]]] = defaultdict(list)
+class PointsOnEdges:
+    """Chosen points of cables on each edge, as arrays.
+
+    Parameters
+    ----------
+    table
+        All nodes.
+    chosen : (nodes,)
+        Those to look at.
+    on, fractions : (nodes,)
+        Numbers of what they lie on, and their places on edges.
+    size
+        How many numbers there are.
+
+    Attributes
+    ----------
+    edges : (n,)
+        Numbers of the edges with points.
+    nodes : (m,)
+        Rows of the points, edge after edge, each from its first vertex to its last.
+    starts, counts : (size,)
+        Where those of each edge begin there, and how many there are; 0 points on all else.
+    place : (nodes,)
+        Place of each along its edge, from 0; -1 for all other nodes.
+    """
+
+    def __init__(
+        self, table: NodeTable, chosen: Booleans, on: Integers, fractions: Array, size: int
+    ) -> None:
+        nodes = np.flatnonzero((table.size == 2) & (table.kind != CROSSING) & table.taut)
+        edges, first, inverse = np.unique(on[nodes], return_index=True, return_inverse=True)
+        nodes, edge = nodes[chosen[nodes]], inverse[chosen[nodes]]
+        order = np.lexsort((nodes, fractions[nodes], first[edge]))
+        self.nodes, edge = nodes[order], edges[edge[order]]
+        begins = np.flatnonzero(np.diff(edge, prepend=-1))
+        self.edges = edge[begins]
+        self.starts, self.counts = np.zeros(size, dtype=np.int64), np.bincount(edge, minlength=size)
+        self.starts[self.edges] = begins
+        self.place = np.full(len(on), -1)
+        self.place[self.nodes] = np.arange(len(self.nodes)) - self.starts[edge]
+
+
+def nodes_on_edges(
+    cables: Sequence[LaidCable], wanted: Container[Edge] | None = None
+) -> dict[Edge, list[NodeId]]:
+    """Nodes of cables in tension on wanted edges, or on all, lifted ones too."""
+    found: dict[Edge, list[NodeId]] = defaultdict(list)
     for c, cable in enumerate(cables):
         for k, node in enumerate(cable.nodes) if cable.taut else ():
-            if isinstance(node.point, EdgePoint) and node.kind != "crossing":
-                found[node.point.edge].append((c, k))
+            point = node.point
+            if isinstance(point, EdgePoint) and node.kind != "crossing":
+                if wanted is None or point.edge in wanted:
+                    found[point.edge].append((c, k))
     return found
 
 

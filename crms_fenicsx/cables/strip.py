@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from crms_fenicsx.cables.simplices import Simplices
 from crms_fenicsx.runtime.arrays import Integers
 from crms_fenicsx.surface.points import Edge
 
@@ -60,6 +61,11 @@ class Strip:
         if not self.hidden:
             return self.cells
         return self.cells[[tuple(sorted(cell)) not in self.hidden for cell in self.corners]]
+
+    @cached_property
+    def simplices(self) -> Simplices:
+        """The vertices, edges and cells by number, with the cells around them."""
+        return Simplices(self.cells, self.owner)
 
     @cached_property
     def corners(self) -> list[list[int]]:

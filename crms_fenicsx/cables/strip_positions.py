@@ -91,7 +91,7 @@ class StripShape:
         sizes : (m,)
             Square roots of twice the cells' mean areas (length).
         """
-        around = [self.strip.outer_around[tuple(sorted(support))] for support in supports]
+        around = [self.strip.outer_rows(support) for support in supports]
         counts = np.array([len(rows) for rows in around], dtype=np.int64)
         normals = self.normals[np.fromiter(chain.from_iterable(around), np.int64)]
         first = np.cumsum(counts) - counts

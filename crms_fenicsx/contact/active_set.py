@@ -7,16 +7,19 @@ may change back and forth only a few times in a solve, so that it ends.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Protocol
 
+import numpy as np
+
 from crms_fenicsx.cables.cable_net import CableNet
+from crms_fenicsx.cables.points_on_edges import bends, nodes_on_edges
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact import lift_off as contact
 from crms_fenicsx.contact.crossing_contact import joins, parting
-from crms_fenicsx.contact.fold_points import FoldPoints, NodesOnEdges
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.surface.points import Support, VertexPoint
+from crms_fenicsx.surface.points import Edge, EdgePoint, Support, VertexPoint
 
 ContactKey = tuple[str, Support] | tuple[str, str]
 """A cable and its place on the mesh, or the upper and the lower one of two cables that cross."""
@@ -58,7 +61,6 @@ class ActiveSet:
         self._tried: set[str] = set()
         """Cables that have been tried in tension."""
         self._first_look = True
-        self._nodes_on_edges = NodesOnEdges()
         self._released, self._settled = (
             (set(), set()) if memory is None else (memory.released, memory.settled)
         )
@@ -75,11 +77,11 @@ class ActiveSet:
         net, shape = self.net, self.net.strip_shape()
         changes = [text for cable in net.cables for text in self._switch(cable, shape, True)]
         if not changes:
-            tops = self._tops()
+            tops, on_edges = self._tops(), nodes_on_edges(net.cables, self._edges_under_spans())
             for c, cable in enumerate(net.cables):
                 if cable.taut and not cable.sleeve:
                     covered = {v for v, top in tops.items() if top > (cable.layer, c)}
-                    changes += self._contacts(cable, shape, covered)
+                    changes += self._contacts(cable, shape, covered, on_edges)
         if not changes and net.crossings:
             changes = self._crossings(shape)
         return changes
@@ -128,7 +130,13 @@ class ActiveSet:
         self._switches[cable.name] += 1
         return [f"{cable.name} {'tightens' if taut else 'slackens'}"]
 
-    def _contacts(self, cable: LaidCable, shape: StripShape, covered: set[int]) -> list[str]:
+    def _contacts(
+        self,
+        cable: LaidCable,
+        shape: StripShape,
+        covered: set[int],
+        on_edges: Mapping[Edge, Sequence[tuple[int, int]]],
+    ) -> list[str]:
         def key(k: int) -> ContactKey:
             return cable.name, cable.nodes[k].support
 
@@ -136,8 +144,8 @@ class ActiveSet:
         free = [k for k in released if key(k) not in self._settled]
         places = {}
         if cable.lifted.any():
-            cables = self.net.cables
-            folds = FoldPoints(cables, self._nodes_on_edges.of(cables), but=cable)
+            near = {edge: on_edges[edge] for edge in _edges_under(cable) if edge in on_edges}
+            folds = bends(self.net.cables, near, but=cable)
             places = contact.captured(cable, shape, folds)
             unclear = cable.slides_freely and not self._rested(cable)
             if unclear and not free and not places:
@@ -151,6 +159,10 @@ class ActiveSet:
         self._released |= {key(k) for k in free}
         texts = [f"{cable.name} lifts off at {cable.nodes[k].point}" for k in free]
         return texts + [f"{cable.name} touches down at {cable.nodes[k].point}" for k in places]
+
+    def _edges_under_spans(self) -> set[Edge]:
+        """Edges at which cables in tension are lifted off."""
+        return {e for cable in self.net.cables if cable.taut for e in _edges_under(cable)}
 
     def _tops(self) -> dict[int, tuple[int, int]]:
         """The uppermost cable in tension on each vertex that one touches: its layer and number."""
@@ -182,3 +194,9 @@ class ActiveSet:
                 changes.append("{} touches {}".format(*names))
         net.crossings = tuple(crossings)
         return changes
+
+
+def _edges_under(cable: LaidCable) -> list[Edge]:
+    """Edges over which a cable is lifted off, in order."""
+    points = (cable.nodes[k].point for k in np.flatnonzero(cable.lifted))
+    return [point.edge for point in points if isinstance(point, EdgePoint)]

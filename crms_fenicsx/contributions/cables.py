@@ -86,7 +86,7 @@ class CableContribution(Contribution):
             folded = self.tables.folded.cells
             scene.membrane.refuse_folds(folded, "a cable has slid too far")
             membrane.fold(folded)
-        self.folds = FoldContribution(scene, membrane, pressure, self.tables)
+        self.folds = FoldContribution(scene, membrane, pressure, self.numbering, self.tables)
 
     def damping(self) -> Damping | None:
         """What damps the quasi-Newton steps of the cables' points; None without tension."""

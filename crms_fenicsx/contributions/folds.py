@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 
 from crms_fenicsx.cables.element_tables import CableTables
+from crms_fenicsx.cables.numbering import CableNumbering
 from crms_fenicsx.contributions.contribution import Contribution
 from crms_fenicsx.contributions.loads import PressureContribution
 from crms_fenicsx.contributions.membrane import MembraneContribution
@@ -34,6 +35,8 @@ class FoldContribution(Contribution):
         The scene.
     membrane, pressure
         What acts on the plain cells.
+    numbering
+        The cables.
     tables
         This rank's folded cells; None if no cable is in tension.
 
@@ -48,10 +51,12 @@ class FoldContribution(Contribution):
         scene: Scene,
         membrane: MembraneContribution,
         pressure: PressureContribution,
+        numbering: CableNumbering,
         tables: CableTables | None,
     ) -> None:
         super().__init__(scene)
-        self.membrane, self.pressure, self.tables = membrane, pressure, tables
+        self.membrane, self.pressure = membrane, pressure
+        self.numbering, self.tables = numbering, tables
 
     def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
         # Every rank has the same terms, so that sums line up; folds may be on some ranks only.
@@ -101,7 +106,7 @@ class FoldContribution(Contribution):
         if self.tables is None or self.scene.literal_penalty is not None:
             return set()
         mine: set[NodeId] = set()
-        if self.tables.kinks:
-            sharp = np.flatnonzero(np.abs(self.penalty.residuals) > limit)
-            mine = {self.tables.kinks[k][2] for k in sharp}
+        if len(self.tables.kinks):
+            rows = self.tables.kink_nodes[np.abs(self.penalty.residuals) > limit]
+            mine = set(self.numbering.nodes.ids(rows))
         return set().union(*self.scene.comm.allgather(mine))

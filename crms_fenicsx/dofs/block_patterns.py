@@ -14,6 +14,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.pair_order import unique_pairs
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.runtime.arrays import Array, Indices
 
@@ -54,23 +55,19 @@ class BlockPattern:
         """Find which blocks have the same place, in the matrix's numbers."""
         self._unknowns = unknowns
         self._places, self._sources, self._weights = unknowns.spread(self.rows, self.cols)
-        rows, cols = unknowns.matrix_numbers[self._places].astype(np.int64)
-        unique, block = np.unique(rows * unknowns.n_local + cols, return_inverse=True)
-        rows, cols = np.divmod(unique, unknowns.n_local)
+        rows, cols = unknowns.matrix_numbers[self._places]
+        rows, cols, block = unique_pairs(rows, cols, unknowns.n_local)
         self._numbers = np.stack([rows, cols])
-        rows, first, counts = np.unique(rows, return_index=True, return_counts=True)
-        components = np.arange(3)
+        starts, strides = np.empty((2, len(cols)), dtype=np.int64)
+        self._cols = np.empty(9 * len(cols), dtype=PETSc.IntType)
+        _arrange_rows(rows, cols, self._cols, starts, strides)
         # A row of m blocks becomes three rows of 3 m numbers, handed over one after the other.
-        self._rows = (3 * rows[:, None] + components).ravel().astype(PETSc.IntType)
-        self._pointers = np.append(0, np.cumsum(np.repeat(3 * counts, 3))).astype(PETSc.IntType)
-        m, first = np.repeat(counts, counts), np.repeat(first, counts)
-        starts = 9 * first + 3 * (np.arange(len(unique)) - first)
-        i, j = components[:, None], components
-        handed = starts[:, None, None] + 3 * m[:, None, None] * i + j
-        self._cols = np.empty(9 * len(unique), dtype=PETSc.IntType)
-        self._cols[handed] = 3 * cols[:, None, None] + j
-        self._row_values = np.zeros(9 * len(unique))
-        self._starts, self._strides = starts[block], 3 * m[block]
+        first = np.flatnonzero(np.diff(rows, prepend=-1))
+        self._rows = (3 * rows[first, None] + np.arange(3)).ravel().astype(PETSc.IntType)
+        sizes = np.repeat(strides[first], 3)
+        self._pointers = np.append(0, np.cumsum(sizes)).astype(PETSc.IntType)
+        self._row_values = np.zeros(9 * len(cols))
+        self._starts, self._strides = starts[block], strides[block]
 
     def count(self, sizes: RowSizes) -> None:
         """Count the blocks that `add` fills."""
@@ -102,6 +99,23 @@ class BlockPattern:
         A.setValuesLocalIJV(
             self._pointers, self._cols, self._row_values, PETSc.InsertMode.ADD, self._rows
         )
+
+
+@numba.njit(cache=True)
+def _arrange_rows(rows, cols, numbers, starts, strides):  # type: ignore[no-untyped-def]
+    """Where sorted blocks (n,) begin in rows of numbers, the step from each of their three rows to
+    the next, and the numbers of the columns there (9 n,)."""
+    first = 0
+    while first < len(rows):
+        last = first
+        while last < len(rows) and rows[last] == rows[first]:
+            last += 1
+        for k in range(first, last):
+            starts[k], strides[k] = 9 * first + 3 * (k - first), 3 * (last - first)
+            for i in range(3):
+                for j in range(3):
+                    numbers[starts[k] + i * strides[k] + j] = 3 * cols[k] + j
+        first = last
 
 
 @numba.njit(cache=True)

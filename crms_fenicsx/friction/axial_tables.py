@@ -24,17 +24,18 @@ def chain_table(numbering: CableNumbering, tables: CableTables) -> Chains:
     held = {c: gripped_nodes(numbering.cables[c]) for c in cables}
     starts = np.cumsum([0] + [len(held[c]) + 1 for c in cables])
     first = dict(zip(cables, starts, strict=False))
-    own = [s for s, link in enumerate(tables.links) if link.cable in first]
+    begins = numbering.nodes.ids(tables.links[:, 0])
+    own = [s for s, (c, _) in enumerate(begins) if c in first]
     span = [
-        first[link.cable] + np.searchsorted(held[link.cable], link.first, side="right")
-        for link in (tables.links[s] for s in own)
+        first[c] + np.searchsorted(held[c], k, side="right") for c, k in (begins[s] for s in own)
     ]
     strip, pointers, places = numbering.strip, [0], []
     blocks: list[int] = []
     nodes: list[int] = []
     owned: list[bool] = []
+    on_edge = numbering.on_edge
     for n, c, i, edge in _fold_points(numbering):
-        line = numbering.blocks_along(edge)
+        line = numbering.line(edge, on_edge[edge])
         blocks += line
         pointers.append(len(blocks))
         places.append(line.index(numbering.block(c, held[c][i])))

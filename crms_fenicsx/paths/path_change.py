@@ -14,11 +14,11 @@ import numpy as np
 from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.crossings import at_nodes
 from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.contact.fold_points import FoldPoints, NodesOnEdges
 from crms_fenicsx.model.cable_state import CableNode, End
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import INSIDE, STAYS
 from crms_fenicsx.paths.creased_surface import CreasedSurface
+from crms_fenicsx.paths.fold_points import FoldPoints, NodesOnEdges
 from crms_fenicsx.paths.typed_nodes import fractions_of, nodes_of
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError

@@ -11,7 +11,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence, Set
 
-from crms_fenicsx.contact.fold_points import FoldPoints, NodesOnEdges
 from crms_fenicsx.contact.lift_off import drape
 from crms_fenicsx.contact.span_projection import with_span_projections
 from crms_fenicsx.geodesics.corridor import corridor, why_invalid
@@ -19,6 +18,7 @@ from crms_fenicsx.geodesics.flip_geodesic import shorten
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import BEYOND
 from crms_fenicsx.paths.creased_surface import CreasedSurface
+from crms_fenicsx.paths.fold_points import FoldPoints, NodesOnEdges
 from crms_fenicsx.paths.path_change import PathChange, slid_off
 from crms_fenicsx.paths.path_parts import is_crossed, lifted_runs, vertices_near
 from crms_fenicsx.paths.tried_paths import TriedPaths

@@ -1,4 +1,4 @@
-"""Types of arrays."""
+"""Types of arrays, and of lists of different lengths in one array."""
 
 from __future__ import annotations
 
@@ -11,3 +11,14 @@ Indices = npt.NDArray[np.int32]
 """Local numbers, as DOLFINx and PETSc take them."""
 Integers = npt.NDArray[np.int64]
 """Global numbers."""
+
+
+def pointers(counts: npt.NDArray[np.integer]) -> Integers:
+    """Where lists of `counts` (n,) members begin, one after the other, and the end, (n + 1,)."""
+    return np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
+
+
+def runs(first: Integers, counts: Integers) -> Integers:
+    """The numbers from `first` on, `counts` of them, for each of n such runs, in one array."""
+    ends = np.cumsum(counts)
+    return np.repeat(first - ends + counts, counts) + np.arange(counts.sum())

@@ -87,7 +87,7 @@ class _Nodes:
 
     @classmethod
     def of(cls, cable: LaidCable, numbering: CableNumbering) -> _Nodes:
-        n, strip = len(cable.nodes), numbering.strip
+        n, strip, on_edge = len(cable.nodes), numbering.strip, numbering.on_edge
         ids = np.full((n, 3), strip.vertices[0], dtype=np.int64)
         weights = np.zeros((n, 3))
         alone = np.zeros(n, dtype=bool)
@@ -96,7 +96,7 @@ class _Nodes:
                 own, share = node.interpolation()
                 ids[k, : len(own)], weights[k, : len(own)] = own, share
             if node.kind == "fold" and isinstance(node.point, EdgePoint):
-                alone[k] = len(numbering.on_edge.get(node.point.edge, ())) == 1
+                alone[k] = len(on_edge.get(node.point.edge, ())) == 1
         on_path = cable.path_nodes()
         supports = [p.support for k in on_path if (p := cable.nodes[k].point) is not None]
         both = (tuple(sorted({*a, *b})) for a, b in itertools.pairwise(supports))
@@ -184,9 +184,8 @@ def _parts_and_pulls(system: System) -> tuple[list[Array], list[float]]:
     starts = np.cumsum([0] + [len(cable.nodes) for cable in cables])
     local = np.zeros(starts[-1] + 2 * len(cables))
     if tables is not None and len(tables.links):
-        links = np.array([link[:3] for link in tables.links])
         x = np.concatenate([cable.positions for cable in cables])
-        first, second = starts[links[:, 0]] + links[:, 1], starts[links[:, 0]] + links[:, 2]
+        first, second = tables.links.T
         d, eps = np.linalg.norm(x[second] - x[first], axis=1), tables.eps
         with np.errstate(divide="ignore", invalid="ignore"):
             u = np.where(d < eps, d / eps, 1.0)

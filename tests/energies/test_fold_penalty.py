@@ -170,7 +170,7 @@ def test_coefficients_follow_the_cells_stiffness(comm):
     system = cable_square(comm, penalty=0.2)
     tables = system.cables.tables
     table = tables.penalty(0.2, np.full(len(tables.folded.cells), 24.0))
-    rows = [row for _, row, _ in tables.kinks]
+    rows = tables.kink_cells
     np.testing.assert_allclose(table.coefficients, 0.2 * 24.0 * tables.folded.areas[rows])
     (used,) = (t for t in system.potential.terms if isinstance(t, FoldPenalty))
     np.testing.assert_allclose(used.table.coefficients, table.coefficients, rtol=1e-14)
@@ -185,7 +185,7 @@ def test_kinks_are_measured_between_neighbours_on_the_side(comm):
     chords = {frozenset(pair) for pair in tables.segments.tolist()}
     fold_points, next_to_another = set(system.unknowns.owned_point_blocks().tolist()), 0
     fold_points |= set(system.unknowns.ghost_point_blocks().tolist())
-    for (i, p, j, q), *_ in tables.kinks:
+    for i, p, j, q in tables.kinks.tolist():
         assert {i, p} in segments
         assert {p, j} in segments
         assert {p, q} in chords

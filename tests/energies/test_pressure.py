@@ -5,6 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 from dolfinx import fem
+from polygon_twins import facets_of, split_polygon
 from taylor import OnMesh, TermOnPoints, gradient_order, noise
 from term_scene import (
     ISOTROPIC,
@@ -22,7 +23,6 @@ from crms_fenicsx.energies.folded_pressure import Facets, FoldedFollowerPressure
 from crms_fenicsx.energies.paper.step_pressure import StepPressure
 from crms_fenicsx.energies.pressure import FollowerPressure
 from crms_fenicsx.scene import Scene
-from crms_fenicsx.surface.polygons import fan_facets, split_polygon
 
 P = 0.01
 
@@ -166,7 +166,7 @@ def reversed_twice(facets):
 @pytest.mark.parametrize("n", [3, 4, 5, 7])
 def test_fans_cover_a_polygon_once(n):
     polygon = [11, 5, 8, 2, 31, 17, 4][:n]
-    facets = fan_facets([polygon])
+    facets = facets_of([polygon])
     assert len({tuple(sorted(f)) for f in facets[0]}) == len(facets[0]), "no facet twice"
     border = set(zip(polygon, polygon[1:] + polygon[:1], strict=True))
     for side, weight in reversed_twice(facets).items():
@@ -190,7 +190,7 @@ def test_volume_under_a_bent_polygon(n):
     rng = np.random.default_rng(n)
     X = rng.normal(size=(n + 2, 3))
     polygon = rng.permutation(n + 2)[:n].tolist()
-    f = folded_pressure(X, fan_facets([polygon]), np.zeros((0, 3), dtype=np.int32))
+    f = folded_pressure(X, facets_of([polygon]), np.zeros((0, 3), dtype=np.int32))
     x = rng.normal(size=X.shape)
     volume = -f.value(x)[0] / P
     assert volume == pytest.approx(fan_volume(polygon, X + x), rel=1e-12)
@@ -202,8 +202,8 @@ def test_mirrored_polygons_have_mirrored_volumes():
     mirror = points * (1, -1, 1)
     polygon = [0, 1, 2, 3, 4, 5]
     none = np.zeros((0, 3), dtype=np.int32)
-    there = folded_pressure(points, fan_facets([polygon]), none).value(0 * points)
-    back = folded_pressure(mirror, fan_facets([polygon[::-1]]), none).value(0 * points)
+    there = folded_pressure(points, facets_of([polygon]), none).value(0 * points)
+    back = folded_pressure(mirror, facets_of([polygon[::-1]]), none).value(0 * points)
     assert there[0] == pytest.approx(back[0], rel=1e-12)
     np.testing.assert_allclose(there[1], back[1] * (1, -1, 1), atol=1e-14)
 
@@ -308,7 +308,7 @@ def folded_cell(turn):
     """A cell with fold points 3 and 4 on two sides; facets, plain corners."""
     polygon, chord = [0, 3, 1, 4, 2], (3, 4)
     parts = split_polygon(polygon[:: -1 if turn else 1], [chord])
-    return fan_facets(parts), [(0, 1, 2)]
+    return facets_of(parts), [(0, 1, 2)]
 
 
 def test_volume_under_a_folded_cell():

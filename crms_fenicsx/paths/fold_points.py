@@ -66,17 +66,10 @@ class FoldPoints(Mapping[Edge, Sequence[Array]]):
         All cables.
     nodes
         Where their nodes are, see `NodesOnEdges`.
-    but
-        A cable to leave out.
     """
 
-    def __init__(
-        self,
-        cables: Sequence[LaidCable],
-        nodes: Mapping[Edge, Sequence[NodeId]],
-        but: LaidCable | None = None,
-    ) -> None:
-        self._states = [None if cable is but else cable.state for cable in cables]
+    def __init__(self, cables: Sequence[LaidCable], nodes: Mapping[Edge, Sequence[NodeId]]) -> None:
+        self._states = [cable.state for cable in cables]
         self._nodes = nodes
         self._found: dict[Edge, list[Array]] = {}
 
@@ -92,7 +85,7 @@ class FoldPoints(Mapping[Edge, Sequence[Array]]):
         points = []
         for c, k in self._nodes.get(edge, ()):
             state = self._states[c]
-            if state is not None and not state.lifted[k]:
+            if not state.lifted[k]:
                 points.append((float(state.fractions[k]), c, k, state.positions[k]))
         return [point[3] for point in sorted(points, key=lambda point: point[:3])]
 

@@ -1,0 +1,190 @@
+"""The cables' tables and meetings against loops over nodes and cells, on any number of ranks."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from cable_edits import put
+from mpi4py import MPI
+from polygon_twins import facets_of
+from ridged_square import OBLIQUE, ridged
+from table_twins import SlowTables, meetings
+from term_scene import ISOTROPIC, cable_square
+
+from crms_fenicsx import Cable, Scene, meshes
+from crms_fenicsx.cables.element_tables import CableTables, damping
+from crms_fenicsx.cables.meetings import Meetings
+from crms_fenicsx.cables.simplices import Simplices
+from crms_fenicsx.equilibrium.system import System
+
+
+def with_spans(comm: MPI.Intracomm) -> System:
+    """Cables on the same edges, through vertices and along edges, one of them with a span."""
+    system = cable_square(comm)
+    put(system.scene.cables[0], "lifted", slice(3, 5), True)
+    return system
+
+
+def with_rails(comm: MPI.Intracomm) -> System:
+    """Over edges that are held, and a slack cable."""
+    scene = ridged(comm)
+    scene.lay_cable(Cable(32000.0), OBLIQUE, tension=20.0)
+    scene.lay_cable(Cable(20000.0), [(0.0, 71.0), (100.0, 32.0)], tension=20.0)
+    scene.lay_cable(Cable(20000.0), [(3.0, 61.0), (95.0, 22.0)]).update(taut=False)
+    return System(scene, "crms_test_", 1e-8)
+
+
+def net(comm: MPI.Intracomm) -> System:
+    """Two families of cables that cross, of which one ends inside the sheet."""
+    scene = Scene(meshes.rectangle(comm, 100.0, 100.0, 15.0), ISOTROPIC)
+    scene.fix("boundary")
+    for at in (22.0, 31.0, 43.0, 48.0, 77.0):
+        end = 52.0 if at == 43.0 else 100.0
+        scene.lay_cable(Cable(32000.0), [(0.0, at), (end, at + 7.0)], tension=20.0)
+        scene.lay_cable(Cable(32000.0), [(at, 0.0), (at - 7.0, 100.0)], tension=20.0)
+    return System(scene, "crms_test_", 1e-8)
+
+
+@pytest.fixture(scope="module", params=[with_spans, with_rails, net], ids=lambda f: f.__name__)
+def tables(request: pytest.FixtureRequest, comm: MPI.Intracomm) -> tuple[SlowTables, CableTables]:
+    """The slow and the fast tables of a scene."""
+    system = request.param(comm)
+    system.rebuild()
+    assert system.cables is not None and system.cables.tables is not None
+    return SlowTables(system.cables.numbering), system.cables.tables
+
+
+def test_the_scenes_have_everything(comm: MPI.Intracomm) -> None:
+    seen, lifted = set(), 0
+    for make in (with_spans, with_rails, net):
+        cables = make(comm).scene.cables
+        seen |= {(node.kind, cable.taut) for cable in cables for node in cable.nodes}
+        lifted += sum(int(cable.lifted.sum()) for cable in cables if cable.taut)
+    kinds = ("vertex", "fold", "rail", "rider", "anchor", "crossing")
+    assert seen >= {(kind, True) for kind in kinds} | {("fold", False)} and lifted == 2
+
+
+def test_points_are_on_their_edges_in_order(tables) -> None:
+    slow, _ = tables
+    assert list(slow.numbering.on_edge.items()) == list(slow.on_edge.items())
+
+
+def test_segments_are_those_of_the_links(tables) -> None:
+    slow, fast = tables
+    numbering, own = slow.numbering, slow.own_links()
+    ids = [numbering.nodes.ids(rows) for rows in fast.links.T]
+    assert list(zip(*ids, strict=True)) == [((c, k), (c, m)) for c, k, m, _ in own]
+    blocks = [[numbering.block(c, k), numbering.block(c, m)] for c, k, m, _ in own]
+    assert fast.segments.tolist() == blocks
+    taut = [c for c, cable in enumerate(slow.cables) if cable.taut]
+    assert [taut[n] for n in fast.cable] == [c for c, *_ in own]
+
+
+def test_smoothing_is_that_of_the_cells_around(tables) -> None:
+    slow, fast = tables
+    mesh = slow.numbering.u.function_space.mesh
+    sizes = np.full(len(slow.strip.cells), np.nan)
+    for row in np.flatnonzero(slow.strip.owner == slow.rank):
+        a, b, c = mesh.geometry.x[mesh.geometry.dofmap[slow.strip.local[row]]]
+        sizes[row] = np.sqrt(np.linalg.norm(np.cross(b - a, c - a)))
+    expected = [slow.smoothing(link, sizes) for link in slow.own_links()]
+    np.testing.assert_allclose(fast.eps, expected, rtol=1e-12)
+
+
+def test_folded_cells_have_the_parts_of_their_sides(tables) -> None:
+    slow, fast = tables
+    sides, segments = slow.sides()
+    assert fast.folded.cells.tolist() == slow.strip.local[slow.rows].tolist()
+    assert fast.folded.sides.tolist() == sides
+    assert fast.folded.segments.tolist() == [list(pair) for pair in segments]
+    parts = np.diff(fast.folded.side_pointers)
+    assert np.array_equal(np.repeat(parts, parts) > 1, fast.folded.eps > 0)
+
+
+def test_kinks_are_where_chords_leave_sides(tables) -> None:
+    slow, fast = tables
+    kinks = slow.kinks()
+    assert fast.kinks.tolist() == [corners for corners, _, _ in kinks]
+    assert fast.kink_cells.tolist() == [cell for _, cell, _ in kinks]
+    assert slow.numbering.nodes.ids(fast.kink_nodes) == [node for _, _, node in kinks]
+
+
+def test_facets_are_those_of_the_pieces(tables) -> None:
+    """All cells are under pressure."""
+    slow, fast = tables
+    pieces = [piece for row in slow.rows for piece in slow.polygons(row)]
+    facets, weights = facets_of(pieces)
+    assert fast.facets.corners.tolist() == facets.tolist()
+    assert fast.facets.weights.tolist() == weights.tolist()
+
+
+def test_sliding_points_are_damped_along_their_edges(tables) -> None:
+    slow, fast = tables
+    sliders = slow.sliders()
+    found = damping(slow.numbering, fast.segments)
+    assert found.sliders.tolist() == [blocks for blocks, _ in sliders]
+    assert found.fractions.tolist() == [fraction for _, fraction in sliders]
+
+
+def test_simplices_are_those_around_the_cells(tables) -> None:
+    strip = tables[0].strip
+    found: Simplices = strip.simplices
+    supports = np.full((len(strip.around), 3), -1)
+    for n, support in enumerate(strip.around):
+        supports[n, : len(support)] = support
+    numbers = found.find(supports)
+    assert sorted(numbers.tolist()) == list(range(len(supports)))
+    for number, (support, rows) in zip(numbers, strip.around.items(), strict=True):
+        assert found.around(np.array([number]))[1].tolist() == rows
+        assert found.owner[number] == strip.owner_of(support)
+    lacking = np.array([(-1, -1, -1), (10**6, -1, -1), (strip.vertices[0], 10**6, -1)])
+    assert found.find(lacking).tolist() == [-1, -1, -1]
+    sides = [[edge for edge, _ in own] for own in strip.sides]
+    ends = strip.vertices[found.corners[found.sides, :2]]
+    assert [[tuple(edge) for edge in own] for own in ends.tolist()] == sides
+    assert found.forward.tolist() == [[ahead for _, ahead in own] for own in strip.sides]
+
+
+@cache
+def scattered() -> System:
+    """The net on one rank."""
+    return net(MPI.COMM_SELF)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_meetings_are_where_chords_alternate(seed: int) -> None:
+    """Of cables with points anywhere on their edges, some of them lifted or slack."""
+    system, rng = scattered(), np.random.default_rng(seed)
+    strip = system.scene.net.strip
+    assert strip is not None
+    for cable in system.scene.cables:
+        keep = np.array([node.kind != "crossing" for node in cable.nodes])
+        nodes = [node for node in cable.nodes if node.kind != "crossing"]
+        fractions = rng.uniform(0.01, 0.99, len(nodes))
+        fractions[np.isnan(cable.fractions[keep])] = np.nan
+        lifted = rng.random(len(nodes)) < 0.1
+        cable.set_nodes(nodes, cable.positions[keep], fractions, lifted)
+        cable.update(taut=bool(rng.random() < 0.9))
+    found = Meetings(system.scene.cables, strip).find()
+    expected = meetings(system.scene.cables, strip)
+    assert len(expected) > 10
+    assert {(m.first, m.second) for m in found} == {pair[:2] for pair in expected}
+    along = {(first, second): t for first, second, t in expected}
+    for meeting in found:
+        inside = np.clip(along[meeting.first, meeting.second], 0.0, 1.0)
+        np.testing.assert_allclose(meeting.along, inside, atol=1e-9)
+        (a, b), (p, q) = (
+            [place(system, c, k + i) for i in (0, 1)] for c, k in (meeting.first, meeting.second)
+        )
+        x = dict(zip(meeting.point.support, meeting.point.weights, strict=True))
+        for vertex in {*a, *b}:
+            at = a.get(vertex, 0.0) + inside[0] * (b.get(vertex, 0.0) - a.get(vertex, 0.0))
+            assert abs(x.get(vertex, 0.0) - at) < 1e-9
+        assert {*p, *q} <= {*x}
+
+
+def place(system: System, c: int, k: int) -> dict[int, float]:
+    """Vertices and weights of a node."""
+    return dict(zip(*system.scene.cables[c].interpolation(k), strict=True))
