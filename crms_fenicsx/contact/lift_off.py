@@ -20,7 +20,7 @@ from crms_fenicsx.contact.gap import Gap, size_at, spans, under
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 from crms_fenicsx.model.tolerances import INSIDE, SAME_PLACE
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, flags
 from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint, VertexPoint
 from crms_fenicsx.surface.triangles import arc_lengths, dot, norm
 
@@ -104,12 +104,12 @@ def released(cable: LaidCable, shape: StripShape, covered: Set[int] = frozenset(
     """
     if cable.sleeve:
         return []
-    nodes, lifted = cable.nodes, cable.lifted.tolist()
+    nodes, lifted = cable.nodes, flags(cable.lifted)
     on = [k for k in may_lift(cable) if not lifted[k]]
     if covered:
         on = [k for k in on if len(nodes[k].support) > 1 or nodes[k].support[0] not in covered]
     normals, sizes = shape.normals_and_sizes([nodes[k].support for k in on])
-    up = (outward_pulls(cable, on, normals, sizes) > PULL).tolist()
+    up = flags(outward_pulls(cable, on, normals, sizes) > PULL)
     return [k for k, pulls in zip(on, up, strict=True) if pulls or is_foot(cable, k)]
 
 

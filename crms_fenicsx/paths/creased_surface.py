@@ -15,7 +15,7 @@ from types import MappingProxyType
 import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, floats
 from crms_fenicsx.surface.intrinsic import MissingCells, Ring, ring_of
 from crms_fenicsx.surface.points import Edge
 
@@ -65,7 +65,7 @@ class CreasedSurface:
 
     def _line(self, edge: Edge, bends: Sequence[Array]) -> list[Sequence[float]]:
         """Positions along an edge: its vertices and the fold points between."""
-        return [self._at[edge[0]], *(x.tolist() for x in bends), self._at[edge[1]]]
+        return [self._at[edge[0]], *map(floats, bends), self._at[edge[1]]]
 
     def opposite_vertices(self, edge: Edge) -> tuple[int, ...]:
         """Vertices opposite to an edge."""

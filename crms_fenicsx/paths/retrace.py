@@ -13,7 +13,7 @@ from collections.abc import Sequence, Set
 
 from crms_fenicsx.contact.lift_off import drape
 from crms_fenicsx.contact.span_projection import with_span_projections
-from crms_fenicsx.geodesics.corridor import corridor, why_invalid
+from crms_fenicsx.geodesics.corridor import Corridor, corridor, why_invalid
 from crms_fenicsx.geodesics.flip_geodesic import shorten
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import BEYOND
@@ -43,6 +43,8 @@ class Retracer:
 
     def __init__(self, change: PathChange, tried: TriedPaths) -> None:
         self.change, self.tried, self.net = change, tried, change.net
+        self._followed: set[Corridor] = set()
+        """Ways of cables without anchors that are known to be possible: that is so once for all."""
 
     def straighten(self) -> bool:
         """Pull the paths of cables taut that have not been in equilibrium yet. Collective.
@@ -192,26 +194,32 @@ class Retracer:
                 before, after = self.change.beyond(cable, surface, path, run)
                 joined = self.change.with_anchors(cable, surface)
                 string = [*before, *new, *after]
-                fits = _may_lie(string, joined)
+                fits = self._may_lie(string, joined)
                 if not fits and len(string) > len(new):  # a span turns over its own touchdown
                     before, after, string = [], [], new
-                    fits = _may_lie(string, joined)
+                    fits = self._may_lie(string, joined)
                 if fits and len(string) > 2:
-                    refused.add(corridor(string))
+                    given = corridor(string)
+                    refused.add(given)
                     if held_at is None or held_at:  # else it does not flip over any vertex
                         result = shorten(
                             string, joined, refused=refused, max_flips=max_flips,
                             grip=GRIP if fresh else 0.0, held_at=held_at,
+                            checked=given in self._followed,
                         )  # fmt: skip
+                        if not before and not after:
+                            self._followed.add(given)
                         passed += len(result.flips)
                         new = list(result.points[len(before) : len(result.points) - len(after)])
             points += new
             lifted += [is_off] * len(new)
-        if len(points) < 2 or any(max(point.support) >= self.change.n_vertices for point in points):
-            raise slid_off(cable, cable.positions[cable.path_nodes()[0]])
+        if passed or fresh:
+            n = self.change.n_vertices
+            if len(points) < 2 or any(max(point.support) >= n for point in points):
+                raise slid_off(cable, cable.positions[cable.path_nodes()[0]])
         return points, lifted, passed
 
-
-def _may_lie(string: Sequence[SurfacePoint], surface: CreasedSurface) -> bool:
-    """Whether a cable can follow a path."""
-    return why_invalid(corridor(string), surface.opposite_vertices) is None
+    def _may_lie(self, string: Sequence[SurfacePoint], surface: CreasedSurface) -> bool:
+        """Whether a cable can follow a path."""
+        given = corridor(string)
+        return given in self._followed or why_invalid(given, surface.opposite_vertices) is None

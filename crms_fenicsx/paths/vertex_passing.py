@@ -161,7 +161,7 @@ def straighten(
     Collective. Says whether that can be done. The positions of the vertices around are gathered
     where they are not known.
     """
-    points = [cable.point(k) for k in part]
+    points = cable.points(part)
     surface = change.surface([v for point in points for v in point.support], like=shape)
     if len(points) < 3 or why_invalid(corridor(points), surface.opposite_vertices):
         return False

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 
+from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.model.cable_state import CableState
 from crms_fenicsx.paths.held_vertices import Run, held_runs
 from crms_fenicsx.paths.path_change import PathChange
@@ -74,9 +75,7 @@ class VertexTrials:
             self._halved, group = self._groups.pop()
             known = {self._key(trial) for trial in group}
             group = [trial for trial in runs if self._key(trial) in known]
-            # The cells for all of them at once, also around the edges that the ways past cross.
-            vertices = [vertex for _, run in group for vertex in run.vertices]
-            shape = self.change.surface(vertices, rings=2).shape
+            shape = self._shape(group)
             moved = [(c, run) for c, run in group if pass_run(self.change, c, run, shape)]
             self._note([trial for trial in group if trial not in moved])
             if moved:
@@ -91,6 +90,11 @@ class VertexTrials:
             return False
         self._groups += [(self._halved + 1, part) for part in (moved[half:], moved[:half])]
         return True
+
+    def _shape(self, group: list[Trial]) -> StripShape:
+        """The vertices around runs, also around the edges that ways past them cross. Collective."""
+        vertices = [vertex for _, run in group for vertex in run.vertices]
+        return self.change.surface(vertices, rings=2).shape
 
     def _held(self) -> list[Trial]:
         """Runs that hold cables, and have not been tried."""
