@@ -151,8 +151,10 @@ class ActiveSet:
             if unclear and not free and not places:
                 nearly = contact.captured(cable, shape, folds, contact.NEARLY)
                 places = {k: place for k, place in nearly.items() if key(k) not in self._released}
-        contact.lift(cable, free)
-        contact.touch(cable, places)
+        if free:
+            contact.lift(cable, free)
+        if places:
+            contact.touch(cable, places)
         self._settled |= {key(k) for k in places} & self._released
         self._released |= {key(k) for k in free}
         texts = [f"{cable.name} lifts off at {cable.nodes[k].point}" for k in free]

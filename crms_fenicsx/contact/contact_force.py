@@ -259,7 +259,7 @@ def _left_at_vertices(
         Directions of the cable, and to its left, square to it.
     """
     strip = shape.strip
-    around = [strip.outer_around[(vertex,)] for vertex in vertices]
+    around = [strip.outer_rows((vertex,)) for vertex in vertices]
     of = np.repeat(np.arange(len(vertices)), [len(rows) for rows in around])
     cells = strip.cells[list(itertools.chain.from_iterable(around))]
     centres = np.asarray(vertices)[of, None]

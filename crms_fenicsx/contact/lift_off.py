@@ -20,7 +20,7 @@ from crms_fenicsx.contact.gap import Gap, size_at, spans, under
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 from crms_fenicsx.model.tolerances import INSIDE, SAME_PLACE
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, flags
 from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint, VertexPoint
 from crms_fenicsx.surface.triangles import arc_lengths, dot, norm
 
@@ -45,8 +45,8 @@ def may_lift(cable: LaidCable) -> Iterator[int]:
 def is_foot(cable: LaidCable, k: int) -> bool:
     """Whether a node only marks the place under an anchor, where no cable can touch."""
     nodes = cable.nodes
-    beside = nodes[k - 1].kind == "anchor" or nodes[k + 1].kind == "anchor"
-    return isinstance(nodes[k].point, CellPoint) and beside
+    in_cell = isinstance(nodes[k].point, CellPoint)
+    return in_cell and "anchor" in (nodes[k - 1].kind, nodes[k + 1].kind)
 
 
 def outward_pulls(cable: LaidCable, nodes: Sequence[int], normals: Array, reaches: Array) -> Array:
@@ -104,15 +104,13 @@ def released(cable: LaidCable, shape: StripShape, covered: Set[int] = frozenset(
     """
     if cable.sleeve:
         return []
-    on, supports = [], []
-    nodes, lifted = cable.nodes, cable.lifted
-    for k in may_lift(cable):
-        support = nodes[k].support
-        if not lifted[k] and not (len(support) == 1 and support[0] in covered):
-            on.append(k)
-            supports.append(support)
-    pulls = outward_pulls(cable, on, *shape.normals_and_sizes(supports))
-    return [k for k, pull in zip(on, pulls, strict=True) if pull > PULL or is_foot(cable, k)]
+    nodes, lifted = cable.nodes, flags(cable.lifted)
+    on = [k for k in may_lift(cable) if not lifted[k]]
+    if covered:
+        on = [k for k in on if len(nodes[k].support) > 1 or nodes[k].support[0] not in covered]
+    normals, sizes = shape.normals_and_sizes([nodes[k].support for k in on])
+    up = flags(outward_pulls(cable, on, normals, sizes) > PULL)
+    return [k for k, pulls in zip(on, up, strict=True) if pulls or is_foot(cable, k)]
 
 
 def captured(

@@ -86,6 +86,7 @@ def shorten(
     max_flips: int | None = None,
     grip: float = STRAIGHT,
     held_at: Set[int] | None = None,
+    checked: bool = False,
 ) -> FlippedPath:
     """Pull a path taut, and let it slide over vertices until it is a geodesic.
 
@@ -104,6 +105,8 @@ def shorten(
         Angle (rad) by which a path that visits a vertex must bend there to leave it.
     held_at
         The only vertices that it may slide over; None: all.
+    checked
+        Whether the path is known to be one that can be shortened.
 
     Returns
     -------
@@ -134,7 +137,8 @@ def shorten(
     left.
     """
     limit = None if max_flips is None else checks.whole("shorten: max_flips", max_flips, 0)
-    _check(points, surface)
+    if not checked:
+        _check(points, surface)
     state = _GeodesicPath(points, surface, refused, grip, held_at)
     state.pull(corridor(points))
     before = state.length

@@ -12,7 +12,7 @@ from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.cable_state import CableNode, CableState, End, StepStart
 from crms_fenicsx.model.friction_history import AxialGrip, Grip
 from crms_fenicsx.model.tolerances import SAME_PLACE
-from crms_fenicsx.runtime.arrays import Array, Booleans
+from crms_fenicsx.runtime.arrays import Array, Booleans, flags, floats
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.runtime.readonly import ReadOnly
 from crms_fenicsx.surface.path import Path
@@ -215,7 +215,7 @@ class LaidCable:
     @property
     def path(self) -> Path:
         """Its way over the mesh as it is now; where it is lifted, over the cells under it."""
-        points = [self.point(k) for k in self.path_nodes()]
+        points = self.points(self.path_nodes())
         first, last = (
             tuple(self.positions[k].tolist()) if self.nodes[k].kind == "anchor" else None
             for k in (0, -1)
@@ -224,11 +224,19 @@ class LaidCable:
 
     def point(self, k: int) -> SurfacePoint:
         """Place of node k on the mesh as it is now; it is no anchor."""
-        point = self.nodes[k].point
-        assert point is not None
-        if self.nodes[k].slides and isinstance(point, EdgePoint):
-            return EdgePoint(point.edge, min(max(float(self.fractions[k]), LEAST), MOST))
-        return point
+        return self.points([k])[0]
+
+    def points(self, nodes: Sequence[int]) -> list[SurfacePoint]:
+        """Places of some nodes on the mesh as it is now; none of them is an anchor."""
+        found: list[SurfacePoint] = []
+        all_nodes, fractions = self.nodes, floats(self.fractions)
+        for k in nodes:
+            point = all_nodes[k].point
+            assert point is not None
+            if isinstance(point, EdgePoint) and all_nodes[k].slides:
+                point = EdgePoint(point.edge, min(max(fractions[k], LEAST), MOST))
+            found.append(point)
+        return found
 
     def set_nodes(
         self,
@@ -275,7 +283,7 @@ class LaidCable:
 
     def contacts(self) -> list[int]:
         """Nodes that the cable touches, its ends included, in order."""
-        return [k for k, lifted in enumerate(self.lifted) if not lifted]
+        return [k for k, lifted in enumerate(flags(self.lifted)) if not lifted]
 
     def line_nodes(self) -> list[int]:
         """Nodes of its line: its contacts, but an anchor that lies on the next one only once."""

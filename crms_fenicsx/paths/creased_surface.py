@@ -7,17 +7,17 @@ as long as the way through the fold points on it.
 from __future__ import annotations
 
 import math
+from bisect import bisect
 from collections.abc import Mapping, Sequence
-from functools import cached_property
+from itertools import accumulate, pairwise
 from types import MappingProxyType
 
 import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, floats
 from crms_fenicsx.surface.intrinsic import MissingCells, Ring, ring_of
 from crms_fenicsx.surface.points import Edge
-from crms_fenicsx.surface.triangles import arc_lengths, norm
 
 
 class CreasedSurface:
@@ -50,28 +50,22 @@ class CreasedSurface:
         self.ends = ends
         self._at = shape.places
 
-    def line(self, edge: Edge) -> Array:
-        """Positions along an edge: its vertices and the fold points between, (n, 3)."""
-        return np.array([self.shape.at(edge[0]), *self.bends.get(edge, ()), self.shape.at(edge[1])])
-
     def length(self, edge: Edge) -> float:
         """Length of an edge through all fold points on it."""
         if edge[1] in self.anchors:
             return math.dist(self._at[edge[0]], self.anchors[edge[1]])
-        if edge not in self.bends:
+        bends = self.bends.get(edge)
+        if bends is None:
             return math.dist(self._at[edge[0]], self._at[edge[1]])
-        return self._bent_lengths[edge]
+        total, (x, y, z) = 0.0, self._at[edge[0]]
+        for p, q, r in self._line(edge, bends)[1:]:
+            total += math.sqrt((p - x) * (p - x) + (q - y) * (q - y) + (r - z) * (r - z))
+            x, y, z = p, q, r
+        return total
 
-    @cached_property
-    def _bent_lengths(self) -> dict[Edge, float]:
-        """Lengths of the edges with fold points on them."""
-        most = max(map(len, self.bends.values()), default=0)
-        lines = [
-            [self._at[a], *points, *[self._at[b]] * (1 + most - len(points))]
-            for (a, b), points in self.bends.items()
-        ]
-        parts = norm(np.diff(np.array(lines).reshape(-1, most + 2, 3), axis=1))
-        return dict(zip(self.bends, map(float, parts.sum(axis=1)), strict=True))
+    def _line(self, edge: Edge, bends: Sequence[Array]) -> list[Sequence[float]]:
+        """Positions along an edge: its vertices and the fold points between."""
+        return [self._at[edge[0]], *map(floats, bends), self._at[edge[1]]]
 
     def opposite_vertices(self, edge: Edge) -> tuple[int, ...]:
         """Vertices opposite to an edge."""
@@ -121,8 +115,22 @@ class CreasedSurface:
         )
 
     def place(self, edge: Edge, fraction: float) -> Array:
-        """Position on an edge at a share of its length."""
-        line = self.line(edge)
-        run = arc_lengths(line)
-        place = [np.interp(fraction * run[-1], run, line[:, i]) for i in range(3)]
-        return np.array(place)
+        """Position on an edge at a share of its length, (3,)."""
+        line = self._line(edge, self.bends.get(edge, ()))
+        arcs = _arcs(line)
+        at = max(fraction, 0.0) * arcs[-1]
+        if at >= arcs[-1]:
+            return np.array(line[-1])
+        k = bisect(arcs, at) - 1
+        step, more = arcs[k + 1] - arcs[k], at - arcs[k]
+        return np.array([(b - a) / step * more + a for a, b in zip(*line[k : k + 2], strict=True)])
+
+
+def _arcs(line: Sequence[Sequence[float]]) -> list[float]:
+    """Lengths of a polyline (n, 3) from its first point to each one.
+
+    An edge has few points: `arc_lengths` takes longer to set up than to compute.
+    """
+    steps = ((b[0] - a[0], b[1] - a[1], b[2] - a[2]) for a, b in pairwise(line))
+    sizes = (math.sqrt(x * x + y * y + z * z) for x, y, z in steps)
+    return list(accumulate(sizes, initial=0.0))

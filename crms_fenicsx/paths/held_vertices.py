@@ -256,9 +256,9 @@ def _between_ends(cable: LaidCable) -> Iterator[tuple[int, Support]]:
 
 def _along_boundary(nodes: Sequence[CableNode], shape: StripShape) -> set[int]:
     """Nodes on vertices to or from which a cable runs along the membrane's boundary."""
-    around, found = shape.strip.outer_around, set[int]()
+    found = set[int]()
     for k, (a, b) in enumerate(pairwise(nodes)):
         if a.kind == b.kind == "vertex" and a.support != b.support:
-            if len(around.get(edge_of(a.support[0], b.support[0]), ())) == 1:
+            if len(shape.strip.outer_rows(edge_of(a.support[0], b.support[0]))) == 1:
                 found |= {k, k + 1}
     return found

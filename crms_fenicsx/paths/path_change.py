@@ -13,11 +13,12 @@ import numpy as np
 
 from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.crossings import at_nodes
-from crms_fenicsx.cables.points_on_edges import bends
+from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.model.cable_state import CableNode, End
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import INSIDE, STAYS
 from crms_fenicsx.paths.creased_surface import CreasedSurface
+from crms_fenicsx.paths.fold_points import FoldPoints, NodesOnEdges
 from crms_fenicsx.paths.typed_nodes import fractions_of, nodes_of
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError
@@ -36,24 +37,44 @@ class PathChange:
 
     def __init__(self, net: CableNet) -> None:
         self.net = net
+        self._nodes_on_edges = NodesOnEdges()
 
     @property
     def n_vertices(self) -> int:
         """Number of the membrane's vertices: ids from here on are those of anchors."""
         return self.net.membrane.V.dofmap.index_map.size_global
 
-    def surface(self, vertices: Sequence[int] = ()) -> CreasedSurface:
-        """The current surface, with all cells around some vertices. Collective."""
-        self.net.grow_strip(vertices)
-        return CreasedSurface(self.net.strip_shape(), bends(self.net.cables))
+    def surface(
+        self, vertices: Sequence[int] = (), rings: int = 1, like: StripShape | None = None
+    ) -> CreasedSurface:
+        """The current surface, with all cells around some vertices. Collective.
+
+        Parameters
+        ----------
+        vertices
+            Ids.
+        rings
+            How many rings of cells around them.
+        like
+            Positions of the vertices, where the membrane has not moved since they were gathered.
+        """
+        self.net.grow_strip(vertices, rings)
+        if like is None or like.strip is not self.net.strip:
+            like = self.net.strip_shape()
+        return CreasedSurface(like, self.folds())
+
+    def folds(self) -> FoldPoints:
+        """The fold points of all cables."""
+        return FoldPoints(self.net.cables, self._nodes_on_edges.of(self.net.cables))
 
     def with_anchors(self, cable: LaidCable, surface: CreasedSurface) -> CreasedSurface:
         """The surface with the triangles between its boundary and a cable's anchors."""
         anchors = self.anchors(cable, surface)
         if not anchors:
             return surface
-        n, path = self.n_vertices, cable.path.points
-        ends = {k: path[n - k].support for k in anchors}  # n is the first, n + 1 the last
+        n, on_path = self.n_vertices, cable.path_nodes()
+        # n is the first, n + 1 the last
+        ends = {k: cable.nodes[on_path[n - k]].support for k in anchors}
         return CreasedSurface(surface.shape, surface.bends, anchors, ends)
 
     def anchors(self, cable: LaidCable, surface: CreasedSurface) -> dict[int, Array]:
@@ -62,12 +83,12 @@ class PathChange:
         Not of one that a cable in a sleeve has left at a corner of the membrane, as at a mast that
         has been moved: pulled straight to it the cable would leave the membrane.
         """
-        n, path = self.n_vertices, cable.path.points
-        return {
-            n + k: cable.positions[-k]
-            for k in (0, 1)
-            if cable.ends[k] == "off" and not (cable.sleeve and _is_corner(path[-k], surface))
-        }
+        ends, off = cable.ends, {}
+        for k in (0, 1):
+            if ends[k] == "off":
+                if not (cable.sleeve and _is_corner(cable.path.points[-k], surface)):
+                    off[self.n_vertices + k] = cable.positions[-k]
+        return off
 
     def beyond(
         self,

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import itertools
 
+import numpy as np
+
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.surface.points import EdgePoint
+from crms_fenicsx.runtime.arrays import flags
 
 
 def is_crossed(cable: LaidCable) -> bool:
@@ -20,18 +22,15 @@ def is_crossed(cable: LaidCable) -> bool:
 
 def lifted_runs(cable: LaidCable) -> list[tuple[bool, range]]:
     """The parts of a path that are lifted, and those that are not: indices of their points."""
-    off = [bool(cable.lifted[k]) for k in cable.path_nodes()]
+    lifted = flags(cable.lifted)
+    off = [lifted[k] for k in cable.path_nodes()]
     starts = [k for k in range(len(off)) if k == 0 or off[k] != off[k - 1]]
     return [(off[a], range(a, b)) for a, b in itertools.pairwise([*starts, len(off)])]
 
 
 def vertices_near(cable: LaidCable, near: float) -> set[int]:
     """Vertices near which a cable's points slide, within a part of the edge."""
-    found = set()
-    for k in cable.contacts():
-        point = cable.nodes[k].point
-        if cable.nodes[k].slides and isinstance(point, EdgePoint):
-            fraction = float(cable.fractions[k])
-            if min(fraction, 1 - fraction) < near:
-                found.add(point.edge[int(fraction > 0.5)])
-    return found
+    nodes, fractions = cable.nodes, cable.fractions
+    beside = np.flatnonzero((np.minimum(fractions, 1 - fractions) < near) & ~cable.lifted)
+    at = [(nodes[k].support, int(fractions[k] > 0.5)) for k in beside if nodes[k].slides]
+    return {support[end] for support, end in at}

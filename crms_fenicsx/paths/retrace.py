@@ -11,14 +11,14 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence, Set
 
-from crms_fenicsx.cables.points_on_edges import bends
 from crms_fenicsx.contact.lift_off import drape
 from crms_fenicsx.contact.span_projection import with_span_projections
-from crms_fenicsx.geodesics.corridor import corridor, why_invalid
+from crms_fenicsx.geodesics.corridor import Corridor, corridor, why_invalid
 from crms_fenicsx.geodesics.flip_geodesic import shorten
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import BEYOND
 from crms_fenicsx.paths.creased_surface import CreasedSurface
+from crms_fenicsx.paths.fold_points import FoldPoints, NodesOnEdges
 from crms_fenicsx.paths.path_change import PathChange, slid_off
 from crms_fenicsx.paths.path_parts import is_crossed, lifted_runs, vertices_near
 from crms_fenicsx.paths.tried_paths import TriedPaths
@@ -43,6 +43,8 @@ class Retracer:
 
     def __init__(self, change: PathChange, tried: TriedPaths) -> None:
         self.change, self.tried, self.net = change, tried, change.net
+        self._followed: set[Corridor] = set()
+        """Ways of cables without anchors that are known to be possible: that is so once for all."""
 
     def straighten(self) -> bool:
         """Pull the paths of cables taut that have not been in equilibrium yet. Collective.
@@ -148,7 +150,9 @@ class Retracer:
         folded_by: Sequence[LaidCable] | None = None,
         fresh: bool = False,
     ) -> int:
-        folds = bends(self.net.cables if folded_by is None else folded_by)
+        folds = self.change.folds()
+        if folded_by is not None:
+            folds = FoldPoints(folded_by, NodesOnEdges().of(folded_by))
         surface = CreasedSurface(self.net.strip_shape(), folds)
         done: list[tuple[LaidCable, tuple[list[SurfacePoint], list[bool], int]]] = []
         for cable in cables:
@@ -190,19 +194,32 @@ class Retracer:
                 before, after = self.change.beyond(cable, surface, path, run)
                 joined = self.change.with_anchors(cable, surface)
                 string = [*before, *new, *after]
-                # Not where a span turns over its own touchdown.
-                if why_invalid(corridor(string), joined.opposite_vertices):
+                fits = self._may_lie(string, joined)
+                if not fits and len(string) > len(new):  # a span turns over its own touchdown
                     before, after, string = [], [], new
-                if len(string) > 2 and not why_invalid(corridor(string), joined.opposite_vertices):
-                    refused.add(corridor(string))
-                    result = shorten(
-                        string, joined, refused=refused, max_flips=max_flips,
-                        grip=GRIP if fresh else 0.0, held_at=held_at,
-                    )  # fmt: skip
-                    passed += len(result.flips)
-                    new = list(result.points[len(before) : len(result.points) - len(after)])
+                    fits = self._may_lie(string, joined)
+                if fits and len(string) > 2:
+                    given = corridor(string)
+                    refused.add(given)
+                    if held_at is None or held_at:  # else it does not flip over any vertex
+                        result = shorten(
+                            string, joined, refused=refused, max_flips=max_flips,
+                            grip=GRIP if fresh else 0.0, held_at=held_at,
+                            checked=given in self._followed,
+                        )  # fmt: skip
+                        if not before and not after:
+                            self._followed.add(given)
+                        passed += len(result.flips)
+                        new = list(result.points[len(before) : len(result.points) - len(after)])
             points += new
             lifted += [is_off] * len(new)
-        if len(points) < 2 or any(max(point.support) >= self.change.n_vertices for point in points):
-            raise slid_off(cable, cable.positions[cable.path_nodes()[0]])
+        if passed or fresh:
+            n = self.change.n_vertices
+            if len(points) < 2 or any(max(point.support) >= n for point in points):
+                raise slid_off(cable, cable.positions[cable.path_nodes()[0]])
         return points, lifted, passed
+
+    def _may_lie(self, string: Sequence[SurfacePoint], surface: CreasedSurface) -> bool:
+        """Whether a cable can follow a path."""
+        given = corridor(string)
+        return given in self._followed or why_invalid(given, surface.opposite_vertices) is None

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.geodesics.corridor import Corridor, corridor, why_invalid
 from crms_fenicsx.geodesics.flip_geodesic import shorten
 from crms_fenicsx.geodesics.vertex_flip import other_side
@@ -26,7 +27,7 @@ from crms_fenicsx.surface.intrinsic import MissingCells
 from crms_fenicsx.surface.points import Edge, EdgePoint
 
 
-def pass_run(change: PathChange, number: int, run: Run) -> bool:
+def pass_run(change: PathChange, number: int, run: Run, shape: StripShape | None = None) -> bool:
     """Move a cable past the vertices of a run; say whether any path goes there. Collective.
 
     Parameters
@@ -37,9 +38,11 @@ def pass_run(change: PathChange, number: int, run: Run) -> bool:
         The cable's.
     run
         The vertices and the side.
+    shape
+        Positions of the vertices around, where they are known.
     """
     cable = change.net.cables[number]
-    found = way_past(change, cable, run)
+    found = way_past(change, cable, run, shape)
     if found is None:
         return False
     adopt(change, cable, found)
@@ -68,7 +71,9 @@ class WayPast:
     surface: CreasedSurface
 
 
-def way_past(change: PathChange, cable: LaidCable, run: Run) -> WayPast | None:
+def way_past(
+    change: PathChange, cable: LaidCable, run: Run, shape: StripShape | None = None
+) -> WayPast | None:
     """Find the way of a cable past a run. Collective.
 
     Parameters
@@ -79,13 +84,15 @@ def way_past(change: PathChange, cable: LaidCable, run: Run) -> WayPast | None:
         A cable.
     run
         The vertices and the side.
+    shape
+        Positions of the vertices around, where they are known.
 
     Returns
     -------
     None where there is none for any of the vertices.
     """
     string: Corridor = tuple(cable.nodes[k].support for k in cable.path_nodes())
-    joined = change.with_anchors(cable, change.surface(run.vertices))
+    joined = change.with_anchors(cable, change.surface(run.vertices, like=shape))
     n = change.n_vertices
     first, last = n in joined.anchors, n + 1 in joined.anchors
     string = (((n,),) if first else ()) + string + (((n + 1,),) if last else ())
@@ -142,17 +149,20 @@ def adopt(change: PathChange, cable: LaidCable, way: WayPast) -> None:
     on_path = cable.path_nodes()
     added = [i for i, k in enumerate(on_path) if cable.nodes[k].support not in old]
     if added:  # along the membrane's boundary there may only be fewer
-        straighten(change, cable, on_path[max(added[0] - 1, 0) : added[-1] + 2])
+        part = on_path[max(added[0] - 1, 0) : added[-1] + 2]
+        straighten(change, cable, part, way.surface.shape)
 
 
-def straighten(change: PathChange, cable: LaidCable, part: list[int]) -> bool:
+def straighten(
+    change: PathChange, cable: LaidCable, part: list[int], shape: StripShape | None = None
+) -> bool:
     """Pull a part of a cable, given by nodes, taut between its ends, in the cells that it crosses.
 
-    Collective. Says whether that can be done.
+    Collective. Says whether that can be done. The positions of the vertices around are gathered
+    where they are not known.
     """
-    path = dict(zip(cable.path_nodes(), cable.path.points, strict=True))
-    points = [path[k] for k in part]
-    surface = change.surface([v for point in points for v in point.support])
+    points = cable.points(part)
+    surface = change.surface([v for point in points for v in point.support], like=shape)
     if len(points) < 3 or why_invalid(corridor(points), surface.opposite_vertices):
         return False
     string = shorten(points, surface, max_flips=0).points

@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import math
 
+from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.model.cable_state import CableState
 from crms_fenicsx.paths.held_vertices import Run, held_runs
 from crms_fenicsx.paths.path_change import PathChange
 from crms_fenicsx.paths.tried_paths import TriedPaths
@@ -46,6 +48,8 @@ class VertexTrials:
         self._groups: list[tuple[int, list[Trial]]] = []  # with how often halved
         self._energy = math.inf
         self._halved = 0
+        self._runs: dict[int, tuple[CableState, list[Run]]] = {}
+        """What holds each cable, by number, in the state in which it was found."""
 
     def next(self, energy: float, scale: float) -> list[Trial]:
         """Move cables past runs of vertices that hold them. Collective.
@@ -71,7 +75,8 @@ class VertexTrials:
             self._halved, group = self._groups.pop()
             known = {self._key(trial) for trial in group}
             group = [trial for trial in runs if self._key(trial) in known]
-            moved = [(c, run) for c, run in group if pass_run(self.change, c, run)]
+            shape = self._shape(group)
+            moved = [(c, run) for c, run in group if pass_run(self.change, c, run, shape)]
             self._note([trial for trial in group if trial not in moved])
             if moved:
                 return moved
@@ -85,6 +90,11 @@ class VertexTrials:
             return False
         self._groups += [(self._halved + 1, part) for part in (moved[half:], moved[:half])]
         return True
+
+    def _shape(self, group: list[Trial]) -> StripShape:
+        """The vertices around runs, also around the edges that ways past them cross. Collective."""
+        vertices = [vertex for _, run in group for vertex in run.vertices]
+        return self.change.surface(vertices, rings=2).shape
 
     def _held(self) -> list[Trial]:
         """Runs that hold cables, and have not been tried."""
@@ -102,8 +112,9 @@ class VertexTrials:
 
                 remap(cable)
                 least = 2  # single vertices have been passed by `friction_release`
-            runs = (run for run in held_runs(cable, shape) if len(run.vertices) >= least)
-            found += [(c, run) for run in runs]
+            if c not in self._runs or self._runs[c][0] is not cable.state:
+                self._runs[c] = cable.state, held_runs(cable, shape)
+            found += [(c, run) for run in self._runs[c][1] if len(run.vertices) >= least]
         return [trial for trial in found if self._key(trial)[1] not in self._tried(trial[0])]
 
     def _tried(self, c: int) -> set[tuple[int, ...]]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 import numpy.typing as npt
 
@@ -22,3 +24,13 @@ def runs(first: Integers, counts: Integers) -> Integers:
     """The numbers from `first` on, `counts` of them, for each of n such runs, in one array."""
     ends = np.cumsum(counts)
     return np.repeat(first - ends + counts, counts) + np.arange(counts.sum())
+
+
+def floats(values: Array) -> list[float]:
+    """The numbers of a vector (n,), which loops read faster."""
+    return cast(list[float], values.tolist())
+
+
+def flags(values: Booleans) -> list[bool]:
+    """The same of Booleans (n,)."""
+    return cast(list[bool], values.tolist())

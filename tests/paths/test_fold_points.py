@@ -1,0 +1,81 @@
+"""Fold points that are looked up edge by edge, against tables of all edges made anew."""
+
+from __future__ import annotations
+
+import numpy as np
+from cabled_square import CABLE, PRESSURE, sheet
+
+from crms_fenicsx import Scene, Solver
+from crms_fenicsx.cables.points_on_edges import bends
+from crms_fenicsx.paths.creased_surface import CreasedSurface
+from crms_fenicsx.paths.fold_points import FoldPoints, NodesOnEdges
+from crms_fenicsx.paths.path_parts import vertices_near
+from crms_fenicsx.surface.points import EdgePoint
+from crms_fenicsx.surface.triangles import arc_lengths
+
+
+def net(comm) -> Scene:
+    """Three cables along x, close together, under two along y, over the inflated square."""
+    scene = sheet(comm, 9, "unstructured")
+    for at in (41.0, 43.0, 48.0):
+        scene.lay_cable(CABLE, [(0, at), (100, at + 5)], L0=100.6)
+    for at in (35.0, 62.0):
+        scene.lay_cable(CABLE, [(at, 0), (at, 100)], L0=100.6)
+    Solver(scene).advance(pressure=PRESSURE)
+    return scene
+
+
+def same(found: FoldPoints, expected: dict) -> bool:
+    """Whether the edges and the points on them are the same, these in their order."""
+    alike = all(np.array_equal(found[edge], points) for edge, points in expected.items())
+    return alike and set(found) == set(expected) and len(found) == len(expected)
+
+
+def test_points_are_those_of_a_table_made_anew(comm) -> None:
+    scene, kept = net(comm), NodesOnEdges()
+    cables = scene.cables
+    first, expected = FoldPoints(cables, kept.of(cables)), bends(cables)
+    assert max(map(len, expected.values())) > 1
+    seen = [edge in first for edge in list(expected)[::2]]  # some are asked for now, the rest later
+    assert all(seen) and (10**6, 10**6 + 1) not in first
+
+    cables[1].update(taut=False)
+    assert same(FoldPoints(cables, kept.of(cables)), bends(cables))
+    cables[0].update(lifted=np.arange(len(cables[0].nodes)) % 3 == 1)
+    assert same(FoldPoints(cables, kept.of(cables)), bends(cables))
+    nodes, x = cables[2].nodes, cables[2].positions
+    cables[2].set_nodes(nodes[::-1], x[::-1].copy(), cables[2].fractions[::-1], cables[2].lifted)
+    cables[1].update(taut=True)
+    assert same(FoldPoints(cables, kept.of(cables)), bends(cables))
+    assert same(first, expected), "what becomes of the cables changes nothing"
+    assert same(FoldPoints(cables[1:], kept.of(cables[1:])), bends(cables[1:]))
+    assert kept.of(cables[1:]) is kept.of(cables[1:])
+
+
+def test_bent_edges_are_measured_as_by_arrays(comm) -> None:
+    scene = net(comm)
+    shape, folds = scene.net.strip_shape(), bends(scene.cables)
+    surface = CreasedSurface(shape, folds)
+    for edge, points in folds.items():
+        line = np.array([shape.at(edge[0]), *points, shape.at(edge[1])])
+        arc = arc_lengths(line)
+        assert surface.length(edge) == arc[-1]
+        for part in (0.0, 0.013, 0.5, arc[1] / arc[-1], 1 - 1e-9, 1.0):
+            place = [np.interp(part * arc[-1], arc, line[:, i]) for i in range(3)]
+            np.testing.assert_array_equal(surface.place(edge, part), place)
+
+
+def test_vertices_near_points_are_found_one_by_one(comm) -> None:
+    scene, found = net(comm), 0
+    scene.cables[0].update(lifted=np.arange(len(scene.cables[0].nodes)) % 3 == 1)
+    for cable in scene.cables:
+        for near in (0.02, 0.1, 0.3):
+            slow = set()
+            for k in cable.contacts():
+                point, fraction = cable.nodes[k].point, float(cable.fractions[k])
+                if cable.nodes[k].slides and isinstance(point, EdgePoint):
+                    if min(fraction, 1 - fraction) < near:
+                        slow.add(point.edge[int(fraction > 0.5)])
+            assert vertices_near(cable, near) == slow
+            found += len(slow)
+    assert found > 5
