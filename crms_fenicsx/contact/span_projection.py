@@ -7,7 +7,7 @@ vertices' distances from that plane.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -139,28 +139,31 @@ def with_span_projections(
     -------
     None where nothing has changed.
     """
-    path = dict(zip(cable.path_nodes(), cable.path.points, strict=True))
-    contacts = cable.contacts()
+    nodes, contacts = cable.nodes, cable.contacts()
+    renewed: dict[int, list[SurfacePoint]] = {}  # by the contact before them
+    changed = False
+    for a, b in pairwise(contacts):
+        old = [nodes[k].support for k in range(a + 1, b) if _is_on_path(nodes[k])]
+        new = _renewed(cable, a, b, shape) if old else None
+        if new is not None:
+            renewed[a] = new
+            changed |= [point.support for point in new] != old
+    if not changed:
+        return None
     points: list[SurfacePoint] = []
     lifted: list[bool] = []
-    changed = False
-    for a, b in zip([-1, *contacts], [*contacts, -1], strict=True):
-        between = [k for k in range(a + 1, b) if k in path] if a >= 0 and b >= 0 else []
-        old = [path[k] for k in between]
-        new = _renewed(cable, a, b, shape) if between else old
-        if new is None:
-            new = old
-        changed |= _supports(new) != _supports(old)
-        points += new
-        lifted += [True] * len(new)
-        if b in path:
-            points.append(path[b])
+    for a, b in zip(contacts, [*contacts[1:], len(nodes)], strict=True):
+        if _is_on_path(nodes[a]):
+            points.append(cable.point(a))
             lifted.append(False)
-    return (points, lifted) if changed else None
+        between = [k for k in range(a + 1, b) if _is_on_path(nodes[k])]
+        points += renewed[a] if a in renewed else cable.points(between)
+        lifted += [True] * (len(points) - len(lifted))
+    return points, lifted
 
 
-def _supports(points: Sequence[SurfacePoint]) -> list[tuple[int, ...]]:
-    return [point.support for point in points]
+def _is_on_path(node: CableNode) -> bool:
+    return node.point is not None and node.kind != "crossing"
 
 
 def _renewed(cable: LaidCable, a: int, b: int, shape: StripShape) -> list[SurfacePoint] | None:

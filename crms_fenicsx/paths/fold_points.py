@@ -6,8 +6,9 @@ Between two looks at the paths few cables change their nodes, and of all edges f
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
 
-from crms_fenicsx.model.cable_state import CableNode
+from crms_fenicsx.model.cable_state import CableNode, CableState
 from crms_fenicsx.model.crossing import NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
@@ -21,15 +22,15 @@ class NodesOnEdges:
         self._nodes: list[tuple[CableNode, ...]] = []
         self._found: dict[Edge, tuple[NodeId, ...]] = {}
 
-    def of(self, cables: Sequence[LaidCable]) -> Mapping[Edge, Sequence[NodeId]]:
+    def of(self, states: Sequence[CableState]) -> Mapping[Edge, Sequence[NodeId]]:
         """Numbers of cables and nodes on each edge, lifted ones too; later calls do not change it.
 
         Parameters
         ----------
-        cables
-            All cables.
+        states
+            Those of all cables.
         """
-        nodes = [cable.nodes if cable.taut else () for cable in cables]
+        nodes = [state.nodes if state.taut else () for state in states]
         before, self._nodes = self._nodes, nodes
         if len(before) != len(nodes):
             before, self._found = [()] * len(nodes), {}
@@ -64,13 +65,12 @@ class FoldPoints(Mapping[Edge, Sequence[Array]]):
     ----------
     cables
         All cables.
-    nodes
-        Where their nodes are, see `NodesOnEdges`.
+    kept
+        Knows which nodes the cables have had on each edge.
     """
 
-    def __init__(self, cables: Sequence[LaidCable], nodes: Mapping[Edge, Sequence[NodeId]]) -> None:
-        self._states = [cable.state for cable in cables]
-        self._nodes = nodes
+    def __init__(self, cables: Sequence[LaidCable], kept: NodesOnEdges) -> None:
+        self._states, self._kept = [cable.state for cable in cables], kept
         self._found: dict[Edge, list[Array]] = {}
 
     def __getitem__(self, edge: Edge) -> Sequence[Array]:
@@ -80,6 +80,10 @@ class FoldPoints(Mapping[Edge, Sequence[Array]]):
         if not found:
             raise KeyError(edge)
         return found
+
+    @cached_property
+    def _nodes(self) -> Mapping[Edge, Sequence[NodeId]]:
+        return self._kept.of(self._states)
 
     def _on(self, edge: Edge) -> list[Array]:
         points = []

@@ -65,7 +65,7 @@ class PathChange:
 
     def folds(self) -> FoldPoints:
         """The fold points of all cables."""
-        return FoldPoints(self.net.cables, self._nodes_on_edges.of(self.net.cables))
+        return FoldPoints(self.net.cables, self._nodes_on_edges)
 
     def with_anchors(self, cable: LaidCable, surface: CreasedSurface) -> CreasedSurface:
         """The surface with the triangles between its boundary and a cable's anchors."""

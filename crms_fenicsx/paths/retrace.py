@@ -152,7 +152,7 @@ class Retracer:
     ) -> int:
         folds = self.change.folds()
         if folded_by is not None:
-            folds = FoldPoints(folded_by, NodesOnEdges().of(folded_by))
+            folds = FoldPoints(folded_by, NodesOnEdges())
         surface = CreasedSurface(self.net.strip_shape(), folds)
         done: list[tuple[LaidCable, tuple[list[SurfacePoint], list[bool], int]]] = []
         for cable in cables:

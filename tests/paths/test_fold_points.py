@@ -34,21 +34,21 @@ def same(found: FoldPoints, expected: dict) -> bool:
 def test_points_are_those_of_a_table_made_anew(comm) -> None:
     scene, kept = net(comm), NodesOnEdges()
     cables = scene.cables
-    first, expected = FoldPoints(cables, kept.of(cables)), bends(cables)
+    first, expected = FoldPoints(cables, kept), bends(cables)
     assert max(map(len, expected.values())) > 1
     seen = [edge in first for edge in list(expected)[::2]]  # some are asked for now, the rest later
     assert all(seen) and (10**6, 10**6 + 1) not in first
 
     cables[1].update(taut=False)
-    assert same(FoldPoints(cables, kept.of(cables)), bends(cables))
+    assert same(FoldPoints(cables, kept), bends(cables))
     cables[0].update(lifted=np.arange(len(cables[0].nodes)) % 3 == 1)
-    assert same(FoldPoints(cables, kept.of(cables)), bends(cables))
+    assert same(FoldPoints(cables, kept), bends(cables))
     nodes, x = cables[2].nodes, cables[2].positions
     cables[2].set_nodes(nodes[::-1], x[::-1].copy(), cables[2].fractions[::-1], cables[2].lifted)
     cables[1].update(taut=True)
-    assert same(FoldPoints(cables, kept.of(cables)), bends(cables))
+    assert same(FoldPoints(cables, kept), bends(cables))
     assert same(first, expected), "what becomes of the cables changes nothing"
-    assert same(FoldPoints(cables[1:], kept.of(cables[1:])), bends(cables[1:]))
+    assert same(FoldPoints(cables[1:], kept), bends(cables[1:]))
     assert kept.of(cables[1:]) is kept.of(cables[1:])
 
 

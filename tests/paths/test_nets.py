@@ -225,7 +225,7 @@ def test_rounds_end_when_they_gain_little(monkeypatch) -> None:
 
 
 def test_runs_without_a_way_are_not_tried_again(monkeypatch) -> None:
-    monkeypatch.setattr(vertex_trials, "pass_run", lambda change, c, run: c == 2)
+    monkeypatch.setattr(vertex_trials, "pass_run", lambda change, c, run, shape: c == 2)
     trials = Trials(3)
     assert [c for c, _ in trials.next(energy=0.0, scale=1.0)] == [2]
     trials.halve([trials.runs[2]])
