@@ -110,7 +110,8 @@ def released(cable: LaidCable, shape: StripShape, covered: Set[int] = frozenset(
         on = [k for k in on if len(nodes[k].support) > 1 or nodes[k].support[0] not in covered]
     normals, sizes = shape.normals_and_sizes([nodes[k].support for k in on])
     up = flags(outward_pulls(cable, on, normals, sizes) > PULL)
-    return [k for k, pulls in zip(on, up, strict=True) if pulls or is_foot(cable, k)]
+    feet = [k for k in (*on[:1], *on[-1:]) if is_foot(cable, k)]  # next to the ends, if anywhere
+    return [k for k, pulls in zip(on, up, strict=True) if pulls or k in feet]
 
 
 def captured(

@@ -12,6 +12,7 @@ from cabled_square import CABLE, KINDS, PRESSURE, order, place, sheet
 from contact_checks import deepest, strongest_pull
 
 from crms_fenicsx import Solver
+from crms_fenicsx.contact.lift_off import PULL, is_foot, may_lift, outward_pulls, released
 from crms_fenicsx.runtime.errors import PathError
 
 ANCHORS = [(-5.0, 50.0, 8.0), (105.0, 50.0, 8.0)]
@@ -143,6 +144,29 @@ def test_cable_from_a_mast_runs_free_and_then_lies_on_the_membrane(comm, kind: s
     assert cable.tension > 1.0
     assert strongest_pull(scene, cable) < 5e-3
     assert deepest(scene, cable) < 1e-6
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_contacts_are_released_as_one_by_one(comm, kind: str) -> None:
+    """In a state that is none of equilibrium: some press, some pull; some are lifted already."""
+    scene, cable, _ = held_down(comm, 9, kind)
+    rng, shape, found = np.random.default_rng(1), scene.net.strip_shape(), 0
+    on_membrane = [k for k, node in enumerate(cable.nodes) if node.point is not None]
+    for part in (0.0, 0.1, 0.3):
+        x = cable.positions.copy()
+        x[on_membrane, 2] += rng.uniform(-1.0, 1.0, len(on_membrane))
+        lifted = rng.random(len(x)) < part
+        lifted[[0, -1]] = False
+        cable.update(positions=x, lifted=lifted)
+        slow = []
+        for k in may_lift(cable):
+            if not lifted[k]:
+                normal, size = shape.normals_and_sizes([cable.nodes[k].support])
+                if outward_pulls(cable, [k], normal, size)[0] > PULL or is_foot(cable, k):
+                    slow.append(k)
+        assert released(cable, shape) == slow
+        found += len(slow)
+    assert found > 5
 
 
 @pytest.mark.parametrize("kind", ["unstructured", "rotated"])
