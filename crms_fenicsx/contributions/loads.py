@@ -68,6 +68,7 @@ class PressureContribution(Contribution):
             if self.scene.pressure == 0.0 and "pressure" not in self.scene.energies:
                 return []
             self.term = self._make_term()
+        self.term.twin = None
         if isinstance(self.term, StepPressure):
             if not self.membrane.has_folds:
                 self.term.volume_n += float(self.folded_volume[0])

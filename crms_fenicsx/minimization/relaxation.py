@@ -73,7 +73,9 @@ class LocalRelaxation:
         free &= ~_shared(potential)
         self._points = free.copy()
         self._points[:n] = False
-        self._all, self._stuck = free, np.zeros_like(free)
+        # Forms over all cells may have no twin for the few around some vertices.
+        alone = all(term.integral is None or term.twin is not None for term in potential.terms)
+        self._all, self._stuck = free if alone else self._points, np.zeros_like(free)
         pairs = [term.links for term in potential.terms if term.links is not None]
         links = np.concatenate([np.zeros((0, 2), dtype=np.int32), *pairs])
         self._point_links = _adjacency(links[self._points[links].all(axis=1)], len(free))
