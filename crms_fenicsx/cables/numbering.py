@@ -211,8 +211,8 @@ class CableNumbering:
         self.blocks = np.full(len(self.owners), -1, dtype=np.int32)
         self.blocks[self.owned] = unknowns.owned_point_blocks()
         self.blocks[self.foreign] = unknowns.ghost_point_blocks()
-        dofs = unknowns.vertex_blocks()
-        self.vertex_blocks = np.where(self.dofs < 0, -1, dofs[self.dofs])
+        # A rank may have no vertex at all.
+        self.vertex_blocks = np.append(unknowns.vertex_blocks(), np.int32(-1))[self.dofs]
         """Local blocks of the strip's vertices, or -1."""
         far = unknowns.far_vertex_blocks()
         self.vertex_blocks[[self.strip.row_of[v] for v in self.far_vertices]] = far
