@@ -83,12 +83,17 @@ class LocalRelaxation:
 
     @staticmethod
     def possible(potential: Potential) -> bool:
-        """Whether a potential has cable points that can be relaxed alone."""
+        """Whether a potential has cable points that can be relaxed alone.
+
+        On several processes those that two of them know could not: how many steps a solve takes
+        would depend on how the mesh is divided. So none are, for now.
+        """
         cables = [term for term in potential.terms if term.of_cables]
         parts = all(type(term).restricted is not EnergyTerm.restricted for term in cables)
         history = any(term.has_history for term in potential.terms)
         bounds = potential.unknowns.bounds is not None
-        return len(cables) > 0 and parts and not history and not bounds
+        one = potential.comm.size == 1
+        return one and len(cables) > 0 and parts and not history and not bounds
 
     def relax_points(self, tolerance: float) -> bool:
         """Relax points while they are far more out of balance than the vertices. Collective.
