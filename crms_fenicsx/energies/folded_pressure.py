@@ -15,7 +15,7 @@ import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import ElementPattern, rows_of
+from crms_fenicsx.dofs.block_patterns import BlockPattern, ElementPattern, rows_of
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.term import EnergyTerm
@@ -136,8 +136,12 @@ class FoldedFollowerPressure(EnergyTerm):
             _add_volume_gradient(self.unknowns.X, x, t.corners, t.weights, self.origin, factor, g)
 
     def count_stiffness(self, sizes: RowSizes) -> None:
-        """Count the blocks of the second derivatives."""
-        self.pattern.count(sizes)
+        """Count the blocks of the second derivatives; those of vertices are the membrane's."""
+        is_vertex = np.zeros(sizes.unknowns.n_local, dtype=bool)
+        is_vertex[sizes.unknowns.vertex_blocks()] = True
+        rows, cols = self.pattern.rows, self.pattern.cols
+        beside = ~(is_vertex[rows] & is_vertex[cols])
+        BlockPattern(rows[beside], cols[beside]).count(sizes)
 
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add nothing, as they are not definite, but to where the second derivatives go."""

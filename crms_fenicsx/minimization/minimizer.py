@@ -25,24 +25,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.energies.stiffening import Stiffening
+from crms_fenicsx.minimization import outcome as endings
 from crms_fenicsx.minimization.initial_hessian import InitialHessian, at_bounds
-from crms_fenicsx.minimization.newton import PATIENCE, NewtonMethod
-from crms_fenicsx.minimization.outcome import (
-    DROWNED,
-    OUT_OF_RANGE,
-    REASONS,
-    SEARCH_FAILED,
-    Outcome,
-)
+from crms_fenicsx.minimization.newton import FROM, PATIENCE, NewtonMethod
+from crms_fenicsx.minimization.outcome import REASONS, SEARCH_FAILED, Outcome
 from crms_fenicsx.minimization.potential import Potential
-from crms_fenicsx.minimization.relaxation import FROM, SETTLED, LocalRelaxation
 from crms_fenicsx.runtime.errors import InputError
+
+if TYPE_CHECKING:
+    from crms_fenicsx.minimization.relaxation import LocalRelaxation
 
 STAGE_LENGTHS = (3, 6, 10, 20)
 """Iterations after which H0 is rebuilt; the last value repeats."""
@@ -149,8 +147,10 @@ class Minimizer:
                 f"option -{prefix}tao_type {kind} {why}; choose one of {', '.join(usable)}."
             )
         self._uses_h0 = kind in ("blmvm", "lmvm")
-        if self._uses_h0 and LocalRelaxation.possible(potential):
-            self._relaxation = LocalRelaxation(potential)
+        if self._uses_h0 and any(term.of_cables for term in potential.terms):
+            from crms_fenicsx.minimization.relaxation import LocalRelaxation
+
+            self._relaxation = LocalRelaxation.of(potential)
         self._coarse = COARSE if self._relaxation is None else ROUGH
         self._newton_method = NewtonMethod(potential, self.h0, self._relaxation)
         self._h0_set = False
@@ -223,7 +223,7 @@ class Minimizer:
             ended = int(self.tao.getConvergedReason())
         except PETSc.Error as error:
             # Raised where a trial step has a slope of the wrong sign: the search is over.
-            if error.ierr != OUT_OF_RANGE or error.__cause__ is not None:
+            if error.ierr != endings.OUT_OF_RANGE or error.__cause__ is not None:
                 raise
             self._x0.copy(self._x)
             ended = SEARCH_FAILED
@@ -341,7 +341,7 @@ class Minimizer:
         self._aged |= reason != "converged"
         converged = reason in ("converged", "interrupted")
         if not converged and rounding > tolerance:
-            reason += DROWNED.format(rounding)
+            reason += endings.DROWNED.format(rounding)
         return Outcome(
             converged,
             reason,
@@ -363,11 +363,8 @@ class Minimizer:
         residual, of_vertices = self.residual(), self._relaxation.vertex_residual()
         # One point alone may be what the scale comes from. On a flat sheet that is no reason.
         settled = (of_vertices if stressed else residual) < FROM * self._scale
-        return (
-            settled
-            and residual > SETTLED * self._scale
-            and (self._relaxation.relax_points(tolerance))
-        )
+        worth = settled and residual > CLOSE * self._scale
+        return worth and self._relaxation.relax_points(tolerance)
 
     def _evaluate(self) -> tuple[float, float, float]:
         """Evaluate the potential; return the gradient's norm, its tolerance and its rounding."""

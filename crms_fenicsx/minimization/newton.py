@@ -13,12 +13,20 @@ grows where the energy falls less than promised, and shrinks else.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from petsc4py import PETSc
 
 from crms_fenicsx.energies.stiffening import FLOOR
 from crms_fenicsx.minimization.initial_hessian import InitialHessian
 from crms_fenicsx.minimization.potential import Potential
-from crms_fenicsx.minimization.relaxation import FROM, LocalRelaxation
+
+if TYPE_CHECKING:
+    from crms_fenicsx.minimization.relaxation import LocalRelaxation
+
+FROM = 0.2
+"""Residual, relative to the force scale, from which on points are relaxed. On a roof that is still
+flat cables would slide to worse paths."""
 
 STUBBORN, PATIENCE = 0.1, 8
 """Reduction of the residual by a stage above which Newton's method takes over, after how many

@@ -20,10 +20,6 @@ from crms_fenicsx.minimization.local_potential import LocalPotential
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.runtime.arrays import Array, Booleans
 
-FROM = 0.2
-"""Residual, relative to the force scale, from which on points are relaxed. On a roof that is still
-flat cables would slide to worse paths."""
-
 POINT_PART, POINT_RINGS = 0.1, 2
 PATCH_PART, PATCH_RINGS = 0.02, 3
 """Force, relative to the largest, from which on a point, or a block of a patch, is relaxed, and how
@@ -81,8 +77,13 @@ class LocalRelaxation:
         self._point_links = _adjacency(links[self._points[links].all(axis=1)], len(free))
         self._links = _adjacency(links[free[links].all(axis=1)], len(free))
 
+    @classmethod
+    def of(cls, potential: Potential) -> LocalRelaxation | None:
+        """Make one where a potential has cable points that can be relaxed alone."""
+        return cls(potential) if cls._possible(potential) else None
+
     @staticmethod
-    def possible(potential: Potential) -> bool:
+    def _possible(potential: Potential) -> bool:
         """Whether a potential has cable points that can be relaxed alone.
 
         On several processes those that two of them know could not: how many steps a solve takes
