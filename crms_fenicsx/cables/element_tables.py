@@ -17,12 +17,10 @@ from crms_fenicsx.energies.fold_penalty import FoldAngles
 from crms_fenicsx.energies.folded_membrane import FoldedCells
 from crms_fenicsx.energies.folded_pressure import Facets
 from crms_fenicsx.energies.membrane import MembraneEnergy
-from crms_fenicsx.meshes.cell_geometry import area_vectors
-from crms_fenicsx.minimization.damping import Damping
-from crms_fenicsx.model.materials import N_PARAMETERS
+from crms_fenicsx.meshes.cell_geometry import area_vectors, cell_sides
+from crms_fenicsx.minimization.damping import Damping, Springs
 from crms_fenicsx.model.tolerances import SAME_PLACE, SMOOTHING
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers, pointers, runs
-from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.surface.polygons import fan_facets
 
 NEAR_ANCHOR = 1e-3
@@ -120,9 +118,8 @@ class _FoldedCellsOf:
 
     def folded(self, membrane: MembraneEnergy) -> FoldedCells:
         """Sides in segments, and the cells' material."""
-        mesh, cells = self.numbering.u.function_space.mesh, self.local
-        X: Array = np.asarray(mesh.geometry.x[geometry_dofmap(mesh)[cells]], dtype=float)
-        vectors = np.roll(X, -1, axis=1) - X
+        cells = self.local
+        vectors = cell_sides(self.numbering.u.function_space.mesh, cells)
         lengths = np.linalg.norm(vectors, axis=2).ravel()
         # The sides by number as they first occur.
         sides = self.strip.simplices.sides[self.cells.rows].ravel()
@@ -132,8 +129,7 @@ class _FoldedCellsOf:
         parts = np.diff(lines) - 1
         start = runs(lines[:-1], parts)
         smoothing = np.where(parts > 1, SMOOTHING * lengths[first[order]], 0.0)
-        tags, material = np.unique(membrane.material_tags(cells), return_inverse=True)
-        materials = [membrane.materials[int(tag)] for tag in tags]
+        laws, parameters = membrane.laws(cells)
         return FoldedCells(
             cells=cells,
             segments=np.stack([blocks[start], blocks[start + 1]], axis=1),
@@ -142,10 +138,8 @@ class _FoldedCellsOf:
             side_segments=np.arange(len(start), dtype=np.int32),
             sides=np.argsort(order)[inverse].reshape(-1, 3).astype(np.int32),
             side_vectors=np.einsum("nki,nai->nka", vectors, membrane.material_axes(cells)),
-            laws=np.array([m.law for m in materials], dtype=np.int32)[material],
-            parameters=np.array([m.parameters for m in materials]).reshape(-1, N_PARAMETERS)[
-                material
-            ],
+            laws=laws,
+            parameters=parameters,
         )
 
     def kinks(self) -> tuple[Indices, Integers, Integers]:
@@ -180,4 +174,4 @@ def damping(numbering: CableNumbering, segments: Indices) -> Damping:
     rows = rows[own]
     ends = numbering.support_blocks(rows)[:, :2]
     sliders = np.concatenate([numbering.node_blocks[rows, None], ends], axis=1).astype(np.int32)
-    return Damping(sliders, numbering.fractions()[rows], segments)
+    return Damping(Springs(sliders, numbering.fractions()[rows], segments))

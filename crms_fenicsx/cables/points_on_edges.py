@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 
 import numpy as np
 
 from crms_fenicsx.cables.node_table import CROSSING, NodeTable
+from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.crossing import NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
@@ -56,17 +57,22 @@ class PointsOnEdges:
         self.place[self.nodes] = np.arange(len(self.nodes)) - self.starts[edge]
 
 
+def on_edges(nodes: Sequence[CableNode]) -> Iterator[tuple[int, Edge]]:
+    """Numbers of a cable's nodes on edges, crossings not counted, and these edges."""
+    for k, node in enumerate(nodes):
+        if isinstance(node.point, EdgePoint) and node.kind != "crossing":
+            yield k, node.point.edge
+
+
 def nodes_on_edges(
     cables: Sequence[LaidCable], wanted: Container[Edge] | None = None
 ) -> dict[Edge, list[NodeId]]:
     """Nodes of cables in tension on wanted edges, or on all, lifted ones too."""
     found: dict[Edge, list[NodeId]] = defaultdict(list)
     for c, cable in enumerate(cables):
-        for k, node in enumerate(cable.nodes) if cable.taut else ():
-            point = node.point
-            if isinstance(point, EdgePoint) and node.kind != "crossing":
-                if wanted is None or point.edge in wanted:
-                    found[point.edge].append((c, k))
+        for k, edge in on_edges(cable.nodes) if cable.taut else ():
+            if wanted is None or edge in wanted:
+                found[edge].append((c, k))
     return found
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.line_load import smooth_line_load
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.runtime.arrays import Array, Integers
+from crms_fenicsx.runtime.arrays import EPSILON, Array, Integers
 from crms_fenicsx.surface.points import EdgePoint, VertexPoint
 from crms_fenicsx.surface.triangles import cross, dot, norm
 
@@ -125,7 +125,7 @@ def paper_forces(cable: LaidCable) -> Array:
         i = contacts.index(k)
         beside = {cable.nodes[contacts[i - 1]].kind, cable.nodes[contacts[i + 1]].kind}
         if "anchor" in beside:
-            forces[k] = cable.tension * sine / max(cosine, np.finfo(float).eps)
+            forces[k] = cable.tension * sine / max(cosine, EPSILON)
         else:
             forces[k] = 2 * cable.tension * sine
     return forces

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
 from crms_fenicsx.cables.element_tables import CableTables
@@ -75,11 +73,10 @@ class FoldContribution(Contribution):
         if self.membrane.has_history or UFL_LAW in (m.law for m in energy.materials.values()):
             return
         cells = PlainCells(unknowns, energy)
-        energy.twin = cells.membrane
+        energy.twin = cells.membrane()
         if isinstance(pressure.term, FollowerPressure):
-            pressure.term.twin = partial(
-                cells.pressure, pressure.cells, pressure.value, self.scene.membrane.centre
-            )
+            centre = self.scene.membrane.centre
+            pressure.term.twin = cells.pressure(pressure.cells, pressure.value, centre)
 
     def _fold_term(self, tables: CableTables) -> FoldedMembraneEnergy:
         plain = self.membrane.energy

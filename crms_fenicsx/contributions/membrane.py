@@ -97,8 +97,7 @@ def hold(scene: Scene, unknowns: Unknowns) -> None:
 
 def tiny_force(scene: Scene) -> float:
     """Return a force that is nothing without any load; with one, forces are told from its own."""
-    dead = scene.dead_forces
-    if scene.pressure != 0.0 or (dead is not None and scene.load * dead.intensity != 0.0):
+    if scene.pressure != 0.0 or any(load.factor * load.intensity != 0.0 for load in scene.loads):
         return 0.0
     materials = scene.materials.values()
     section = max(m.reference_modulus + float(m.prestress_vector.max()) for m in materials)

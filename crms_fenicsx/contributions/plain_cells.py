@@ -12,9 +12,9 @@ from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.folded_membrane import FoldedCells, FoldedMembraneEnergy
 from crms_fenicsx.energies.folded_pressure import Facets, FoldedFollowerPressure
 from crms_fenicsx.energies.membrane import MembraneEnergy
-from crms_fenicsx.model.materials import N_PARAMETERS
+from crms_fenicsx.energies.term import Twin
+from crms_fenicsx.meshes.cell_geometry import cell_sides
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
-from crms_fenicsx.runtime.compat import geometry_dofmap
 
 
 class PlainCells:
@@ -40,19 +40,21 @@ class PlainCells:
         """Rows of the cells with chosen vertices."""
         return np.flatnonzero(chosen[self.blocks].any(axis=1)).astype(np.int32)
 
-    def membrane(self, chosen: Booleans) -> FoldedMembraneEnergy | None:
-        """Strain energy of the cells with chosen vertices, (n_local,)."""
+    def membrane(self) -> Twin:
+        """Twin of their strain energy."""
+        stiffening = self._energy.stiffening
+        return Twin(self._cells, lambda table: FoldedMembraneEnergy(table, stiffening))
+
+    def _cells(self, chosen: Booleans) -> FoldedCells | None:
+        """The cells with chosen vertices, (n_local,)."""
         rows, membrane = self._around(chosen), self._energy
         if len(rows) == 0:
             return None
         cells, n = self.cells[rows], 3 * len(rows)
-        mesh = membrane.u.function_space.mesh
-        X: Array = np.asarray(mesh.geometry.x[geometry_dofmap(mesh)[cells]], dtype=float)
-        sides = np.roll(X, -1, axis=1) - X
-        tags, material = np.unique(membrane.material_tags(cells), return_inverse=True)
-        materials = [membrane.materials[int(tag)] for tag in tags]
+        sides = cell_sides(membrane.u.function_space.mesh, cells)
+        laws, parameters = membrane.laws(cells)
         ends = self.blocks[rows]
-        table = FoldedCells(
+        return FoldedCells(
             cells=cells,
             segments=np.stack([ends, np.roll(ends, -1, axis=1)], axis=2).reshape(-1, 2),
             eps=np.zeros(n),
@@ -60,17 +62,12 @@ class PlainCells:
             side_segments=np.arange(n, dtype=np.int32),
             sides=np.arange(n, dtype=np.int32).reshape(-1, 3),
             side_vectors=np.einsum("nki,nai->nka", sides, membrane.material_axes(cells)),
-            laws=np.array([m.law for m in materials], dtype=np.int32)[material],
-            parameters=np.array([m.parameters for m in materials]).reshape(-1, N_PARAMETERS)[
-                material
-            ],
+            laws=laws,
+            parameters=parameters,
         )
-        return FoldedMembraneEnergy(table, membrane.stiffening)
 
-    def pressure(
-        self, pressed: fem.Function, pressure: fem.Constant, origin: Array, chosen: Booleans
-    ) -> FoldedFollowerPressure | None:
-        """Pressure on those of the cells that are under it.
+    def pressure(self, pressed: fem.Function, pressure: fem.Constant, origin: Array) -> Twin:
+        """Twin of the pressure on those of the cells that are under it.
 
         Parameters
         ----------
@@ -78,14 +75,13 @@ class PlainCells:
             1 in the plain cells under pressure, else 0.
         pressure, origin
             As for `FoldedFollowerPressure`.
-        chosen : (n_local,)
-            Whether a block moves.
         """
-        rows = self._around(chosen)
-        rows = rows[pressed.x.array[self.cells[rows]] > 0.0]
-        if len(rows) == 0:
-            return None
-        none = np.zeros((0, 3), dtype=np.int32)
-        return FoldedFollowerPressure(
-            Facets(self.blocks[rows], np.ones(len(rows)), none), pressure, origin
-        )
+
+        def facets(chosen: Booleans) -> Facets | None:
+            rows = self._around(chosen)
+            rows = rows[pressed.x.array[self.cells[rows]] > 0.0]
+            none = np.zeros((0, 3), dtype=np.int32)
+            table = Facets(self.blocks[rows], np.ones(len(rows)), none)
+            return table if len(rows) else None
+
+        return Twin(facets, lambda table: FoldedFollowerPressure(table, pressure, origin))

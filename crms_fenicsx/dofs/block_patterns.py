@@ -69,11 +69,12 @@ class BlockPattern:
         self._row_values = np.zeros(9 * len(cols))
         self._starts, self._strides = starts[block], strides[block]
 
-    def count(self, sizes: RowSizes) -> None:
-        """Count the blocks that `add` fills."""
+    def count(self, sizes: RowSizes, known: int = 0) -> None:
+        """Count the blocks that `add` fills, but those among the first `known` of matrices."""
         if self._unknowns is not sizes.unknowns:
             self._arrange(sizes.unknowns)
-        sizes.add(*sizes.unknowns.matrix_order()[self._numbers])
+        new = (self._numbers >= known).any(axis=0)
+        sizes.add(*sizes.unknowns.matrix_order()[self._numbers[:, new]])
 
     def add(self, A: PETSc.Mat | BlockSink, unknowns: Unknowns) -> None:
         """Add what `values` holds.

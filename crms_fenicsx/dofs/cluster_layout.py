@@ -9,7 +9,7 @@ import scipy.sparse as sp
 from mpi4py import MPI
 from scipy.sparse.csgraph import connected_components
 
-from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.local_blocks import LocalBlocks
 from crms_fenicsx.runtime.arrays import Array, Indices, Integers
 
 
@@ -21,7 +21,7 @@ class ClusterLayout:
     whole
         The layout.
     blocks
-        Owned blocks of it that are free to move, without riders, (n,).
+        Blocks of it that are free to move, without riders, (n,).
     elements
         Blocks of the elements that depend on them in CSR form, pointers and blocks, for each kind.
 
@@ -35,6 +35,8 @@ class ClusterLayout:
         Number of each block's cluster.
     number : (n_local,)
         Place of the layout's blocks among `blocks`, -1 for others.
+    groups : (n_local,)
+        Cluster that each block of the layout moves with, or -1.
     rails, directions
         Places of those that are displaced along a line only, and these lines, (k, 3).
     held : (n, 3)
@@ -44,7 +46,7 @@ class ClusterLayout:
     comm = MPI.COMM_SELF
 
     def __init__(
-        self, whole: Unknowns, blocks: Indices, elements: Sequence[tuple[Indices, Indices]]
+        self, whole: LocalBlocks, blocks: Indices, elements: Sequence[tuple[Indices, Indices]]
     ) -> None:
         self.whole, self.X, self.n_local = whole, whole.X, whole.n_local
         self.number = np.full(whole.n_local, -1)
@@ -55,11 +57,13 @@ class ClusterLayout:
         self.n_clusters = int(cluster.max(initial=-1)) + 1
         self.starts = np.searchsorted(self.cluster, np.arange(self.n_clusters + 1))
         self.number[self.blocks] = np.arange(len(blocks))
+        moved = self._moved_by(np.arange(self.n_local, dtype=np.int32))
+        self.groups: Integers = np.append(self.cluster, -1)[moved.max(axis=1)]
         self.held = whole.held[self.blocks]
         rails = self.number[whole.rails]
         self.rails, self.directions = rails[rails >= 0], whole.directions[rails >= 0]
 
-    def moved_by(self, blocks: Indices) -> Integers:
+    def _moved_by(self, blocks: Indices) -> Integers:
         """Free blocks that blocks (m,) move with, by number: (m, 1), with riders (m, 3), or -1."""
         whole = self.whole
         if whole.n_riders == 0:
@@ -75,7 +79,7 @@ class ClusterLayout:
         for pointers, members in elements:
             element = size + np.repeat(np.arange(len(pointers) - 1), np.diff(pointers))
             size += len(pointers) - 1
-            for moved in self.moved_by(members).T:
+            for moved in self._moved_by(members).T:
                 rows.append(element[moved >= 0])
                 cols.append(moved[moved >= 0])
         if not rows:
@@ -87,16 +91,9 @@ class ClusterLayout:
 
     def clusters_of(self, pointers: Indices, members: Indices) -> Integers:
         """Cluster of each of some elements in CSR form, (n,); -1 of those that do not move."""
-        moved = self.moved_by(members).max(axis=1, initial=-1)
-        cluster = np.append(self.cluster, -1)[moved]
         if len(pointers) == 1:
             return np.zeros(0, dtype=np.int64)
-        return np.asarray(np.maximum.reduceat(cluster, pointers[:-1]), dtype=np.int64)
-
-    def groups(self) -> Integers:
-        """Cluster that each block of the layout moves with, (n_local,), or -1."""
-        every = np.arange(self.n_local, dtype=np.int32)
-        return np.append(self.cluster, -1)[self.moved_by(every).max(axis=1)]
+        return np.asarray(np.maximum.reduceat(self.groups[members], pointers[:-1]), dtype=np.int64)
 
     def project(self, values: Array) -> None:
         """Leave of vectors of the blocks, (n, 3), what they are free to move by."""

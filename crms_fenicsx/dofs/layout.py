@@ -7,11 +7,6 @@ Everything is counted in *blocks* of three components. On each rank the local bl
 and the PETSc vectors hold the first two groups. Cable points are fold points on edges, anchors and
 other points that cables pass without being mesh vertices. Terms of the potential see one local
 array (n, 3) of displacements, ghosts included, and address its blocks.
-
-Some cable points have less freedom than three components. *Riders* are weighted means of vertices,
-*rails* move along a straight line in space. Both are a change of variables x = P y: positions are
-put where P has them, forces and stiffness become P^T g and P^T K P. For a rail P = d d^T, d the
-line's direction; so what starts on the line stays there.
 """
 
 from __future__ import annotations
@@ -22,6 +17,7 @@ import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
 
+from crms_fenicsx.dofs.local_blocks import LocalBlocks
 from crms_fenicsx.dofs.vertex_places import vertex_places
 from crms_fenicsx.runtime.arrays import Array, Indices, Integers
 
@@ -35,7 +31,7 @@ EVENLY = "vec_mdot_use_gemv"
 """PETSc's option for that way, read when a vector is made."""
 
 
-class Unknowns:
+class Unknowns(LocalBlocks):
     """Numbering, ghosted vectors and held components of the unknowns.
 
     Parameters
@@ -56,8 +52,8 @@ class Unknowns:
     X : (n, 3) array
         Positions that belong to zero displacement: stress-free vertices, first positions of
         cable points (to be filled in by who lays the cable).
-    held : (n, 3) bool array
-        Components with a prescribed value.
+    starts : (ranks + 1,)
+        Global numbers of the ranks' first blocks, and of all blocks.
     bounds : None or (lower, upper), each (n, 3)
         One-sided obstacles, as bounds of displacements.
     """
@@ -92,18 +88,15 @@ class Unknowns:
             ghosts[self.n_ghost_vertices + k] = starts[owner] + sizes[owner, 0] + index
         for k, (owner, dof) in enumerate(far_vertices, start=len(ghosts) - len(far_vertices)):
             ghosts[k] = starts[owner] + dof
-        self.ghosts = ghosts
+        self.ghosts, self.starts = ghosts, starts
         self.start = int(starts[self.comm.rank])
         self.n_global = int(starts[-1])
 
-        self.X = np.zeros((self.n_local, 3))
-        self.X[self.vertex_blocks()] = vertex_places(V)
-        self.held = np.zeros((self.n_local, 3), dtype=bool)
+        X = np.zeros((self.n_local, 3))
+        X[self.vertex_blocks()] = vertex_places(V)
+        super().__init__(X)
         self.matrix_numbers = np.argsort(self.matrix_order()).astype(PETSc.IntType)
         self.bounds: tuple[Array, Array] | None = None
-        none = np.zeros(0, dtype=np.int32)
-        self.set_riders(none, none.reshape(0, 3), np.zeros((0, 3)))
-        self.set_rails(none, np.zeros((0, 3)))
 
     def vertex_blocks(self) -> Indices:
         """Local blocks of the vertices in DOLFINx's local order (owned, then ghosts)."""
@@ -161,9 +154,12 @@ class Unknowns:
 
     def lgmap(self) -> PETSc.LGMap:
         """Local to global map of the blocks in matrix order."""
+        return PETSc.LGMap().create(self.numbers()[self.matrix_order()], bsize=3, comm=self.comm)
+
+    def numbers(self) -> Integers:
+        """Global numbers of the local blocks, (n_local,)."""
         owned = np.arange(self.start, self.start + self.n_owned, dtype=PETSc.IntType)
-        numbers = np.concatenate([owned, self.ghosts])[self.matrix_order()]
-        return PETSc.LGMap().create(numbers, bsize=3, comm=self.comm)
+        return np.concatenate([owned, self.ghosts])
 
     def update_ghosts(self, vector: PETSc.Vec) -> None:
         """Copy owned values to the ghosts of other ranks."""
@@ -175,69 +171,6 @@ class Unknowns:
         if self.comm.size > 1:
             vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
 
-    def set_riders(
-        self, riders: Indices, interpolation: Indices, weights: Array, n_loaded: int | None = None
-    ) -> None:
-        """Let points ride on vertices: their position is a weighted mean of the vertices'.
-
-        `X` must have the places of all these blocks.
-
-        Parameters
-        ----------
-        riders
-            Local blocks of cable points, (n,).
-        interpolation, weights
-            Local blocks of three vertices each and their weights, (n, 3).
-        n_loaded
-            How many of the first of them have forces; None: all. Others are idle: an evaluation of
-            the energy leaves them where they are, see `place_idle_riders`.
-        """
-        self.riders, self.interpolation, self.weights = riders, interpolation, weights
-        self.n_riders, self.n_loaded = len(riders), len(riders) if n_loaded is None else n_loaded
-        self.held[riders] = True
-        self._undisplaced = np.einsum("nk,nki->ni", weights, self.X[interpolation]) - self.X[riders]
-        loaded = interpolation[: self.n_loaded]
-        self._loaded_components = (3 * loaded[:, :, None] + np.arange(3)).ravel()
-
-    def place_riders(self, x: Array) -> None:
-        """Move the riders that have forces with their vertices."""
-        if self.n_loaded:
-            self._place(slice(0, self.n_loaded), x)
-
-    def place_idle_riders(self, x: Array) -> None:
-        """Move the riders without forces with their vertices."""
-        if self.n_loaded < self.n_riders:
-            self._place(slice(self.n_loaded, self.n_riders), x)
-
-    def _place(self, some: slice, x: Array) -> None:
-        moved = np.einsum("nk,nki->ni", self.weights[some], x[self.interpolation[some]])
-        x[self.riders[some]] = moved + self._undisplaced[some]
-
-    def set_rails(self, rails: Indices, directions: Array) -> None:
-        """Let points be displaced along a direction only.
-
-        Parameters
-        ----------
-        rails
-            Local blocks of cable points, (n,). Ghosts too: a rank projects what it adds to them.
-        directions
-            Unit vectors, (n, 3), the same on all ranks that have the point.
-        """
-        self.rails, self.directions = np.asarray(rails, dtype=np.intp), directions
-        self.n_rails = len(rails)
-        self._at_rails, self._along = np.zeros((self.n_rails, 3)), np.zeros(self.n_rails)
-
-    def project(self, values: Array) -> None:
-        """Leave of the rails' vectors in `values` (n_local, 3) the part along their lines.
-
-        Allocates nothing.
-        """
-        if self.n_rails:
-            np.take(values, self.rails, axis=0, out=self._at_rails, mode="clip")
-            np.einsum("ni,ni->n", self._at_rails, self.directions, out=self._along)
-            np.einsum("ni,n->ni", self.directions, self._along, out=self._at_rails)
-            values[self.rails] = self._at_rails
-
     def gather_forces(self, vector: PETSc.Vec, g: Array) -> None:
         """Hand the riders' forces to their vertices and those of ghosts to their owners.
 
@@ -245,61 +178,3 @@ class Unknowns:
         """
         self.hand_over(g)
         self.add_ghosts(vector)
-
-    def hand_over(self, g: Array) -> None:
-        """Hand the riders' forces to their vertices."""
-        if self.n_loaded:
-            riders = self.riders[: self.n_loaded]
-            parts = self.weights[: self.n_loaded, :, None] * g[riders][:, None, :]
-            # one by one: six times as fast as by rows of three
-            np.add.at(g.reshape(-1), self._loaded_components, parts.ravel())
-            g[riders] = 0.0
-
-    def spread(self, rows: Indices, cols: Indices) -> tuple[Indices, Indices, Array]:
-        """Where stiffness blocks go, those of riders to their vertices.
-
-        Parameters
-        ----------
-        rows, cols
-            Local blocks, (n,).
-
-        Returns
-        -------
-        places
-            Local blocks of rows and columns, (2, m).
-        sources, weights
-            Which of the n blocks goes there, and what part of it, (m,).
-        """
-        blocks = np.zeros((self.n_local, 3), dtype=np.int32)
-        share = np.zeros((self.n_local, 3))
-        blocks[:, 0], share[:, 0] = np.arange(self.n_local), 1.0
-        blocks[self.riders], share[self.riders] = self.interpolation, self.weights
-        rides = np.zeros(self.n_local, dtype=bool)
-        rides[self.riders] = True
-        spreads = rides[rows] | rides[cols]
-        some, plain = np.flatnonzero(spreads), np.flatnonzero(~spreads)
-        parts = share[rows[some]][:, :, None] * share[cols[some]][:, None, :]
-        part, i, j = np.nonzero(parts)
-        entry = some[part]
-        order = np.argsort(np.concatenate([plain, entry]), kind="stable")
-        places = np.stack(
-            [
-                np.concatenate([rows[plain], blocks[rows[entry], i]])[order],
-                np.concatenate([cols[plain], blocks[cols[entry], j]])[order],
-            ]
-        )
-        weights = np.concatenate([np.ones(len(plain)), parts[part, i, j]])[order]
-        return places, np.concatenate([plain, entry])[order].astype(np.int32), weights
-
-    def project_blocks(self, rows: Indices, cols: Indices, values: Array) -> Array:
-        """Stiffness blocks (n, 3, 3) with those of rails projected: P_row K P_col."""
-        number = np.full(self.n_local, -1)
-        number[self.rails] = np.arange(self.n_rails)
-        values = values.copy()
-        at = np.flatnonzero(number[rows] >= 0)
-        d = self.directions[number[rows[at]]]
-        values[at] = np.einsum("ni,nk,nkj->nij", d, d, values[at])
-        at = np.flatnonzero(number[cols] >= 0)
-        d = self.directions[number[cols[at]]]
-        values[at] = np.einsum("nik,nk,nj->nij", values[at], d, d)
-        return values

@@ -21,7 +21,7 @@ def unique_pairs(rows: Indices, cols: Indices, size: int) -> tuple[Integers, Int
         Which of them each pair is.
     """
     found: tuple[Integers, Integers, Integers] = _unique_pairs(
-        rows.astype(np.int64), cols.astype(np.int64), size
+        rows.astype(np.int64), cols.astype(np.int64), np.arange(len(rows)), size
     )
     return found
 
@@ -32,8 +32,9 @@ def _by(keys, order, size):  # type: ignore[no-untyped-def]
     starts = np.zeros(size + 1, dtype=np.int64)
     for n in range(len(keys)):
         starts[keys[n] + 1] += 1
-    starts = np.cumsum(starts)
-    found = np.empty_like(order)
+    for k in range(size):
+        starts[k + 1] += starts[k]
+    found = np.empty(len(order), dtype=np.int64)
     for n in order:
         found[starts[keys[n]]] = n
         starts[keys[n]] += 1
@@ -41,9 +42,9 @@ def _by(keys, order, size):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _unique_pairs(rows, cols, size):  # type: ignore[no-untyped-def]
-    """As `unique_pairs`."""
-    order = _by(rows, _by(cols, np.arange(len(rows)), size), size)
+def _unique_pairs(rows, cols, every, size):  # type: ignore[no-untyped-def]
+    """As `unique_pairs`; `every` are the numbers 0 ... n - 1."""
+    order = _by(rows, _by(cols, every, size), size)
     place = np.empty(len(rows), dtype=np.int64)
     m = 0
     for i in range(len(order)):

@@ -3,20 +3,56 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.block_patterns import BlockSink, ElementPattern, SegmentPattern, rows_of
+from crms_fenicsx.dofs.elements import ElementTable
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.segments import add_segment_forces, segment_lengths, segment_stiffness
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.model.cable_state import StepStart
 from crms_fenicsx.model.laid_cable import NEARLY_TAUT
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
+from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans, Indices, Integers
 
-EPSILON = float(np.finfo(float).eps)
+
+@dataclass(frozen=True)
+class CableSegments(ElementTable):
+    """Segments of cables.
+
+    Attributes
+    ----------
+    ends : (n, 2)
+        Blocks.
+    eps : (n,)
+        Smoothing of their lengths.
+    cable : (n,)
+        Number of the cable.
+    lengths : (n,)
+        Their lengths at the last evaluation.
+    """
+
+    ends: Indices
+    eps: Array
+    cable: Indices
+    lengths: Array
+    addresses = ("ends",)
+
+    @property
+    def element_blocks(self) -> tuple[Indices, Indices]:
+        """Ends of the segments."""
+        return rows_of(self.ends)
+
+    @classmethod
+    def joined(cls, tables: Sequence[Self]) -> Sequence[Self]:
+        """All segments in one table, as a cable's length is the sum of theirs."""
+        names = [field.name for field in fields(cls)]
+        return [cls(*(np.concatenate([getattr(t, name) for t in tables]) for name in names))]
 
 
 class CableTension(EnergyTerm):
@@ -121,15 +157,17 @@ class CableTension(EnergyTerm):
         self._forces[:] = self.cable == k
         add_segment_forces(self.unknowns.X, x, self.segments, self.eps, self._forces, g)
 
-    def restricted(self, chosen: Booleans, sums: Array) -> CableTension | None:
-        """Segments with chosen ends; the rest of each cable keeps its length."""
+    def elements_on(self, chosen: Booleans) -> CableSegments | None:
+        """Segments with chosen ends, on each rank a table, as `split` is collective."""
         rows = np.flatnonzero(chosen[self.segments].any(axis=1))
-        if len(rows) == 0:
-            return None
-        some = CableTension(
-            self.segments[rows], self.eps[rows], self.cable[rows], self.EA, self.L0
-        )  # fmt: skip
-        some._lengths[:] = self._lengths[rows]
+        return CableSegments(
+            self.segments[rows], self.eps[rows], self.cable[rows], self._lengths[rows]
+        )
+
+    def of_elements(self, table: CableSegments, sums: Array) -> CableTension:
+        """The tension of such segments; the rest of each cable keeps its length."""
+        some = CableTension(table.ends, table.eps, table.cable, self.EA, self.L0)
+        some._lengths[:] = table.lengths
         some.excess = some._moving() - sums
         return some
 
@@ -137,7 +175,7 @@ class CableTension(EnergyTerm):
         """Length of each cable in these segments at the last `sums`, (n_cables,)."""
         return np.bincount(self.cable, self._lengths, len(self.EA)).astype(np.float64)
 
-    def split(self, groups: Integers) -> CableTension:
+    def split(self, groups: Integers, comm: MPI.Intracomm) -> CableTension:
         """Cables in pieces, one for each group that they run through.
 
         A piece is as stiff as all pieces of its cable together, so that the energy of all, if each
@@ -147,7 +185,9 @@ class CableTension(EnergyTerm):
         stride = int(group.max(initial=0)) + 1
         pieces, piece = np.unique(self.cable * stride + group, return_inverse=True)
         cables = pieces // stride
-        count = np.bincount(cables, minlength=len(self.EA))[cables]
+        counts = np.bincount(cables, minlength=len(self.EA))
+        comm.Allreduce(MPI.IN_PLACE, counts)
+        count = counts[cables]
         L0, EA = self.L0[cables], self.EA[cables] * count
         some = CableTension(self.segments, self.eps, piece.astype(np.int32), EA, L0)
         some._lengths[:] = self._lengths
@@ -173,10 +213,6 @@ class CableTension(EnergyTerm):
         scaled = gradients[a] * self.dyads(sums)[cable[a], None]
         np.einsum("ni,nj->nij", scaled, gradients[b], out=pattern.values)
         pattern.add(A, self.unknowns)
-
-    def element_blocks(self) -> tuple[Indices, Indices]:
-        """Ends of the segments."""
-        return rows_of(self.segments)
 
     def element_energies(self, sums: Array) -> Array:
         """Energies of the cables, spread evenly over their segments."""

@@ -29,9 +29,11 @@ import math
 import numba
 import numpy as np
 
+from crms_fenicsx.runtime.arrays import EPSILON
+
 ENERGY, LAW = 0, 1
 MAX_ITERATIONS = 1000
-ROUNDING = 32 * float(np.finfo(float).eps)
+ROUNDING = 32 * EPSILON
 """Unbalanced force at which the slips are found, relative to the stiffness of the spans."""
 INSIDE = 0.9
 """How far a step may go towards a span that has no unstressed length left, or no strain."""
@@ -117,8 +119,10 @@ def find_slips(kind, span, rest, L0, bound, eps, s, d):  # type: ignore[no-untyp
         `ENERGY` or `LAW`; for the latter the cable must be longer than L0.
     span : (m,)
         Current lengths of the spans (length), all positive.
-    rest : (m - 1,), L0
-        Unstressed arcs without slip, and the unstressed length (length).
+    rest : (m - 1,)
+        Unstressed arcs without slip (length).
+    L0
+        Unstressed length of the cable (length).
     bound : (m - 1,)
         B relative to EA, or m. Zero where nothing holds the cable.
     eps : (m - 1,)

@@ -20,15 +20,14 @@ import numpy as np
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.block_patterns import ElementPattern, rows_of
+from crms_fenicsx.dofs.elements import ElementTable
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
-
-EPSILON = float(np.finfo(float).eps)
+from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans, Indices
 
 
 @dataclass(frozen=True)
-class FoldAngles:
+class FoldAngles(ElementTable):
     """Where this rank's chords meet sides.
 
     Attributes
@@ -45,6 +44,12 @@ class FoldAngles:
     points: Indices
     coefficients: Array
     weighted: bool
+    addresses = ("points",)
+
+    @property
+    def element_blocks(self) -> tuple[Indices, Indices]:
+        """Blocks of the places."""
+        return rows_of(self.points)
 
 
 @numba.njit(cache=True)
@@ -102,19 +107,19 @@ def residual(X, x, points, weighted, r, dr):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _add_angle(ru, rc, u, c, w, out, i):  # type: ignore[no-untyped-def]
+def _add_angle(ru, rc, u, c, w, out, i, eu, ec):  # type: ignore[no-untyped-def]
     """Add w times the second derivatives of the angle between two vectors to blocks of `out`.
 
     `ru`, `rc` are their unit vectors, u and c their lengths; the first counts as vector i of
     `out`, (3, 3, 3, 3), the second as vector 2. With e the unit vector across r in their plane and
     n the plane's normal, the angle's gradient is e / u and its second derivatives are
-    ``(cot n n^T - r e^T - e r^T) / u^2`` and, by both vectors, ``-n n^T / (u c sin)``. Returns the
-    gradients by both vectors.
+    ``(cot n n^T - r e^T - e r^T) / u^2`` and, by both vectors, ``-n n^T / (u c sin)``. The
+    gradients by both vectors go into eu and ec.
     """
     cosine, sine = _angle(ru, rc)[1:]
-    eu, ec = np.zeros(3), np.zeros(3)
+    eu[:] = ec[:] = 0.0
     if u * sine == 0.0 or c * sine == 0.0:
-        return eu, ec
+        return
     n = (
         (ru[1] * rc[2] - ru[2] * rc[1]) / sine,
         (ru[2] * rc[0] - ru[0] * rc[2]) / sine,
@@ -132,7 +137,6 @@ def _add_angle(ru, rc, u, c, w, out, i):  # type: ignore[no-untyped-def]
     for a in range(3):
         eu[a] /= u
         ec[a] /= c
-    return eu, ec
 
 
 @numba.njit(cache=True)
@@ -144,6 +148,7 @@ def add_curvature(X, x, points, coefficients, weighted, r, blocks):  # type: ign
     """
     at = (0, 2, 3)
     unit, H = np.empty((3, 3)), np.empty((3, 3, 3, 3))
+    sides, chords = np.empty((2, 3)), np.empty((2, 3))  # gradients of both angles by their vectors
     for k in range(points.shape[0]):
         p = points[k, 1]
         a = _unit(X, x, p, points[k, 0], unit[0])
@@ -157,10 +162,10 @@ def add_curvature(X, x, points, coefficients, weighted, r, blocks):  # type: ign
             waa, wbb = 8 * b * (a - 2 * b) / s**4, 8 * a * (b - 2 * a) / s**4
             wab = 4 * (4 * a * b - a * a - b * b) / s**4
         H[:] = 0.0
-        ga, gca = _add_angle(unit[0], unit[2], a, d, w, H, 0)
-        gb, gcb = _add_angle(unit[1], unit[2], b, d, w, H, 1)
+        for m in range(2):  # in a loop, as it would be compiled once for each constant
+            _add_angle(unit[m], unit[2], a if m == 0 else b, d, w, H, m, sides[m], chords[m])
         value = r[k] / w if w > 0.0 else 0.0
-        ra, rb = unit[0], unit[1]
+        ra, rb, ga, gb = unit[0], unit[1], sides[0], sides[1]
         for i in range(3):
             for j in range(3):
                 same = 1.0 if i == j else 0.0
@@ -173,7 +178,7 @@ def add_curvature(X, x, points, coefficients, weighted, r, blocks):  # type: ign
                 H[0, 1, i, j] += (
                     value * wab * ra[i] * rb[j] + wa * ra[i] * gb[j] + wb * ga[i] * rb[j]
                 )
-                gc_j = gca[j] + gcb[j]
+                gc_j = chords[0, j] + chords[1, j]
                 H[0, 2, i, j] += wa * ra[i] * gc_j
                 H[1, 2, i, j] += wb * rb[i] * gc_j
         factor = 2 * coefficients[k] * r[k]
@@ -255,16 +260,16 @@ class FoldPenalty(EnergyTerm):
         blocks = self.pattern.values.reshape(len(scaled), 4, 4, 3, 3)
         return np.einsum("kma,knb->kmnab", scaled, scaled, out=blocks)
 
-    def restricted(self, chosen: Booleans, sums: Array) -> FoldPenalty | None:
+    def elements_on(self, chosen: Booleans) -> FoldAngles | None:
         """Places with chosen points."""
         t = self.table
         rows = np.flatnonzero(chosen[t.points].any(axis=1))
         some = FoldAngles(t.points[rows], t.coefficients[rows], t.weighted)
-        return FoldPenalty(some) if len(rows) else None
+        return some if len(rows) else None
 
-    def element_blocks(self) -> tuple[Indices, Indices]:
-        """Blocks of the places."""
-        return rows_of(self.table.points)
+    def of_elements(self, table: FoldAngles, sums: Array) -> FoldPenalty:
+        """The penalty of such places."""
+        return FoldPenalty(table)
 
     def element_energies(self, sums: Array) -> Array:
         """Energies of the places."""

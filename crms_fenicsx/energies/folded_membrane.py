@@ -10,12 +10,14 @@ the energy depends on the unknowns only through lengths of segments between poin
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numba
 import numpy as np
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.block_patterns import ElementPattern, SegmentPattern
+from crms_fenicsx.dofs.elements import ElementTable
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies import stress_laws as laws
 from crms_fenicsx.energies.segments import (
@@ -31,7 +33,7 @@ from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 
 
 @dataclass(frozen=True)
-class FoldedCells:
+class FoldedCells(ElementTable):
     """This rank's folded cells, as tables. Side k of a cell joins its corners k and k + 1.
 
     Attributes
@@ -61,6 +63,7 @@ class FoldedCells:
     side_vectors: Array
     laws: Indices
     parameters: Array
+    addresses = ("segments",)
 
     def some(self, rows: Integers) -> FoldedCells:
         """Some of the cells, with their sides and segments."""
@@ -100,7 +103,7 @@ class FoldedCells:
         """Squares of the stress-free sides, (n, 3)."""
         return np.sum(self.side_vectors**2, axis=-1)
 
-    @property
+    @cached_property
     def element_blocks(self) -> tuple[Indices, Indices]:
         """Distinct blocks of each cell in CSR form: pointers, blocks."""
         first, counts = self.side_pointers[:-1][self.sides], np.diff(self.side_pointers)[self.sides]
@@ -177,7 +180,11 @@ def cell_stiffness(  # type: ignore[no-untyped-def]
                 r0, r1, r2, d = difference(X, x, a, b)
                 slope = slope_over_distance(d, eps[segment])
                 r[k] += lengths[segment]
-                i, j = np.searchsorted(own, a), np.searchsorted(own, b)
+                i = j = 0
+                while own[i] != a:  # np.searchsorted would take half a second to compile
+                    i += 1
+                while own[j] != b:
+                    j += 1
                 for m, component in enumerate((r0, r1, r2)):
                     B[k, i, m] -= slope * component
                     B[k, j, m] += slope * component
@@ -289,16 +296,16 @@ class FoldedMembraneEnergy(EnergyTerm):
         segment_stiffness(X, x, t.segments, t.eps, self._tension, self.edges.own_values)
         self.edges.add(A, self.unknowns)
 
-    def restricted(self, chosen: Booleans, sums: Array) -> FoldedMembraneEnergy | None:
+    def elements_on(self, chosen: Booleans) -> FoldedCells | None:
         """Cells with sides through the chosen blocks."""
         pointers = self._element_pointers
         hits = np.append(0, np.cumsum(chosen[self._element_blocks]))
         rows = np.flatnonzero(hits[pointers[1:]] > hits[pointers[:-1]])
-        return FoldedMembraneEnergy(self.table.some(rows), self.stiffening) if len(rows) else None
+        return self.table.some(rows) if len(rows) else None
 
-    def element_blocks(self) -> tuple[Indices, Indices]:
-        """Blocks of the cells."""
-        return self._element_pointers, self._element_blocks
+    def of_elements(self, table: FoldedCells, sums: Array) -> FoldedMembraneEnergy:
+        """The energy of such cells."""
+        return FoldedMembraneEnergy(table, self.stiffening)
 
     def element_energies(self, sums: Array) -> Array:
         """Energies of the cells."""

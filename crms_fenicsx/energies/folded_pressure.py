@@ -15,7 +15,8 @@ import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import BlockPattern, ElementPattern, rows_of
+from crms_fenicsx.dofs.block_patterns import ElementPattern, rows_of
+from crms_fenicsx.dofs.elements import ElementTable
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.term import EnergyTerm
@@ -23,7 +24,7 @@ from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 
 
 @dataclass(frozen=True)
-class Facets:
+class Facets(ElementTable):
     """This rank's facets of folded cells.
 
     Attributes
@@ -39,6 +40,12 @@ class Facets:
     corners: Indices
     weights: Array
     plain_corners: Indices
+    addresses = ("corners", "plain_corners")
+
+    @property
+    def element_blocks(self) -> tuple[Indices, Indices]:
+        """Corners of the facets."""
+        return rows_of(self.corners)
 
 
 @numba.njit(cache=True)
@@ -107,7 +114,7 @@ class FoldedFollowerPressure(EnergyTerm):
 
     def __init__(self, table: Facets, pressure: fem.Constant, origin: Array) -> None:
         self.table, self.pressure, self.origin = table, pressure, origin
-        self.pattern = ElementPattern(*rows_of(table.corners))
+        self.pattern = ElementPattern(*table.element_blocks)
         self._volumes = np.zeros(len(table.corners))
 
     def attach(self, unknowns: Unknowns) -> None:
@@ -137,11 +144,7 @@ class FoldedFollowerPressure(EnergyTerm):
 
     def count_stiffness(self, sizes: RowSizes) -> None:
         """Count the blocks of the second derivatives; those of vertices are the membrane's."""
-        is_vertex = np.zeros(sizes.unknowns.n_local, dtype=bool)
-        is_vertex[sizes.unknowns.vertex_blocks()] = True
-        rows, cols = self.pattern.rows, self.pattern.cols
-        beside = ~(is_vertex[rows] & is_vertex[cols])
-        BlockPattern(rows[beside], cols[beside]).count(sizes)
+        self.pattern.count(sizes, known=len(sizes.unknowns.vertex_blocks()))
 
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add nothing, as they are not definite, but to where the second derivatives go."""
@@ -158,16 +161,16 @@ class FoldedFollowerPressure(EnergyTerm):
         )  # fmt: skip
         self.pattern.add(A, self.unknowns)
 
-    def restricted(self, chosen: Booleans, sums: Array) -> FoldedFollowerPressure | None:
+    def elements_on(self, chosen: Booleans) -> Facets | None:
         """Facets with chosen corners; volume counts from no stress-free one."""
         t = self.table
         rows = np.flatnonzero(chosen[t.corners].any(axis=1))
         some = Facets(t.corners[rows], t.weights[rows], t.plain_corners[:0])
-        return FoldedFollowerPressure(some, self.pressure, self.origin) if len(rows) else None
+        return some if len(rows) else None
 
-    def element_blocks(self) -> tuple[Indices, Indices]:
-        """Corners of the facets."""
-        return rows_of(self.table.corners)
+    def of_elements(self, table: Facets, sums: Array) -> FoldedFollowerPressure:
+        """The pressure on such facets."""
+        return FoldedFollowerPressure(table, self.pressure, self.origin)
 
     def element_energies(self, sums: Array) -> Array:
         """Energies of the facets."""

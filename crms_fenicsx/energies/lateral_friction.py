@@ -19,6 +19,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.block_patterns import ElementPattern
+from crms_fenicsx.dofs.elements import ElementTable
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.edge_fractions import add_slip_forces, edge_fractions
 from crms_fenicsx.energies.smooth_coulomb import (
@@ -31,7 +32,7 @@ from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 
 
 @dataclass(frozen=True)
-class Slips:
+class Slips(ElementTable):
     """This rank's nodes with friction.
 
     Attributes
@@ -56,6 +57,12 @@ class Slips:
     offset: Array
     bound: Array
     eps: Array
+    addresses = ("blocks",)
+
+    @property
+    def element_blocks(self) -> tuple[Indices, Indices]:
+        """Blocks on the edges of the nodes."""
+        return self.pointers, self.blocks
 
 
 class LateralFriction(EnergyTerm):
@@ -114,7 +121,7 @@ class LateralFriction(EnergyTerm):
             start += n * n
         self.pattern.add(A, self.unknowns)
 
-    def restricted(self, chosen: Booleans, sums: Array) -> LateralFriction | None:
+    def elements_on(self, chosen: Booleans) -> Slips | None:
         """Nodes with chosen blocks on their edges."""
         t = self.table
         hits = np.append(0, np.cumsum(chosen[t.blocks]))
@@ -124,15 +131,14 @@ class LateralFriction(EnergyTerm):
         counts = np.diff(t.pointers)[rows]
         pointers = np.append(0, np.cumsum(counts))
         own = np.repeat(t.pointers[rows] - pointers[:-1], counts) + np.arange(pointers[-1])
-        some = Slips(
+        return Slips(
             pointers.astype(np.int32), t.blocks[own], t.place[rows], t.slope[rows],
             t.offset[rows], t.bound[rows], t.eps[rows],
         )  # fmt: skip
-        return LateralFriction(some)
 
-    def element_blocks(self) -> tuple[Indices, Indices]:
-        """Blocks on the edges of the nodes."""
-        return self.table.pointers, self.table.blocks
+    def of_elements(self, table: Slips, sums: Array) -> LateralFriction:
+        """The friction of such nodes."""
+        return LateralFriction(table)
 
     def element_energies(self, sums: Array) -> Array:
         """Potentials of the nodes."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.meshes.cell_geometry import area_vectors, cell_normals
 from crms_fenicsx.model.materials import (
     LINEAR,
+    N_PARAMETERS,
     ORTHOTROPIC_TENSION_FIELD,
     UFL_LAW,
     LawTerms,
@@ -27,14 +29,11 @@ from crms_fenicsx.model.materials import (
     law_terms,
 )
 from crms_fenicsx.model.ufl_material import UflMembrane
-from crms_fenicsx.runtime.arrays import Array, Indices
+from crms_fenicsx.runtime.arrays import EPSILON, Array, Indices
 from crms_fenicsx.runtime.compat import geometry_dofmap
 
 if TYPE_CHECKING:
     from crms_fenicsx.energies.tension_field import TensionField
-
-
-EPSILON = float(np.finfo(float).eps)
 
 
 class MembraneEnergy(EnergyTerm):
@@ -191,8 +190,10 @@ class MembraneEnergy(EnergyTerm):
         """Add the stiffness of all of this rank's cells, folded ones as if they were plain."""
         plain = self.plain.x.array.copy()
         self.plain.x.array[:] = 1.0
-        self.add_stiffness(x, sums, A)
-        self.plain.x.array[:] = plain
+        try:
+            self.add_stiffness(x, sums, A)
+        finally:
+            self.plain.x.array[:] = plain
 
     def count_stiffness(self, sizes: RowSizes) -> None:
         """Count the blocks that an edge of this rank's cells makes, of both its vertices."""
@@ -207,12 +208,17 @@ class MembraneEnergy(EnergyTerm):
 
     def edges(self) -> Indices:
         """Blocks of the vertices of all local edges, (n, 2)."""
+        return self.unknowns.vertex_blocks()[self._edge_dofs]
+
+    @cached_property
+    def _edge_dofs(self) -> Indices:
+        """Local degrees of freedom of these vertices, the same in all layouts."""
         topology = self.u.function_space.mesh.topology
         topology.create_connectivity(1, 0)
-        dof_of = np.zeros(topology.index_map(0).size_local + topology.index_map(0).num_ghosts, int)
+        vertices = topology.index_map(0)
+        dof_of = np.zeros(vertices.size_local + vertices.num_ghosts, dtype=np.int32)
         dof_of[topology.connectivity(2, 0).array] = self.u.function_space.dofmap.list.ravel()
-        edges = topology.connectivity(1, 0).array.reshape(-1, 2)
-        return self.unknowns.vertex_blocks()[dof_of[edges]]
+        return dof_of[topology.connectivity(1, 0).array.reshape(-1, 2)]
 
     def cell_results(self) -> Array:
         """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state of the owned cells.
@@ -244,6 +250,14 @@ class MembraneEnergy(EnergyTerm):
             return np.full(len(cells), next(iter(self.materials)), dtype=np.int32)
         order = np.searchsorted(self.cell_tags.indices, cells)
         return np.asarray(self.cell_tags.values[order], dtype=np.int32)
+
+    def laws(self, cells: npt.NDArray[np.int32]) -> tuple[Indices, Array]:
+        """Stress laws of the cells and the laws' parameters, (n,) and (n, N_PARAMETERS)."""
+        tags, material = np.unique(self.material_tags(cells), return_inverse=True)
+        materials = [self.materials[int(tag)] for tag in tags]
+        laws = np.array([own.law for own in materials], dtype=np.int32)
+        parameters = np.array([own.parameters for own in materials]).reshape(-1, N_PARAMETERS)
+        return laws[material], parameters[material]
 
     def material_axes(self, cells: npt.NDArray[np.int32]) -> Array:
         """In-plane axes 1 and 2 of the cells' stress-free shape, (n, 2, 3)."""

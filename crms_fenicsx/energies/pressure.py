@@ -1,4 +1,4 @@
-"""Air pressure on the plain cells: exact follower load, or constant in a step (section 2.4)."""
+"""Air pressure on the plain cells, as an exact follower load (section 2.4)."""
 
 from __future__ import annotations
 

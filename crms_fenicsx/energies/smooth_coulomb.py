@@ -10,25 +10,32 @@ import numpy as np
 from crms_fenicsx.runtime.arrays import Array
 
 
+@numba.njit(cache=True, inline="always")
+def _potential(y, bound, eps):  # type: ignore[no-untyped-def]
+    """Potential of a node whose slip is y times eps, either way."""
+    if y < 1.0:
+        return bound * eps * y * y * (1.0 - y / 3.0)
+    return bound * eps * (y - 1.0 / 3.0)
+
+
 @numba.njit(cache=True)
 def friction_energy(slip, bound, eps, force):  # type: ignore[no-untyped-def]
     """Potential of all nodes; its derivative by their slips into `force` (n,)."""
     energy = 0.0
     for k in range(slip.shape[0]):
         y = abs(slip[k]) / eps[k]
-        if y < 1.0:
-            energy += bound[k] * eps[k] * y * y * (1.0 - y / 3.0)
-            force[k] = math.copysign(bound[k] * y * (2.0 - y), slip[k])
-        else:
-            energy += bound[k] * eps[k] * (y - 1.0 / 3.0)
-            force[k] = math.copysign(bound[k], slip[k])
+        energy += _potential(y, bound[k], eps[k])
+        force[k] = math.copysign(bound[k] * y * (2.0 - y) if y < 1.0 else bound[k], slip[k])
     return energy
 
 
-def friction_potentials(slip: Array, bound: Array, eps: Array) -> Array:
+@numba.njit(cache=True)
+def friction_potentials(slip, bound, eps):  # type: ignore[no-untyped-def]
     """Potential of each node, (n,) (force x length)."""
-    y = np.abs(slip) / eps
-    return np.asarray(bound * eps * np.where(y < 1.0, y * y * (1.0 - y / 3.0), y - 1.0 / 3.0))
+    potentials = np.empty(slip.shape[0])
+    for k in range(slip.shape[0]):
+        potentials[k] = _potential(abs(slip[k]) / eps[k], bound[k], eps[k])
+    return potentials
 
 
 def secant_stiffness(slip: Array, bound: Array, eps: Array) -> Array:

@@ -43,16 +43,19 @@ class Stiffening:
         kept = [float(part.value) for part in parts]
         for part, value in zip(parts, (0.0, 0.0, 1.0), strict=True):
             part.value = value
-        yield
-        for part, value in zip(parts, kept, strict=True):
-            part.value = value
+        try:
+            yield
+        finally:
+            for part, value in zip(parts, kept, strict=True):
+                part.value = value
 
-    def set(self, prestress: float, failures: int = 0) -> None:
-        """Take this prestress, and the floor that goes with it.
+    def set(self, prestress: float, failures: int = 0, least: float = 0.0) -> None:
+        """Take this prestress, and the floor that goes with it, `least` or more.
 
         After a line search that has failed, as slack cells let a step go too far, the floor is
         higher, and ten times as high after each further one.
         """
         self.prestress.value = prestress
         raised = failures + (prestress > 0.0)
-        self.floor.value = min(FLOOR_FROM_FLAT * 10.0 ** (raised - 1), 1.0) if raised else FLOOR
+        floor = FLOOR_FROM_FLAT * 10.0 ** (raised - 1) if raised else FLOOR
+        self.floor.value = min(max(floor, least), 1.0)

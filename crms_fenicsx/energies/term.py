@@ -4,15 +4,33 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.block_patterns import BlockSink
+from crms_fenicsx.dofs.elements import ElementTable
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.integral import Integral
 from crms_fenicsx.energies.stiffening import Stiffening
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
+
+
+@dataclass(frozen=True)
+class Twin:
+    """What makes terms of few elements in the place of a term without any.
+
+    Attributes
+    ----------
+    elements_on, of_elements
+        As the term's methods.
+    """
+
+    elements_on: Callable[[Booleans], ElementTable | None]
+    of_elements: Callable[[Any], EnergyTerm]
 
 
 class EnergyTerm(ABC):
@@ -58,8 +76,8 @@ class EnergyTerm(ABC):
         Pairs of cable points that it couples most; points are relaxed together with those that
         they are linked to.
     twin
-        Makes the part of the term that depends on some blocks (n_local,) in loops over few cells,
-        which DOLFINx's forms have not; None if nothing does.
+        Does what `elements_on` and `of_elements` do in loops over few cells, which DOLFINx's forms
+        have not; None if nothing does.
     unknowns
         The layout, from `attach` on.
 
@@ -90,7 +108,7 @@ class EnergyTerm(ABC):
     of_cables: bool = False
     has_history: bool = False
     links: Indices | None = None
-    twin: Callable[[Booleans], EnergyTerm | None] | None = None
+    twin: Twin | None = None
     unknowns: Unknowns
 
     def attach(self, unknowns: Unknowns) -> None:
@@ -151,40 +169,49 @@ class EnergyTerm(ABC):
         """Squared norm of what rounding leaves of forces that cancel at this rank's points."""
         return 0.0
 
-    def restricted(self, chosen: Booleans, sums: Array) -> EnergyTerm | None:
-        """Return the part that depends on some blocks, as a term of its own of the same blocks.
+    def elements_on(self, chosen: Booleans) -> ElementTable | None:
+        """Return this rank's elements that depend on some blocks.
 
-        Its other blocks are held while these move. By default it is what `twin` makes. Where there
-        is none this term's forces are held, which is exact for energies that are linear in these
-        blocks.
+        Any rank can make a term of them by `of_elements`, in which other blocks are held while
+        these move. By default they are those of `twin`. Where there are none this term's forces are
+        held, which is exact for energies that are linear in these blocks.
 
         Parameters
         ----------
         chosen : (n_local,)
-            Whether a block moves. All its elements are of this rank.
+            Whether a block moves, ghosts included. The state is that of the last `sums`.
+        """
+        return None if self.twin is None else self.twin.elements_on(chosen)
+
+    def of_elements(self, table: Any, sums: Array) -> EnergyTerm:
+        """Make a term of elements that this term of some rank has given, joined or renumbered.
+
+        Parameters
+        ----------
+        table
+            The elements.
         sums
             The global sums; the state is that of the last `sums`.
         """
-        return None if self.twin is None else self.twin(chosen)
+        assert self.twin is not None, f"{type(self).__name__} is not made of elements"
+        return self.twin.of_elements(table)
 
     def add_dyads(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the dyads of a `restricted` term block by block."""
-
-    def element_blocks(self) -> tuple[Indices, Indices]:
-        """Blocks of the elements of a `restricted` term in CSR form, (n + 1,) and (m,)."""
-        raise NotImplementedError(f"{type(self).__name__} is not made of elements")
+        """Add the dyads of a term `of_elements` block by block."""
 
     def element_energies(self, sums: Array) -> Array:
-        """Energies of these elements at the last `sums`, (n,) (force x length)."""
+        """Energies of a term's elements at the last `sums`, (n,) (force x length)."""
         raise NotImplementedError(f"{type(self).__name__} is not made of elements")
 
-    def split(self, groups: Integers) -> EnergyTerm:
-        """Return a `restricted` term that is separate for groups of blocks.
+    def split(self, groups: Integers, comm: MPI.Intracomm) -> EnergyTerm:
+        """Return a term `of_elements` that is separate for groups of blocks. Collective.
 
         Parameters
         ----------
         groups : (n_local,)
             Number of the group that a block moves with, or -1. No element joins two of them.
+        comm
+            Processes, each with groups of its own.
         """
         return self
 

@@ -16,14 +16,15 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from crms_fenicsx.contact.active_set import ActiveSet
 from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
+from crms_fenicsx.paths.tried_paths import TriedPaths
 
 if TYPE_CHECKING:
     from crms_fenicsx.equilibrium.contact_loop import ContactLoop
     from crms_fenicsx.equilibrium.friction_loop import FrictionLoop
-    from crms_fenicsx.paths.tried_paths import TriedPaths
 
 MAX_LENGTHS = 30
 """How often a solve is repeated for what smoothing adds to the lengths of cables."""
@@ -69,7 +70,6 @@ class EquilibriumSearch:
 
     def _loops(self, start: State) -> tuple[ContactLoop, FrictionLoop]:
         """Nest the loops of a load step with cables that starts in a state."""
-        from crms_fenicsx.contact.active_set import ActiveSet
         from crms_fenicsx.equilibrium.contact_loop import ContactLoop
         from crms_fenicsx.equilibrium.friction_loop import FrictionLoop
 
@@ -80,7 +80,6 @@ class EquilibriumSearch:
         from crms_fenicsx.paths.boundary_ends import renew_ends
         from crms_fenicsx.paths.path_change import PathChange
         from crms_fenicsx.paths.retrace import Retracer
-        from crms_fenicsx.paths.tried_paths import TriedPaths
 
         if self.tried is None:
             self.tried = TriedPaths()

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
+from crms_fenicsx.energies.dead_load import MembraneLoad
 from crms_fenicsx.model.cable_state import CableNode, CableState
 from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.runtime.arrays import Array
@@ -19,7 +18,7 @@ class State:
 
     u: Array
     pressure: float
-    load: float
+    loads: tuple[MembraneLoad, ...]
     energies: dict[str, float]
     cables: tuple[CableState, ...]
     crossings: tuple[Crossing, ...]
@@ -30,7 +29,7 @@ class State:
         return cls(
             scene.u.x.array.copy(),
             scene.pressure,
-            scene.load,
+            scene.loads,
             dict(scene.energies),
             tuple(cable.state for cable in scene.cables),
             scene.net.crossings,
@@ -51,14 +50,13 @@ class State:
                 if old is not None:
                     positions[k], fractions[k] = was.positions[old], was.fractions[old]
                 else:
-                    ids, weights = cable.interpolation(k)
-                    positions[k] = np.dot(weights, [shape.at(i) for i in ids])
+                    positions[k] = shape.mean(*cable.interpolation(k))
             cable.update(positions=positions, fractions=fractions)
 
     def restore(self, scene: Scene) -> None:
         """Bring the scene back to this state."""
         scene.u.x.array[:] = self.u
-        scene._pressure, scene._load = self.pressure, self.load
+        scene._pressure, scene._loads = self.pressure, self.loads
         scene.energies = dict(self.energies)
         for cable, was in zip(scene.cables, self.cables, strict=True):
             cable.state = was

@@ -9,17 +9,17 @@ from petsc4py import PETSc
 
 from crms_fenicsx.contributions.added_terms import AddedTermsContribution, force_per_area
 from crms_fenicsx.contributions.contribution import Contribution
-from crms_fenicsx.contributions.loads import DeadLoadContribution, PressureContribution
+from crms_fenicsx.contributions.loads import MembraneLoadsContribution, PressureContribution
 from crms_fenicsx.contributions.membrane import MembraneContribution, hold, tiny_force
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.minimization.minimizer import Minimizer
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.model.crossing import NodeId
 from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
     from crms_fenicsx.contributions.cables import CableContribution
-    from crms_fenicsx.model.crossing import NodeId
 
 
 class System:
@@ -54,7 +54,7 @@ class System:
         self.scene, self.prefix, self.rtol = scene, prefix, rtol
         self.membrane = MembraneContribution(scene)
         self.pressure = PressureContribution(scene, self.membrane)
-        self._lasting = [self.membrane, self.pressure, DeadLoadContribution(scene)]
+        self._lasting = [self.membrane, self.pressure, MembraneLoadsContribution(scene)]
         self.cables: CableContribution | None = None
         self.minimizer: Minimizer | None = None
         self._solved = True

@@ -48,7 +48,7 @@ def start_step(cable: LaidCable, shape: StripShape) -> None:
         cable.update(grip=replace(grip, bounds=bounds, moving=ways, known=True))
     elif not grip.known:
         elongation = polyline_length(cable.positions[cable.contacts()]) / cable.L0 - 1
-        force = cable.cable.EA * max(elongation, LEAST_STRAIN)
+        force = max(cable.tension, cable.cable.EA * max(elongation, LEAST_STRAIN))
         cable.update(grip=replace(grip, bounds=np.full(len(grip.supports), force)))
 
 

@@ -9,7 +9,7 @@ from scipy.linalg import lapack
 from crms_fenicsx.dofs.block_patterns import BlockPattern
 from crms_fenicsx.dofs.cluster_layout import ClusterLayout
 from crms_fenicsx.minimization.membrane_multigrid import SHIFT
-from crms_fenicsx.runtime.arrays import Array, Integers
+from crms_fenicsx.runtime.arrays import Array, Indices, Integers
 
 
 class ClusterMatrix:
@@ -30,7 +30,7 @@ class ClusterMatrix:
         row = 3 * self._local[:, None] + np.arange(3)
         size, offset = self._sizes[layout.cluster], self._offsets[layout.cluster]
         self._diagonal = offset[:, None] + row * (size[:, None] + 1)
-        self._places: dict[BlockPattern, tuple[Integers, Array, Integers, Integers]] = {}
+        self._places: dict[BlockPattern, tuple[Indices, Array, Integers, Integers]] = {}
 
     def of(self, cluster: int) -> Array:
         """Matrix of one cluster, (3 k, 3 k), to be changed in place."""
@@ -48,15 +48,10 @@ class ClusterMatrix:
         sources, weights, starts, strides = self._places[pattern]
         _scatter(pattern.values, sources, weights, starts, strides, self._values)
 
-    def _find(self, pattern: BlockPattern) -> tuple[Integers, Array, Integers, Integers]:
+    def _find(self, pattern: BlockPattern) -> tuple[Indices, Array, Integers, Integers]:
         """Which of a pattern's blocks go where, and what part of them."""
         layout = self.layout
-        if layout.whole.n_riders:
-            (rows, cols), source, weights = layout.whole.spread(pattern.rows, pattern.cols)
-            sources = source.astype(np.int64)
-        else:
-            rows, cols, sources = pattern.rows, pattern.cols, np.arange(len(pattern.rows))
-            weights = np.ones(len(rows))
+        (rows, cols), sources, weights = layout.whole.spread(pattern.rows, pattern.cols)
         i, j = layout.number[rows], layout.number[cols]
         kept = np.flatnonzero((i >= 0) & (j >= 0))
         i, j, sources, weights = i[kept], j[kept], sources[kept], weights[kept]
@@ -66,16 +61,24 @@ class ClusterMatrix:
         return sources, weights, starts, strides
 
     def close(self) -> None:
-        """Shift the diagonal a little, and decouple what is not free to move."""
-        layout = self.layout
+        """Shift the diagonal a little, and decouple what is not free to move.
+
+        A cluster's shift is from its own stiffness, whichever others are here.
+        """
+        layout, n = self.layout, self.layout.n_clusters
         traces = np.maximum(self._values[self._diagonal].sum(axis=1), 0.0)
-        mean = float(np.exp(np.mean(np.log(traces[traces > 0.0])))) if traces.any() else 1.0
-        self._values[self._diagonal] += SHIFT * (traces + mean)[:, None]
+        stiff = traces > 0.0
+        logs = np.bincount(layout.cluster[stiff], np.log(traces[stiff]), n)
+        count = np.bincount(layout.cluster[stiff], minlength=n)
+        means = np.exp(logs / np.maximum(count, 1))[layout.cluster]
+        self._values[self._diagonal] += SHIFT * (traces + means)[:, None]
         for block, component in np.argwhere(layout.held):
             K, at = self._matrix_at(block)
             K[at + component] = K[:, at + component] = 0.0
-            K[at + component, at + component] = mean
-        for block, d in zip(layout.rails, layout.directions, strict=True):
+            K[at + component, at + component] = means[block]
+        for block, d, mean in zip(
+            layout.rails, layout.directions, means[layout.rails], strict=True
+        ):
             K, at = self._matrix_at(block)
             along = np.outer(d, d)
             K[at : at + 3] = along @ K[at : at + 3]

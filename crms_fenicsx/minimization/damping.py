@@ -15,10 +15,13 @@ Levenberg's damping in proportion to the residual.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import ElementPattern, SegmentPattern
+from crms_fenicsx.dofs.block_patterns import ElementPattern, SegmentPattern, rows_of
+from crms_fenicsx.dofs.elements import ElementTable
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 
@@ -27,31 +30,50 @@ SLIDE = 0.1
 and 0.2 it matters little."""
 
 
+@dataclass(frozen=True)
+class Springs(ElementTable):
+    """This rank's springs.
+
+    Attributes
+    ----------
+    sliders : (n, 3), fractions : (n,)
+        Sliding points: blocks of the point and of its edge's two ends, and the place on the edge.
+    segments : (m, 2)
+        Straight parts of cables, blocks.
+    """
+
+    sliders: Indices
+    fractions: Array
+    segments: Indices
+    addresses = ("sliders", "segments")
+
+    @property
+    def element_blocks(self) -> tuple[Indices, Indices]:
+        """Blocks of the sliding points."""
+        return rows_of(self.sliders)
+
+
 class Damping:
     """Stiffness of the springs.
 
     Parameters
     ----------
-    sliders, fractions
-        This rank's sliding points: blocks of the point and of its edge's two ends (n, 3), and the
-        place on the edge (n,).
-    segments
-        This rank's straight parts of cables, blocks (m, 2).
+    springs
+        The springs.
     """
 
-    def __init__(self, sliders: Indices, fractions: Array, segments: Indices) -> None:
-        self.sliders, self.segments = sliders, segments
-        pointers = np.arange(0, 3 * len(sliders) + 1, 3, dtype=np.int32)
-        self._on_edges = ElementPattern(pointers, sliders.ravel())
-        self._along = SegmentPattern(segments)
-        weights = np.stack([np.ones(len(sliders)), fractions - 1, -fractions], axis=1)
-        self.fractions = fractions
+    def __init__(self, springs: Springs) -> None:
+        self.springs, fractions = springs, springs.fractions
+        self._on_edges = ElementPattern(*springs.element_blocks)
+        self._along = SegmentPattern(springs.segments)
+        weights = np.stack([np.ones(len(fractions)), fractions - 1, -fractions], axis=1)
         self._shares = weights[:, :, None] * weights[:, None, :]
 
-    def restricted(self, chosen: Booleans) -> Damping:
+    def elements_on(self, chosen: Booleans) -> Springs:
         """Springs of the chosen blocks, (n_local,)."""
-        own, parts = chosen[self.sliders[:, 0]], chosen[self.segments].any(axis=1)
-        return Damping(self.sliders[own], self.fractions[own], self.segments[parts])
+        s = self.springs
+        own, parts = chosen[s.sliders[:, 0]], chosen[s.segments].any(axis=1)
+        return Springs(s.sliders[own], s.fractions[own], s.segments[parts])
 
     def add_stiffness(self, unknowns: Unknowns, x: Array, g: Array, A: PETSc.Mat) -> None:
         """Add the springs' stiffness to the matrix.
@@ -67,7 +89,7 @@ class Damping:
         """
         X = unknowns.X + x
         force = np.linalg.norm(g, axis=1)
-        point, start, end = self.sliders.T
+        point, start, end = self.springs.sliders.T
         to_start, to_end = (np.linalg.norm(X[point] - X[v], axis=1) for v in (start, end))
         travel = np.minimum(SLIDE * np.linalg.norm(X[end] - X[start], axis=1), to_start)
         travel = np.minimum(travel, to_end)
@@ -75,7 +97,7 @@ class Damping:
         blocks = (stiffness[:, None, None] * self._shares).reshape(-1, 1, 1)
         np.multiply(blocks, np.eye(3), out=self._on_edges.values)
         self._on_edges.add(A, unknowns)
-        a, b = self.segments.T
+        a, b = self.springs.segments.T
         stiffness = _ratio(np.maximum(force[a], force[b]), np.linalg.norm(X[a] - X[b], axis=1))
         np.multiply(stiffness[:, None, None], np.eye(3), out=self._along.own_values)
         self._along.add(A, unknowns)

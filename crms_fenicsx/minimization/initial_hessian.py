@@ -24,6 +24,7 @@ from petsc4py import PETSc
 from crms_fenicsx.minimization.membrane_multigrid import (
     MULTIGRID,
     MembraneMultigrid,
+    block_traces,
     set_defaults,
     shift_diagonal,
     tell_rigid_motions,
@@ -186,10 +187,7 @@ class InitialHessian:
             self._new = False
         self.potential.add_stiffness(A, exact)
         A.assemble()
-        diagonal = A.getDiagonal()
-        # The trace of a block does not depend on how the scene is turned in space.
-        traces = np.where(held, 0.0, diagonal.array.reshape(-1, 3)).sum(axis=1)
-        diagonal.destroy()
+        traces = block_traces(A, held)
         sizes = np.array([traces.max(initial=0.0), unknowns.n_rails])
         unknowns.comm.Allreduce(MPI.IN_PLACE, sizes, op=MPI.MAX)
         largest = float(sizes[0]) if sizes[0] > 0 else 1.0

@@ -8,15 +8,18 @@ other by the stiffness of the cable's pieces, see `CableTension.split`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 from crms_fenicsx.dofs.cluster_layout import ClusterLayout
 from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.minimization.cluster_gather import SPRINGS, Clusters
 from crms_fenicsx.minimization.cluster_matrix import ClusterMatrix
+from crms_fenicsx.minimization.damping import Damping
 from crms_fenicsx.minimization.potential import Potential
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
+from crms_fenicsx.runtime.arrays import Array, Booleans
 
 DESCENT, SHORTEST = 1e-4, 1e-6
 """Least part of the descent promised that a step must keep, and the shortest one tried."""
@@ -29,24 +32,28 @@ STEADY = 1e-11
 """Change of the energy, relative to the sizes of its parts, in which rounding drowns the rest; the
 trapezoidal rule takes its place."""
 
-LARGEST = 400
-"""Blocks of a cluster beyond which it is left to the minimiser of all unknowns."""
-
 
 class LocalPotential:
-    """Part of a potential that depends on some blocks of this process, as a function of them alone.
+    """Part of a potential that depends on some blocks, as a function of them alone.
 
-    The state is the whole's, whose displacements it changes in place.
+    Making one is collective. Where a cable runs through clusters of several ranks these must know
+    how many; nothing else of it is sent.
 
     Parameters
     ----------
     whole
-        A potential, evaluated at its current state, forces in `g` included.
-    blocks
-        Owned blocks of its layout that are free to move, without riders, (n,).
+        A potential, evaluated at its current state.
+    clusters
+        Those that this rank is to solve.
 
     Attributes
     ----------
+    layout
+        The clusters, as blocks of `clusters`.
+    blocks : (n,)
+        Those that move, in the clusters' order.
+    x : (n_blocks, 3)
+        Displacements of the blocks of `clusters` (length), changed in place.
     g : (n, 3)
         Forces on the blocks, in the clusters' order, at the last evaluation (force).
     energies : (n_clusters,)
@@ -55,25 +62,29 @@ class LocalPotential:
         Steps of Newton's method that were made.
     """
 
-    def __init__(self, whole: Potential, blocks: Indices) -> None:
-        terms, layout, chosen = _restricted(whole, blocks)
-        large = (np.diff(layout.starts) > LARGEST)[layout.cluster]
-        if large.any():
-            terms, layout, chosen = _restricted(whole, layout.blocks[~large])
-        self.layout = layout
-        self.terms: list[EnergyTerm] = [term.split(self.layout.groups()) for term in terms]
-        self._clusters = [self.layout.clusters_of(*term.element_blocks()) for term in self.terms]
+    def __init__(self, whole: Potential, clusters: Clusters) -> None:
+        kinds = range(len(whole.terms))
+        tables = [(k, table) for k in kinds for table in clusters.elements_of(k)]
+        elements = [table.element_blocks for _, table in tables]
+        moving = np.flatnonzero(clusters.moves).astype(np.int32)
+        self.layout = ClusterLayout(clusters.layout(), moving, elements)
+        self.terms: list[EnergyTerm] = []
+        for k, table in tables:
+            term = whole.terms[k].of_elements(table, whole.sums_of(whole.terms[k]))
+            self.terms.append(term.split(self.layout.groups, whole.comm))
+        self._clusters = [self.layout.clusters_of(*own) for own in elements]
         for term in self.terms:
             term.attach(self.layout)  # type: ignore[arg-type]  # as much of one as they need
         self._sums = [np.zeros(term.n_sums) for term in self.terms]
-        self._damping = None if whole.damping is None else whole.damping.restricted(chosen)
-        self.x, self._forces = whole.x, np.zeros_like(whole.x)
+        springs: Sequence[Any] = clusters.elements_of(SPRINGS)
+        self._damping = [Damping(table) for table in springs]
+        self.x, self._forces = clusters.x, np.zeros_like(clusters.x)
         self.blocks = self.layout.blocks
         self.g: Array = np.zeros((len(self.blocks), 3))
         self.energies: Array = np.zeros(self.layout.n_clusters)
         self._others, self._start = self.g.copy(), self.x[self.blocks]
-        self.steps = 0
-        given = whole.g[self.blocks]
+        self.steps, self._n_all = 0, whole.comm.allreduce(self.layout.n_clusters)
+        given = clusters.g[self.blocks]
         self.layout.project(given)
         self._evaluate()
         # What acts on the blocks beside these terms, and stays as it is.
@@ -118,23 +129,23 @@ class LocalPotential:
         """Norm of the forces on each cluster, (n_clusters,)."""
         return np.sqrt(self._sum(np.sum(self.g**2, axis=1)))
 
-    def relax(self, tolerance: float, most: int) -> Indices:
+    def relax(self, tolerance: float, most: int) -> Booleans:
         """Minimise the energy of each cluster.
 
         Parameters
         ----------
         tolerance
-            Norm of all forces that is small enough (force).
+            Norm of all forces that is small enough, on all ranks (force).
         most
             Steps of each cluster at most.
 
         Returns
         -------
-        Blocks of the clusters that have not come there.
+        Whether the blocks' clusters have not come there, (n,).
         """
         n = self.layout.n_clusters
-        least = np.maximum(tolerance / max(n, 1) ** 0.5, 1e-3 * self.residuals())
-        able = np.asarray(np.ones(n), dtype=bool)
+        least = np.maximum(tolerance / max(self._n_all, 1) ** 0.5, 1e-3 * self.residuals())
+        able = np.ones(n, dtype=bool)
         short = np.zeros(n, dtype=int)
         for step in range(most):
             todo = able & (self.residuals() > least)
@@ -145,7 +156,7 @@ class LocalPotential:
             able &= ~todo | (lengths > 0.0)
             short[exact] = np.where(lengths < SHORT, short + 1, 0)[exact]
             short -= todo & ~exact & (short >= TWICE)
-        return self.blocks[(self.residuals() > least)[self.layout.cluster]]
+        return np.asarray((self.residuals() > least)[self.layout.cluster])
 
     def _step(self, todo: Booleans, exact: Booleans) -> Array:
         """Make a step of Newton's method in each cluster, as far as its energy falls.
@@ -206,23 +217,12 @@ class LocalPotential:
         """Assemble second derivatives, or H0, at the current state."""
         A = self._matrix
         A.clear()
-        if not exact and self._damping is not None:
+        if not exact:
+            self._forces[:] = 0.0  # what is held needs no damping
             self._forces[self.blocks] = self.g
-            self._damping.add_stiffness(self.layout, self.x, self._forces, A)  # type: ignore[arg-type]
+            for damping in self._damping:
+                damping.add_stiffness(self.layout, self.x, self._forces, A)  # type: ignore[arg-type]
         for term, sums in zip(self.terms, self._sums, strict=True):
             (term.add_hessian if exact else term.add_stiffness)(self.x, sums, A)
             term.add_dyads(self.x, sums, A)
         A.close()
-
-
-def _restricted(
-    whole: Potential, blocks: Indices
-) -> tuple[list[EnergyTerm], ClusterLayout, Booleans]:
-    """Parts of the terms that depend on blocks, these in clusters, and what moves, (n_local,)."""
-    chosen = np.zeros(whole.unknowns.n_local, dtype=bool)
-    chosen[blocks] = True
-    chosen[whole.unknowns.riders] |= chosen[whole.unknowns.interpolation].any(axis=1)
-    parts = [term.restricted(chosen, whole.sums_of(term)) for term in whole.terms]
-    terms = [part for part in parts if part is not None]
-    elements = [term.element_blocks() for term in terms]
-    return terms, ClusterLayout(whole.unknowns, blocks, elements), chosen

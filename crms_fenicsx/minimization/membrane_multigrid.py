@@ -50,6 +50,17 @@ def set_defaults(prefix: str, values: dict[str, str]) -> None:
             options[name] = value
 
 
+def block_traces(matrix: PETSc.Mat, held: npt.NDArray[np.bool_]) -> Array:
+    """Traces of the owned diagonal blocks without components that are held, (n, 3); (n,).
+
+    They do not depend on how the scene is turned in space.
+    """
+    diagonal = matrix.getDiagonal()
+    traces: Array = np.where(held, 0.0, diagonal.array.reshape(-1, 3)).sum(axis=1)
+    diagonal.destroy()
+    return traces
+
+
 def shift_diagonal(matrix: PETSc.Mat, traces: Array) -> None:
     """Add to a matrix's diagonal a small part of the owned blocks' traces, (n,), and their mean."""
     some = np.log(traces[traces > 0.0])
@@ -153,9 +164,7 @@ class MembraneMultigrid:
         M.zeroEntries()
         self.potential.add_stiffness_without_cables(M)
         M.assemble()
-        diagonal = M.getDiagonal()
-        traces = np.where(held[:n], 0.0, diagonal.array.reshape(-1, 3)).sum(axis=1)
-        diagonal.destroy()
+        traces = block_traces(M, held[:n])
         largest = self.potential.comm.allreduce(float(traces.max(initial=0.0)), op=MPI.MAX) or 1.0
         shift_diagonal(M, traces)
         rows = np.flatnonzero(held[:n]) + M.getOwnershipRange()[0]

@@ -14,11 +14,9 @@ cables near vertices and crossings, is relaxed alone before each step (see `rela
 
 Near the minimum the energy's differences drown in rounding, long before the forces balance to the
 tolerance. There a stage, which keeps the H0 of the one before, measures energy from its start x0 by
-the trapezoidal rule,
+the trapezoidal rule, which is accurate to the rounding of the forces:
 
-    W(x) - W(x0) = (g(x) + g(x0)) . (x - x0) / 2 + O(|x - x0|^3),
-
-which is accurate to the rounding of the forces.
+    W(x) - W(x0) = (g(x) + g(x0)) . (x - x0) / 2 + O(|x - x0|^3).
 """
 
 from __future__ import annotations
@@ -31,10 +29,10 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from crms_fenicsx.energies.stiffening import Stiffening
+from crms_fenicsx.energies.stiffening import FLOOR, Stiffening
 from crms_fenicsx.minimization import outcome as endings
 from crms_fenicsx.minimization.initial_hessian import InitialHessian, at_bounds
-from crms_fenicsx.minimization.newton import FROM, PATIENCE, NewtonMethod
+from crms_fenicsx.minimization.newton import PATIENCE, NewtonMethod
 from crms_fenicsx.minimization.outcome import REASONS, SEARCH_FAILED, Outcome
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.runtime.errors import InputError
@@ -42,8 +40,12 @@ from crms_fenicsx.runtime.errors import InputError
 if TYPE_CHECKING:
     from crms_fenicsx.minimization.relaxation import LocalRelaxation
 
-STAGE_LENGTHS = (3, 6, 10, 20)
-"""Iterations after which H0 is rebuilt; the last value repeats."""
+STAGE_LENGTHS, FROM_FLAT = (3, 6, 10, 20), (3, 6, 20)
+"""Iterations after which H0 is rebuilt, also of a sheet without stress; the last value repeats."""
+
+UNSETTLED = 10.0
+"""Part of the taut stiffness that wrinkled cells have in the third H0 there and later ones, over
+the squared residual by force scale: many turn taut, and by their tangent steps are far too long."""
 
 REBUILD = 8
 """Iterations, or evaluations in line searches, that cost as much as a new H0."""
@@ -65,12 +67,12 @@ LONGEST = 15
 ROUNDED = 1e-6
 """Residual, relative to the force scale, up to which one of nothing but rounding is accepted."""
 
-ROUGH = 1e-4
-COARSE = 1e-5
-"""Residual, relative to the force scale, at which `solve` asks whether to go on."""
+COARSE, ROUGH = 1e-5, 1e-4
+"""Residual, relative to the force scale, at which `solve` asks whether to go on, and where points
+of cables are relaxed: the few that are far out of balance elsewhere are not there any more."""
 
 TINY = 1e-300
-"""What takes the place of zero where it would have no logarithm."""
+"""What takes the place of zero in logarithms and quotients."""
 
 BOUNDED_TYPES, UNBOUNDED_TYPES = ("blmvm", "bqnls", "bncg"), ("lmvm", "cg")
 """Minimisers that need energy and gradient only, with bounds and without."""
@@ -115,11 +117,12 @@ class Minimizer:
         self._x, self._g, self._x0, self._g0, self._step = (
             potential.x_vector.duplicate() for _ in range(5)
         )
+        self._trial = self._x, self._g, self._step
         self._close = self._at_start = False
         self._energy0 = self._residual0 = self._tolerance = self._scale = self._near = 0.0
         self._evaluations0, self._length = 0, STAGE_LENGTHS[0]
         self._relaxation: LocalRelaxation | None = None
-        self._aged = True
+        self._aged, self._worn = True, math.inf
         self._interrupt: Callable[[], bool] | None = None
         self._interrupted = False
         self._error: BaseException | None = None
@@ -159,6 +162,8 @@ class Minimizer:
         """Free the PETSc objects."""
         self.tao.destroy()
         self.h0.destroy()
+        if self._relaxation is not None:
+            self._relaxation.destroy()
         for vector in (self._x, self._g, self._x0, self._g0, self._step, *(self._bounds or ())):
             vector.destroy()
 
@@ -176,22 +181,20 @@ class Minimizer:
         return 0.5 * (self._step.dot(G) + self._step.dot(self._g0))
 
     def _monitor(self, tao: PETSc.TAO) -> None:
-        """Called by TAO after each iteration: ends the stage if that pays.
-
-        Near the minimum it asks once whether to go on at all.
-        """
+        """Called by TAO after each iteration: ask whether to go on; end the stage if that pays."""
         residual = tao.getSolutionStatus()[2]
         try:
-            self.potential.place(self._x)
-            self._ask(residual)
+            self._ask(residual, self._x)
         except BaseException as error:  # PETSc would hide it behind an error of its own
             self._error, self._interrupted = error, True
         if self._interrupted or self._stage_is_over(tao.getIterationNumber(), residual):
             tao.setConvergedReason(PETSc.TAO.ConvergedReason.CONVERGED_USER)
 
-    def _ask(self, residual: float) -> None:
-        """Ask once near the minimum whether to go on."""
+    def _ask(self, residual: float, X: PETSc.Vec | None = None) -> None:
+        """Ask once near the minimum whether to go on, in the state X or in the one placed."""
         if self._interrupt is not None and residual <= self._coarse * self._scale:
+            if X is not None:
+                self.potential.place(X)
             interrupt, self._interrupt = self._interrupt, None
             self._interrupted = interrupt()
 
@@ -241,11 +244,16 @@ class Minimizer:
         `renewals` have been in this solve before; `failures` of line searches just now.
         """
         prestress = h0_prestress[min(renewals, len(h0_prestress) - 1)]
+        flat, least = h0_prestress[0] > 0.0, 0.0
+        if flat and renewals > 1:
+            least = UNSETTLED * (self._residual0 / max(self._scale, TINY)) ** 2
         for stiffening in self._stiffenings():
-            stiffening.set(prestress, failures)
+            stiffening.set(prestress, failures, least)
             if self._newton_method.active:
                 stiffening.floor.value = self._newton_method.restraint
-        self._length = STAGE_LENGTHS[min(renewals, len(STAGE_LENGTHS) - 1)]
+        lengths = FROM_FLAT if flat else STAGE_LENGTHS
+        self._length = lengths[min(renewals, len(lengths) - 1)]
+        self._worn = 2 * REBUILD if least > FLOOR else math.inf
         near = self._residual0 < EXACT * self._scale and self._newton_method.trusts_exact
         if not self.h0.rebuild(exact=near and prestress == 0.0 and failures == 0):
             self.h0.rebuild()
@@ -295,7 +303,7 @@ class Minimizer:
         self._interrupt, self._interrupted, self._error = interrupt, False, None
         self._place_bounds()
         potential.place()
-        iterations = factorizations = failures = 0
+        iterations = factorizations = failures = renewed = 0
         start, stages, best = potential.evaluations, 0.0, np.inf
         local = 0 if self._relaxation is None else self._relaxation.steps
         reason = "too many stages"
@@ -305,9 +313,11 @@ class Minimizer:
         self._length = STAGE_LENGTHS[0]
         while stages < self.max_stages:
             residual, tolerance, rounding = self._evaluate()
-            if self._relaxation is not None and self._relax(tolerance, h0_prestress, stages):
+            if self._relaxation is not None and self._relaxation.before_step(
+                residual, tolerance, self._scale, stressed=h0_prestress[0] == 0.0, first=stages == 0
+            ):
                 residual, tolerance, rounding = self._evaluate()
-            if self._relaxation is not None:
+            if self._newton_method.active or self._relaxation is not None:  # in stages TAO asks
                 self._ask(residual)
             end = self._end(residual, tolerance)
             if end or (failures >= 3 and residual > 0.5 * best):
@@ -320,25 +330,23 @@ class Minimizer:
             self._residual0, self._tolerance = residual, tolerance
             if self._uses_h0 and self._aged:
                 self._renew_h0(h0_prestress, factorizations, failures)
-                factorizations += 1
+                factorizations, renewed = factorizations + 1, iterations
             potential.x_vector.copy(self._x)
             potential.x_vector.copy(self._x0)
             if self._newton_method.active:
                 iterations += 1
-                vectors = self._x, self._g, self._step
-                fallen = self._newton_method.step(self._x0, self._g0, self._energy0, *vectors)
+                fallen = self._newton_method.step(self._x0, self._g0, self._energy0, *self._trial)
                 failures = 0 if fallen else failures + 1
                 continue
             ended = self._run(residual)
             iterations += self.tao.getIterationNumber()
             potential.place(self._x)
-            reason = "too many stages"
-            if ended < 0:
-                reason, self._aged = REASONS.get(ended, f"TAO reason {ended}"), True
+            reason = "too many stages" if ended >= 0 else REASONS.get(ended, f"TAO reason {ended}")
+            self._aged |= ended < 0
             failures = failures + 1 if ended == SEARCH_FAILED else 0
         for stiffening in self._stiffenings():
             stiffening.set(0.0)
-        self._aged |= reason != "converged"
+        self._aged |= reason != "converged" or iterations - renewed > self._worn
         converged = reason in ("converged", "interrupted")
         if not converged and rounding > tolerance:
             reason += endings.DROWNED.format(rounding)
@@ -353,18 +361,6 @@ class Minimizer:
             0 if self._relaxation is None else self._relaxation.steps - local,
             scale=max(self._scale, self.atol / self.rtol),
         )
-
-    def _relax(self, tolerance: float, h0_prestress: tuple[float, ...], stages: float) -> bool:
-        """Relax what is far out of balance; say whether the state has changed."""
-        assert self._relaxation is not None
-        stressed = h0_prestress[0] == 0.0
-        if stages == 0:
-            return stressed and self._relaxation.relax_patch(self._scale)
-        residual, of_vertices = self.residual(), self._relaxation.vertex_residual()
-        # One point alone may be what the scale comes from. On a flat sheet that is no reason.
-        settled = (of_vertices if stressed else residual) < FROM * self._scale
-        worth = settled and residual > CLOSE * self._scale
-        return worth and self._relaxation.relax_points(tolerance)
 
     def _evaluate(self) -> tuple[float, float, float]:
         """Evaluate the potential; return the gradient's norm, its tolerance and its rounding."""

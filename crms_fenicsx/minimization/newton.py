@@ -24,10 +24,6 @@ from crms_fenicsx.minimization.potential import Potential
 if TYPE_CHECKING:
     from crms_fenicsx.minimization.relaxation import LocalRelaxation
 
-FROM = 0.2
-"""Residual, relative to the force scale, from which on points are relaxed. On a roof that is still
-flat cables would slide to worse paths."""
-
 STUBBORN, PATIENCE = 0.1, 8
 """Reduction of the residual by a stage above which Newton's method takes over, after how many
 stages: cables that pass vertices take a few, and no Newton step makes that faster."""
@@ -105,7 +101,8 @@ class NewtonMethod:
                 self._mark = residual
                 self.trusts_exact = not slow
         self.trusts_exact &= self._failed < 2
-        if self.trusts_exact and NEAR * scale < residual < FROM * scale:
+        afar = 0.0 if self.relaxation is None else self.relaxation.afar
+        if self.trusts_exact and NEAR * scale < residual < afar * scale:
             if not self._quick:
                 self._count, self._mark = 0, residual
             self.active = self._quick = True

@@ -37,7 +37,7 @@ class Outcome:
     iterations, evaluations, factorizations
         Quasi-Newton iterations, evaluations of energy and gradient, factorisations of H0.
     local_steps
-        Newton steps of clusters of cable points and vertices alone, on this process.
+        Newton steps of clusters of cable points and vertices alone.
     solves
         Minimisations: more than one where cables turned slack or taut, lifted off or slid.
     flips

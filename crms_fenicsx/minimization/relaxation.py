@@ -15,7 +15,9 @@ import numpy as np
 import scipy.sparse as sp
 from mpi4py import MPI
 
+from crms_fenicsx.dofs.ghost_flags import GhostFlags
 from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.minimization.cluster_gather import gather, give_back
 from crms_fenicsx.minimization.local_potential import LocalPotential
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.runtime.arrays import Array, Booleans
@@ -46,8 +48,9 @@ RISE = 1e-12
 class LocalRelaxation:
     """Relaxes blocks of a potential that are out of balance.
 
-    Each process relaxes those of its blocks that no other process knows; they touch each other
-    through the lengths of cables alone.
+    Blocks fall into clusters, each of which one rank relaxes, with the elements of all, see
+    `cluster_gather`; they touch each other through the lengths of cables alone. All flags of blocks
+    are (n_local,), those of ghosts being their owners'.
 
     Parameters
     ----------
@@ -57,21 +60,28 @@ class LocalRelaxation:
     Attributes
     ----------
     steps
-        Newton steps that were made on this process.
+        Newton steps that were made, on all ranks.
     """
+
+    afar = 0.2
+    """Residual, relative to the force scale, down to which nothing is relaxed. On a roof that is
+    still flat cables would slide to worse paths."""
 
     def __init__(self, potential: Potential) -> None:
         self.potential, self.steps = potential, 0
         unknowns = potential.unknowns
-        n, own = unknowns.n_vertices, unknowns.n_owned
-        free = np.zeros(unknowns.n_local, dtype=bool)
+        own = unknowns.n_owned
+        self._flags = GhostFlags(unknowns)
+        free: Booleans = np.zeros(unknowns.n_local, dtype=bool)
         free[:own] = ~unknowns.held[:own].all(axis=1)
-        free &= ~_shared(potential)
+        free = self._flags.of_owners(free)
         self._points = free.copy()
-        self._points[:n] = False
+        self._points[unknowns.vertex_blocks()] = self._points[unknowns.far_vertex_blocks()] = False
+        self._n_points = self._count(self._points)
         # Forms over all cells may have no twin for the few around some vertices.
         alone = all(term.integral is None or term.twin is not None for term in potential.terms)
         self._all, self._stuck = free if alone else self._points, np.zeros_like(free)
+        self._n_all = self._count(self._all)
         pairs = [term.links for term in potential.terms if term.links is not None]
         links = np.concatenate([np.zeros((0, 2), dtype=np.int32), *pairs])
         self._point_links = _adjacency(links[self._points[links].all(axis=1)], len(free))
@@ -84,17 +94,45 @@ class LocalRelaxation:
 
     @staticmethod
     def _possible(potential: Potential) -> bool:
-        """Whether a potential has cable points that can be relaxed alone.
-
-        On several processes those that two of them know could not: how many steps a solve takes
-        would depend on how the mesh is divided. So none are, for now.
-        """
+        """Whether a potential has cable points that can be relaxed alone."""
         cables = [term for term in potential.terms if term.of_cables]
-        parts = all(type(term).restricted is not EnergyTerm.restricted for term in cables)
+        parts = all(type(term).elements_on is not EnergyTerm.elements_on for term in cables)
         history = any(term.has_history for term in potential.terms)
         bounds = potential.unknowns.bounds is not None
-        one = potential.comm.size == 1
-        return one and len(cables) > 0 and parts and not history and not bounds
+        return len(cables) > 0 and parts and not history and not bounds
+
+    def destroy(self) -> None:
+        """Free the PETSc objects."""
+        self._flags.destroy()
+
+    def before_step(
+        self, residual: float, tolerance: float, scale: float, *, stressed: bool, first: bool
+    ) -> bool:
+        """Relax what is far out of balance, before a step of all unknowns. Collective.
+
+        Parameters
+        ----------
+        residual
+            Norm of the forces (force).
+        tolerance
+            Norm of them that is small enough (force).
+        scale
+            Scale of the forces.
+        stressed
+            Whether the membrane has stresses.
+        first
+            Whether the solve begins: then patches are relaxed, later points.
+
+        Returns
+        -------
+        Whether the state has changed; the potential is then evaluated in the new one.
+        """
+        if first:
+            return stressed and self.relax_patch(scale)
+        of_vertices = self.vertex_residual()
+        # One point alone may be what the scale comes from. On a flat sheet that is no reason.
+        settled = (of_vertices if stressed else residual) < self.afar * scale
+        return settled and residual > SETTLED * scale and self.relax_points(tolerance)
 
     def relax_points(self, tolerance: float) -> bool:
         """Relax points while they are far more out of balance than the vertices. Collective.
@@ -116,9 +154,9 @@ class LocalRelaxation:
             if not of_points > goal:
                 return turn > 0
             aim = BALANCED * goal
-            least = aim / max(np.count_nonzero(self._points), 1) ** 0.5
+            least = aim / max(self._n_points, 1) ** 0.5
             chosen |= self._around(self._points, self._point_links, POINT_PART, POINT_RINGS, least)
-            if np.count_nonzero(chosen) > MOST * np.count_nonzero(self._points):
+            if self._count(chosen) > MOST * self._n_points:
                 chosen = self._points.copy()
             if not self._relax(chosen, 0.5 * aim):
                 return True
@@ -140,11 +178,9 @@ class LocalRelaxation:
         self._stuck[:] = False
         for turn in range(ROUNDS):
             more = chosen | self._around(self._all, self._links, PATCH_PART, PATCH_RINGS, 0.0)
-            sizes = np.array([np.count_nonzero(more), np.count_nonzero(self._all)])
-            self.potential.comm.Allreduce(MPI.IN_PLACE, sizes)
             inside, outside = self._residuals(more)
             least = PATCHED if turn == 0 else SETTLED
-            if sizes[0] > MOST * sizes[1] or inside < max(outside, least * scale):
+            if self._count(more) > MOST * self._n_all or inside < max(outside, least * scale):
                 return turn > 0
             chosen = more
             if not self._relax(chosen, max(0.1 * outside, 0.1 * SETTLED * scale)):
@@ -152,14 +188,16 @@ class LocalRelaxation:
         return True
 
     def _relax(self, chosen: Booleans, tolerance: float) -> bool:
-        """Relax the chosen blocks of this process; say whether the energy has not risen."""
+        """Relax the chosen blocks; say whether the energy has not risen. Collective."""
         potential, before = self.potential, self.potential.x.copy()
         energy, size = potential.energy(), sum(map(abs, potential.energies().values()))
-        blocks = np.flatnonzero(chosen & ~self._stuck).astype(np.int32)
-        if len(blocks):
-            local = LocalPotential(potential, blocks)
-            self._stuck[local.relax(tolerance, STEPS)] = True
-            self.steps += local.steps
+        potential.unknowns.update_ghosts(potential.g_vector)
+        moves = self._flags.of_owners(chosen & ~self._stuck)
+        clusters = gather(potential, moves, self._flags.shared)
+        local = LocalPotential(potential, clusters)
+        late = local.relax(tolerance, STEPS)
+        self.steps += potential.comm.allreduce(local.steps)
+        self._stuck |= give_back(potential, clusters, local.blocks, late)
         potential.place()
         if potential.evaluate() <= energy + RISE * size:
             return True
@@ -172,16 +210,17 @@ class LocalRelaxation:
         """Norm of the free forces on all but the points that can be relaxed. Collective."""
         return self._residuals(self._points)[1]
 
-    def _sizes(self, of: Booleans) -> Array:
-        """Norms of the free forces on some owned blocks, of others zero, (n_owned,)."""
+    def _sizes(self) -> Array:
+        """Norms of the free forces on the owned blocks, (n_owned,)."""
         n = self.potential.unknowns.n_owned
         g = np.where(self.potential.unknowns.held[:n], 0.0, self.potential.g[:n])
-        sizes: Array = np.linalg.norm(g, axis=1) * of[:n]
-        return sizes
+        return np.asarray(np.linalg.norm(g, axis=1))
 
     def _residuals(self, of: Booleans) -> tuple[float, float]:
         """Norms of the forces on some owned blocks, and on all others."""
-        squares = np.array([np.sum(self._sizes(some) ** 2) for some in (of, ~of)])
+        sizes = self._sizes()
+        of = of[: len(sizes)]
+        squares = np.array([np.sum((sizes * some) ** 2) for some in (of, ~of)])
         self.potential.comm.Allreduce(MPI.IN_PLACE, squares)
         return float(squares[0] ** 0.5), float(squares[1] ** 0.5)
 
@@ -189,13 +228,20 @@ class LocalRelaxation:
         self, of: Booleans, links: sp.csr_matrix, part: float, rings: int, least: float
     ) -> Booleans:
         """Blocks out of balance, and rings around them."""
-        sizes = self._sizes(of)
+        sizes = self._sizes()
+        sizes *= of[: len(sizes)]
         top = self.potential.comm.allreduce(float(sizes.max(initial=0.0)), op=MPI.MAX)
         found = np.zeros_like(of)
         found[: len(sizes)] = sizes > max(part * top, least)
+        found = self._flags.of_owners(found)
         for _ in range(rings):
-            found |= links @ found > 0
+            found = self._flags.on_any(found | (links @ found > 0))
         return found
+
+    def _count(self, of: Booleans) -> int:
+        """How many blocks on all ranks have a flag. Collective."""
+        unknowns = self.potential.unknowns
+        return int(unknowns.comm.allreduce(np.count_nonzero(of[: unknowns.n_owned])))
 
 
 def _adjacency(pairs: Array, size: int) -> sp.csr_matrix:
@@ -203,13 +249,3 @@ def _adjacency(pairs: Array, size: int) -> sp.csr_matrix:
     ones = np.ones(2 * len(pairs), dtype=np.int32)
     a, b = pairs.T
     return sp.csr_matrix((ones, (np.append(a, b), np.append(b, a))), shape=(size, size))
-
-
-def _shared(potential: Potential) -> Booleans:
-    """Owned blocks that are ghosts of another process, (n_local,). Collective."""
-    vector, array = potential.unknowns.vector()
-    array[potential.unknowns.n_owned :] = 1.0
-    potential.unknowns.add_ghosts(vector)
-    shared: Booleans = array[:, 0] > 0.0
-    vector.destroy()
-    return shared

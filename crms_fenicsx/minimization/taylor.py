@@ -19,7 +19,7 @@ from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.meshes.cell_geometry import area_vectors
 from crms_fenicsx.minimization.potential import Potential
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import EPSILON, Array
 from crms_fenicsx.runtime.errors import InputError
 
 STEPS = tuple(0.01 * 0.25 ** np.arange(6))
@@ -30,7 +30,7 @@ SHAKEN = 0.1
 """Size of the displacements at which terms are tested, relative to the cells."""
 SLACK = 0.2
 """How far a fitted order may be below the one that is due."""
-ROUNDED = 1e3 * float(np.finfo(float).eps)
+ROUNDED = 1e3 * EPSILON
 """Remainders up to this, relative to the energies and works that they are left of, are rounding."""
 SYMMETRIC = 1e-9
 """Largest relative asymmetry of a stiffness."""
@@ -236,11 +236,12 @@ def taylor_test(
     """
     V, layout, kept = u.function_space, getattr(term, "unknowns", None), u.x.array.copy()
     f = TermsWithDyads(Unknowns(V), u, [term])
-    X, n = f.unknowns.X, f.unknowns.n_owned
+    n = f.unknowns.n_owned
     cells = V.mesh.topology.index_map(2)
     area = float(np.linalg.norm(area_vectors(V.mesh)[: cells.size_local], axis=1).sum())
     size = math.sqrt(V.mesh.comm.allreduce(area) / cells.size_global)
-    x, d, other = (SHAKEN * size * noise(X[:n] / size, 3 * seed + k) for k in range(3))
+    places = np.asarray(f.unknowns.X[:n] / size, dtype=float)
+    x, d, other = (SHAKEN * size * noise(places, 3 * seed + k) for k in range(3))
     try:
         return _rates(f, term.name, f.potential.x[:n] + x, d, other, stiffness == "exact")
     finally:

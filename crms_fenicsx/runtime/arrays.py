@@ -14,6 +14,9 @@ Indices = npt.NDArray[np.int32]
 Integers = npt.NDArray[np.int64]
 """Global numbers."""
 
+EPSILON = float(np.finfo(float).eps)
+"""Relative spacing of floating-point numbers."""
+
 
 def pointers(counts: npt.NDArray[np.integer]) -> Integers:
     """Where lists of `counts` (n,) members begin, one after the other, and the end, (n + 1,)."""

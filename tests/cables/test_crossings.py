@@ -464,7 +464,9 @@ def crossed_square(
     solver.advance(pressure=0.01)
     routes = {"first": [(0.0, 43.0), (100.0, 48.0)], "second": [(57.0, 0.0), (52.0, 100.0)]}
     cables = [
-        scene.lay_cable(Cable(32000.0), route, name=name, layer=levels.get(name, 0))
+        scene.lay_cable(
+            Cable(32000.0), route, name=name, layer=levels.get(name, 0), measured_on="facets"
+        )
         for name, route in routes.items()
     ]
     solver.advance(L0={cables[0]: 0.99 * cables[0].L0, cables[1]: factor * cables[1].L0})

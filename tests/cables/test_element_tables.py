@@ -123,7 +123,7 @@ def test_facets_are_those_of_the_pieces(tables) -> None:
 def test_sliding_points_are_damped_along_their_edges(tables) -> None:
     slow, fast = tables
     sliders = slow.sliders()
-    found = damping(slow.numbering, fast.segments)
+    found = damping(slow.numbering, fast.segments).springs
     assert found.sliders.tolist() == [blocks for blocks, _ in sliders]
     assert found.fractions.tolist() == [fraction for _, fraction in sliders]
 

@@ -12,7 +12,7 @@ from crms_fenicsx.cables.node_positions import NodePositions
 from crms_fenicsx.energies.edge_fractions import edge_fractions
 from crms_fenicsx.energies.lateral_friction import LateralFriction, Slips
 from crms_fenicsx.energies.paper.friction_element import FrictionElementEnergy, FrictionElements
-from crms_fenicsx.energies.smooth_coulomb import friction_energy
+from crms_fenicsx.energies.smooth_coulomb import friction_energy, friction_potentials
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.friction.slip import node_slips
 from crms_fenicsx.model.friction import Friction
@@ -51,6 +51,7 @@ def test_all_nodes_add_up():
     energy = friction_energy(s, F, eps, force)
     twins = np.array([potential(*row) for row in zip(s, F, eps, strict=True)])
     assert energy == pytest.approx(twins[:, 0].sum(), rel=1e-14)
+    np.testing.assert_allclose(friction_potentials(s, F, eps), twins[:, 0], rtol=1e-14)
     np.testing.assert_allclose(force, twins[:, 1], rtol=1e-12)
 
 

@@ -295,3 +295,18 @@ def test_axes_of_folded_cells_are_those_of_the_form(comm):
     axes = term.material_axes(np.arange(len(was), dtype=np.int32))
     twin = np.array([axes_of(x, turning_warp(x.mean(axis=0))) for x in was]).reshape(-1, 2, 3)
     np.testing.assert_allclose(axes, twin, atol=1e-14)
+
+
+def test_a_failed_assembly_leaves_no_trace(comm):
+    """What is changed while second derivatives or a stiffness without cables are assembled."""
+    scene = Scene(irregular_square(comm), IsotropicMembrane(300.0, 0.25, 0.08))
+    term = MembraneEnergy(scene.u, scene.materials)
+    term.stiffening.set(0.3)
+    term.plain.x.array[:1] = 0.0
+    parts = term.stiffening.prestress, term.stiffening.floor, term.stiffening.compression
+    before, plain = [float(part.value) for part in parts], term.plain.x.array.copy()
+    for assemble in (term.add_hessian, term.add_stiffness_without_cables):
+        with pytest.raises(AttributeError):
+            assemble(np.zeros((0, 3)), np.zeros(1), None)
+        assert [float(part.value) for part in parts] == before
+        np.testing.assert_array_equal(term.plain.x.array, plain)

@@ -8,6 +8,7 @@ from mpi4py import MPI
 from taylor import OnMesh, dense, noise
 from term_scene import FABRIC, ISOTROPIC, STIFF, cable_square, displaced
 
+from crms_fenicsx.minimization.cluster_gather import gather
 from crms_fenicsx.minimization.local_potential import LocalPotential
 from crms_fenicsx.minimization.relaxation import LocalRelaxation
 
@@ -24,6 +25,14 @@ def evaluated(material=ISOTROPIC, size=0.3):
     return potential
 
 
+def local_potential(potential, blocks):
+    """The potential of some blocks, and which blocks of the whole its own are."""
+    moves = np.zeros(potential.unknowns.n_local, dtype=bool)
+    moves[blocks] = True
+    clusters = gather(potential, moves, np.zeros_like(moves))
+    return LocalPotential(potential, clusters), clusters.numbers
+
+
 def free_blocks(potential, points=True, vertices=False):
     """Blocks that may move."""
     unknowns = potential.unknowns
@@ -38,36 +47,42 @@ def test_energy_and_forces_are_those_of_the_whole(material, vertices):
     """One cluster, so that each cable is in one piece: exact for any displacement of its blocks."""
     potential = evaluated(material)
     chosen = free_blocks(potential, vertices=vertices)
-    layout = LocalPotential(potential, chosen).layout
+    local, numbers = local_potential(potential, chosen)
+    layout = local.layout
     largest = np.argmax(np.diff(layout.starts))
-    blocks = np.sort(layout.blocks[layout.cluster == largest]).astype(np.int32)
+    blocks = np.sort(numbers[layout.blocks[layout.cluster == largest]])
     assert len(blocks) > 5
-    local = LocalPotential(potential, blocks)
+    local, numbers = local_potential(potential, blocks)
     assert local.layout.n_clusters == 1
+    whole = numbers[local.blocks]
     before, own = potential.energy(), local.energies.sum()
-    np.testing.assert_allclose(local.g, potential.g[local.blocks], atol=1e-11)
-    kept = potential.x[local.blocks].copy()
-    step = 0.05 * noise(potential.unknowns.X[local.blocks], 4)
+    np.testing.assert_allclose(local.g, potential.g[whole], atol=1e-11)
+    kept = potential.x[whole].copy()
+    step = 0.05 * noise(potential.unknowns.X[whole], 4)
     local.layout.project(step)
-    potential.x[local.blocks] = kept + step
+    potential.x[whole] = local.x[local.blocks] = kept + step
     local._evaluate()
     potential.place()
     after = potential.evaluate()
     change = local.energies.sum() - own
     assert abs(change) > 1e-3
     assert change == pytest.approx(after - before, rel=1e-9)
-    g = np.where(potential.unknowns.held, 0.0, potential.g)[local.blocks]
+    g = np.where(potential.unknowns.held, 0.0, potential.g)[whole]
     np.testing.assert_allclose(local.g, g, atol=1e-9 * np.abs(g).max())
 
 
 def test_clusters_have_no_element_in_common():
     potential = evaluated()
     blocks = free_blocks(potential)[::3]
-    local = LocalPotential(potential, blocks)
+    local, numbers = local_potential(potential, blocks)
     assert local.layout.n_clusters > 3
-    number = {int(b): int(c) for b, c in zip(local.blocks, local.layout.cluster, strict=True)}
-    for term in local.terms:
-        pointers, members = term.element_blocks()
+    whole = numbers[local.blocks]
+    number = {int(b): int(c) for b, c in zip(whole, local.layout.cluster, strict=True)}
+    moves = np.isin(np.arange(potential.unknowns.n_local), blocks)
+    tables = [term.elements_on(moves) for term in potential.terms]
+    assert sum(table is not None for table in tables) == len(local.terms) > 3
+    for table in tables:
+        pointers, members = ([0], []) if table is None else table.element_blocks
         for a, b in itertools.pairwise(pointers):
             assert len({number[int(m)] for m in members[a:b] if int(m) in number}) <= 1
 
@@ -76,14 +91,15 @@ def test_pieces_of_a_cable_together_are_never_below_its_energy():
     """The sum over clusters bounds the whole's change from above, and equals it to first order."""
     potential = evaluated()
     blocks = free_blocks(potential)[::3]
-    local = LocalPotential(potential, blocks)
+    local, numbers = local_potential(potential, blocks)
     before, own = potential.energy(), local.energies.sum()
-    kept = potential.x[local.blocks].copy()
+    whole = numbers[local.blocks]
+    kept = potential.x[whole].copy()
     gaps = []
     for h in (0.02, 0.01, 0.005):
-        step = h * noise(potential.unknowns.X[local.blocks], 2)
+        step = h * noise(potential.unknowns.X[whole], 2)
         local.layout.project(step)
-        potential.x[local.blocks] = kept + step
+        potential.x[whole] = local.x[local.blocks] = kept + step
         local._evaluate()
         potential.place()
         gaps.append(local.energies.sum() - own - (potential.evaluate() - before))
@@ -100,13 +116,13 @@ def test_matrix_is_a_block_of_the_whole_one(exact):
     whole = OnMesh.__new__(OnMesh)
     whole.potential, whole.unknowns, whole.exact = potential, potential.unknowns, exact
     potential.damping, damping = None, potential.damping
-    local = LocalPotential(potential, blocks)
+    local, own_numbers = local_potential(potential, blocks)
     x = potential.x[: potential.unknowns.n_owned].copy()
     K = dense(whole.assembled(x))
     potential.damping = damping
     numbers = potential.unknowns.matrix_numbers
     for c in range(local.layout.n_clusters):
-        own = local.blocks[local.layout.cluster == c]
+        own = own_numbers[local.blocks[local.layout.cluster == c]]
         rows = (3 * numbers[own][:, None] + np.arange(3)).ravel()
         expected = K[np.ix_(rows, rows)]
         local._matrix.clear()
@@ -118,14 +134,14 @@ def test_matrix_is_a_block_of_the_whole_one(exact):
 
 def test_dyads_are_those_of_the_pieces():
     potential = evaluated()
-    local = LocalPotential(potential, free_blocks(potential)[::3])
+    local, _ = local_potential(potential, free_blocks(potential)[::3])
     (tension,) = [t for t in local.terms if type(t).__name__ == "CableTension"]
     sums = local._sums[local.terms.index(tension)]
     local._matrix.clear()
     tension.add_dyads(local.x, sums, local._matrix)
     expected = np.zeros((3 * len(local.blocks),) * 2)
     for k, value in enumerate(tension.dyads(sums)):
-        g = np.zeros_like(potential.x)
+        g = np.zeros_like(local.x)
         tension.add_dyad_column(k, local.x, g)
         column = g[local.blocks].ravel()
         expected += value * np.outer(column, column)
@@ -138,16 +154,15 @@ def test_dyads_are_those_of_the_pieces():
 @pytest.mark.parametrize("vertices", [False, True], ids=["points", "with vertices"])
 def test_relaxed_blocks_are_in_balance(vertices):
     potential = evaluated(STIFF, size=0.1)
-    local = LocalPotential(potential, free_blocks(potential, vertices=vertices)[::4])
+    local, _ = local_potential(potential, free_blocks(potential, vertices=vertices)[::4])
     energies, residual = local.energies.copy(), np.linalg.norm(local.g)
     late = local.relax(1e-8 * residual, 60)
-    assert len(late) == 0
+    assert len(late) > 5 and not late.any()
     assert np.all(local.energies <= energies)
     assert np.linalg.norm(local.g) < 2e-3 * residual
 
 
 def test_a_relaxation_lowers_the_energy_of_the_whole(comm):
-    """On any number of processes: each relaxes what no other knows, at the same time."""
     system = cable_square(comm)
     potential, n = system.potential, system.unknowns.n_owned
     shake = displaced(system.unknowns, 0.5, stretch=1.03)
@@ -159,5 +174,5 @@ def test_a_relaxation_lowers_the_energy_of_the_whole(comm):
     points, _ = relaxation._residuals(relaxation._points)
     assert relaxation.relax_points(0.0)
     assert potential.energy() < before
-    assert comm.allreduce(relaxation.steps) > 0
+    assert relaxation.steps > 0
     assert relaxation._residuals(relaxation._points)[0] < points

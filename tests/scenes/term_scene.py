@@ -38,7 +38,7 @@ def grid_points() -> Array:
     return points
 
 
-def irregular_square(comm: MPI.Intracomm, lift: float = 0.0) -> MembraneMesh:
+def irregular_square(comm: MPI.Intracomm, lift: float = 0.0, ranks: Any = None) -> MembraneMesh:
     """A square with parts "left" and "right", lifted like a dome."""
     numbers = np.arange((N + 1) ** 2).reshape(N + 1, N + 1)
     a, b, c, d = numbers[:-1, :-1], numbers[1:, :-1], numbers[1:, 1:], numbers[:-1, 1:]
@@ -51,7 +51,7 @@ def irregular_square(comm: MPI.Intracomm, lift: float = 0.0) -> MembraneMesh:
     height = lift * 16 * x * (1 - x) * y * (1 - y)
     half = len(cells) // 2
     parts = {"left": np.arange(half), "right": np.arange(half, len(cells))}
-    return from_arrays(comm, np.column_stack([points, height]), cells, parts=parts)
+    return from_arrays(comm, np.column_stack([points, height]), cells, parts=parts, ranks=ranks)
 
 
 def cable_square(
@@ -59,11 +59,12 @@ def cable_square(
     material: MembraneMaterial = ISOTROPIC,
     *,
     taut: bool = True,
+    ranks: Any = None,
     **choices: object,
 ) -> System:
     """The square with an oblique cable, one beside it on the same edges that ends on the membrane,
     and one through vertices, partly along an edge."""
-    scene = Scene(irregular_square(comm), material, **choices)  # type: ignore[arg-type]
+    scene = Scene(irregular_square(comm, ranks=ranks), material, **choices)  # type: ignore[arg-type]
     scene.fix("boundary")
     tension = 20.0 if taut else None
     points = grid_points()

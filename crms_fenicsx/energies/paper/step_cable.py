@@ -64,7 +64,7 @@ class StepCableTension(CableTension):
         grown = self._energy_n + mean * (lengths - self._length_n)
         return np.where(self._stepwise, grown, super().energies(lengths))
 
-    def restricted(self, chosen: Booleans, sums: Array) -> None:
+    def elements_on(self, chosen: Booleans) -> None:
         """Return none: blocks are not relaxed alone with a law that has a history."""
         return None
 

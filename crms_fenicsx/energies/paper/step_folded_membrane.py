@@ -1,4 +1,4 @@
-"""The paper's incremental strain in folded cells, (2.3-1 ... 2.3-14); see `incremental`."""
+"""The paper's incremental strain in folded cells, (2.3-1 ... 2.3-14); see `step_membrane`."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ class StepFoldedMembraneEnergy(FoldedMembraneEnergy):
         super().add_stiffness(x, sums, A)
         self.sums(x, np.zeros(1))
 
-    def restricted(self, chosen: Booleans, sums: Array) -> None:
+    def elements_on(self, chosen: Booleans) -> None:
         """Return none: blocks are not relaxed alone with a law that has a history."""
         return None
 

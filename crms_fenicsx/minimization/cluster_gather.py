@@ -1,0 +1,255 @@
+"""Gathers clusters of blocks, with all elements that depend on them, on one rank each.
+
+Elements are where their cells are. A cluster whose elements are of several ranks is solved by the
+one that owns most of its blocks; the others tell it their elements and the state of the blocks
+there. So all clusters are solved alike, however the mesh is divided.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import TypeVar
+
+import numpy as np
+import scipy.sparse as sp
+from mpi4py import MPI
+from scipy.sparse.csgraph import connected_components
+
+from crms_fenicsx.dofs.cluster_layout import ClusterLayout
+from crms_fenicsx.dofs.elements import ElementTable
+from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.local_blocks import LocalBlocks
+from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
+
+LARGEST = 400
+"""Blocks of a cluster beyond which it is left to the minimiser of all unknowns."""
+
+SPRINGS = -1
+"""What stands for the number of the term whose elements damp the steps."""
+
+Tables = Sequence[tuple[int, ElementTable]]
+Message = TypeVar("Message")
+
+
+@dataclass(frozen=True)
+class Clusters:
+    """Clusters with their elements, and the state of the n blocks that these address.
+
+    Attributes
+    ----------
+    numbers : (n,)
+        Global numbers of the blocks.
+    owned : (n,)
+        Whether they are the rank's own that tells of them.
+    X, x, g : (n, 3)
+        Positions at zero displacement, displacements and forces of the whole potential.
+    moves : (n,)
+        Whether they are of the clusters; all others are held.
+    held : (n, 3)
+        Components with a prescribed value.
+    directions : (n, 3)
+        Lines of rails; zero for others.
+    rides_on, weights : (n, 3)
+        Global numbers of what riders ride on, -1 for others, and its weights.
+    tables
+        Numbers of terms of the potential, and elements of each.
+    """
+
+    numbers: Integers
+    owned: Booleans
+    X: Array
+    x: Array
+    g: Array
+    moves: Booleans
+    held: Booleans
+    directions: Array
+    rides_on: Integers
+    weights: Array
+    tables: Tables
+
+    @classmethod
+    def of(cls, potential: Potential, moving: Indices, tables: Tables) -> Clusters:
+        """This rank's elements of clusters with some blocks of its layout."""
+        unknowns, n = potential.unknowns, potential.unknowns.n_local
+        used = np.zeros(n, dtype=bool)
+        used[moving] = True
+        for _, table in tables:
+            for name in table.addresses:
+                used[getattr(table, name)] = True
+        used[unknowns.interpolation[used[unknowns.riders]]] = True
+        blocks = np.flatnonzero(used)
+        number = np.full(n, -1, dtype=np.int32)
+        number[blocks] = np.arange(len(blocks))
+        numbers, moves = unknowns.numbers(), np.zeros(n, dtype=bool)
+        moves[moving] = True
+        directions, weights = np.zeros((n, 3)), np.zeros((n, 3))
+        rides_on = np.full((n, 3), -1, dtype=np.int64)
+        directions[unknowns.rails] = unknowns.directions
+        rides_on[unknowns.riders] = numbers[unknowns.interpolation]
+        weights[unknowns.riders] = unknowns.weights
+        values = (
+            numbers.astype(np.int64), np.arange(n) < unknowns.n_owned, unknowns.X, potential.x,
+            potential.g, moves, unknowns.held, directions, rides_on, weights,
+        )  # fmt: skip
+        told = [(k, table.renumbered(number)) for k, table in tables]
+        return cls(*(value[blocks] for value in values), told)  # type: ignore[call-arg, arg-type]
+
+    @classmethod
+    def joined(cls, parts: Sequence[Clusters]) -> Clusters:
+        """The elements that several ranks have of the same clusters."""
+        if len(parts) == 1:
+            return parts[0]
+        numbers = np.concatenate([part.numbers for part in parts])
+        # Of what several know the owner's is the last, and stays.
+        order = np.argsort(np.concatenate([part.owned for part in parts]), kind="stable")
+        _, last, place = np.unique(numbers[order[::-1]], return_index=True, return_inverse=True)
+        kept = order[::-1][last]
+        places = np.empty(len(order), dtype=np.int32)
+        places[order[::-1]] = place
+        at = np.split(places, np.cumsum([len(part.numbers) for part in parts])[:-1])
+        names = [field.name for field in fields(cls) if field.name != "tables"]
+        values = [np.concatenate([getattr(part, name) for part in parts])[kept] for name in names]
+        told = [
+            (k, t.renumbered(own)) for p, own in zip(parts, at, strict=True) for k, t in p.tables
+        ]
+        return cls(*values, told)  # type: ignore[call-arg]
+
+    def layout(self) -> LocalBlocks:
+        """The blocks as a layout."""
+        blocks = LocalBlocks(self.X)
+        blocks.held[:] = self.held
+        riders = np.flatnonzero(self.rides_on[:, 0] >= 0).astype(np.int32)
+        order = np.argsort(self.numbers)
+        on = order[np.searchsorted(self.numbers[order], self.rides_on[riders])]
+        blocks.set_riders(riders, on.astype(np.int32), self.weights[riders])
+        rails = np.flatnonzero(self.directions.any(axis=1)).astype(np.int32)
+        blocks.set_rails(rails, self.directions[rails])
+        return blocks
+
+    def elements_of(self, term: int) -> Sequence[ElementTable]:
+        """Elements of a term, in as few tables as it needs."""
+        tables = [table for k, table in self.tables if k == term]
+        return type(tables[0]).joined(tables) if tables else ()
+
+
+def gather(potential: Potential, moves: Booleans, shared: Booleans) -> Clusters:
+    """Gather the clusters that this rank is to solve. Collective.
+
+    Parameters
+    ----------
+    potential
+        A potential, evaluated at its current state, forces of ghosts included.
+    moves : (n_local,)
+        Blocks that move, ghosts too: free ones, without riders. Those in clusters of more than
+        `LARGEST` are left out.
+    shared : (n_local,)
+        Whether several ranks know a block.
+    """
+    unknowns, comm = potential.unknowns, potential.comm
+    blocks, tables = np.flatnonzero(moves).astype(np.int32), _elements(potential, moves)
+    elements = [table.element_blocks for k, table in tables if k != SPRINGS]
+    layout = ClusterLayout(unknowns, blocks, elements)
+    rank = _solvers(layout, shared)[layout.cluster]
+    parts = {}
+    for solver in {comm.rank, *map(int, rank[rank >= 0])}:
+        own = np.sort(layout.blocks[rank == solver])
+        some = tables
+        if len(own) < len(blocks):
+            chosen = np.zeros_like(moves)
+            chosen[own] = True
+            some = _elements(potential, chosen)
+        parts[solver] = Clusters.of(potential, own, some)
+    return Clusters.joined(exchange(comm, parts))
+
+
+def _elements(potential: Potential, moves: Booleans) -> Tables:
+    """This rank's elements that depend on some blocks, or on what rides on them."""
+    unknowns, chosen = potential.unknowns, moves.copy()
+    chosen[unknowns.riders] |= chosen[unknowns.interpolation].any(axis=1)
+    tables = [(k, term.elements_on(chosen)) for k, term in enumerate(potential.terms)]
+    if potential.damping is not None:
+        tables.append((SPRINGS, potential.damping.elements_on(chosen)))
+    return [(k, table) for k, table in tables if table is not None]
+
+
+def _solvers(layout: ClusterLayout, shared: Booleans) -> Integers:
+    """Rank that is to solve each cluster, or -1 if it is too large. Collective.
+
+    Parameters
+    ----------
+    layout
+        Clusters as this rank sees them: several may be one by elements of other ranks.
+    shared : (n_local,)
+        Whether several ranks know a block.
+    """
+    unknowns = layout.whole
+    assert isinstance(unknowns, Unknowns)
+    comm = unknowns.comm
+    own = layout.cluster[layout.blocks < unknowns.n_owned]
+    sizes = np.bincount(own, minlength=layout.n_clusters)
+    solvers = np.where(sizes > LARGEST, -1, comm.rank)
+    if comm.size == 1:
+        return solvers
+    known = shared[layout.blocks]
+    seen, piece = np.unique(layout.cluster[known], return_inverse=True)
+    told = comm.allgather((unknowns.numbers()[layout.blocks[known]], piece, sizes[seen]))
+    counts = [len(own_sizes) for _, _, own_sizes in told]
+    starts = np.cumsum([0, *counts])
+    numbers, block = np.unique(np.concatenate([part[0] for part in told]), return_inverse=True)
+    pieces = np.concatenate(
+        [part[1] + start for part, start in zip(told, starts[:-1], strict=True)]
+    )
+    size, edges = starts[-1] + len(numbers), (pieces, starts[-1] + block)
+    graph = sp.csr_matrix((np.ones(len(pieces), dtype=np.int8), edges), shape=(size, size))
+    cluster = connected_components(graph, directed=False)[1][: starts[-1]]
+    shares = np.zeros((int(cluster.max(initial=-1)) + 1, comm.size), dtype=np.int64)
+    ranks = np.repeat(np.arange(comm.size), counts)
+    np.add.at(shares, (cluster, ranks), np.concatenate([part[2] for part in told]))
+    most = np.where(shares.sum(axis=1) > LARGEST, -1, shares.argmax(axis=1))
+    solvers[seen] = most[cluster[starts[comm.rank] : starts[comm.rank + 1]]]
+    return solvers
+
+
+def give_back(
+    potential: Potential, clusters: Clusters, blocks: Indices, flags: Booleans
+) -> Booleans:
+    """Hand displacements to the owners of blocks, which put them into the potential. Collective.
+
+    Parameters
+    ----------
+    potential
+        The potential.
+    clusters
+        Those that this rank has solved.
+    blocks, flags
+        Which of their blocks to hand over, (m,), with a flag each.
+
+    Returns
+    -------
+    The flags of this rank's blocks, (n_local,).
+    """
+    starts = potential.unknowns.starts
+    numbers, x = clusters.numbers[blocks], clusters.x[blocks]
+    owner = np.searchsorted(starts, numbers, side="right") - 1
+    messages: dict[int, tuple[Integers, Array, Booleans]] = {}
+    for other in map(int, np.unique(owner)):
+        own = owner == other
+        messages[other] = numbers[own] - starts[other], x[own], flags[own]
+    found: Booleans = np.zeros(potential.unknowns.n_local, dtype=bool)
+    for place, values, flag in exchange(potential.comm, messages):
+        potential.x[place] = values
+        found[place] = flag
+    return found
+
+
+def exchange(comm: MPI.Intracomm, messages: Mapping[int, Message]) -> list[Message]:
+    """Send messages to ranks; return those received, in the ranks' order. Collective."""
+    own = messages.get(comm.rank)
+    if comm.size == 1:
+        return [] if own is None else [own]
+    others = [messages.get(rank) if rank != comm.rank else None for rank in range(comm.size)]
+    received = comm.alltoall(others)
+    received[comm.rank] = own
+    return [message for message in received if message is not None]
