@@ -327,7 +327,9 @@ class Ways:
         self.given, self.mesh = given, given.mesh(comm)
         scene, solver = self._membrane()
         solver.advance(pressure=given.pressure)
-        laid = [scene.lay_cable(Cable(32000.0), path) for path in given.paths]
+        laid = [  # the scenes of the README's figures are made of lengths on facets
+            scene.lay_cable(Cable(32000.0), path, measured_on="facets") for path in given.paths
+        ]
         self.L0 = [c.L0 * (1 - s) for c, s in zip(laid, given.shorter, strict=True)]
 
     def _membrane(self) -> tuple[Scene, Solver]:

@@ -2,7 +2,7 @@
 
 An air hall of 16 m width, 24 m depth and 8 m height: a half-cylinder with rounded ends. Two cables
 cross it from ground to ground, each bent by about half a turn. At its end on the right each has a
-winch that takes in 25 cm in 5 steps and lets 10 cm out again in 4. One cable slides along itself
+winch that takes in 25 cm in 5 steps and lets 8 cm out again in 4. One cable slides along itself
 freely and has the same tension everywhere. The other does so with a coefficient of friction of 0.3:
 where it slides all over, its tension falls from the winch to the far end by the capstan's law,
 exp(0.3 x angle). Let out, it slides back near the winch only, and stays tightest in its middle.
@@ -61,7 +61,7 @@ look = {
     "box": ((-0.5, -0.5, 0.0), (16.5, 24.5, 9.0)), "line_limits": (2.0, 8.0),
 }  # fmt: skip
 places, profiles, ends = np.linspace(0.0, 1.0, 81), {}, {}
-for what, length, steps in (("taken in", 0.25, 5), ("let out", -0.10, 4)):
+for what, length, steps in (("taken in", 0.25, 5), ("let out", -0.08, 4)):
     wind(length, steps)
     picture = f"{RESULTS}/{what.replace(' ', '_')}.png"
     draw(solver, picture, title=f"{abs(length):.2f} m {what} at the right", **look)
@@ -90,12 +90,12 @@ if scene.comm.rank == 0:
         f"{RESULTS}/both.png", [f"{RESULTS}/taken_in.png", f"{RESULTS}/profile.png"], upright=True
     )
 
-# All turn but that at the ground presses on the fabric, so that the ratio reaches the law's from
-# below: 0.969, 0.978, 0.982, 0.995 of it at sizes 2.0, 1.6, 1.2, 0.9. Tensions come from strains of
-# a thousandth, to which the facets of the hall add; gmsh may mesh it otherwise elsewhere.
+# The ratio is 0.999 to 1.000 of the law's at sizes 2.0, 1.6, 1.2, 0.9. Tensions come from strains
+# of a thousandth and are 5.57, 5.53, 5.11 and 4.75 kN in the free cable; gmsh may mesh it otherwise
+# elsewhere.
 np.testing.assert_allclose(ends["taken in"][3], 1.0, atol=0.05)
 if size == 1.2:
-    np.testing.assert_allclose(ends["taken in"][:3], (3.29, 7.91, 7.91), rtol=0.06)
-    np.testing.assert_allclose(ends["let out"][:3], (3.39, 4.76, 2.80), rtol=0.06)
+    np.testing.assert_allclose(ends["taken in"][:3], (3.06, 7.48, 7.48), rtol=0.06)
+    np.testing.assert_allclose(ends["let out"][:3], (3.12, 4.65, 2.83), rtol=0.06)
 np.testing.assert_allclose(rough.tension, free.tension, rtol=0.05)  # their means
 assert ends["let out"][1] > 1.3 * max(ends["let out"][0], ends["let out"][2])  # in the middle

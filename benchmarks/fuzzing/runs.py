@@ -227,6 +227,8 @@ def play(data: SceneData, comm: MPI.Intracomm, result: Result) -> None:
             if name == "lay":
                 lay(scene, what)
             elif name == "load":
+                if scene.loads:
+                    scene.remove_load("load")
                 scene.put_load(what)
             else:
                 steps = len(solver.steps)

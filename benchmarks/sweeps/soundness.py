@@ -60,7 +60,7 @@ def tests(solver: Solver, *, anew: bool = True, lying: bool = True) -> Iterator[
     system.read_scene()
     energy, scale = system.potential.evaluate_terms()
     forces = scale
-    if scene.pressure == 0.0 and (scene.dead_forces is None or scene.load == 0.0):
+    if scene.pressure == 0.0 and not any(load.factor != 0.0 for load in scene.loads):
         moduli = [material.reference_modulus for material in scene.materials.values()]
         forces = max(scale, UNLOADED * max(moduli) * scene.membrane.size)
     if anew:
@@ -137,8 +137,8 @@ def _balance(solver: Solver, system: System, least: float) -> Iterator[Test]:
     centre = X.mean(axis=1)
     centre[:, 2] = X[:, :, 2].min()
     add(centre, scene.pressure * plan)
-    if scene.dead_forces is not None:
-        add(scene.positions(), scene.load * scene.dead_forces.forces)
+    for load in scene.loads:
+        add(scene.positions(), load.factor * load.forces)
     if system.unknowns.bounds is not None:
         system.potential.evaluate()
         n = system.unknowns.n_owned

@@ -19,6 +19,12 @@ def area_vectors(mesh: Any, cells: Any = slice(None)) -> Array:
     return np.asarray(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) / 2, dtype=float)
 
 
+def cell_sides(mesh: Any, cells: Indices) -> Array:
+    """Stress-free sides of cells, from each corner to the next one, (n, 3, 3)."""
+    x: Array = np.asarray(mesh.geometry.x[geometry_dofmap(mesh)[cells]], dtype=float)
+    return np.roll(x, -1, axis=1) - x
+
+
 def cell_normals(mesh: Any) -> Array:
     """Unit normals of the stress-free cells, (n, 3), ghosts included."""
     normal = area_vectors(mesh)

@@ -108,6 +108,8 @@ class LaidCable:
         Whether it has tension; the sliding points of a slack cable take no part.
     sleeve
         Whether a sleeve holds it to the membrane, so that it slides but cannot lift off.
+    in_edge
+        Whether its sleeve is a free edge of the membrane, along which alone it slides.
     layer
         Of two cables that cross the one with the higher layer lies on top; of equal ones the one
         laid later.
@@ -129,6 +131,7 @@ class LaidCable:
     name: ReadOnly[str] = ReadOnly("_name", "scene.lay_cable(..., name=...) gives a name")
     cable: ReadOnly[Cable] = ReadOnly("_cable", RELAY)
     sleeve: ReadOnly[bool] = ReadOnly("_sleeve", RELAY)
+    in_edge: ReadOnly[bool] = ReadOnly("_in_edge", RELAY)
     layer: ReadOnly[int] = ReadOnly("_layer", RELAY)
     L0: ReadOnly[float] = ReadOnly("state.L0", "call solver.advance(L0={cable: length})")
     nodes: ReadOnly[tuple[CableNode, ...]] = ReadOnly("state.nodes", FOUND)
@@ -148,10 +151,16 @@ class LaidCable:
     excess: ReadOnly[float] = ReadOnly("state.excess", FOUND)
 
     def __init__(
-        self, name: str, cable: Cable, state: CableState, sleeve: bool = False, layer: int = 0
+        self,
+        name: str,
+        cable: Cable,
+        state: CableState,
+        sleeve: bool = False,
+        layer: int = 0,
+        in_edge: bool = False,
     ) -> None:
         self._name, self._cable, self.state = name, cable, state
-        self._sleeve, self._layer = sleeve, layer
+        self._sleeve, self._layer, self._in_edge = sleeve, layer, in_edge
 
     def update(self, **changes: Any) -> None:
         """Replace parts of its state, by name; arrays among them become read-only."""

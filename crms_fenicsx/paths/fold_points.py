@@ -8,11 +8,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 
+from crms_fenicsx.cables.points_on_edges import on_edges
 from crms_fenicsx.model.cable_state import CableNode, CableState
 from crms_fenicsx.model.crossing import NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.surface.points import Edge, EdgePoint
+from crms_fenicsx.surface.points import Edge
 
 
 class NodesOnEdges:
@@ -39,21 +40,12 @@ class NodesOnEdges:
             return self._found
         found = dict(self._found)
         for c in changed:
-            for _, edge in _on_edges(before[c]):
+            for _, edge in on_edges(before[c]):
                 found[edge] = tuple(member for member in found[edge] if member[0] != c)
-            for k, edge in _on_edges(nodes[c]):
+            for k, edge in on_edges(nodes[c]):
                 found[edge] = (*found.get(edge, ()), (c, k))
         self._found = found
         return found
-
-
-def _on_edges(nodes: Sequence[CableNode]) -> list[tuple[int, Edge]]:
-    """Numbers of the nodes on edges, crossings not counted, and these edges."""
-    return [
-        (k, node.point.edge)
-        for k, node in enumerate(nodes)
-        if isinstance(node.point, EdgePoint) and node.kind != "crossing"
-    ]
 
 
 class FoldPoints(Mapping[Edge, Sequence[Array]]):

@@ -116,9 +116,9 @@ def held_vertices(cable: LaidCable, shape: StripShape) -> list[HeldVertex]:
 
     Returns
     -------
-    In the order of the path.
+    In the order of the path; none of a cable in an edge, which belongs there.
     """
-    near = _near(cable, shape)
+    near = {} if cable.in_edge else _near(cable, shape)
     if not near:
         return []
     at = _at(cable) if cable.grip is not None else near

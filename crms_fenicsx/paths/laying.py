@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Mapping, Sequence, Set
 from contextlib import suppress
 from itertools import count
+from typing import Literal
 
 import numpy as np
 
@@ -13,10 +15,12 @@ from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.cables.strip_gather import cells_at, cells_near
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.lift_off import drape
+from crms_fenicsx.meshes.edge_table import EdgeTable, edge_keys
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.cable_state import CableNode, CableState, End, StepStart
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.paths.follow import unfolded
 from crms_fenicsx.paths.seam_checks import refuse_forks, refuse_places_behind
 from crms_fenicsx.paths.typed_nodes import fractions_of, nodes_of
@@ -25,8 +29,11 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, PathError
 from crms_fenicsx.surface.path import Path
 from crms_fenicsx.surface.points import EdgePoint, SurfacePoint, VertexPoint
+from crms_fenicsx.surface.smooth_surface import SmoothSurface, curve_length
 from crms_fenicsx.surface.trace import IndirectLeg, trace
 from crms_fenicsx.surface.triangles import mix
+
+MeasuredOn = Literal["surface", "facets"]
 
 
 def lay(
@@ -39,6 +46,7 @@ def lay(
     sleeve: bool,
     layer: int,
     name: str | None,
+    measured_on: MeasuredOn,
 ) -> LaidCable:
     """Trace the path, decide what each of its points is, and add the cable to the net.
 
@@ -46,19 +54,16 @@ def lay(
     """
     if not isinstance(cable, Cable):
         raise InputError(f"lay_cable: {cable!r} is no Cable; write Cable(EA=...).")
-    taken = {other.name for other in net.cables}
-    if name is None:
-        numbers = count(net.laid + 1)  # not that of a cable that has been removed
-        name = next(f"cable {n}" for n in numbers if f"cable {n}" not in taken)
-    if not isinstance(name, str) or not name or name != name.strip():
-        raise InputError(f"lay_cable: name = {name!r}; tables need text without blanks around it.")
-    if name in taken:
-        raise InputError(f"lay_cable: there is a cable {name!r} already; give another name.")
+    name = _checked_name(net, name)
     if L0 is not None and tension is not None:
         raise InputError(f"lay_cable: {name!r} got both L0 and tension; give one of them.")
     for key, value in (("L0", L0), ("tension", tension)):
         if value is not None:
             checks.positive(f"lay_cable: {name!r} with {key}", value)
+    if measured_on not in ("surface", "facets"):
+        raise InputError(
+            f"lay_cable: {name!r} with measured_on = {measured_on!r}; use 'surface' or 'facets'."
+        )
     route, known, folds = unfolded(net, _route(path))
     refuse_places_behind(net.membrane, route, name)
     try:
@@ -71,22 +76,28 @@ def lay(
     nodes = nodes_of(traced.points, strip, _ends(net.membrane, strip, traced))
     positions = _positions(nodes, traced, shape)
     in_fold = dict(zip(known.values(), folds, strict=True))
+    reach, folded = SAME_PLACE * net.membrane.size, set[SurfacePoint]()
     for k, node in enumerate(nodes):
         if node.point in in_fold:
-            positions[k] = in_fold[node.point]
+            fold = in_fold[node.point]
+            if np.linalg.norm(fold - positions[k]) > reach:
+                folded.add(node.point)
+            positions[k] = fold
     off, nowhere = np.zeros(len(nodes), dtype=bool), np.full_like(positions, np.nan)
     state = CableState(nodes, positions, fractions_of(nodes), off, nowhere, 1.0, 0.0, 0.0)
-    laid = LaidCable(name, cable, state, bool(sleeve), layer)
+    in_edge = _follows_free_edge(traced, strip)
+    laid = LaidCable(name, cable, state, bool(sleeve) or in_edge, layer, in_edge)
     _refuse_folds(net.membrane, strip, laid)
-    if not sleeve:
+    if not laid.sleeve:
         drape(laid, shape)
     length = polyline_length(laid.positions[laid.contacts()])
     if length == 0.0:
         raise PathError(f"lay_cable: the path of {name!r} has no length.")
-    if tension is not None:
-        L0 = length / (1 + tension / cable.EA)
-    L0 = length if L0 is None else float(L0)
-    force = cable.EA / L0 * max(length - L0, 0.0)
+    smooth = length
+    if L0 is None and measured_on == "surface" and cable.law == "total":
+        smooth = _smooth_length(laid, shape, folded)
+    L0 = smooth / (1 + (tension or 0.0) / cable.EA) if L0 is None else float(L0)
+    force = cable.EA / L0 * max(smooth - L0, 0.0)
     laid.update(L0=L0, length=length, tension=force, taut=cable.law == "step" or force > 0)
     if cable.law == "step":
         laid.update(step_start=StepStart(force, length, force * (length - L0) / 2))
@@ -96,6 +107,66 @@ def lay(
         laid.update(axial=initial_state(laid, shape))
     net.add(laid, strip)
     return laid
+
+
+def _checked_name(net: CableNet, name: str | None) -> str:
+    """The name of a new cable, by default "cable 1", "cable 2" ..."""
+    taken = {other.name for other in net.cables}
+    if name is None:
+        numbers = count(net.laid + 1)  # not that of a cable that has been removed
+        return next(f"cable {n}" for n in numbers if f"cable {n}" not in taken)
+    if not isinstance(name, str) or not name or name != name.strip():
+        raise InputError(f"lay_cable: name = {name!r}; tables need text without blanks around it.")
+    if name in taken:
+        raise InputError(f"lay_cable: there is a cable {name!r} already; give another name.")
+    return name
+
+
+def _follows_free_edge(path: Path, strip: Strip) -> bool:
+    """Whether a path goes from vertex to vertex along edges of the membrane that are not held."""
+    vertices = [point.support[0] for point in path.points if len(point.support) == 1]
+    if len(vertices) < max(len(path.points), 2):
+        return False
+    table = EdgeTable.of(strip.cells)
+    edges = np.sort([*itertools.pairwise(vertices)], axis=1)
+    at_boundary = np.isin(edge_keys(edges), edge_keys(table.vertices[table.counts == 1]))
+    held = any((int(a), int(b)) in strip.held_edges for a, b in edges)
+    return bool(at_boundary.all()) and not held
+
+
+def _smooth_length(cable: LaidCable, shape: StripShape, folded: Set[SurfacePoint]) -> float:
+    """Length of a cable's path on the smooth surface through the vertices.
+
+    Facets lie inside of that, and what they take off a path is, for a membrane that hardly
+    stretches, as much as the strain that puts the cable in tension.
+
+    Parameters
+    ----------
+    cable
+        A cable on the facets.
+    shape
+        Positions of the vertices around.
+    folded
+        Places that have been given in the fold of another cable, which is where they stay. Those of
+        a cable that has just been laid are on the facets.
+    """
+    vertices = shape.strip.vertices
+    surface = SmoothSurface.of(shape.current, np.searchsorted(vertices, shape.strip.outer_cells))
+    nodes = cable.contacts()
+    on = np.array([
+        node.point is not None and node.kind != "rail" and node.point not in folded
+        for node in (cable.nodes[k] for k in nodes)
+    ])  # fmt: skip
+    found = [cable.interpolation(k) for k, is_on in zip(nodes, on, strict=True) if is_on]
+    corners = np.array([(*(shape.strip.row_of[v] for v in ids), 0, 0)[:3] for ids, _ in found])
+    weights = np.array([(*share, 0.0, 0.0)[:3] for _, share in found])
+    points, normals = cable.positions[nodes], np.zeros((len(nodes), 3))
+    if on.any():
+        offsets, normals[on] = surface.raised(corners, weights)
+        points[on] += offsets
+    ends_on = on | np.array([cable.nodes[k].kind == "rail" for k in nodes])
+    straight = (np.diff(nodes) > 1) | ~ends_on[:-1] | ~ends_on[1:]
+    return curve_length(points, normals, straight)
 
 
 def _traced(membrane: Membrane, route: Array, known: Mapping[int, SurfacePoint]) -> Path:

@@ -58,7 +58,7 @@ class Retracer:
         fresh = [
             cable
             for cable in self.net.cables
-            if cable.taut and not cable.path_is_geodesic and cable.slides_freely
+            if cable.taut and not cable.path_is_geodesic and _leaves_cells(cable)
         ]
         if not fresh:
             return False
@@ -139,7 +139,7 @@ class Retracer:
         free = [
             cable
             for cable in self.net.cables
-            if cable.taut and cable.slides_freely and self.tried.uses_geodesic(cable)
+            if cable.taut and _leaves_cells(cable) and self.tried.uses_geodesic(cable)
         ]
         return self._retrace(free, max_flips) if free else 0
 
@@ -223,3 +223,8 @@ class Retracer:
         """Whether a cable can follow a path."""
         given = corridor(string)
         return given in self._followed or why_invalid(given, surface.opposite_vertices) is None
+
+
+def _leaves_cells(cable: LaidCable) -> bool:
+    """Whether a cable may slide to other cells with nothing but the membrane's shape to say so."""
+    return cable.slides_freely and not cable.in_edge

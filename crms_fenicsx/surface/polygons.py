@@ -75,69 +75,92 @@ def split_polygons(
         by the chords that cross there. A chord's end that is neither a corner nor shared is left
         out.
     """
-    return Polygons(*_split_polygons(*rims, chords_of, *chords))
+    n, starts, corners, cell = _split_polygons(*rims, chords_of, *chords)
+    return Polygons(starts[: n + 1], corners[: starts[n]], cell[:n])
+
+
+# Plain loops instead of slices in the functions below, as they compile several times as fast.
 
 
 @numba.njit(cache=True)
 def _split_polygons(rim_starts, rims, chords_of, chord_starts, chords):  # type: ignore[no-untyped-def]
-    """Polygons of all cells: pointers, corners, cells."""
+    """Polygons of all cells: how many, pointers, corners, cells; the arrays may be longer."""
     # Each chord adds at most itself, once in each direction.
     corners = np.empty(len(rims) + 2 * len(chords), dtype=np.int64)
+    part = np.empty(len(corners), dtype=np.int64)
     starts = np.zeros(len(rim_starts) + len(chords), dtype=np.int64)
     cell = np.empty(len(starts), dtype=np.int64)
-    n = 0
+    n = np.int64(0)  # of a constant numba would compile what takes it once more
     for c in range(len(rim_starts) - 1):
-        rim = rims[rim_starts[c] : rim_starts[c + 1]]
-        own = starts[n:]  # where the parts of this cell begin, and their end
-        own[1] = own[0] + len(rim)
-        corners[own[0] : own[1]] = rim
-        parts = 1
+        first = n
+        starts[n + 1] = starts[n] + rim_starts[c + 1] - rim_starts[c]
+        for k in range(starts[n], starts[n + 1]):
+            corners[k] = rims[rim_starts[c] + k - starts[n]]
+        n += 1
         for chord in range(chords_of[c], chords_of[c + 1]):
-            begin, end = chord_starts[chord], chord_starts[chord + 1]
-            last = -1
-            for k in range(begin, end):
-                if _place(corners[own[0] : own[parts]], chords[k]) >= 0:
-                    if last >= 0:
-                        parts += _split(own, corners, parts, chords[last : k + 1])
+            last: int | np.int64 = np.int64(-1)
+            for k in range(chord_starts[chord], chord_starts[chord + 1]):
+                if _place(corners, starts[first], starts[n], chords[k]) >= 0:
+                    if last >= 0 and _split(starts, corners, first, n, chords, last, k, part):
+                        n += 1
                     last = k
-        cell[n : n + parts] = c
-        n += parts
-    return starts[: n + 1].copy(), corners[: starts[n]].copy(), cell[:n].copy()
+        for m in range(first, n):
+            cell[m] = c
+    return n, starts, corners, cell
 
 
 @numba.njit(cache=True)
-def _place(part, point):  # type: ignore[no-untyped-def]
-    """Where a point is among corners, or -1."""
-    for k in range(len(part)):
-        if part[k] == point:
-            return k
+def _place(corners, begin, end, point):  # type: ignore[no-untyped-def]
+    """Where a point is among some corners, counted from the first of them, or -1."""
+    for k in range(begin, end):
+        if corners[k] == point:
+            return k - begin
     return -1
 
 
 @numba.njit(cache=True)
-def _split(starts, corners, parts, line):  # type: ignore[no-untyped-def]
-    """Cut the one part that holds both ends of a line along it; return how many that adds."""
-    for n in range(parts):
-        part = corners[starts[n] : starts[n + 1]].copy()
-        i, j = _place(part, line[0]), _place(part, line[-1])
+def _split(starts, corners, first, n, points, begin, end, part):  # type: ignore[no-untyped-def]
+    """Cut the one of the polygons `first` ... n - 1 that holds both ends of a line along it.
+
+    The line has the points from `begin` to `end`; `part` is for use in here. Returns whether there
+    is such a polygon, and so one more now.
+    """
+    inner = end - begin - 1
+    for m in range(first, n):
+        start, stop = starts[m], starts[m + 1]
+        i = _place(corners, start, stop, points[begin])
+        j = _place(corners, start, stop, points[end])
         if i < 0 or j < 0:
             continue
-        inner = line[1:-1].copy()
-        if i > j:
-            i, j, inner = j, i, inner[::-1].copy()
-        if len(inner) == 0 and (j - i == 1 or (i == 0 and j == len(part) - 1)):
+        if inner == 0 and (abs(j - i) == 1 or abs(j - i) == stop - start - 1):
             continue  # a side of it
-        after = corners[starts[n + 1] : starts[parts]].copy()
-        first = np.concatenate((part[i : j + 1], inner[::-1]))
-        second = np.concatenate((part[j:], part[: i + 1], inner))
-        both = np.concatenate((first, second, after))
-        corners[starts[n] : starts[n] + len(both)] = both
-        more = len(first) + len(second) - len(part)
-        for m in range(parts, n, -1):
-            starts[m + 1] = starts[m] + more
-        starts[n + 1] = starts[n] + len(first)
-        return 1
-    return 0
+        head, step = begin + 1, 1  # the line's inner points from corner i to corner j
+        if i > j:
+            i, j, head, step = j, i, end - 1, -1
+        for k in range(start, stop):
+            part[k - start] = corners[k]
+        more = 2 * inner + 2
+        for k in range(starts[n] - 1, stop - 1, -1):
+            corners[k + more] = corners[k]
+        at = start
+        for k in range(i, j + 1):
+            corners[at] = part[k]
+            at += 1
+        for k in range(inner - 1, -1, -1):
+            corners[at] = points[head + step * k]
+            at += 1
+        middle = at
+        for k in range(j, stop - start + i + 1):
+            corners[at] = part[k % (stop - start)]
+            at += 1
+        for k in range(inner):
+            corners[at] = points[head + step * k]
+            at += 1
+        for k in range(n, m, -1):
+            starts[k + 1] = starts[k] + more
+        starts[m + 1] = middle
+        return True
+    return False
 
 
 def best_fan(points: Array, corners: list[int]) -> Integers:

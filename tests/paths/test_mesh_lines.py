@@ -167,13 +167,19 @@ def polar_dome(comm, rings: int, angle: float):
 
 
 def test_meridians_of_a_dome(comm) -> None:
-    """A tight cable along lines of a cap's mesh, and across the cells of the same mesh turned."""
+    """A tight cable along lines of a cap's mesh, and across the cells of the same mesh turned.
+
+    Both as long as on the facets: on the smooth surface the one across cells comes nearer to its
+    end on the fine mesh, 11.97 kN, than the one along lines, and so they differ by more.
+    """
     apart = []
     for rings in (6, 12):
         found = []
         for angle in (0.0, 5.0):
             scene = polar_dome(comm, rings, angle)
-            cable = scene.lay_cable(Cable(30e3), [(-12.8, 0.0), (12.8, 0.0)], tension=50.0)
+            cable = scene.lay_cable(
+                Cable(30e3), [(-12.8, 0.0), (12.8, 0.0)], tension=50.0, measured_on="facets"
+            )
             Solver(scene).advance(pressure=0.4)
             found.append(cable.tension)
         apart.append(abs(found[1] / found[0] - 1.0))

@@ -14,7 +14,7 @@ from crms_fenicsx.output import History
 ROOT = Path(__file__).parents[2]
 PROMISED = {
     "air_dome": (["calm", "storm", "both"], {".": 2}, ["1000"]),
-    "cable_net": (["calm", "wind", "both", "paths"], {".": 5}, ["3.0"]),
+    "cable_net": (["calm", "wind", "both", "paths"], {".": 4}, ["3.0"]),
     "capstan": (["taken_in", "let_out", "profile", "both"], {".": 10}, ["1.6"]),
     "friction_experiment": (
         ["smooth", "rough", "both", "along", "curves"],

@@ -6,7 +6,7 @@ import numpy as np
 from mpi4py import MPI
 from term_scene import ISOTROPIC
 
-from crms_fenicsx import Scene, meshes
+from crms_fenicsx import Cable, Scene, Solver, meshes
 from crms_fenicsx.runtime.compat import geometry_dofmap
 
 OBLIQUE = [(-40.0, 15.0, -25.0), (140.0, 71.0, -25.0)]
@@ -33,3 +33,18 @@ def ridged(comm: MPI.Intracomm, size: float = 20.0) -> Scene:
     scene.fix("boundary")
     scene.fix("ridge")
     return scene
+
+
+def preconditioners(comm: MPI.Intracomm) -> tuple[Solver, list[str]]:
+    """A solver of that square under a cable, and how its H0 was solved before the cable and then.
+
+    The kinds are those of PETSc's preconditioners.
+    """
+    scene, kinds = ridged(comm), []
+    solver = Solver(scene)
+    for cables in (0, 1):
+        for _ in range(cables):
+            scene.lay_cable(Cable(EA=3200.0), path=OBLIQUE)
+        solver.advance(pressure=0.01)
+        kinds.append(solver.system.minimizer.h0.pc.getType())
+    return solver, kinds

@@ -1,0 +1,115 @@
+"""The smooth surface through the vertices of a triangulation, and lengths of curves on it.
+
+Facets lie inside of a curved surface: a path over them is too short by some 0.13 (h / R)^2 of its
+length (h the size of the cells, R the radius). Here an edge is the parabola through its vertices
+that is normal to the surface's normals there, and a curve between two points an arc.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from crms_fenicsx.meshes.edge_table import EdgeTable
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
+from crms_fenicsx.surface.triangles import dot, double_areas, mix, norm
+
+CREASE = np.cos(np.radians(15.0))
+"""Cosine of the angle between a cell and its vertex from which on the surface has a crease: half of
+that between two faces. On a sphere it is reached by cells of half the radius."""
+PAIRS = ((0, 1), (1, 2), (2, 0))
+
+
+@dataclass(frozen=True)
+class SmoothSurface:
+    """Vertices with normals.
+
+    Attributes
+    ----------
+    points : (n, 3)
+        Positions of the vertices (length).
+    normals : (n, 3)
+        Unit normals; zero at boundaries, seams and creases, where the surface has none.
+    """
+
+    points: Array
+    normals: Array
+
+    @classmethod
+    def of(cls, points: Array, cells: Integers) -> SmoothSurface:
+        """Estimate the normals from the cells around each vertex, exactly on spheres.
+
+        N. Max, Weights for computing vertex normals from facet normals, 1999.
+
+        Parameters
+        ----------
+        points : (n, 3)
+            Positions of the vertices (length).
+        cells : (m, 3)
+            Their vertices, with normals on one side of the surface.
+        """
+        sides = points[cells[:, [1, 2, 0]]] - points[cells]  # side k leaves corner k
+        areas = double_areas(points[cells])
+        square = dot(sides, sides)
+        total = np.zeros_like(points)
+        for k in range(3):
+            share = areas / (square[:, k] * square[:, k - 1])[:, None]
+            np.add.at(total, cells[:, k], share)
+        size = norm(total)
+        normals = total / np.where(size > 0, size, 1.0)[:, None]
+        table = EdgeTable.of(cells)
+        normals[table.vertices[table.counts != 2].ravel()] = 0.0
+        slopes = dot(normals[cells], (areas / norm(areas)[:, None])[:, None])
+        normals[cells[slopes < CREASE]] = 0.0
+        return cls(points, normals)
+
+    def raised(self, corners: Integers, weights: Array) -> tuple[Array, Array]:
+        """How far the surface is from places on the facets, and its normals there.
+
+        Where an edge has a normal at one end only it is taken for an arc of a circle.
+
+        Parameters
+        ----------
+        corners, weights : (k, 3)
+            Vertices and their shares in each place; shares of 0 fill up.
+
+        Returns
+        -------
+        offsets, normals : (k, 3)
+            Vectors from the facets to the surface (length), and unit normals, zero where there are
+            none.
+        """
+        x, n = self.points[corners], self.normals[corners]
+        height = np.zeros(len(corners))
+        for i, j in PAIRS:
+            edge = x[:, j] - x[:, i]
+            height += weights[:, i] * weights[:, j] * _turns(n[:, i], n[:, j], edge) / 2
+        mean = mix(weights, n)
+        size = norm(mean)
+        unit = mean / np.where(size > 0, size, 1.0)[:, None]
+        return height[:, None] * unit, unit
+
+
+def curve_length(points: Array, normals: Array, straight: Booleans) -> float:
+    """Length of a curve on a surface, through points with normals.
+
+    Parameters
+    ----------
+    points, normals : (k, 3)
+        Points (length) and unit normals, zero where there are none.
+    straight : (k - 1,)
+        Which of its parts are off the surface.
+    """
+    steps = np.diff(points, axis=0)
+    chords = norm(steps)
+    turns = _turns(normals[:-1], normals[1:], steps) / np.where(chords > 0, chords, 1.0)
+    turns = np.where(straight, 0.0, turns)
+    return float((chords * (1 + turns**2 / 24)).sum())
+
+
+def _turns(start: Array, end: Array, steps: Array) -> Array:
+    """How much normals turn along steps, times these; twice that to the middle if one is zero."""
+    known = [np.any(normals != 0.0, axis=-1) for normals in (start, end)]
+    turn = dot(end, steps) - dot(start, steps)
+    return np.where(known[0] == known[1], turn, 2 * turn)
