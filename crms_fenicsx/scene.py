@@ -7,14 +7,13 @@ from typing import Any, Literal
 from weakref import proxy
 
 from dolfinx import fem
-from mpi4py import MPI
 
 from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.enclosed_volume import gained_volume
 from crms_fenicsx.energies.checked_term import checked_energy
-from crms_fenicsx.energies.dead_load import DeadForces, Traction, dead_forces
 from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.loaded_membrane import ANOTHER, LoadedMembrane
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.laid_cable import LaidCable
@@ -28,9 +27,6 @@ from crms_fenicsx.runtime.readonly import ReadOnly
 
 Law = Literal["total", "step"]
 
-ANOTHER = "make another Scene(...)"
-"""What to do instead of assigning what a scene is made of."""
-
 
 class Cables(tuple[LaidCable, ...]):
     """The cables of a scene in the order of laying; `remove` is all that changes them."""
@@ -42,7 +38,7 @@ class Cables(tuple[LaidCable, ...]):
         self._scene.remove(cable)
 
 
-class Scene:
+class Scene(LoadedMembrane):
     """A cable-reinforced membrane structure and its current state.
 
     Units are the user's: any consistent set of length and force.
@@ -84,7 +80,6 @@ class Scene:
     """
 
     mesh: ReadOnly[MembraneMesh] = ReadOnly("membrane.mesh", ANOTHER)
-    comm: ReadOnly[MPI.Intracomm] = ReadOnly("membrane.comm", ANOTHER)
     V: ReadOnly[fem.FunctionSpace] = ReadOnly("membrane.V", ANOTHER)
     """Space of the displacements."""
     u: ReadOnly[fem.Function] = ReadOnly("membrane.u", "write to its array, scene.u.x.array[:]")
@@ -94,13 +89,10 @@ class Scene:
     materials: ReadOnly[dict[int, MembraneMaterial]] = ReadOnly("membrane.materials", ANOTHER)
     pressure: ReadOnly[float] = ReadOnly("_pressure", "call solver.advance(pressure=...)")
     """Current pressure (force per area)."""
-    load: ReadOnly[float] = ReadOnly("_load", "call solver.advance(load=...)")
-    """Current factor of the dead load."""
     cables: ReadOnly[Cables] = ReadOnly("_cables", "call scene.lay_cable(...) or scene.remove(...)")
     """The laid cables, in their order."""
     terms: ReadOnly[tuple[EnergyTerm, ...]] = ReadOnly("_terms", "call scene.add_term(term)")
     """The terms of the energy that have been added."""
-    dead_forces: ReadOnly[DeadForces | None] = ReadOnly("_dead_forces", "call scene.put_load(...)")
     floor_level: ReadOnly[float | None] = ReadOnly("_floor_level", "call scene.floor(z)")
     strain_law: ReadOnly[Law] = ReadOnly("_strain_law", "give it to Scene(..., strain=...)")
     pressure_law: ReadOnly[Law] = ReadOnly("_pressure_law", "give it to Scene(..., pressure=...)")
@@ -137,7 +129,7 @@ class Scene:
         if literal_penalty is not None:
             literal_penalty = checks.positive("Scene: literal_penalty", literal_penalty)
         self._literal_penalty = literal_penalty
-        self.membrane = Membrane(mesh, material, pressure_on)
+        super().__init__(Membrane(mesh, material, pressure_on))
         if literal_penalty is None:
             warn_of_penalty(self.comm, self.penalty)
         if strain == "step":
@@ -145,13 +137,10 @@ class Scene:
         self.net = CableNet(self.membrane)
         self._shown_cables = Cables()
         self._floor_level: float | None = None
-        self._pressure = self._load = 0.0
-        self._dead_forces: DeadForces | None = None
+        self._pressure = 0.0
         self._terms: tuple[EnergyTerm, ...] = ()
         self.energies: dict[str, float] = {}
         """Energy of each kind of term in the current state (force x length)."""
-        self.changes = 0
-        """Counts what needs a new set-up of the solver."""
         self.commits = 0
         """Counts the states that load steps and checkpoints have brought it to."""
         self.step_history: StepHistory | None = None
@@ -241,33 +230,6 @@ class Scene:
         self.changes += 1
 
     @collective
-    def put_load(self, force: Traction) -> None:
-        """Put a dead load on the membrane's current shape; `Solver.advance` brings it on.
-
-        Its forces follow from the areas and normals of the current shape, and then keep direction
-        and size. That is right for snow and for weight (put on the stress-free shape). For wind it
-        is right up to the rotation of the surface and the change of its area since; where that is
-        too much, put the load again in the equilibrium that it led to and advance with the same
-        factor. Each time the error shrinks by about the share that it had at first.
-
-        Parameters
-        ----------
-        force
-            Force per area (force / length squared): (3,), or a function of points (3, n) on the
-            current surface and of its unit normals (3, n), which point to the side that pressure
-            pushes to, that returns (3, n). It replaces the load that there is, at its factor.
-
-        Raises
-        ------
-        InputError
-            On all ranks: a force that is not finite or of another shape.
-        """
-        checks.same(self.comm, "put_load", force=force)
-        self.membrane.check_finite("put_load")
-        self._dead_forces = dead_forces(self.membrane, force)
-        self.changes += 1
-
-    @collective
     def add_term(self, term: EnergyTerm) -> None:
         """Add a term of your own to the potential energy; load steps minimise it with the rest.
 
@@ -314,6 +276,7 @@ class Scene:
         sleeve: bool = False,
         layer: int = 0,
         name: str | None = None,
+        measured_on: Literal["surface", "facets"] = "surface",
     ) -> LaidCable:
         """Lay a cable on the membrane's current shape.
 
@@ -339,12 +302,16 @@ class Scene:
         tension
             Tension at laying (force), from which the unstressed length follows.
         sleeve
-            Whether a sleeve holds the cable to the membrane: it slides, but cannot lift off.
+            Whether a sleeve holds the cable to the membrane: it slides, but cannot lift off. One
+            along edges of the membrane that are not held has a sleeve always, and stays there.
         layer
             Of two cables that cross the one with the higher layer lies on top; of equal ones the
             one laid later.
         name
             Name in results; "cable 1", "cable 2" ... by default.
+        measured_on
+            Without `L0`: whether its length is that on the smooth "surface" through the vertices,
+            or on the "facets" inside of it, too short; ``Cable(law="step")`` has always the latter.
 
         Returns
         -------
@@ -363,7 +330,8 @@ class Scene:
         from crms_fenicsx.paths.laying import lay
 
         given: dict[str, Any] = {
-            "L0": L0, "tension": tension, "sleeve": sleeve, "layer": layer, "name": name
+            "L0": L0, "tension": tension, "sleeve": sleeve, "layer": layer, "name": name,
+            "measured_on": measured_on,
         }  # fmt: skip
         checks.same(self.comm, "lay_cable", cable=cable, path=path, **given)
         self.membrane.check_finite("lay_cable")

@@ -32,6 +32,7 @@ from crms_fenicsx.runtime.progress import progress
 from crms_fenicsx.runtime.readonly import ReadOnly
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.steps.increment_solver import IncrementSolver
+from crms_fenicsx.steps.load_cases import LoadCases
 from crms_fenicsx.steps.load_step import Step
 from crms_fenicsx.steps.loading import checked_target
 from crms_fenicsx.steps.options import checked_options
@@ -43,7 +44,7 @@ ANOTHER = "make another Solver(scene, ...), which goes on from the scene as it i
 """What to do instead of assigning a solver's options."""
 
 
-class Solver:
+class Solver(LoadCases):
     """Brings a scene from one equilibrium to the next.
 
     Parameters
@@ -206,7 +207,7 @@ class Solver:
         pressure: float | None = None,
         move: Mapping[object, tuple[float, float, float]] | None = None,
         L0: Mapping[object, float] | None = None,
-        load: float | None = None,
+        load: float | Mapping[str, float] | None = None,
         steps: int = 1,
     ) -> Step:
         """Go to new loads in equal increments, and write each state.
@@ -229,7 +230,8 @@ class Solver:
         L0
             Unstressed lengths of cables to reach (length).
         load
-            Factor to reach of the dead load that `Scene.put_load` has put on the membrane.
+            Factors to reach of the loads on the membrane, by their names; those not named keep
+            theirs. Where there is one load only, a number is its factor.
         steps
             Number of increments.
 
@@ -316,7 +318,7 @@ class Solver:
         """Write what is written of a load step; the checkpoint last, as it counts on the others."""
         if self._journal is not None:
             self._journal.make_way()
-        self._recorder.write(step, self.system)
+        self._recorder.write(step, self.system, self.case)
         self._keep(done, increment)
 
     def _keep(self, done: float, increment: float, failure: str | None = None) -> None:

@@ -14,6 +14,7 @@ from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError
 
 
@@ -65,11 +66,7 @@ class CableNet:
         InputError
             There is none.
         """
-        for cable in self.cables:
-            if cable.name == name:
-                return cable
-        names = ", ".join(repr(cable.name) for cable in self.cables) or "none"
-        raise InputError(f"cable: there is no cable {name!r}; there are {names}.")
+        return checks.named("cable", self.cables, name)
 
     def strip_shape(self) -> StripShape:
         """Gather the current positions of the strip's vertices. Collective."""

@@ -6,7 +6,8 @@
     held.npy            held components, by the same ids
     held_edges.npy      ids of the ends of the edges that are held over their whole length
     positions.npy       where the vertices are when stress-free, to tell other meshes
-    dead_forces.npy     where there is a dead load
+    forces_1.npy, ...   nodal forces of the loads on the membrane, in their order
+    suction_1.npy, ...  force per area of the cells, of loads that follow the surface
     cells.npy           state of the cells at the step's start, with the paper's incremental strain
 
 The first rank has one whole field at a time. Numbers survive to the last digit, and nothing that is

@@ -26,13 +26,13 @@ def plain_loads(
     pressure: float | None,
     move: Mapping[object, Vector],
     L0: Mapping[object, float],
-    load: float | None,
+    load: float | Mapping[str, float] | None,
     steps: int,
 ) -> Plain:
     """The arguments of `Solver.advance` as plain data, by names."""
     return {
         "pressure": None if pressure is None else float(pressure),
-        "load": None if load is None else float(load),
+        "load": encode(load),
         "move": {_name(key): [float(x) for x in vector] for key, vector in move.items()},
         "L0": {_name(key): float(length) for key, length in L0.items()},
         "steps": int(steps),
@@ -51,7 +51,7 @@ def scene_record(scene: Scene) -> Plain:
     Of fields they are sums with weights, so that they are the same on any number of processes up to
     rounding.
     """
-    mesh, dead = scene.mesh.mesh, scene.dead_forces
+    mesh = scene.mesh.mesh
     own = scene.V.dofmap.index_map.size_local
     ids = dof_vertex_ids(scene)
     cells = mesh.topology.index_map(2).size_local
@@ -69,11 +69,19 @@ def scene_record(scene: Scene) -> Plain:
         ),
         "floor": None if scene.floor_level is None else float(scene.floor_level),
         "pressure before": float(scene.pressure),
-        "load before": float(scene.load),
         "displacements (sums with weights)": [*_sums(scene, ids[:own], u[:own]), largest],
-        "dead load (sums with weights)": None
-        if dead is None
-        else [*_sums(scene, ids, dead.forces), dead.intensity * scene.membrane.size**2],
+        "loads": [
+            {
+                "name": load.name,
+                "follows the normals": load.suction is not None,
+                "factor before": float(load.factor),
+                "forces (sums with weights)": [
+                    *_sums(scene, ids, load.forces),
+                    load.intensity * scene.membrane.size**2,
+                ],
+            }
+            for load in scene.loads
+        ],
         "cables": [_described(cable) for cable in scene.cables],
     }
 

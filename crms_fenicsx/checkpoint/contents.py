@@ -53,7 +53,24 @@ class SavedCable:
     cable: Cable
     sleeve: bool
     layer: int
+    in_edge: bool
     state: CableState
+
+
+@dataclass(frozen=True)
+class SavedLoad:
+    """A load on the membrane without its fields; see `MembraneLoad`.
+
+    Attributes
+    ----------
+    follows
+        Whether it follows the surface's normals.
+    """
+
+    name: str
+    intensity: float
+    follows: bool
+    factor: float
 
 
 @dataclass(frozen=True)
@@ -68,12 +85,12 @@ class Contents:
         How many edges are held.
     digests
         Of the files with the fields, by their names.
-    pressure, load, floor, dissipated, energies
+    pressure, floor, dissipated, energies
         As in the scene.
     laid
         How many cables have been laid.
-    intensity
-        That of the dead load; None without.
+    loads
+        Those on the membrane but for their forces.
     strip
         Ids of the vertices all whose cells are known to the cables.
     run
@@ -86,12 +103,11 @@ class Contents:
     held_edges: int
     digests: dict[str, str]
     pressure: float
-    load: float
     floor: float | None
     laid: int
     dissipated: float
     energies: dict[str, float]
-    intensity: float | None
+    loads: tuple[SavedLoad, ...]
     strip: tuple[int, ...]
     cables: tuple[SavedCable, ...]
     crossings: tuple[Crossing, ...]
@@ -108,8 +124,9 @@ class Contents:
         """
         if self.laid < len(self.cables):
             raise ValueError(f"{self.laid} cables were laid, but {len(self.cables)} are there")
-        if self.intensity is not None and not self.intensity >= 0:
-            raise ValueError(f"a dead load of the intensity {self.intensity}")
+        for load in self.loads:
+            if not load.intensity >= 0:
+                raise ValueError(f"a load {load.name!r} of the intensity {load.intensity}")
         ids = [*self.strip, *chain.from_iterable(self._supports())]
         if ids and not 0 <= min(ids) <= max(ids) < n_vertices:
             raise ValueError(f"vertices {min(ids)} to {max(ids)} of a mesh with {n_vertices}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,21 +32,25 @@ class Fields:
         Held components.
     held_edges : (m,) bool
         Edges that are held over their whole length.
-    dead_forces : (n, 3) or None
-        What this rank gives to its vertices of a dead load (force).
+    forces : (n, 3) each
+        What this rank gives to its vertices of each load (force).
+    suctions : (m,) each, or None
+        Force per area of this rank's cells of each load that follows their normals.
     """
 
     u: Array
     held: Booleans
     held_edges: Booleans
-    dead_forces: Array | None
+    forces: tuple[Array, ...]
+    suctions: tuple[Array | None, ...]
 
     @classmethod
     def of(cls, scene: Scene) -> Fields:
         """The scene's fields."""
-        dead = scene.dead_forces
-        u = scene.u.x.array.reshape(-1, 3)
-        return cls(u, scene.held, scene.membrane.held_edges, None if dead is None else dead.forces)
+        u, loads = scene.u.x.array.reshape(-1, 3), scene.loads
+        forces = tuple(load.forces for load in loads)
+        suctions = tuple(load.suction for load in loads)
+        return cls(u, scene.held, scene.membrane.held_edges, forces, suctions)
 
 
 def write_fields(folder: Path, scene: Scene) -> tuple[int, dict[str, str]]:
@@ -64,10 +68,14 @@ def write_fields(folder: Path, scene: Scene) -> tuple[int, dict[str, str]]:
         name: write_rows(folder / f"{name}.npy", comm, ids[:own], values[:own], total)
         for name, values in (("positions", X), ("displacement", fields.u), ("held", fields.held))
     }
-    if fields.dead_forces is not None:  # ranks that share a vertex each give it a part
-        digests["dead_forces"] = write_rows(
-            folder / "dead_forces.npy", comm, ids, fields.dead_forces, total
-        )
+    for k, forces in enumerate(fields.forces):  # ranks that share a vertex each give it a part
+        name = f"forces_{k + 1}"
+        digests[name] = write_rows(folder / f"{name}.npy", comm, ids, forces, total)
+    cells, n_cells = cell_ids(scene)
+    for k, suction in enumerate(fields.suctions):
+        if suction is not None:
+            name, column = f"suction_{k + 1}", suction[:, None]
+            digests[name] = write_rows(folder / f"{name}.npy", comm, cells, column, n_cells)
     edges = scene.mesh.mesh.topology.index_map(1).size_local
     pairs = edge_vertices(scene)[:edges][fields.held_edges[:edges]]
     first, count = first_row(len(pairs), comm)
@@ -77,7 +85,7 @@ def write_fields(folder: Path, scene: Scene) -> tuple[int, dict[str, str]]:
 
 
 def read_fields(
-    folder: Path, scene: Scene, edges: int, digests: Mapping[str, str], dead_load: bool
+    folder: Path, scene: Scene, edges: int, digests: Mapping[str, str], loads: Sequence[bool]
 ) -> Fields:
     """Read the fields that belong to this rank's part of the mesh. Collective.
 
@@ -91,8 +99,8 @@ def read_fields(
         How many edges are held.
     digests
         Of the files, by their names.
-    dead_load
-        Whether there is a dead load.
+    loads
+        Whether each load follows the surface's normals.
 
     Raises
     ------
@@ -120,17 +128,26 @@ def read_fields(
     u, held = read("displacement"), read("held", np.bool_)
     with raised_together(comm):
         _check_finite(folder / "displacement.npy", u)
-    forces = None
-    if dead_load:
-        forces = read("dead_forces")
+    forces: list[Array] = []
+    suctions: list[Array | None] = []
+    cells, n_cells = cell_ids(scene)
+    for k, follows in enumerate(loads, start=1):
+        forces.append(read(f"forces_{k}"))
         with raised_together(comm):
-            _check_finite(folder / "dead_forces.npy", forces)
-        forces[own:] = 0.0  # the owner gives all of it
+            _check_finite(folder / f"forces_{k}.npy", forces[-1])
+        forces[-1][own:] = 0.0  # the owner gives all of it
+        suctions.append(None)
+        if follows:
+            file, due = folder / f"suction_{k}.npy", digests.get(f"suction_{k}", "")
+            column = read_rows(file, comm, cells, np.float64, (n_cells, 1), due)
+            with raised_together(comm):
+                _check_finite(file, column)
+            suctions[-1] = column[:, 0]
     # The held edges are lines on the membrane: few, compared to its vertices.
     pairs = read_rows(folder / "held_edges.npy", comm, None, np.int64, (edges, 2),
                       digests.get("held_edges", ""))  # fmt: skip
     held_edges = np.isin(edge_keys(edge_vertices(scene)), edge_keys(pairs))
-    return Fields(u, held, held_edges, forces)
+    return Fields(u, held, held_edges, tuple(forces), tuple(suctions))
 
 
 def _check_finite(file: Path, values: Array) -> None:
@@ -143,6 +160,13 @@ def dof_vertex_ids(scene: Scene) -> Integers:
     ids = np.zeros(len(scene.held), dtype=np.int64)
     ids[scene.V.dofmap.list] = cell_vertex_ids(scene.mesh.mesh)
     return ids
+
+
+def cell_ids(scene: Scene) -> tuple[Integers, int]:
+    """Ids of this rank's cells, numbers in the mesh as it was given, and how many there are."""
+    topology = scene.mesh.mesh.topology
+    ids = np.asarray(topology.original_cell_index, dtype=np.int64)
+    return ids, topology.index_map(2).size_global
 
 
 def edge_vertices(scene: Scene) -> Integers:

@@ -16,21 +16,20 @@ from mpi4py import MPI
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.cables.strip_gather import cells_at
 from crms_fenicsx.checkpoint.codec import Plain, decode, encode
-from crms_fenicsx.checkpoint.contents import Contents, Run, SavedCable
-from crms_fenicsx.checkpoint.fields import Fields, read_fields, write_fields
+from crms_fenicsx.checkpoint.contents import Contents, Run, SavedCable, SavedLoad
+from crms_fenicsx.checkpoint.fields import Fields, cell_ids, read_fields, write_fields
 from crms_fenicsx.checkpoint.fingerprint import check_same, fingerprint
 from crms_fenicsx.checkpoint.folder import complete, replaced_folder
-from crms_fenicsx.energies.dead_load import DeadForces
+from crms_fenicsx.energies.dead_load import MembraneLoad
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.output.npy import read_rows, write_rows
-from crms_fenicsx.runtime.arrays import Integers
 from crms_fenicsx.runtime.checks import LONGEST
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import explained, read_text, readable
 from crms_fenicsx.scene import Scene
 
 STATE, CELLS = "state.json", "cells.npy"
-FORMAT = "crms_fenicsx checkpoint 4"
+FORMAT = "crms_fenicsx checkpoint 5"
 """What a checkpoint says it is; the number grows when its content changes."""
 
 
@@ -49,7 +48,7 @@ def save(folder: str | Path, scene: Scene, run: Run, call: Plain | None = None) 
     with replaced_folder(Path(folder).resolve(), scene.comm, STATE) as partial:
         edges, digests = write_fields(partial, scene)
         if run.step_history is not None and run.step_history.cells is not None:
-            ids, total = _cell_ids(scene)
+            ids, total = cell_ids(scene)
             cells = run.step_history.cells
             digests["cells"] = write_rows(partial / CELLS, scene.comm, ids, cells, total)
         data = encode(_contents(scene, run, edges, digests, call))
@@ -140,10 +139,10 @@ def restore(saved: Saved, scene: Scene) -> Run:
         if scene.cables and [cable.name for cable in scene.cables] != names:
             raise ValueError(f"its cables are {names}, and the scene's {scene.cables}")
     check_same(contents.scene, scene)
-    dead_load = contents.intensity is not None
-    fields = read_fields(place, scene, contents.held_edges, digests, dead_load)
+    follows = [load.follows for load in contents.loads]
+    fields = read_fields(place, scene, contents.held_edges, digests, follows)
     if run.step_history is not None and scene.strain_law == "step":
-        ids, total = _cell_ids(scene)
+        ids, total = cell_ids(scene)
         due, shape = digests.get("cells", ""), (total, 6)
         run = run.with_cells(read_rows(place / CELLS, comm, ids, np.float64, shape, due))
     _restore(scene, fields, saved)
@@ -163,16 +162,17 @@ def _contents(
         held_edges=edges,
         digests=digests,
         pressure=scene.pressure,
-        load=scene.load,
         floor=scene.floor_level,
         laid=scene.net.laid,
         dissipated=scene.net.removed_dissipation,
         energies=scene.energies,
-        intensity=None if scene.dead_forces is None else scene.dead_forces.intensity,
+        loads=tuple(
+            SavedLoad(load.name, load.intensity, load.suction is not None, load.factor)
+            for load in scene.loads
+        ),
         strip=() if strip is None else tuple(sorted(strip.complete)),
         cables=tuple(
-            SavedCable(cable.name, cable.cable, cable.sleeve, cable.layer, cable.state)
-            for cable in scene.cables
+            SavedCable(c.name, c.cable, c.sleeve, c.layer, c.in_edge, c.state) for c in scene.cables
         ),
         crossings=scene.net.crossings,
         run=replace(run.with_cells(None), steps=steps),
@@ -196,18 +196,19 @@ def _restore(scene: Scene, fields: Fields, saved: Saved) -> None:
         scene.net.strip = strip
     scene.u.x.array[:] = fields.u.ravel()
     scene.held[:] = fields.held
-    scene._floor_level, scene._pressure, scene._load = (
-        contents.floor, contents.pressure, contents.load,
-    )  # fmt: skip
+    scene._floor_level, scene._pressure = contents.floor, contents.pressure
     scene.energies, net = contents.energies, scene.net
     net.laid, net.removed_dissipation = contents.laid, contents.dissipated
-    scene._dead_forces = None
-    if fields.dead_forces is not None and contents.intensity is not None:
-        scene._dead_forces = DeadForces(fields.dead_forces, contents.intensity)
+    scene._loads = tuple(
+        MembraneLoad(load.name, forces, load.intensity, suction, load.factor)
+        for load, forces, suction in zip(
+            contents.loads, fields.forces, fields.suctions, strict=True
+        )
+    )
     for own, cable in zip(scene.cables, contents.cables, strict=False):
         own.state = cable.state
     net.cables = net.cables or tuple(
-        LaidCable(c.name, c.cable, c.state, c.sleeve, c.layer) for c in contents.cables
+        LaidCable(c.name, c.cable, c.state, c.sleeve, c.layer, c.in_edge) for c in contents.cables
     )
     net.crossings = contents.crossings
     scene.changes += 1
@@ -219,13 +220,6 @@ def _strip(scene: Scene, contents: Contents) -> Strip | None:
     points = (node.point for cable in contents.cables for node in cable.state.nodes)
     on_cells = (bool(strip.rows(point.support)) for point in points if point is not None)
     return strip if all(on_cells) else None
-
-
-def _cell_ids(scene: Scene) -> tuple[Integers, int]:
-    """Ids of this rank's cells, numbers in the mesh as it was given, and how many there are."""
-    topology = scene.mesh.mesh.topology
-    ids = np.asarray(topology.original_cell_index, dtype=np.int64)
-    return ids, topology.index_map(2).size_global
 
 
 def _read(file: Path) -> Plain:

@@ -1,4 +1,4 @@
-"""Loads on the membrane: pressure on the plain cells, dead load on the vertices."""
+"""Loads on the membrane: pressure on the plain cells, dead load and wind on the vertices."""
 
 from __future__ import annotations
 
@@ -102,16 +102,15 @@ class PressureContribution(Contribution):
             )
 
 
-class DeadLoadContribution(Contribution):
-    """The dead load that `Scene.put_load` has put on the membrane."""
+class MembraneLoadsContribution(Contribution):
+    """The loads that `Scene.put_load` and `Scene.put_wind` have put on the membrane."""
 
     term: DeadLoad | None = None
 
     def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
-        forces = self.scene.dead_forces
-        self.term = None if forces is None else DeadLoad(forces)
+        self.term = DeadLoad(len(self.scene.held)) if self.scene.loads else None
         return [] if self.term is None else [self.term]
 
     def read_scene(self, potential: Potential) -> None:
         if self.term is not None:
-            self.term.factor = self.scene.load
+            self.term.take(self.scene.loads)

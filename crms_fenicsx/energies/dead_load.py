@@ -1,46 +1,128 @@
-"""Dead load: nodal forces of the membrane that keep direction and size, as the shape changes.
+"""Loads on the membrane by their nodal forces, which keep direction and size as the shape changes.
 
-Snow and weight are such loads. Wind is not: its suction stays normal to the surface, and varies
-over it, and forces of that kind have no potential. Wind as a dead load keeps the normals and areas
-of the shape on which it was put; see `Scene.put_load` for what error that makes and how to remove
-it. (The paper's pressure, section 2.4, is a dead load in each step.)
+Snow and weight are such dead loads. Wind is not: its suction stays normal to the surface, and
+varies over it, and forces of that kind have no potential. A load step with wind is solved with the
+forces of the shape found before, again and again until they are those of its own shape. (The
+paper's pressure, section 2.4, is a dead load in each step.)
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Literal, get_args
 
 import numpy as np
+from mpi4py import MPI
 
 from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.meshes.cell_geometry import area_vectors
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, raised_together
+from crms_fenicsx.surface.triangles import double_areas, norm
 
 Traction = Sequence[float] | Array | Callable[[Array, Array], Array]
 """Force per area, (3,), or a function of points and unit normals, both (3, n), giving (3, n)."""
 
+Coefficient = float | Mapping[str, float] | Callable[[Array, Array], Array]
+"""Pressure coefficient of the wind: one number, one of each part of the mesh by its name, or a
+function of points and unit normals, both (3, n), giving (n,)."""
+
+Area = Literal["surface", "plan", "material"]
+"""Area that a load is counted by: that of the current surface, of its plan, or stress-free."""
+
 
 @dataclass(frozen=True)
-class DeadForces:
-    """The forces of a dead load at the factor 1.
+class MembraneLoad:
+    """A load on the membrane.
 
     Attributes
     ----------
+    name
+        What load steps, history and checkpoints know it by.
     forces : (n, 3)
-        What this rank's cells give to its vertices (force), by local degree of freedom.
+        What this rank's cells give to its vertices at the factor 1 (force), by local degree of
+        freedom.
     intensity
-        Mean size of the force per area, over the whole membrane.
+        Mean size of the force per area at the factor 1, over the whole membrane.
+    suction : (m,) or None
+        Force per area along the normals of this rank's cells, if the load follows these; None for
+        a dead load.
+    factor
+        What the forces are multiplied by; load steps change it.
     """
 
-    forces: Array
+    name: str
+    forces: Array = field(repr=False)
     intensity: float
+    suction: Array | None = field(default=None, repr=False)
+    factor: float = 0.0
+
+    @property
+    def blows(self) -> bool:
+        """Whether it follows the normals, and is there."""
+        return self.suction is not None and self.factor != 0.0
+
+    def turned(self, membrane: Membrane) -> MembraneLoad:
+        """The load with the forces of the membrane's current shape; a dead load as it is."""
+        if self.suction is None or self.factor == 0.0:
+            return self
+        shape = _Shape(membrane)
+        return replace(self, forces=shape.nodal(self.suction[:, None] * shape.vectors))
 
 
-def dead_forces(membrane: Membrane, traction: Traction) -> DeadForces:
-    """Forces of a load on the membrane's current shape. Collective.
+class _Shape:
+    """This rank's cells in the membrane's current shape.
+
+    Attributes
+    ----------
+    vectors : (m, 3)
+        Their areas times their unit normals (length squared).
+    """
+
+    def __init__(self, membrane: Membrane) -> None:
+        count = membrane.mesh.mesh.topology.index_map(2).size_local
+        self._cells, self._n = membrane.V.dofmap.list[:count], len(membrane.held)
+        self._corners: Array = membrane.positions()[self._cells]
+        self.vectors: Array = double_areas(self._corners) / 2
+
+    @cached_property
+    def areas(self) -> Array:
+        """Their areas, (m,) (length squared)."""
+        return norm(self.vectors)
+
+    @cached_property
+    def normals(self) -> Array:
+        """Their unit normals, (m, 3)."""
+        return np.asarray(self.vectors / self.areas[:, None])
+
+    @cached_property
+    def centres(self) -> Array:
+        """Their centres, (m, 3) (length)."""
+        return np.asarray(self._corners.mean(axis=1))
+
+    def counted(self, by: Area, membrane: Membrane) -> Array:
+        """The areas that a load is counted by, (m,)."""
+        if by == "plan":
+            return np.abs(self.vectors[:, 2])
+        if by == "material":
+            return norm(area_vectors(membrane.mesh.mesh, slice(len(self._cells))))
+        return self.areas
+
+    def nodal(self, loads: Array) -> Array:
+        """Forces of the vertices, (n, 3), of which a cell's gives a third to each of its own."""
+        forces = np.zeros((self._n, 3))
+        np.add.at(forces, self._cells, loads[:, None] / 3)
+        return forces
+
+
+def dead_load(
+    membrane: Membrane, traction: Traction, name: str = "load", per: Area = "surface"
+) -> MembraneLoad:
+    """A dead load on the membrane's current shape. Collective.
 
     A cell gives a third of its load, taken at its centre, to each of its vertices. That a cable
     folds it changes nothing: the load goes by the triangle of its corners, and together these
@@ -51,74 +133,131 @@ def dead_forces(membrane: Membrane, traction: Traction) -> DeadForces:
     InputError
         As `Scene.put_load`.
     """
-    cells = membrane.V.dofmap.list[: membrane.mesh.mesh.topology.index_map(2).size_local]
-    corners = membrane.positions()[cells]
-    sides = corners[:, 1:] - corners[:, :1]
-    vectors = np.cross(sides[:, 0], sides[:, 1]) / 2
-    areas = np.linalg.norm(vectors, axis=1)
-    loads = np.zeros_like(vectors)
+    if per not in get_args(Area):
+        known = ", ".join(map(repr, get_args(Area)))
+        raise InputError(f"put_load: per = {per!r} is not known; use one of {known}.")
+    shape = _Shape(membrane)
+    loads = np.zeros_like(shape.vectors)
     with raised_together(membrane.comm):
-        loads[:] = _tractions(traction, corners.mean(axis=1), vectors / areas[:, None])
-        loads *= areas[:, None]
-    forces = np.zeros((len(membrane.held), 3))
-    np.add.at(forces, cells, loads[:, None] / 3)
-    local = np.array([np.linalg.norm(loads, axis=1).sum(), areas.sum()])
-    total, area = membrane.comm.allreduce(local)
-    return DeadForces(forces, float(total / area))
+        given = traction
+        if callable(given):
+            given = _values("put_load", "forces per area", given, shape, (3, len(loads)))
+        else:
+            given = checks.vector("put_load: the force per area", given)[:, None]
+        loads[:] = shape.counted(per, membrane)[:, None] * given.T
+    return MembraneLoad(name, shape.nodal(loads), _intensity(membrane, shape, loads))
 
 
-def _tractions(traction: Traction, points: Array, normals: Array) -> Array:
-    """Forces per area at points with unit normals, (n, 3)."""
-    if not callable(traction):
-        return np.broadcast_to(
-            checks.vector("put_load: the force per area", traction), points.shape
-        )
-    given = np.asarray(traction(points.T, normals.T))
-    if given.shape != points.T.shape or given.dtype.kind not in "fiu":
+def wind_load(
+    membrane: Membrane, pressure: float, coefficient: Coefficient, name: str = "wind"
+) -> MembraneLoad:
+    """A load along the normals of the membrane's current shape, which it follows. Collective.
+
+    Raises
+    ------
+    InputError
+        As `Scene.put_wind`.
+    """
+    pressure = checks.positive("put_wind: pressure", pressure)
+    shape = _Shape(membrane)
+    suction = np.zeros(len(shape.areas))
+    with raised_together(membrane.comm):
+        suction[:] = -pressure * _coefficients(coefficient, membrane, shape)
+    loads = suction[:, None] * shape.vectors
+    return MembraneLoad(name, shape.nodal(loads), _intensity(membrane, shape, loads), suction)
+
+
+def _coefficients(coefficient: Coefficient, membrane: Membrane, shape: _Shape) -> Array:
+    """Pressure coefficients of this rank's cells, (m,), or one for all."""
+    if callable(coefficient):
+        return _values("put_wind", "coefficients", coefficient, shape, shape.areas.shape)
+    if not isinstance(coefficient, Mapping):
+        return np.array(checks.finite("put_wind: coefficient", coefficient))
+    values = np.full(len(shape.areas), np.nan)
+    for part, value in coefficient.items():
+        number = checks.finite(f"put_wind: coefficient of {part!r}", value)
+        if part not in membrane.mesh.parts:
+            known = ", ".join(sorted(membrane.mesh.parts)) or "(none)"
+            raise InputError(
+                f"put_wind: coefficient names the part {part!r}, but the mesh has the parts "
+                f"{known}; name these."
+            )
+        cells = membrane.mesh.parts[part]
+        values[cells[cells < len(values)]] = number
+    if np.isnan(values).any():
         raise InputError(
-            f"put_load: the function returned an array of shape {given.shape} and type "
-            f"{given.dtype}; it must return real numbers of shape {points.T.shape}."
+            f"put_wind: coefficient names {', '.join(map(repr, coefficient))}, which leaves cells "
+            f"without one, as at {shape.centres[np.argmax(np.isnan(values))]}; name all parts."
         )
-    bad = ~np.isfinite(given).all(axis=0)
+    return values
+
+
+def _values(
+    call: str,
+    what: str,
+    function: Callable[[Array, Array], Array],
+    shape: _Shape,
+    due: tuple[int, ...],
+) -> Array:
+    """What a function gives at the cells' centres and unit normals."""
+    given = np.asarray(function(shape.centres.T, shape.normals.T))
+    if given.shape != due or given.dtype.kind not in "fiu":
+        raise InputError(
+            f"{call}: the function returned an array of shape {given.shape} and type "
+            f"{given.dtype}; it must return real numbers of shape {due}."
+        )
+    bad = ~np.isfinite(np.atleast_2d(given)).all(axis=0)
     if bad.any():
         first = int(np.argmax(bad))
         raise InputError(
-            f"put_load: the function returned {given[:, first]} at {points[first]}; it must "
-            "return finite forces per area."
+            f"{call}: the function returned {given[..., first]} at {shape.centres[first]}; it "
+            f"must return finite {what}."
         )
-    return np.asarray(given.T, dtype=np.float64)
+    return np.asarray(given, dtype=np.float64)
+
+
+def _intensity(membrane: Membrane, shape: _Shape, loads: Array) -> float:
+    """Mean size of the force per area of loads (m, 3) of this rank's cells. Collective."""
+    local = np.array([np.linalg.norm(loads, axis=1).sum(), shape.areas.sum()])
+    total, area = membrane.comm.allreduce(local, op=MPI.SUM)
+    return float(total / area)
 
 
 class DeadLoad(EnergyTerm):
-    """Potential ``-factor F . u`` of a dead load with the nodal forces F.
+    """Potential ``-F . u`` of the nodal forces F of all loads on the membrane.
 
     Parameters
     ----------
-    load
-        The forces at the factor 1.
+    n
+        Local degrees of freedom of the vertices.
 
     Attributes
     ----------
-    factor
-        What the forces are multiplied by.
+    forces : (n, 3)
+        What this rank's cells give to its vertices (force).
     """
 
     name = "dead load"
 
-    def __init__(self, load: DeadForces) -> None:
-        self.forces, self.factor = load.forces, 0.0
-        self._u, self._scaled = np.zeros_like(load.forces), np.zeros_like(load.forces)
+    def __init__(self, n: int) -> None:
+        self.forces, self._u, self._minus = np.zeros((3, n, 3))
+
+    def take(self, loads: Sequence[MembraneLoad]) -> None:
+        """Take the forces of loads at their factors."""
+        self.forces[:] = 0.0
+        for load in loads:
+            self.forces += load.factor * load.forces
+        np.negative(self.forces, out=self._minus)
 
     def sums(self, x: Array, out: Array) -> None:
-        """This rank's part of the work at the factor 1 (force x length)."""
+        """This rank's part of the forces' work (force x length)."""
         self.unknowns.read_vertices(x, self._u)
         out[0] = np.vdot(self.forces, self._u)
 
     def energy(self, sums: Array) -> float:
         """Minus the work of the forces since the stress-free shape (force x length)."""
-        return -self.factor * float(sums[0])
+        return -float(sums[0])
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Subtract the forces."""
-        np.multiply(self.forces, -self.factor, out=self._scaled)
-        self.unknowns.add_to_vertices(self._scaled, g)
+        self.unknowns.add_to_vertices(self._minus, g)

@@ -78,15 +78,18 @@ class Recorder:
         if self._lock is not None:
             self._lock.take(going_on)
 
-    def write(self, step: Step, system: System) -> None:
-        """Record a step that the scene has just reached. Collective.
+    def write(self, step: Step, system: System, case: str = "") -> None:
+        """Record a step that the scene has just reached, in a branch of a name. Collective.
 
         Raises
         ------
         InputError
             On all ranks, when files cannot be written.
         """
-        self.history.append(self._row(step))
+        row = self._row(step)
+        if case:
+            row["case"] = case
+        self.history.append(row)
         if self.series is not None:
             self.series.write(step.number, self._surface(system), cable_lines(self.scene))
 
@@ -120,8 +123,8 @@ class Recorder:
             "halvings": step.halvings,
             "pressure": scene.pressure,
         }
-        if scene.dead_forces is not None:
-            row["load"] = scene.load
+        for load in scene.loads:
+            row["load" if load.name == "load" else f"load {load.name}"] = load.factor
         row["energy"] = step.energy
         row |= {f"energy {name}": value for name, value in step.energies.items()}
         held = any(cable.grip is not None or cable.axial is not None for cable in scene.cables)

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.runtime.arrays import Array, Booleans
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.runtime.compat import geometry_dofmap
+from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.scene import Scene
+
+Strengths = tuple[float, float]
+"""In warp and weft (force per length)."""
 
 FLAT = 1e-12
 """Smallest squared stretch that a cell is taken to have, so that a collapsed one has directions."""
@@ -35,6 +41,13 @@ class MembraneResults:
     true_forces, true_directions
         True (Cauchy) section forces, per current length, ``F S F^T / J`` with J the ratio of the
         areas (force per length); directions in the current surface.
+    warp : (n, 3)
+        Current unit directions of the warp, of isotropic membranes of their first material axis.
+    warp_weft : (n, 3)
+        True section forces along the warp and across it, and their shear (force per length).
+    second_piola_warp_weft : (n, 3)
+        Second Piola-Kirchhoff section forces in the material axes: warp, weft and shear (force per
+        length).
     state : (n,) int
         2 taut, 1 wrinkled, 0 slack.
     normals : (n, 3)
@@ -43,6 +56,8 @@ class MembraneResults:
         Current areas (length squared).
     folded : (n,) bool
         Whether a cable in tension folds the cell.
+    parts
+        This rank's owned cells of the mesh's parts, by their names.
     """
 
     strains: Array
@@ -50,10 +65,57 @@ class MembraneResults:
     second_piola_directions: Array
     true_forces: Array
     true_directions: Array
+    warp: Array
+    warp_weft: Array
+    second_piola_warp_weft: Array
     state: npt.NDArray[np.int8]
     normals: Array
     areas: Array
     folded: Booleans
+    parts: Mapping[str, Indices]
+
+    def utilisation(self, strengths: Strengths | Mapping[str, Strengths]) -> Array:
+        """True section forces over strengths, the larger ratio of warp and weft.
+
+        Parameters
+        ----------
+        strengths
+            Of the fabric in warp and weft, divided by the partial factors (force per length); one
+            pair, or one of each part by its name.
+
+        Returns
+        -------
+        (n,)
+            0 where the cell is slack; NaN in cells of parts that are not named.
+
+        Raises
+        ------
+        InputError
+            A part that does not exist, or strengths that are not positive.
+
+        Examples
+        --------
+        >>> worst = solver.results().utilisation({"roof": (84.0, 80.0)}).max()
+        """
+        found = np.full(len(self.state), np.nan)
+        if not isinstance(strengths, Mapping):
+            return self._ratios("the membrane", strengths, np.arange(len(found), dtype=np.int32))
+        for part, pair in strengths.items():
+            if part not in self.parts:
+                known = ", ".join(sorted(self.parts)) or "(none)"
+                raise InputError(
+                    f"utilisation: the mesh has no part {part!r}; it has the parts {known}."
+                )
+            found[self.parts[part]] = self._ratios(repr(part), pair, self.parts[part])
+        return found
+
+    def _ratios(self, part: str, strengths: Strengths, cells: Indices) -> Array:
+        if np.shape(strengths) != (2,):
+            raise InputError(
+                f"utilisation: strengths of {part} = {strengths!r}; give two, of warp and weft."
+            )
+        least = [checks.positive(f"utilisation: strength of {part}", x) for x in strengths]
+        return np.asarray(np.maximum(self.warp_weft[cells, :2] / least, 0.0).max(axis=1))
 
 
 def membrane_results(system: System) -> MembraneResults:
@@ -97,6 +159,13 @@ def membrane_results(system: System) -> MembraneResults:
     first = np.einsum("na,nai->ni", unturned[:, :, 0], images)
     first /= np.linalg.norm(first, axis=1)[:, None]
 
+    warp = images[:, 0] / np.linalg.norm(images[:, 0], axis=1)[:, None]
+    cos = np.einsum("ni,ni->n", first, warp)
+    sin = np.einsum("ni,ni->n", first, np.cross(normal, warp))
+    larger, smaller = true_forces.T
+    along = larger * cos**2 + smaller * sin**2
+    across = larger * sin**2 + smaller * cos**2
+
     second_piola, directions = _principal(S)
     return MembraneResults(
         strains=_principal(E)[0],
@@ -104,10 +173,14 @@ def membrane_results(system: System) -> MembraneResults:
         second_piola_directions=np.einsum("nka,nai->nki", directions, axes),
         true_forces=true_forces,
         true_directions=np.stack([first, np.cross(normal, first)], axis=1),
+        warp=warp,
+        warp_weft=np.stack([along, across, (larger - smaller) * sin * cos], axis=1),
+        second_piola_warp_weft=values[:, 3:6].copy(),
         state=np.rint(values[:, 6]).astype(np.int8),
         normals=normal,
         areas=J * np.linalg.norm(np.cross(before[:, 0], before[:, 1]), axis=1) / 2,
         folded=folded,
+        parts={name: cells[cells < n] for name, cells in scene.mesh.parts.items()},
     )
 
 

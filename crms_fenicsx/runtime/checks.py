@@ -7,9 +7,10 @@ import operator
 import os
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
+from typing import Protocol, TypeVar
 
 import numpy as np
 from mpi4py import MPI
@@ -19,6 +20,32 @@ from crms_fenicsx.runtime.errors import InputError
 
 LONGEST = 200
 """Letters of a value that a message quotes."""
+
+
+class HasName(Protocol):
+    """What users know by its name."""
+
+    @property
+    def name(self) -> str:
+        """The name."""
+
+
+Named = TypeVar("Named", bound=HasName)
+
+
+def named(kind: str, ones: Sequence[Named], name: str) -> Named:
+    """Return the one with a name.
+
+    Raises
+    ------
+    InputError
+        There is none; it says which there are.
+    """
+    for one in ones:
+        if one.name == name:
+            return one
+    names = ", ".join(repr(one.name) for one in ones) or "none"
+    raise InputError(f"{kind}: there is no {kind} {name!r}; there are {names}.")
 
 
 def finite(what: str, value: object) -> float:

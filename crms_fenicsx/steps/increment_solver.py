@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import replace
+
+import numpy as np
+from mpi4py import MPI
 
 from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
@@ -14,12 +18,13 @@ from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.steps.loading import Target, has_free_rim
 from crms_fenicsx.steps.options import Options
+from crms_fenicsx.steps.snapshot import Snapshot
 from crms_fenicsx.steps.starting_prestress import starting_prestress
 from crms_fenicsx.verification.report import Verification
 from crms_fenicsx.verification.verifier import Verifier
 
 MOST_TURNS = 50
-"""Solves of an increment with the paper's pressure on a membrane with free edges."""
+"""Solves of an increment with wind, or with the paper's pressure on a membrane with free edges."""
 
 
 class IncrementSolver:
@@ -132,6 +137,8 @@ class IncrementSolver:
         outcome, verification = self.search.find(h0_prestress), None
         if outcome.converged and has_free_rim(self.scene):
             outcome = self._turn_pressure(outcome)
+        if outcome.converged and any(load.blows for load in self.scene.loads):
+            outcome = self._turn_wind(outcome)
         if self._verifier is not None and outcome.converged:
             verification = self._verifier.check(self.system, outcome)
             if not verification.passed:
@@ -153,6 +160,35 @@ class IncrementSolver:
                 return outcome
         reason = f"the pressure at free edges still turns after {MOST_TURNS} solves"
         return replace(outcome, converged=False, reason=reason)
+
+    def _turn_wind(self, outcome: Outcome) -> Outcome:
+        """Repeat a solve until the wind's forces are those of the shape that they lead to.
+
+        As for the pressure, each solve is a step of its own.
+        """
+        scene, comm = self.scene, self.scene.comm
+        for _ in range(MOST_TURNS):
+            turned = tuple(load.turned(scene.membrane) for load in scene.loads)
+            pairs = zip(turned, scene.loads, strict=True)
+            change = sum(new.factor * (new.forces - old.forces) for new, old in pairs)
+            size = comm.allreduce(float(np.vdot(change, change)), op=MPI.SUM) ** 0.5
+            if size <= self._options.rtol * outcome.scale:
+                return outcome
+            scene._loads = turned
+            self.system.commit()
+            outcome = outcome + self.search.find((0.0,))
+            if not outcome.converged:
+                return outcome
+        reason = f"the wind still turns with the membrane after {MOST_TURNS} solves"
+        return replace(outcome, converged=False, reason=reason)
+
+    def go_back_to(self, snapshot: Snapshot) -> None:
+        """Bring the scene to a state, and forget what was tried since."""
+        snapshot.restore()
+        if self._system is not None:
+            self._system.invalidate()
+        self._search, self._earlier = None, deepcopy(snapshot.tried)
+        self._known = self.scene.cables
 
     def _go_back(self, before: State, history: StepHistory | None) -> None:
         """Restore the state before an increment; `history` is what step-wise laws knew then."""

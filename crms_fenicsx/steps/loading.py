@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -14,7 +14,7 @@ from crms_fenicsx.energies.pressure_rim import rim_of
 from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array, Indices
+from crms_fenicsx.runtime.arrays import EPSILON, Array, Indices
 from crms_fenicsx.runtime.errors import InputError, as_text, raised_together
 from crms_fenicsx.scene import Scene
 
@@ -31,8 +31,8 @@ class Target:
     ----------
     pressure
         First and last pressure (force per area).
-    load
-        First and last factor of the dead load.
+    factors
+        First and last factor of each load that changes, by its name.
     cable_ends
         Number of the cable, its first (0) or last (-1) node, and that end's displacement (length).
     moved : (n, 3)
@@ -45,7 +45,7 @@ class Target:
     """
 
     pressure: tuple[float, float]
-    load: tuple[float, float]
+    factors: dict[str, tuple[float, float]]
     cable_ends: list[tuple[int, int, Array]]
     moved: Array
     rigid_translation: Array
@@ -54,7 +54,12 @@ class Target:
     def apply(self, scene: Scene, first: State, before: float, share: float) -> None:
         """Set the loads at a share of the way from the state `first`; `before` is that reached."""
         scene._pressure = _between(*self.pressure, share)
-        scene._load = _between(*self.load, share)
+        scene._loads = tuple(
+            replace(load, factor=_between(*self.factors[load.name], share))
+            if load.name in self.factors
+            else load
+            for load in scene.loads
+        )
         u = scene.u.x.array.reshape(-1, 3)
         u += (share - before) * self.rigid_translation
         for cable in scene.cables:
@@ -78,7 +83,7 @@ def _between(first: float, last: float, share: float) -> float:
     A scene without load is another one than one with the least: nothing may be in equilibrium.
     """
     value = first + share * (last - first)
-    rounding = 4 * float(np.finfo(float).eps) * max(abs(first), abs(last))
+    rounding = 4 * EPSILON * max(abs(first), abs(last))
     return 0.0 if abs(value) <= rounding else value
 
 
@@ -87,7 +92,7 @@ def checked_target(
     pressure: float | None,
     move: Mapping[object, tuple[float, float, float]],
     L0: Mapping[object, float],
-    load: float | None = None,
+    load: float | Mapping[str, float] | None = None,
 ) -> Target:
     """Check the loads and say what they change; see `Solver.advance`. Collective.
 
@@ -104,12 +109,8 @@ def checked_target(
         )
     value = scene.pressure if pressure is None else pressure
     value = checks.finite("advance: pressure", value)
-    factor = checks.finite("advance: load", scene.load if load is None else load)
-    if load is not None and scene.dead_forces is None:
-        raise InputError(
-            f"advance: load = {load!r}, but there is none on the membrane; put one there with "
-            "scene.put_load."
-        )
+    factors = {} if load is None else _factors(scene, load)
+    _check_wind(scene, factors)
     for name, given in (("move", move), ("L0", L0)):
         if not isinstance(given, Mapping):
             raise InputError(
@@ -154,9 +155,41 @@ def checked_target(
         length = checks.positive(f"advance: L0 of {key.name!r}", length)
         lengths.append((_number(scene, key), key.L0, length))
     rigid_translation = _carried(scene, moved, ends)
-    return Target(
-        (scene.pressure, value), (scene.load, factor), ends, moved, rigid_translation, lengths
-    )
+    return Target((scene.pressure, value), factors, ends, moved, rigid_translation, lengths)
+
+
+def _factors(scene: Scene, load: float | Mapping[str, float]) -> dict[str, tuple[float, float]]:
+    """First and last factors of loads, by their names."""
+    if not scene.loads:
+        raise InputError(
+            f"advance: load = {load!r}, but there is none on the membrane; put one there with "
+            "scene.put_load or scene.put_wind."
+        )
+    if not isinstance(load, Mapping):
+        if len(scene.loads) > 1:
+            names = ", ".join(repr(other.name) for other in scene.loads)
+            raise InputError(
+                f"advance: load = {load!r}, but there are the loads {names}; write "
+                f"load={{{scene.loads[0].name!r}: {load!r}}}."
+            )
+        return {scene.loads[0].name: (scene.loads[0].factor, checks.finite("advance: load", load))}
+    return {
+        name: (scene.load(name).factor, checks.finite(f"advance: load of {name!r}", factor))
+        for name, factor in load.items()
+    }
+
+
+def _check_wind(scene: Scene, factors: Mapping[str, tuple[float, float]]) -> None:
+    """The paper's pressure goes from one state to another in turn, and wind with it."""
+    for load in scene.loads:
+        if load.suction is not None and scene.pressure_law == "step":
+            _, factor = factors.get(load.name, (0.0, load.factor))
+            if factor != 0.0:
+                raise InputError(
+                    f"advance: load of {load.name!r} = {factor:g}, a wind that follows the "
+                    'surface, with Scene(..., pressure="step"); use pressure="total", or put the '
+                    "wind as a dead load with scene.put_load."
+                )
 
 
 def _in_order(given: Mapping[object, Value]) -> list[tuple[object, Value]]:

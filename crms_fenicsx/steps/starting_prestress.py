@@ -34,8 +34,7 @@ def starting_prestress(system: System, target: Target, share: float) -> tuple[fl
     moves.append(float(np.max(np.linalg.norm(target.moved, axis=1), initial=0.0)))
     travel = share * scene.comm.allreduce(max(moves), op=MPI.MAX)
     loads = abs(scene.pressure) + system.added_force_per_area()
-    if scene.dead_forces is not None:
-        loads += abs(scene.load) * scene.dead_forces.intensity
+    loads += sum(abs(load.factor) * load.intensity for load in scene.loads)
     coming = 0.3 * (loads * size) ** (2 / 3) * modulus ** (1 / 3)
     coming = max(coming, 0.3 * modulus * (travel / size) ** 2)
     present = np.sqrt(max(2 * scene.energies.get("membrane", 0.0) * modulus, 0.0)) / size

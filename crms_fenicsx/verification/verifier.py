@@ -23,7 +23,7 @@ from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes.cell_geometry import area_vectors
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.results.reactions import pressed_facets
-from crms_fenicsx.runtime.arrays import Array, Booleans
+from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.verification.report import Check, Verification
 
@@ -157,7 +157,7 @@ class Verifier:
         if unknowns.bounds is not None:
             fixed |= potential.x[:n] <= unknowns.bounds[0][:n]
         shake[fixed] = 0.0
-        rounding = np.finfo(float).eps * np.sqrt(cells) * self._cancelling(modulus, prestress)
+        rounding = EPSILON * np.sqrt(cells) * self._cancelling(modulus, prestress)
         # Displacements so large that rounding hides nothing; where the energy is not smooth what it
         # makes of them falls with their size.
         size = min(max(step, rounding / (VISIBLE * VIRTUAL_WORK * force)), largest)
@@ -325,8 +325,8 @@ class Verifier:
                 if term.name == "pressure":
                     term.add_gradient(system.potential.x, system.potential.sums_of(term), loads)
             loads *= -1.0
-        if scene.dead_forces is not None:
-            unknowns.add_to_vertices(scene.load * scene.dead_forces.forces, loads)
+        for load in scene.loads:
+            unknowns.add_to_vertices(load.factor * load.forces, loads)
         for term in scene.terms:
             added = np.zeros_like(loads)
             term.add_gradient(system.potential.x, system.potential.sums_of(term), added)

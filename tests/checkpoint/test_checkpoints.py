@@ -261,7 +261,7 @@ BROKEN = {
     "truncated": ("displacement.npy", lambda path: path.write_bytes(path.read_bytes()[:-1])),
     "no header": ("displacement.npy", lambda path: path.write_bytes(b"\x93NUMPY")),
     "type": ("held.npy", lambda path: np.save(path, np.zeros((16, 3)))),
-    "shape": ("dead_forces.npy", lambda path: np.save(path, np.zeros((3, 16)))),
+    "shape": ("forces_1.npy", lambda path: np.save(path, np.zeros((3, 16)))),
     "by columns": ("positions.npy", lambda path: np.save(path, np.zeros((16, 3), order="F"))),
     "huge": ("displacement.npy", lambda path: declare(path, (10**15, 3))),
     "huge edges": ("state.json", lambda path: change(path, "held_edges", 10**15)),

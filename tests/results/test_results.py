@@ -96,7 +96,72 @@ def test_stresses_of_plain_cells_against_tensors_in_space() -> None:
         )
         np.testing.assert_allclose(results.normals[c], normal / (2 * area), atol=1e-13)
         assert results.areas[c] == pytest.approx(area, rel=1e-12)
+        along = F @ warp / np.linalg.norm(F @ warp)
+        across = np.cross(results.normals[c], along)
+        expected = (along @ sigma @ along, across @ sigma @ across, along @ sigma @ across)
+        np.testing.assert_allclose(results.warp_weft[c], expected, atol=1e-10)
+        np.testing.assert_allclose(results.warp[c], along, atol=1e-13)
+        np.testing.assert_allclose(results.second_piola_warp_weft[c], s, atol=1e-11)
     assert not results.folded.any()
+
+
+@pytest.mark.parametrize("turned", [0.0, 30.0, 90.0])
+def test_warp_and_weft_of_a_cylinder(turned: float) -> None:
+    """Half a cylinder between planes of symmetry: hoop force p R, along the axis nu times that.
+
+    The fabric is isotropic in its numbers, its warp turned from the hoop direction.
+    """
+    R, p, nu, n = 5.0, 0.4, 0.3, 48
+    angle = np.linspace(0.0, np.pi, n + 1)
+    rows = [np.column_stack([-R * np.cos(angle), 0 * angle + y, R * np.sin(angle)]) for y in (0, 1)]
+    points, first = np.concatenate(rows), np.arange(n)
+    cells = [(k, k + 1, k + n + 2) for k in first] + [(k, k + n + 2, k + n + 1) for k in first]
+    mesh = meshes.from_arrays(COMM, points, cells)
+    cos, sin = np.cos(np.radians(turned)), np.sin(np.radians(turned))
+    fabric = OrthotropicMembrane(
+        E1=1e6, E2=1e6, G12=1e6 / (2 * (1 + nu)), nu21=nu, thickness=1.0, warp=(cos, sin, 0.0),
+        wrinkling=False,
+    )  # fmt: skip
+    scene = Scene(mesh, fabric)
+    scene.fix(lambda x: x[2] < 1e-9)
+    scene.fix(lambda x: x[2] > -1.0, "y")
+    solver = Solver(scene)
+    solver.advance(pressure=p)
+    results = solver.results()
+    crown = np.abs(corners(scene)[0].mean(axis=1)[:, 0]) < R * np.pi / n
+    hoop, axial = p * R, nu * p * R
+    expected = (
+        hoop * cos**2 + axial * sin**2,
+        hoop * sin**2 + axial * cos**2,
+        (hoop - axial) * sin * cos,
+    )
+    found = np.abs(results.warp_weft[crown])
+    np.testing.assert_allclose(found, np.tile(expected, (len(found), 1)), atol=4e-3 * hoop)
+
+
+def test_utilisation() -> None:
+    points = [[0, 0], [1, 0], [1, 1], [0, 1], [2, 0], [2, 1]]
+    cells = [[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2]]
+    mesh = meshes.from_arrays(COMM, points, cells, parts={"left": [0, 1], "right": [2, 3]})
+    fabric = OrthotropicMembrane(
+        E1=300.0, E2=300.0, G12=150.0, nu21=0.0, thickness=0.1, warp=(1, 0, 0), prestress=(6, 2)
+    )
+    scene = Scene(mesh, fabric)
+    results = Solver(scene).results()
+    left = corners(scene)[0][:, :, 0].max(axis=1) < 1.5
+    np.testing.assert_allclose(results.utilisation((12.0, 8.0)), 0.5)
+    np.testing.assert_allclose(results.utilisation((24.0, 2.0)), 1.0)
+    found = results.utilisation({"left": (3.0, 8.0)})
+    np.testing.assert_allclose(found, np.where(left, 2.0, np.nan))
+    put(scene, lambda x: 0.5 * x)
+    assert not Solver(scene).results().utilisation((12.0, 8.0)).any(), "slack"
+    for bad, words in (
+        ({"top": (1.0, 1.0)}, "no part 'top'.*left, right"),
+        ((0.0, 1.0), "strength of the membrane"),
+        ({"left": 3.0}, "strengths of 'left' = 3.0; give two"),
+    ):
+        with pytest.raises(InputError, match=words):
+            results.utilisation(bad)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -170,7 +170,7 @@ CHANGES: dict[str, tuple[Any, str]] = {
     "rtol": (1e-8, "call 1 .*solver, rtol = 1e-09, and now 1e-08"),
     "held": ("y", "call 1 .*scene, held vertices"),
     "floor": (-2.0, "call 1 .*scene, floor = -1.0, and now -2.0"),
-    "snow": (-2e-3, "call 2 .*scene, dead load"),
+    "snow": (-2e-3, "call 2 .*scene, loads"),
     "EA": (9001.0, "call 2 .*scene, cables: 'rough', EA = 9000.0, and now 9001.0"),
     "friction": (0.1, "call 2 .*scene, cables: 'rough', friction, mu = 0.0, and now 0.1"),
     "path": ([(0, 33), (100, 41.001)], "call 2 .*scene, cables: 'rough'"),

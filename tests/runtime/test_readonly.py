@@ -36,7 +36,7 @@ def test_nothing_is_assigned(comm) -> None:
     ways = {
         (solver, "rtol"): r"Solver.rtol = 7: .* make another Solver",
         (scene, "pressure"): r"Scene.pressure = 7: .* call solver.advance\(pressure=",
-        (scene, "load"): r"solver.advance\(load=",
+        (scene, "loads"): r"solver.advance\(load=",
         (scene, "cables"): "scene.lay_cable",
         (scene, "terms"): r"scene.add_term\(term\)",
         (scene, "floor_level"): r"scene.floor\(z\)",
@@ -56,6 +56,7 @@ def test_nothing_is_assigned(comm) -> None:
         "name",
         "cable",
         "sleeve",
+        "in_edge",
         "layer",
     }
     assert isinstance(scene.cables, tuple)
@@ -64,7 +65,7 @@ def test_nothing_is_assigned(comm) -> None:
 def test_all_that_changes_of_a_cable_is_its_state(comm) -> None:
     """It is one frozen value, whose arrays cannot be written: a snapshot is a reference to it."""
     *_, cable = laid(comm)
-    assert vars(cable).keys() == {"_name", "_cable", "_sleeve", "_layer", "state"}
+    assert vars(cable).keys() == {"_name", "_cable", "_sleeve", "_in_edge", "_layer", "state"}
     before = cable.state
     for field in fields(CableState):
         with pytest.raises(FrozenInstanceError):

@@ -199,7 +199,8 @@ def scenes(scene: Scene, other: Scene, solver: Solver, cable: LaidCable) -> list
     moves = [{key: v} for key in ("left", cable, cable.start) for v in NO_VECTORS]
     moves += [{key: UP} for key in (3, "unknown", None, other)]
     lengths = [{cable: v} for v in (*NOT_POSITIVE, None)] + [{"left": 1.0}, {None: 1.0}]
-    names = ("", 3, cable.name, NAN, ["a"], {})
+    no_names = ("", 3, NAN, ["a"], {})
+    names = (*no_names, cable.name)
     return [
         Call(
             "Scene",
@@ -218,7 +219,21 @@ def scenes(scene: Scene, other: Scene, solver: Solver, cable: LaidCable) -> list
             {"where": where, "directions": (*NO_TEXTS, "xq")},
         ),
         Call("floor", scene.floor, {"z": -9.0}, {"z": (*NO_NUMBERS, None, 1.0, 1e300)}),
-        Call("put_load", scene.put_load, {"force": UP}, {"force": (*NO_VECTORS, None, *fields)}),
+        Call(
+            "put_load",
+            scene.put_load,
+            {"force": UP},
+            {"force": (*NO_VECTORS, None, *fields), "name": no_names, "per": (*NO_TEXTS, "x")},
+        ),
+        Call(
+            "put_wind",
+            scene.put_wind,
+            {"pressure": 0.1, "coefficient": -1.0},
+            {
+                "pressure": NOT_POSITIVE, "name": no_names,
+                "coefficient": (*NO_NUMBERS, None, {}, {"unknown": 1.0}, *fields),
+            },
+        ),
         Call(
             "lay_cable",
             scene.lay_cable,

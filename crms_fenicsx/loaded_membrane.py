@@ -1,0 +1,157 @@
+"""The membrane of a scene with the loads that lie on it or blow over it."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+from crms_fenicsx.energies.dead_load import (
+    Area,
+    Coefficient,
+    MembraneLoad,
+    Traction,
+    dead_load,
+    wind_load,
+)
+from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.errors import InputError, collective
+from crms_fenicsx.runtime.readonly import ReadOnly
+
+ANOTHER = "make another Scene(...)"
+"""What to do instead of assigning what a scene is made of."""
+
+PRESSURE = "pressure"
+"""What combinations of loads know the inner pressure by; no name of a load."""
+
+
+class LoadedMembrane:
+    """A membrane and the loads that have been put on it, each with a name and a factor.
+
+    Parameters
+    ----------
+    membrane
+        The membrane.
+    """
+
+    comm: ReadOnly[MPI.Intracomm] = ReadOnly("membrane.comm", ANOTHER)
+    loads: ReadOnly[tuple[MembraneLoad, ...]] = ReadOnly(
+        "_loads", "call scene.put_load(...), scene.put_wind(...) or solver.advance(load=...)"
+    )
+    """The loads that have been put on the membrane, with their current factors."""
+
+    def __init__(self, membrane: Membrane) -> None:
+        self.membrane = membrane
+        self._loads: tuple[MembraneLoad, ...] = ()
+        self.changes = 0
+        """Counts what needs a new set-up of the solver."""
+
+    @collective
+    def put_load(self, force: Traction, *, name: str = "load", per: Area = "surface") -> None:
+        """Put a dead load on the membrane; `Solver.advance` brings it on by its factor.
+
+        Its forces follow from the current shape, and then keep direction and size.
+
+        Parameters
+        ----------
+        force
+            Force per area (force / length squared): (3,), or a function of points (3, n) on the
+            current surface and of its unit normals (3, n), which point to the side that pressure
+            pushes to, that returns (3, n).
+        name
+            What load steps and results know the load by.
+        per
+            The area that the force is counted by: "surface", that of the current surface; "plan",
+            that of its projection along z, as for snow; "material", that of the stress-free
+            membrane, as for its weight.
+
+        Raises
+        ------
+        InputError
+            On all ranks: a force that is not finite or of another shape, an area that is not
+            known, or a name that is taken.
+
+        Examples
+        --------
+        >>> scene.put_load((0.0, 0.0, -0.6), name="snow", per="plan")
+        >>> scene.put_load((0.0, 0.0, -0.01), name="weight", per="material")
+        >>> solver.advance(load={"snow": 1.5, "weight": 1.35})
+        """
+        checks.same(self.comm, "put_load", force=force, name=name, per=per)
+        self._check_new_load("put_load", name)
+        self._add_load(dead_load(self.membrane, force, name, per))
+
+    @collective
+    def put_wind(self, pressure: float, coefficient: Coefficient, *, name: str = "wind") -> None:
+        """Put wind on the membrane; `Solver.advance` brings it on by its factor.
+
+        Its pressure stays normal to the surface: a load step is solved until the wind's forces are
+        those of the shape that it leads to. Coefficients belong to the cells, wherever these move.
+
+        Parameters
+        ----------
+        pressure
+            Peak velocity pressure q_p (force per area), positive.
+        coefficient
+            Pressure coefficient c_p, positive where the wind presses on the outside and negative
+            where it sucks, as in EN 1991-1-4: one number, one of each part of the mesh by its
+            name, or a function of points (3, n) on the current surface and of its unit normals
+            (3, n) to the outside that returns (n,).
+        name
+            What load steps and results know the load by.
+
+        Raises
+        ------
+        InputError
+            On all ranks: a pressure that is not positive, coefficients that are not finite or of
+            another shape, a part that does not exist or is missing, or a name that is taken.
+
+        Examples
+        --------
+        >>> scene.put_wind(0.8, {"roof": -0.9, "walls": 0.7}, name="wind along x")
+        >>> solver.advance(load={"wind along x": 1.5})
+        """
+        checks.same(self.comm, "put_wind", pressure=pressure, coefficient=coefficient, name=name)
+        self._check_new_load("put_wind", name)
+        self._add_load(wind_load(self.membrane, pressure, coefficient, name))
+
+    def _check_new_load(self, call: str, name: str) -> None:
+        self.membrane.check_finite(call)
+        if not isinstance(name, str) or not name:
+            raise InputError(f"{call}: name = {name!r} is no text; give one, as in 'snow'.")
+        if name == PRESSURE:
+            raise InputError(
+                f"{call}: name = {name!r} is the inner pressure's; give another one, as in 'snow'."
+            )
+        if any(load.name == name for load in self.loads):
+            raise InputError(
+                f"{call}: there is a load {name!r} already; give another name, or take that one "
+                f"away with scene.remove_load({name!r})."
+            )
+
+    def _add_load(self, load: MembraneLoad) -> None:
+        self._loads = (*self._loads, load)
+        self.changes += 1
+
+    @collective
+    def remove_load(self, name: str) -> None:
+        """Take a load away; the next load step finds the equilibrium without it. Collective.
+
+        Raises
+        ------
+        InputError
+            On all ranks: there is no such load.
+        """
+        checks.same(self.comm, "remove_load", name=name)
+        load = self.load(name)
+        self._loads = tuple(other for other in self._loads if other is not load)
+        self.changes += 1
+
+    def load(self, name: str) -> MembraneLoad:
+        """The load with a name.
+
+        Raises
+        ------
+        InputError
+            There is none.
+        """
+        return checks.named("load", self.loads, name)

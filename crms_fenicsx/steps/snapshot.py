@@ -1,0 +1,86 @@
+"""Snapshots in memory: a state of a scene and its solver, to which load cases come back."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from dataclasses import dataclass
+
+from crms_fenicsx.cables.strip import Strip
+from crms_fenicsx.energies.paper.step_history import StepHistory
+from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.equilibrium.state import State
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.paths.tried_paths import TriedPaths
+from crms_fenicsx.runtime.arrays import Array, Booleans
+from crms_fenicsx.scene import Scene
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A state of a scene, with all that load steps, supports, loads and cables can change in it.
+
+    It belongs to the process's part of the mesh, and is not for files; see `Solver.save`.
+
+    Attributes
+    ----------
+    u
+        Displacements of the vertices by local degree of freedom (length).
+    energies
+        Energy of each kind of term (force x length).
+    tensions
+        Tension of each cable, by its name (force).
+    """
+
+    state: State
+    scene: Scene
+    cables: tuple[LaidCable, ...]
+    strip: Strip | None
+    removed_dissipation: float
+    held: Booleans
+    held_edges: Booleans
+    floor: float | None
+    terms: tuple[EnergyTerm, ...]
+    step_history: StepHistory | None
+    tried: TriedPaths | None
+    tensions: dict[str, float]
+
+    @classmethod
+    def of(cls, scene: Scene, tried: TriedPaths | None) -> Snapshot:
+        """The scene's current state, with the paths that its solver has tried."""
+        net, membrane = scene.net, scene.membrane
+        return cls(
+            State.of(scene),
+            scene,
+            net.cables,
+            net.strip,
+            net.removed_dissipation,
+            membrane.held.copy(),
+            membrane.held_edges.copy(),
+            scene.floor_level,
+            scene.terms,
+            scene.step_history,
+            deepcopy(tried),
+            {cable.name: cable.tension for cable in net.cables},
+        )
+
+    @property
+    def u(self) -> Array:
+        return self.state.u
+
+    @property
+    def energies(self) -> dict[str, float]:
+        return self.state.energies
+
+    def restore(self) -> None:
+        """Bring the scene back to this state, cables that were laid or removed since included."""
+        scene, net = self.scene, self.scene.net
+        net.cables, net.strip = self.cables, self.strip
+        net.removed_dissipation = self.removed_dissipation
+        self.state.restore(scene)
+        scene.membrane.held[:] = self.held
+        scene.membrane.held_edges[:] = self.held_edges
+        scene._floor_level, scene._terms = self.floor, self.terms
+        if scene.step_history is not self.step_history:  # the terms know it as well
+            scene.step_history = self.step_history
+            scene.commits += 1
+        scene.changes += 1
