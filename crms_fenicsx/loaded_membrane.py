@@ -154,4 +154,4 @@ class LoadedMembrane:
         InputError
             There is none.
         """
-        return checks.named("load", self.loads, name)
+        return checks.named("load", {load.name: load for load in self.loads}, name)

@@ -66,7 +66,7 @@ class CableNet:
         InputError
             There is none.
         """
-        return checks.named("cable", self.cables, name)
+        return checks.named("cable", {cable.name: cable for cable in self.cables}, name)
 
     def strip_shape(self) -> StripShape:
         """Gather the current positions of the strip's vertices. Collective."""

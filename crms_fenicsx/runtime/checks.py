@@ -7,10 +7,10 @@ import operator
 import os
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import zip_longest
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from mpi4py import MPI
@@ -22,18 +22,10 @@ LONGEST = 200
 """Letters of a value that a message quotes."""
 
 
-class HasName(Protocol):
-    """What users know by its name."""
-
-    @property
-    def name(self) -> str:
-        """The name."""
+Named = TypeVar("Named")
 
 
-Named = TypeVar("Named", bound=HasName)
-
-
-def named(kind: str, ones: Sequence[Named], name: str) -> Named:
+def named(kind: str, ones: Mapping[str, Named], name: str) -> Named:
     """Return the one with a name.
 
     Raises
@@ -41,11 +33,10 @@ def named(kind: str, ones: Sequence[Named], name: str) -> Named:
     InputError
         There is none; it says which there are.
     """
-    for one in ones:
-        if one.name == name:
-            return one
-    names = ", ".join(repr(one.name) for one in ones) or "none"
-    raise InputError(f"{kind}: there is no {kind} {name!r}; there are {names}.")
+    if name not in ones:
+        names = ", ".join(map(repr, ones)) or "none"
+        raise InputError(f"{kind}: there is no {kind} {name!r}; there are {names}.")
+    return ones[name]
 
 
 def finite(what: str, value: object) -> float:
