@@ -7,13 +7,14 @@ out again from where its points are in space. See `crms_fenicsx.verification.ver
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.cables.numbering import CableNumbering
+from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces, wrap_angles
 from crms_fenicsx.contact.lift_off import is_foot, may_lift, outward_pulls
@@ -24,7 +25,7 @@ from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import INSIDE
 from crms_fenicsx.paths.held_vertices import held_runs
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
-from crms_fenicsx.surface.points import EdgePoint
+from crms_fenicsx.surface.points import Edge, EdgePoint
 from crms_fenicsx.surface.triangles import norm
 from crms_fenicsx.verification.report import Check
 
@@ -71,9 +72,10 @@ class _Nodes:
     ids, weights : (n, 3)
         Vertices on which a node lies, and their weights; those of sliding points are found from
         their fractions.
-    on, slides, alone : (n,)
-        Whether a node has a place on the mesh, slides along an edge, and is a fold point that has
-        its edge for itself.
+    on, slides : (n,)
+        Whether a node has a place on the mesh, and slides along an edge.
+    on_edge : (n,)
+        How many points of cables that touch the membrane lie on a node's edge.
     breaks
         How often two nodes in a row do not lie on one cell.
     """
@@ -82,21 +84,21 @@ class _Nodes:
     weights: Array
     on: Booleans
     slides: Booleans
-    alone: Booleans
+    on_edge: Integers
     breaks: int
 
     @classmethod
-    def of(cls, cable: LaidCable, numbering: CableNumbering) -> _Nodes:
-        n, strip, on_edge = len(cable.nodes), numbering.strip, numbering.on_edge
+    def of(cls, cable: LaidCable, strip: Strip, points: Mapping[Edge, int]) -> _Nodes:
+        n = len(cable.nodes)
         ids = np.full((n, 3), strip.vertices[0], dtype=np.int64)
         weights = np.zeros((n, 3))
-        alone = np.zeros(n, dtype=bool)
+        on_edge = np.zeros(n, dtype=np.int64)
         for k, node in enumerate(cable.nodes):
             if node.point is not None:
                 own, share = node.interpolation()
                 ids[k, : len(own)], weights[k, : len(own)] = own, share
-            if node.kind == "fold" and isinstance(node.point, EdgePoint):
-                alone[k] = len(on_edge.get(node.point.edge, ())) == 1
+            if isinstance(node.point, EdgePoint):
+                on_edge[k] = points.get(node.point.edge, 0)
         on_path = cable.path_nodes()
         supports = [p.support for k in on_path if (p := cable.nodes[k].point) is not None]
         both = (tuple(sorted({*a, *b})) for a, b in itertools.pairwise(supports))
@@ -105,7 +107,7 @@ class _Nodes:
             weights,
             np.array([k.point is not None and k.kind != "crossing" for k in cable.nodes]),
             np.array([k.slides for k in cable.nodes]),
-            alone,
+            on_edge,
             sum(not strip.rows(pair) for pair in both),
         )
 
@@ -134,7 +136,8 @@ class CableVerifier:
         scene, numbering = system.scene, system.cables.numbering
         if numbering is not self._numbering:
             self._numbering = numbering
-            self._nodes = [_Nodes.of(cable, numbering) for cable in scene.cables]
+            points = {edge: len(members) for edge, members in numbering.on_edge.items()}
+            self._nodes = [_Nodes.of(cable, numbering.strip, points) for cable in scene.cables]
         shape = scene.net.strip_shape()
         parts, pulls = _parts_and_pulls(system)
         found: dict[str, tuple[float, str]] = {}
@@ -145,7 +148,7 @@ class CableVerifier:
                 values |= _tensions(cable, parts[c])
                 values["pull at the ends"] = pulls[c]
                 if not cable.sleeve:
-                    values |= _contacts(cable, nodes, numbering, shape, nodal)
+                    values |= _contacts(cable, nodes, shape, nodal)
                 values |= _held(cable, shape, nodal)
                 values |= _friction(cable, shape, nodal)
             elif cable.cable.law == "total":
@@ -241,7 +244,9 @@ def _places(
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.abs(before / (before + after) - s)
     outside = np.maximum(np.maximum(-s, s - 1), 0.0)
-    errors = np.concatenate([off[straight], share[folds & nodes.alone], outside[folds], [0.0]])
+    errors = np.concatenate(
+        [off[straight], share[folds & (nodes.on_edge == 1)], outside[folds], [0.0]]
+    )
     return {
         "ends of cable off their place": max(away, default=0.0) / size,
         "nodes off their edges": float(errors.max()),
@@ -276,9 +281,7 @@ def _tensions(cable: LaidCable, parts: Array) -> dict[str, float]:
     }
 
 
-def _contacts(
-    cable: LaidCable, nodes: _Nodes, numbering: CableNumbering, shape: StripShape, nodal: float
-) -> dict[str, float]:
+def _contacts(cable: LaidCable, nodes: _Nodes, shape: StripShape, nodal: float) -> dict[str, float]:
     """How hard the cable pulls the membrane outward, and how deep it runs below it."""
     pull = depth = 0.0
     on = [k for k in may_lift(cable) if not cable.lifted[k]]
@@ -291,9 +294,7 @@ def _contacts(
     for k in lifted:
         point, s = cable.nodes[k].point, float(cable.fractions[k])
         assert point is not None
-        if isinstance(point, EdgePoint) and (
-            point.edge in numbering.on_edge or not INSIDE < s < 1 - INSIDE
-        ):
+        if isinstance(point, EdgePoint) and (nodes.on_edge[k] or not INSIDE < s < 1 - INSIDE):
             continue
         after = int(np.searchsorted(contacts, k))
         span = norm(cable.positions[contacts[after - 1 : after + 1]] - cable.positions[k])
