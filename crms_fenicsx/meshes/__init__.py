@@ -1,5 +1,6 @@
 """Meshes of membranes: generators, files, and arrays, all checked, oriented and distributed."""
 
+from crms_fenicsx.meshes.dolfinx_mesh import from_dolfinx, mesh_tags
 from crms_fenicsx.meshes.domes import air_hall, great_circle, spherical_cap
 from crms_fenicsx.meshes.files import from_file, from_gmsh
 from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, from_arrays
@@ -15,9 +16,11 @@ __all__ = [
     "circle",
     "ellipse",
     "from_arrays",
+    "from_dolfinx",
     "from_file",
     "from_gmsh",
     "great_circle",
+    "mesh_tags",
     "polygon",
     "rectangle",
     "spherical_cap",
