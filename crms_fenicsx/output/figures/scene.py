@@ -20,6 +20,7 @@ from crms_fenicsx.output.figures.history import units_of_results
 from crms_fenicsx.output.figures.paths import draw_path
 from crms_fenicsx.output.figures.surface import draw_shape
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
+from crms_fenicsx.results.quantities import QUANTITIES
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.errors import InputError, PictureWarning, collective, raised_together
@@ -49,6 +50,11 @@ class Colour:
     values: Callable[[CurrentSurface, MembraneResults], Array]
 
 
+def _of_cells(name: str) -> Colour:
+    one = QUANTITIES[name]
+    return Colour(one.label, one.unit, lambda s, r: r.values(name)[s.parents])
+
+
 COLOURS = {
     "height": Colour("height", "length", lambda s, r: s.points[:, 2][s.triangles].mean(axis=1)),
     "displacement": Colour("displacement", "length", lambda s, r: _displacement(s)),
@@ -58,7 +64,7 @@ COLOURS = {
     "state": Colour(
         "0 slack, 1 wrinkled, 2 taut", "", lambda s, r: r.state[s.parents].astype(np.float64)
     ),
-}
+} | {name: _of_cells(name) for name in ("warp", "weft", "shear", "utilisation")}
 """What `draw` can colour the membrane by."""
 
 
@@ -95,8 +101,9 @@ def draw(
         Picture to write; its suffix (.png, .pdf, .svg ...) says the format.
     colour
         What colours the membrane: "height" (z), "displacement", "stress" and "stress 2" (larger
-        and smaller principal true section force), "strain" (larger principal Green-Lagrange
-        strain), "state"; None: plain fabric.
+        and smaller principal true section force), "warp", "weft" and "shear" (true section
+        forces), "strain" (larger principal Green-Lagrange strain), "state", "utilisation" (of the
+        strengths of `Scene.set_strengths`); None: plain fabric.
     unit, force
         Names of the units of length and force, for labels.
     ghost
