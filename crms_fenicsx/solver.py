@@ -20,6 +20,7 @@ from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.output.history import History
 from crms_fenicsx.output.recorder import Recorder
+from crms_fenicsx.output.report import Reporting
 from crms_fenicsx.results.solver_results import SolverResults
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import ConvergenceError, InputError, collective
@@ -40,7 +41,7 @@ ANOTHER = "make another Solver(scene, ...), which goes on from the scene as it i
 """What to do instead of assigning a solver's options."""
 
 
-class Solver(LoadCases, SolverResults):
+class Solver(LoadCases, SolverResults, Reporting):
     """Brings a scene from one equilibrium to the next.
 
     Parameters

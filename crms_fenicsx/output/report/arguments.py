@@ -1,0 +1,138 @@
+"""Checks of what users give to a report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from mpi4py import MPI
+
+from crms_fenicsx.model.materials import OrthotropicMembrane
+from crms_fenicsx.output.figures.scene import COLOURS
+from crms_fenicsx.output.report.files import check_path
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.errors import InputError, raised_together
+from crms_fenicsx.runtime.files import absolute
+from crms_fenicsx.scene import Scene
+from crms_fenicsx.steps.load_cases import Combination
+
+
+def checked_path(comm: MPI.Intracomm, filename: str | Path) -> Path:
+    """Path of a page that can be written. Collective.
+
+    Raises
+    ------
+    InputError
+        On all ranks: it cannot be.
+    """
+    path = absolute(checks.file("report: filename", filename), comm)
+    with raised_together(comm):
+        if comm.rank == 0:
+            check_path(path)
+    return path
+
+
+def checked_states(
+    scene: Scene, combinations: Mapping[str, Combination] | None
+) -> dict[str, Combination]:
+    """Combinations of a scene; none for its current state.
+
+    Raises
+    ------
+    InputError
+        They are no combinations, or of another scene.
+    """
+    if combinations is None:
+        return {}
+    if not isinstance(combinations, Mapping) or not combinations:
+        raise InputError(
+            f"report: combinations = {combinations!r}; give what solver.combine(...) returned, or "
+            "leave it out for the current state."
+        )
+    for name, one in combinations.items():
+        if not isinstance(one, Combination):
+            raise InputError(
+                f"report: combination {name!r} is {one!r}; give what solver.combine(...) returned."
+            )
+        if one.snapshot.scene is not scene:
+            raise InputError(
+                f"report: combination {name!r} is of another scene; let the solver that made it "
+                "write the report."
+            )
+    return {str(name): one for name, one in combinations.items()}
+
+
+def checked_labels(
+    title: str, about: Mapping[str, str] | None, unit: str, force: str
+) -> tuple[str, dict[str, str]]:
+    """Title and texts below it.
+
+    Raises
+    ------
+    InputError
+        They are no texts.
+    """
+    for name, value in (("title", title), ("unit", unit), ("force", force)):
+        if not isinstance(value, str):
+            raise InputError(f"report: {name} = {value!r} is no text; give one, or ''.")
+    about = {} if about is None else about
+    if not isinstance(about, Mapping) or not all(
+        isinstance(text, str) for pair in about.items() for text in pair
+    ):
+        raise InputError(
+            f"report: about = {about!r}; write texts by names, as in "
+            '{"Project": "Tent", "Author": "..."}.'
+        )
+    return title, dict(about)
+
+
+def checked_cable_strengths(
+    scene: Scene, strengths: Mapping[str, float] | None
+) -> dict[str, float]:
+    """Strengths of cables by their names (force).
+
+    Raises
+    ------
+    InputError
+        A cable that does not exist, or a strength that is not positive.
+    """
+    strengths = {} if strengths is None else strengths
+    if not isinstance(strengths, Mapping):
+        raise InputError(
+            f"report: cable_strengths = {strengths!r}; write forces by the cables' names, as in "
+            '{"ridge": 120.0}.'
+        )
+    for name in strengths:
+        scene.cable(name)
+    return {
+        name: checks.positive(f"report: strength of the cable {name!r}", value)
+        for name, value in strengths.items()
+    }
+
+
+def checked_pictures(scene: Scene, pictures: Sequence[str] | None) -> tuple[str, ...]:
+    """What colours the membrane in pictures.
+
+    Raises
+    ------
+    InputError
+        Something that `draw` does not know, or utilisation without strengths.
+    """
+    has = bool(scene.membrane.strengths)
+    if pictures is None:
+        woven = any(isinstance(x, OrthotropicMembrane) for x in scene.materials.values())
+        forces = ("warp", "weft") if woven else ("stress",)
+        return ("displacement", *forces, *(("utilisation",) if has else ()))
+    if isinstance(pictures, str) or not isinstance(pictures, Sequence):
+        raise InputError(f'report: pictures = {pictures!r}; write a list, as in ["stress"].')
+    for colour in pictures:
+        if colour not in COLOURS:
+            raise InputError(
+                f"report: pictures has {colour!r}, which is not known; use some of {list(COLOURS)}."
+            )
+        if colour == "utilisation" and not has:
+            raise InputError(
+                "report: pictures has 'utilisation', but there are no strengths; call "
+                "scene.set_strengths(...) before."
+            )
+    return tuple(pictures)
