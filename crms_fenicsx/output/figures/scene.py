@@ -87,6 +87,7 @@ def draw(
     unit: str = "",
     force: str = "",
     ghost: bool = False,
+    tensions: bool = True,
     **options: Any,
 ) -> None:
     """Draw a solver's scene in its current state, with the cables' tensions. Collective.
@@ -108,6 +109,8 @@ def draw(
         Names of the units of length and force, for labels.
     ghost
         Whether to show the stress-free shape, faintly.
+    tensions
+        Whether to colour the cables by their tensions, which takes a colour bar of its own.
     **options
         As for `draw_shape`: ``view``, ``box``, ``title``, ``limits`` ...
 
@@ -125,7 +128,7 @@ def draw(
         raise InputError(f"draw: solver is of type {type(solver).__name__}; give a Solver.")
     checks.same(
         solver.comm, "draw", filename=filename, colour=colour, unit=unit, force=force, ghost=ghost,
-        **options,
+        tensions=tensions, **options,
     )  # fmt: skip
     filename = checks.file("draw: filename", filename)
     if colour is not None and colour not in list(COLOURS):
@@ -148,7 +151,7 @@ def draw(
         options.setdefault("label", with_unit(chosen.label, named))
     if colour == "state":
         options.setdefault("limits", (0.0, 2.0))
-    if any(cable.taut for cable in scene.cables):
+    if tensions and any(cable.taut for cable in scene.cables):
         options |= {"line_values": "tension"}
         options.setdefault("line_label", with_unit("tension", force))
     if any(cable.lifted.any() for cable in scene.cables):

@@ -86,9 +86,9 @@ def with_pictures(
     options = _common(every) | dict(look)
     dpi = sharpness(len(every) * len(colours))
     pictures = []
-    for colour in colours:
-        limits = _limits(every, colour)
-        png = draw_png(solver, colour=colour, dpi=dpi, limits=limits, **options)
+    for k, colour in enumerate(colours):  # the first tells the tensions as well
+        options |= {"colour": colour, "limits": _limits(every, colour), "tensions": k == 0}
+        png = draw_png(solver, dpi=dpi, **options)
         if png:
             pictures.append(Picture(colour, png))
     return replace(case, pictures=tuple(pictures))

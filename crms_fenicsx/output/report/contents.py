@@ -100,7 +100,14 @@ class Report:
             Section("Combinations", self._combinations()),
             *self._results(),
             *self._forces(),
-            Section("Verification", [self._verdict(), results_tables.verification(self.cases)]),
+            Section(
+                "Verification",
+                [
+                    self._verdict(),
+                    results_tables.verdicts(self.cases),
+                    results_tables.nearest_to_limits(self.cases),
+                ],
+            ),
             Section("Notes", [*map(paragraph, NOTES), model_tables.versions(self.model)]),
         ]
         return page(self.title, about, sections)
@@ -148,6 +155,8 @@ class Report:
 
         def card(what: str, unit: str, found: Mapping[str, float], share: bool = False) -> None:
             name = max(found, key=lambda one: found[one])
+            if found[name] == 0.0:
+                return
             text = per_cent(found[name]) if share else f"{number(found[name])} {unit}".rstrip()
             cards.append((what, text, name))
 
@@ -177,7 +186,7 @@ class Report:
         model, units = self.model, self.units
         picture = []
         if self.model_picture:
-            picture = [figure(self.model_picture, "The model in its base state")]
+            picture = [figure(self.model_picture, "The model in its base state", "model")]
         membrane = [model_tables.materials(model, units)]
         if model.strengths:
             membrane.append(model_tables.strengths(model, units))

@@ -161,8 +161,14 @@ def _loads(scene: Scene) -> tuple[Row, ...]:
 
 
 def _other(scene: Scene) -> dict[str, str]:
-    pressed = scene.comm.allreduce(int(np.count_nonzero(~scene.membrane.pressed)))
-    found = {"Pressure acts on": "all of the membrane" if pressed == 0 else "parts of the membrane"}
+    pressed, comm = scene.membrane.pressed, scene.comm
+    if comm.allreduce(int(np.count_nonzero(~pressed))):
+        free = {k: comm.allreduce(int(np.count_nonzero(~pressed[cells])))
+                for k, cells in scene.mesh.parts.items()}  # fmt: skip
+        where = ", ".join(sorted(name for name, count in free.items() if count == 0))
+    else:
+        where = "all of the membrane"
+    found = {"Pressure acts on": where}
     found["Strain"] = {
         "total": "Green-Lagrange, from the stress-free shape", "step": "step-wise",
     }[scene.strain_law]  # fmt: skip

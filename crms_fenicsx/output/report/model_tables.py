@@ -12,7 +12,7 @@ from petsc4py import PETSc
 
 from crms_fenicsx.output.report.model_data import ModelData
 from crms_fenicsx.output.report.results_tables import Units, part_name
-from crms_fenicsx.output.report.tables import Cell, Table, number
+from crms_fenicsx.output.report.tables import Cell, Table, number, shown
 
 
 def mesh(model: ModelData, units: Units) -> Table:
@@ -27,7 +27,7 @@ def mesh(model: ModelData, units: Units) -> Table:
         (f"Stress-free area{units['area']}", model.area),
         *model.other.items(),
     ]
-    return Table("Mesh and theory", ("Property", "Value"), rows)
+    return Table("Mesh and theory", ("Property", "Value"), [(a, shown(b)) for a, b in rows])
 
 
 def materials(model: ModelData, units: Units) -> Table:

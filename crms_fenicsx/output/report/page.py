@@ -90,12 +90,12 @@ def paragraph(text: str, kind: str = "") -> str:
     return f'<p class="{kind}">{escape(text)}</p>' if kind else f"<p>{escape(text)}</p>"
 
 
-def figure(png: bytes, caption: str) -> str:
+def figure(png: bytes, caption: str, kind: str = "result") -> str:
     """A picture in the page itself; its caption tells those who do not see it what it shows."""
     data = base64.b64encode(png).decode("ascii")
     text = escape(caption)
     return (
-        f'<figure><img alt="{text}" src="data:image/png;base64,{data}">'
+        f'<figure class="{kind}"><img alt="{text}" src="data:image/png;base64,{data}">'
         f"<figcaption>{text}</figcaption></figure>"
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.output.report.case import Case
@@ -68,7 +68,7 @@ def factors(cases: Sequence[Case], units: Units) -> Table:
 
 def overview(cases: Sequence[Case], units: Units) -> Table:
     """Deformation and state of the membrane."""
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     for case in cases:
         one, membrane = case.summary, case.summary.membrane
         rows.append(
@@ -87,17 +87,17 @@ def overview(cases: Sequence[Case], units: Units) -> Table:
 
 def of_case(case: Case, units: Units, size: float) -> Table:
     """Section forces of a case, by parts of the membrane."""
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     for part, found in case.summary.parts.items():
         for name in [name for name in SUMMED_UP if name in found.largest]:
             low, high = found.least[name], found.largest[name]
             rows.append(
-                (part_name(part), label(name, units), low.value, place(low.at, size),
+                (part_name(part), label(name, units), *_tidy(low, high), place(low.at, size),
                  high.value, place(high.at, size))
             )  # fmt: skip
     at = f"at x; y; z{units['length']}"
     columns = ("Part", "Result", "Least", at, "Largest", at)
-    return Table(f"Membrane, {case.name}", columns, rows, headings=2)
+    return _without_one_part(Table(f"Membrane, {case.name}", columns, rows, headings=2))
 
 
 def membrane(cases: Sequence[Case], units: Units) -> Table:
@@ -121,21 +121,36 @@ def membrane(cases: Sequence[Case], units: Units) -> Table:
 
 def envelope(cases: Sequence[Case], units: Units, size: float) -> Table:
     """Least and largest values over all cases, with the case that governs."""
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     for part in cases[0].summary.parts:
         found = {case.name: case.summary.parts[part] for case in cases}
         for name in [name for name in SUMMED_UP if name in next(iter(found.values())).largest]:
             low = _governing(found, lambda one, n=name: one.least[n], -1.0)  # type: ignore[misc]
             high = _governing(found, lambda one, n=name: one.largest[n], 1.0)  # type: ignore[misc]
             rows.append(
-                (part_name(part), label(name, units), low[1].value, low[0],
+                (part_name(part), label(name, units), *_tidy(low[1], high[1]), low[0],
                  high[1].value, high[0], place(high[1].at, size))
             )  # fmt: skip
     columns = (
         "Part", "Result", "Least", "governed by", "Largest", "governed by",
         f"at x; y; z{units['length']}",
     )  # fmt: skip
-    return Table("Envelope of the membrane", columns, rows, "envelope", headings=2)
+    return _without_one_part(
+        Table("Envelope of the membrane", columns, rows, "envelope", headings=2)
+    )
+
+
+def _tidy(low: Extreme, high: Extreme) -> list[float]:
+    """A least value, 0 where it is rounding beside the largest one."""
+    return clean([low.value], abs(high.value))
+
+
+def _without_one_part(table: Table) -> Table:
+    """A table without its first column where all is of the whole membrane."""
+    if {row[0] for row in table.rows} != {WHOLE}:
+        return table
+    rows = [row[1:] for row in table.rows]
+    return replace(table, columns=table.columns[1:], rows=rows, headings=1)
 
 
 def _governing(
@@ -168,7 +183,7 @@ def cables(cases: Sequence[Case], units: Units) -> Table:
 
 def cable_envelope(cases: Sequence[Case], units: Units, strengths: Mapping[str, float]) -> Table:
     """Least and largest tension of each cable over all cases."""
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     for name in cable_names(cases):
         found = {c.name: c.summary.cables[name] for c in cases if name in c.summary.cables}
         low = min(found, key=lambda case: found[case].least)
@@ -194,7 +209,8 @@ def cable_names(cases: Sequence[Case]) -> list[str]:
 def supports(cases: Sequence[Case], units: Units) -> Table:
     """Reactions of the supports."""
     rows: list[tuple[Cell, ...]] = []
-    for name in dict.fromkeys(name for case in cases for name in case.summary.supports):
+    names = list(dict.fromkeys(name for case in cases for name in case.summary.supports))
+    for name in names if len(names) > 2 else names[:1]:  # of one group that is the sum as well
         for case in cases:
             one = case.summary.supports.get(name)
             if one is not None:
@@ -248,3 +264,32 @@ def verification(cases: Sequence[Case]) -> Table:
             )
     columns = ("Combination", "Check", "Cable", "Value", "Limit", "Verdict")
     return Table("Checks of the equilibria", columns, rows, "verification", headings=2)
+
+
+def verdicts(cases: Sequence[Case]) -> Table:
+    """What the checks say of each case."""
+    rows: list[tuple[Cell, ...]] = []
+    for case in cases:
+        found = case.verification
+        if found is None:
+            rows.append((case.name, None, "not verified in this run"))
+            continue
+        names = [check.name for check in found.failed or found.doubtful]
+        verdict = "failed: " if found.failed else "verified; crude in: " if names else "verified"
+        rows.append((case.name, len(found.checks), verdict + ", ".join(names)))
+    return Table("Verdicts", ("Combination", "Checks", "Verdict"), rows)
+
+
+def nearest_to_limits(cases: Sequence[Case]) -> Table:
+    """Each check where it is nearest to its limit."""
+    known = [(case, check) for case in cases if case.verification is not None
+             for check in case.verification.checks]  # fmt: skip
+    rows: list[tuple[Cell, ...]] = []
+    for name in dict.fromkeys(check.name for _, check in known):
+        case, check = max(
+            ((case, check) for case, check in known if check.name == name),
+            key=lambda one: (not one[1].passed, one[1].value / (one[1].limit or 1.0)),
+        )
+        rows.append((name, check.value, check.limit, case.name, check.where or None))
+    columns = ("Check", "Value", "Limit", "Combination", "Cable")
+    return Table("Checks, where they are nearest to their limits", columns, rows)

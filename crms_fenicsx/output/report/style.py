@@ -15,11 +15,12 @@ dl.about { display: grid; grid-template-columns: max-content 1fr; gap: .1rem 1.2
   margin: .8rem 0 0; }
 dl.about dt { color: var(--faint); } dl.about dd { margin: 0; }
 nav ol { columns: 2; margin: 0; padding-left: 1.3rem; } nav a { color: var(--accent); }
+p.verdict { max-width: none; }
 .verdict { border-left: 5px solid #2d7d46; background: #eef7f0; padding: .6rem .9rem;
   margin: 1rem 0; }
 .verdict.doubtful { border-color: #b7791f; background: #fdf6e8; }
 .verdict.failed { border-color: #b3261e; background: #fdeeed; }
-.key { display: grid; grid-template-columns: repeat(auto-fit, minmax(11.5rem, 1fr)); gap: .7rem;
+.key { display: grid; grid-template-columns: repeat(3, 1fr); gap: .7rem;
   margin: 1rem 0; }
 .key div { border: 1px solid var(--rule);
   border-top: 3px solid var(--accent); padding: .5rem .7rem; }
@@ -33,23 +34,30 @@ caption { text-align: left; font-weight: 600; padding-bottom: .3rem; font-size: 
 th, td { padding: .22rem .6rem; text-align: left; vertical-align: baseline; }
 thead th { border-bottom: 1px solid var(--ink); vertical-align: bottom; }
 tbody th { font-weight: 500; }
-tbody tr:nth-child(even) { background: var(--tint); }
-td.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
-thead th.number { text-align: right; }
+table.plain tbody tr:nth-child(even) { background: var(--tint); }
+table.grouped tbody { border-top: 1px solid var(--rule); }
+th[scope="rowgroup"] { font-weight: 600; }
+.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+thead th.number { white-space: normal; }
 .figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(24rem, 1fr)); gap: 1rem; }
 figure { margin: .4rem 0; } figure img { width: 100%; height: auto; display: block; }
+figure.model { max-width: 44rem; }
 figcaption { font-size: .84rem; color: var(--faint); }
 footer { margin-top: 3rem;
   border-top: 1px solid var(--rule); color: var(--faint); font-size: .84rem; }
+@media (max-width: 45rem) {
+  .key, .figures { grid-template-columns: 1fr; } nav ol { columns: 1; }
+}
 @media print {
   @page { size: A4; margin: 16mm 14mm 18mm; }
   body { font-size: 9.5pt; max-width: none; padding: 0; }
   h2, h3, caption { break-after: avoid; }
-  h2.page { break-before: page; }
-  tr, figure, .key div, .verdict { break-inside: avoid; }
+  tr, figure, table.short, .key div, p.verdict { max-width: none; }
+.verdict { break-inside: avoid; }
   thead { display: table-header-group; }
   .table { overflow: visible; } table { font-size: 7.6pt; min-width: 0; }
   th, td { padding: .12rem .35rem; }
+  figure.model { max-width: 13cm; } footer { display: none; }
   .figures { grid-template-columns: 1fr 1fr; gap: .6rem; }
   nav a { color: inherit; text-decoration: none; }
   .verdict, tbody tr, .key div { print-color-adjust: exact; -webkit-print-color-adjust: exact; }

@@ -8,12 +8,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
+from itertools import groupby
 
 Cell = str | int | float | None
 """None is an empty cell: there is no such value."""
 
 MOST_ROWS = 600
 """Longer tables are in the CSV files only."""
+SHORT = 14
+"""Shorter tables stay on one page of paper."""
 
 EMPTY = "\u2013"
 """What an empty cell shows: a dash."""
@@ -51,23 +54,46 @@ class Table:
         if self.name and len(self.rows) > MOST_ROWS:
             text = f"{self.caption}: {len(self.rows)} rows, in the file ..._{self.name}.csv."
             return f"<p>{escape(text)}</p>\n"
-        head = "".join(f'<th scope="col">{escape(text)}</th>' for text in self.columns)
-        body = "\n".join(f"<tr>{self._row(row)}</tr>" for row in self.rows)
+        kinds = [' class="number"' if self._is_number(k) else "" for k in range(len(self.columns))]
+        head = "".join(
+            f'<th scope="col"{kind}>{escape(text)}</th>'
+            for text, kind in zip(self.columns, kinds, strict=True)
+        )
+        bodies = "\n".join(
+            "<tbody>\n" + "\n".join(self._row(row, kinds, n) for n, row in group) + "\n</tbody>"
+            for group in self._groups()
+        )
+        kind = "grouped" if self.headings > 1 else "plain"
+        kind += " short" if len(self.rows) <= SHORT else ""
         return (
-            f'<div class="table"><table>\n<caption>{escape(self.caption)}</caption>\n'
-            f"<thead><tr>{head}</tr></thead>\n<tbody>\n{body}\n</tbody>\n</table></div>\n"
+            f'<div class="table"><table class="{kind}">\n'
+            f"<caption>{escape(self.caption)}</caption>\n"
+            f"<thead><tr>{head}</tr></thead>\n{bodies}\n</table></div>\n"
         )
 
-    def _row(self, row: Sequence[Cell]) -> str:
+    def _is_number(self, column: int) -> bool:
+        """Whether a column holds numbers, which stand at its right."""
+        return any(isinstance(row[column], float | int) for row in self.rows)
+
+    def _groups(self) -> list[list[tuple[int, Sequence[Cell]]]]:
+        """Rows with the same first heading; the first of them with how many they are, or 0."""
+        if self.headings < 2:
+            return [[(1, row) for row in self.rows]]
+        groups = [list(group) for _, group in groupby(self.rows, key=lambda row: row[0])]
+        return [[(0 if k else len(g), row) for k, row in enumerate(g)] for g in groups]
+
+    def _row(self, row: Sequence[Cell], kinds: Sequence[str], span: int) -> str:
         cells = []
         for k, value in enumerate(row):
             text = escape(shown(value))
-            if k < self.headings:
+            if k == 0 and span != 1:
+                if span:
+                    cells.append(f'<th scope="rowgroup" rowspan="{span}">{text}</th>')
+            elif k < self.headings:
                 cells.append(f'<th scope="row">{text}</th>')
             else:
-                kind = "" if isinstance(value, str) else ' class="number"'
-                cells.append(f"<td{kind}>{text}</td>")
-        return "".join(cells)
+                cells.append(f"<td{kinds[k]}>{text}</td>")
+        return f"<tr>{''.join(cells)}</tr>"
 
     def csv(self) -> str:
         """The table as comma-separated values, numbers with all their digits."""
@@ -109,4 +135,5 @@ def per_cent(share: float) -> str:
 def place(at: Sequence[float], size: float) -> str:
     """A place to a thousandth of a size."""
     decimals = min(max(2 - math.floor(math.log10(size)), 0), 6) if size > 0.0 else 3
-    return "; ".join(f"{x if abs(x) > 0.5 * 10**-decimals else 0.0:.{decimals}f}" for x in at)
+    numbers = (f"{x if abs(x) > 0.5 * 10**-decimals else 0.0:.{decimals}f}" for x in at)
+    return "; ".join(numbers).replace("-", MINUS)
