@@ -9,6 +9,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.model.materials import OrthotropicMembrane
 from crms_fenicsx.output.figures.scene import COLOURS
+from crms_fenicsx.output.report.case import TENSION
 from crms_fenicsx.output.report.files import check_path
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, raised_together
@@ -122,13 +123,15 @@ def checked_pictures(scene: Scene, pictures: Sequence[str] | None) -> tuple[str,
     if pictures is None:
         woven = any(isinstance(x, OrthotropicMembrane) for x in scene.materials.values())
         forces = ("warp", "weft") if woven else ("stress",)
-        return ("displacement", *forces, *(("utilisation",) if has else ()))
+        cables = (TENSION,) if scene.cables else ()
+        return (*cables, "displacement", *forces, *(("utilisation",) if has else ()))
     if isinstance(pictures, str) or not isinstance(pictures, Sequence):
         raise InputError(f'report: pictures = {pictures!r}; write a list, as in ["stress"].')
     for colour in pictures:
-        if colour not in COLOURS:
+        if colour not in (TENSION, *COLOURS):
             raise InputError(
-                f"report: pictures has {colour!r}, which is not known; use some of {list(COLOURS)}."
+                f"report: pictures has {colour!r}, which is not known; use some of "
+                f"{[TENSION, *COLOURS]}."
             )
         if colour == "utilisation" and not has:
             raise InputError(

@@ -15,6 +15,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.output.figures.scene import HasSystem, draw
 from crms_fenicsx.results.summary import Summary, summary
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.verification.report import Verification
 
 SHARPEST, COARSEST, MANY = 150, 70, 20
@@ -79,16 +80,18 @@ def with_pictures(
     every
         All cases, which have one scale and one box.
     colours
-        What colours the membrane, as for `draw`: a picture each.
+        What colours the membrane, as for `draw`, or `TENSION`: a picture each.
     look
         Options of `draw`, by name.
     """
-    options = _common(every) | dict(look)
+    common = _common(every)
+    options = {"box": common[0], "line_limits": common[1], **look}
     dpi = sharpness(len(every) * len(colours))
     pictures = []
-    for k, colour in enumerate(colours):  # the first tells the tensions as well
-        options |= {"colour": colour, "limits": _limits(every, colour), "tensions": k == 0}
-        png = draw_png(solver, dpi=dpi, **options)
+    for colour in colours:  # one colour bar each, or the shape would be small beside them
+        fabric = None if colour == TENSION else colour
+        options |= {"colour": fabric, "tensions": fabric is None}
+        png = draw_png(solver, dpi=dpi, limits=_limits(every, colour), **options)
         if png:
             pictures.append(Picture(colour, png))
     return replace(case, pictures=tuple(pictures))
@@ -122,17 +125,19 @@ def _reduced(path: Path) -> bytes:
     return buffer.getvalue()
 
 
-def _common(every: Sequence[Case]) -> dict[str, Any]:
-    """Box and scale of tensions that all cases share."""
+def _common(every: Sequence[Case]) -> tuple[tuple[Array, Array], tuple[float, float] | None]:
+    """Box and range of tensions that all cases share; no range where no cable has any."""
     low = np.min([case.low for case in every], axis=0)
     high = np.max([case.high for case in every], axis=0)
     air = 0.03 * float((high - low).max())
-    found: dict[str, Any] = {"box": (low - (air, air, 0.0), high + np.array([air, air, air / 2]))}
+    box = low - np.array([air, air, 0.0]), high + np.array([air, air, air / 2])
     largest = [one.largest for case in every for one in case.summary.cables.values()]
-    if max(largest, default=0.0) > 0.0:
-        found["line_limits"] = (0.0, max(largest))
-    return found
+    most = max(largest, default=0.0)
+    return box, (0.0, most) if most > 0.0 else None
 
+
+TENSION = "tension"
+"""Name of the picture with plain fabric and the cables' tensions."""
 
 RANGES = {
     "stress": "true force 1", "stress 2": "true force 2", "strain": "strain 1", "warp": "warp",

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from crms_fenicsx.output.figures.scene import COLOURS
 from crms_fenicsx.output.report import model_tables, results_tables
-from crms_fenicsx.output.report.case import Case
+from crms_fenicsx.output.report.case import TENSION, Case
 from crms_fenicsx.output.report.model_data import ModelData
 from crms_fenicsx.output.report.page import (
     LARGEST,
@@ -43,6 +43,11 @@ NOTES = (
 """How to read the results."""
 PER_PICTURE = 1000
 """Bytes of the page that a picture takes beside its own."""
+
+
+def _shows(colour: str) -> str:
+    """What a picture shows."""
+    return "tensions of the cables" if colour == TENSION else COLOURS[colour].label
 
 
 @dataclass(frozen=True)
@@ -221,10 +226,7 @@ class Report:
             same += f" {self.left_out} pictures are left out, as the page would be too large."
         found.append(Section("Membrane by combination", [paragraph(same)] if same else []))
         for case in cases:
-            shown = [
-                figure(one.png, f"{case.name}: {COLOURS[one.colour].label}")
-                for one in case.pictures
-            ]
+            shown = [figure(one.png, f"{case.name}: {_shows(one.colour)}") for one in case.pictures]
             table = results_tables.of_case(case, units, size)
             found.append(Section(case.name, [figures(shown), table], 3))
         return found

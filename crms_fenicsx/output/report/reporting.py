@@ -95,9 +95,10 @@ class Reporting:
             Strengths of cables by their names, divided by the partial factors (force); those that
             are named get a utilisation. Those of the fabric are `Scene.set_strengths`'s.
         pictures
-            What colours the membrane in a picture of each combination, as for `draw`; by default
-            displacement, section forces (of fabrics with a warp along warp and weft) and, with
-            strengths, utilisation. Where the page would be too large, the last ones are left out.
+            What colours the membrane in a picture of each combination, as for `draw`, or "tension",
+            that of the cables; by default these, displacement, section forces (of fabrics with a
+            warp along warp and weft) and, with strengths, utilisation. Where the page would be too
+            large, the last ones are left out.
         view
             Where the viewer stands, as for `draw`.
 

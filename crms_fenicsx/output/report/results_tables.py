@@ -132,7 +132,7 @@ def envelope(cases: Sequence[Case], units: Units, size: float) -> Table:
                  high[1].value, high[0], place(high[1].at, size))
             )  # fmt: skip
     columns = (
-        "Part", "Result", "Least", "governed by", "Largest", "governed by",
+        "Part", "Result", "Least", "Governs least", "Largest", "Governs largest",
         f"at x; y; z{units['length']}",
     )  # fmt: skip
     return _without_one_part(
@@ -192,8 +192,8 @@ def cable_envelope(cases: Sequence[Case], units: Units, strengths: Mapping[str, 
         rows.append((name, found[low].least, low, found[high].largest, high, used))
     kN = units["force"]
     columns = (
-        "Cable", f"Least tension{kN}", "governed by", f"Largest tension{kN}", "governed by",
-        "Utilisation",
+        "Cable", f"Least tension{kN}", "Governs least", f"Largest tension{kN}",
+        "Governs largest", "Utilisation",
     )  # fmt: skip
     table = Table("Envelope of the cables' tensions", columns, rows, "cable_envelope")
     if strengths:

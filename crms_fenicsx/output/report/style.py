@@ -39,7 +39,8 @@ table.grouped tbody { border-top: 1px solid var(--rule); }
 th[scope="rowgroup"] { font-weight: 600; }
 .number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
 thead th.number { white-space: normal; }
-.figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(24rem, 1fr)); gap: 1rem; }
+.figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(24rem, 1fr)); gap: 1rem;
+  align-items: end; }
 figure { margin: .4rem 0; } figure img { width: 100%; height: auto; display: block; }
 figure.model { max-width: 44rem; }
 figcaption { font-size: .84rem; color: var(--faint); }
