@@ -3,19 +3,94 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from mpi4py import MPI
 
 from crms_fenicsx.model.materials import OrthotropicMembrane
+from crms_fenicsx.output.figures.axes3d import check_view
 from crms_fenicsx.output.figures.scene import COLOURS
 from crms_fenicsx.output.report.case import TENSION
 from crms_fenicsx.output.report.files import check_path
+from crms_fenicsx.output.report.results_tables import Units
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import absolute
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.steps.load_cases import Combination
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a report is to be: the arguments of `Reporting.report`, checked.
+
+    Attributes
+    ----------
+    path
+        Of the page.
+    title, about
+        Heading, and names and texts below it.
+    units
+        Names of the units.
+    cable_strengths
+        By the cables' names (force).
+    colours
+        Of the pictures.
+    look
+        Options of `draw` that all pictures have.
+    """
+
+    path: Path
+    title: str
+    about: dict[str, str]
+    units: Units
+    cable_strengths: dict[str, float]
+    colours: tuple[str, ...]
+    look: dict[str, Any]
+
+
+def checked_plan(
+    comm: MPI.Intracomm,
+    scene: Scene,
+    filename: str | Path,
+    *,
+    title: str = "Membrane structure",
+    about: Mapping[str, str] | None = None,
+    unit: str = "",
+    force: str = "",
+    cable_strengths: Mapping[str, float] | None = None,
+    pictures: Sequence[str] | None = None,
+    view: tuple[float, float] = (-60.0, 30.0),
+) -> Plan:
+    """Check the arguments of a report. Collective on `comm`.
+
+    Parameters
+    ----------
+    comm
+        The ranks that give them.
+    scene
+        What the report is about.
+    filename, title, about, unit, force, cable_strengths, pictures, view
+        As for `Reporting.report`.
+
+    Raises
+    ------
+    InputError
+        On all ranks: one that cannot be used.
+    """
+    checks.same(
+        comm, "report", filename=filename, title=title, about=about, unit=unit, force=force,
+        cable_strengths=cable_strengths, pictures=pictures, view=view,
+    )  # fmt: skip
+    path = checked_path(comm, filename)
+    title, about = checked_labels(title, about, unit, force)
+    strengths = checked_cable_strengths(scene, cable_strengths)
+    colours = checked_pictures(scene, pictures)
+    check_view(view)
+    look = {"unit": unit, "force": force, "view": view}
+    return Plan(path, title, about, Units(unit, force), strengths, colours, look)
 
 
 def checked_path(comm: MPI.Intracomm, filename: str | Path) -> Path:

@@ -5,24 +5,15 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from mpi4py import MPI
 
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.output.figures.axes3d import check_view
-from crms_fenicsx.output.report.arguments import (
-    checked_cable_strengths,
-    checked_labels,
-    checked_path,
-    checked_pictures,
-    checked_states,
-)
+from crms_fenicsx.output.report.arguments import Plan, checked_plan, checked_states
 from crms_fenicsx.output.report.case import SHARPEST, Case, case_of, draw_png, with_pictures
 from crms_fenicsx.output.report.contents import Report
 from crms_fenicsx.output.report.files import write
 from crms_fenicsx.output.report.model_data import model_data
-from crms_fenicsx.output.report.results_tables import Units
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import collective, raised_together
 from crms_fenicsx.scene import Scene
@@ -113,45 +104,59 @@ class Reporting:
         >>> found = solver.combine({"snow": {"snow": 1.5}, "storm": {"wind": 1.5}})
         >>> solver.report("results/tent/report.html", found, title="Tent", unit="m", force="kN")
         """
-        checks.same(
-            self.comm, "report", filename=filename, title=title, about=about, unit=unit,
-            force=force, cable_strengths=cable_strengths, pictures=pictures, view=view,
-            combinations=None if combinations is None else list(combinations),
+        listed = None if combinations is None else list(combinations)
+        checks.same(self.comm, "report", combinations=listed)
+        states = checked_states(self._scene, combinations)
+        plan = checked_plan(
+            self.comm, self._scene, filename, title=title, about=about, unit=unit, force=force,
+            cable_strengths=cable_strengths, pictures=pictures, view=view,
         )  # fmt: skip
-        scene = self._scene
-        path = checked_path(self.comm, filename)
-        states = checked_states(scene, combinations)
-        labels = checked_labels(title, about, unit, force)
-        strengths = checked_cable_strengths(scene, cable_strengths)
-        colours = checked_pictures(scene, pictures)
-        check_view(view)
-        look = {"unit": unit, "force": force, "view": view}
-        model = model_data(scene)
-        picture = draw_png(self, dpi=SHARPEST, show_names=len(scene.cables) <= MOST_NAMES, **look)
-        cases = self._cases(states, colours, look)
-        with raised_together(self.comm):
-            if self.comm.rank == 0:
-                write(path, Report(*labels, Units(unit, force), model, cases, picture, strengths))
+        cases = self.cases(states)
+        self.write_report(plan, self.drawn(plan, states, cases, cases))
 
-    def _cases(
-        self, states: Mapping[str, Combination], colours: Sequence[str], look: Mapping[str, Any]
-    ) -> list[Case]:
-        """All cases with their pictures, or the current state if there are none. Collective."""
+    def cases(self, states: Mapping[str, Combination]) -> list[Case]:
+        """Internal: combinations as a report has them, or the current state. Collective."""
         if not states:
-            case = case_of(self, NOW, self._last_verification())
-            return [with_pictures(self, case, [case], colours, look)]
+            return [case_of(self, NOW, self._last_verification())]
         base, cases = self.snapshot(), []
         try:
             for name, one in states.items():
                 self.restore(one.snapshot)
                 cases.append(case_of(self, name, one.step.verification))
-            drawn = []
+        finally:
+            self.restore(base)
+        return cases
+
+    def drawn(
+        self, plan: Plan, states: Mapping[str, Combination], cases: Sequence[Case],
+        every: Sequence[Case],
+    ) -> list[Case]:  # fmt: skip
+        """Internal: cases with pictures in the scale of `every` case. Collective."""
+        if not states:
+            return [with_pictures(self, case, every, plan.colours, plan.look) for case in cases]
+        base, drawn = self.snapshot(), []
+        try:
             for case in cases:
                 self.restore(states[case.name].snapshot)
-                drawn.append(with_pictures(self, case, cases, colours, look))
+                drawn.append(with_pictures(self, case, every, plan.colours, plan.look))
         finally:
             self.restore(base)
         return drawn
+
+    def write_report(self, plan: Plan, cases: Sequence[Case]) -> None:
+        """Internal: write the report of all cases, with the model as it is now. Collective."""
+        scene = self._scene
+        model, names = model_data(scene), len(scene.cables) <= MOST_NAMES
+        picture = draw_png(self, dpi=SHARPEST, show_names=names, **plan.look)
+        with raised_together(self.comm):
+            if self.comm.rank == 0:
+                write(
+                    plan.path,
+                    Report(
+                        plan.title, plan.about, plan.units, model, cases, picture,
+                        plan.cable_strengths,
+                    ),
+                )  # fmt: skip
 
     def _last_verification(self) -> Verification | None:
         """What checks of the load step say that has led to the current state."""
