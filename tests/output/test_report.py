@@ -15,6 +15,7 @@ from walled_roof import roof_mesh
 
 from crms_fenicsx import Cable, InputError, OrthotropicMembrane, Scene, Solver
 from crms_fenicsx.output.report import contents
+from crms_fenicsx.output.report.charts import bars
 from crms_fenicsx.output.report.tables import Table, number, per_cent, place
 
 FABRIC = OrthotropicMembrane(800.0, 500.0, 60.0, nu21=0.1, thickness=1.0, warp=(0.0, 1.0, 0.0))
@@ -248,6 +249,18 @@ def test_numbers_as_people_read_them() -> None:
         assert number(value) == text
     assert [per_cent(x) for x in (0.0, 1e-5, 0.1234)] == ["0.0 %", "< 0.1 %", "12.3 %"]
     assert place((1.23456, -20.0, -1e-9), 40.0) == "1.2; \u221220.0; 0.0"
+
+
+def test_bars_are_as_long_as_their_values() -> None:
+    rows = [("calm <1>", 0.0, 0.5), ("storm", 0.5, 1.25)]
+    text = bars("Utilisation", rows, limit=1.0)
+    Page(text)
+    widths = [float(x) for x in re.findall(r'width="([\d.]+)" height', text)]
+    assert widths[1] == pytest.approx(1.5 * widths[0], rel=1e-2)
+    assert text.count('class="over"') == 1
+    assert "0.5000 to 1.250</text>" in text
+    assert bars("nothing", []) == bars("slack", [("a", 0.0, 0.0)]) == ""
+    assert bars("many", rows * 30) == ""
 
 
 def test_tables_group_rows_of_one_heading() -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from crms_fenicsx.output.figures.scene import COLOURS
 from crms_fenicsx.output.report import model_tables, results_tables
 from crms_fenicsx.output.report.case import TENSION, Case
+from crms_fenicsx.output.report.charts import bars
 from crms_fenicsx.output.report.model_data import ModelData
 from crms_fenicsx.output.report.page import (
     LARGEST,
@@ -99,8 +100,9 @@ class Report:
         about = list(self.about.items())
         if units.length or units.force:
             about.append(("Units", ", ".join(x for x in (units.length, units.force) if x)))
+        about += model_tables.versions(self.model)
         sections = [
-            Section("Summary", [self._verdict(), key_figures(self._cards())]),
+            Section("Summary", [self._verdict(), key_figures(self._cards()), self._utilisation()]),
             *self._model(),
             Section("Combinations", self._combinations()),
             *self._results(),
@@ -113,7 +115,7 @@ class Report:
                     results_tables.nearest_to_limits(self.cases),
                 ],
             ),
-            Section("Notes", [*map(paragraph, NOTES), model_tables.versions(self.model)]),
+            Section("Notes", [*map(paragraph, NOTES)]),
         ]
         return page(self.title, about, sections)
 
@@ -187,6 +189,22 @@ class Report:
              {name: one.slack for name, one in membranes.items()}, share=True)  # fmt: skip
         return cards
 
+    def _utilisation(self) -> str:
+        """Chart of the membrane's utilisation by combination; "" without strengths."""
+        every = {case.name: case.summary.membrane.largest for case in self.cases}
+        used = [(name, 0.0, largest["utilisation"].value) for name, largest in every.items()
+                if "utilisation" in largest]  # fmt: skip
+        return bars("Largest utilisation of the membrane", used, limit=1.0)
+
+    def _tensions(self) -> str:
+        """Chart of the cables' tensions over all combinations."""
+        found = []
+        for name in results_tables.cable_names(self.cases):
+            one = [case.summary.cables[name] for case in self.cases if name in case.summary.cables]
+            found.append((name, min(x.least for x in one), max(x.largest for x in one)))
+        where = " over all combinations" if len(self.cases) > 1 else ""
+        return bars(f"Least to largest tension{where}{self.units['force']}", found)
+
     def _model(self) -> list[Section]:
         model, units = self.model, self.units
         picture = []
@@ -235,10 +253,10 @@ class Report:
         cases, units = self.cases, self.units
         found = []
         if results_tables.cable_names(cases):
-            tables = [results_tables.cables(cases, units)]
+            tables: list[str | Table] = [results_tables.cables(cases, units)]
             if len(cases) > 1 or self.cable_strengths:
                 tables.insert(0, results_tables.cable_envelope(cases, units, self.cable_strengths))
-            found.append(Section("Cables", tables))
+            found.append(Section("Cables", [self._tensions(), *tables]))
         held = [results_tables.supports(cases, units)]
         anchors = results_tables.anchors(cases, units)
         if anchors.rows:

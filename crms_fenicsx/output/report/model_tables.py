@@ -5,8 +5,8 @@ from __future__ import annotations
 import platform
 import sys
 from datetime import datetime, timezone
-from importlib.metadata import version
 
+import dolfinx
 import numpy as np
 from petsc4py import PETSc
 
@@ -72,15 +72,18 @@ def loads(model: ModelData, units: Units) -> Table:
     return Table("Loads at the factor 1", columns, rows)
 
 
-def versions(model: ModelData) -> Table:
+def versions(model: ModelData) -> list[tuple[str, str]]:
     """When and with what it was computed."""
     package = __name__.partition(".")[0]
-    rows = [
-        ("Report written", datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")),
-        (package, sys.modules[package].__version__),
-        ("DOLFINx", version("fenics-dolfinx")),
-        ("PETSc", ".".join(map(str, PETSc.Sys.getVersion()))),
-        ("NumPy, Python", f"{np.__version__}, {platform.python_version()}"),
-        ("Processes", str(model.ranks)),
+    used = (
+        f"{package} {sys.modules[package].__version__}",
+        f"DOLFINx {getattr(dolfinx, '__version__', '')}",
+        f"PETSc {'.'.join(map(str, PETSc.Sys.getVersion()))}",
+        f"NumPy {np.__version__}",
+        f"Python {platform.python_version()}",
+    )
+    processes = "1 process" if model.ranks == 1 else f"{model.ranks} processes"
+    return [
+        ("Date", datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")),
+        ("Computed with", f"{', '.join(used)}, on {processes}"),
     ]
-    return Table("Versions and date", ("What", "Version"), rows)

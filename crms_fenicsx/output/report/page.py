@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
@@ -93,9 +94,11 @@ def paragraph(text: str, kind: str = "") -> str:
 def figure(png: bytes, caption: str, kind: str = "result") -> str:
     """A picture in the page itself; its caption tells those who do not see it what it shows."""
     data = base64.b64encode(png).decode("ascii")
+    width, height = struct.unpack(">II", png[16:24])  # of the file's header
     text = escape(caption)
     return (
-        f'<figure class="{kind}"><img alt="{text}" src="data:image/png;base64,{data}">'
+        f'<figure class="{kind}"><img alt="{text}" width="{width}" height="{height}" '
+        f'src="data:image/png;base64,{data}">'
         f"<figcaption>{text}</figcaption></figure>"
     )
 

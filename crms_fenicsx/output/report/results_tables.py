@@ -12,7 +12,7 @@ from crms_fenicsx.results.quantities import QUANTITIES
 from crms_fenicsx.results.summary import SUMMED_UP, Extreme, PartSummary, SupportSummary
 
 WHOLE = "whole membrane"
-NOISE = 1e-9
+NOISE = 1e-7
 """Components of a force below this part of the largest one are rounding."""
 
 

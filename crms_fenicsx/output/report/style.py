@@ -43,6 +43,10 @@ thead th.number { white-space: normal; }
   align-items: end; }
 figure { margin: .4rem 0; } figure img { width: 100%; height: auto; display: block; }
 figure.model { max-width: 44rem; }
+figure.chart { max-width: 44rem; } .chart svg { width: 100%; height: auto; display: block; }
+.chart text { font-size: 12.5px; fill: var(--ink); } .chart rect { fill: var(--accent); }
+.chart rect.over { fill: #b3261e; } .chart .axis { stroke: var(--ink); }
+.chart .limit { stroke: #b3261e; stroke-dasharray: 4 3; }
 figcaption { font-size: .84rem; color: var(--faint); }
 footer { margin-top: 3rem;
   border-top: 1px solid var(--rule); color: var(--faint); font-size: .84rem; }
@@ -53,14 +57,15 @@ footer { margin-top: 3rem;
   @page { size: A4; margin: 16mm 14mm 18mm; }
   body { font-size: 9.5pt; max-width: none; padding: 0; }
   h2, h3, caption { break-after: avoid; }
-  tr, figure, table.short, .key div, p.verdict { max-width: none; }
-.verdict { break-inside: avoid; }
-  thead { display: table-header-group; }
+  tr, figure, table.short, .key div, .verdict { break-inside: avoid; }
+  thead { display: table-header-group; break-after: avoid; }
+  tbody:first-of-type tr:first-child { break-before: avoid; break-after: avoid; }
   .table { overflow: visible; } table { font-size: 7.6pt; min-width: 0; }
   th, td { padding: .12rem .35rem; }
-  figure.model { max-width: 13cm; } footer { display: none; }
+  figure.model, figure.chart { max-width: 13cm; } footer { display: none; }
   .figures { grid-template-columns: 1fr 1fr; gap: .6rem; }
   nav a { color: inherit; text-decoration: none; }
-  .verdict, tbody tr, .key div { print-color-adjust: exact; -webkit-print-color-adjust: exact; }
+  .verdict, tbody tr, .key div, .chart rect { print-color-adjust: exact;
+    -webkit-print-color-adjust: exact; }
 }
 """.strip()
