@@ -118,6 +118,14 @@ class Summary:
         """The whole membrane."""
         return self.parts[ALL]
 
+    @property
+    def reaction(self) -> Vector | None:
+        """Sum of the forces of all supports and anchors (force); None without anchors."""
+        cables = self.cables.values()
+        ends = [end for one in cables for end in (one.start, one.end) if end is not None]
+        x, y, z = np.sum([self.supports[ALL_SUPPORTS].total, *ends], axis=0).tolist()
+        return (x, y, z) if ends else None
+
 
 ALL_SUPPORTS, OTHER_SUPPORTS = "all supports", "other supports"
 

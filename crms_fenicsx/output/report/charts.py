@@ -7,7 +7,7 @@ from html import escape
 
 from crms_fenicsx.output.report.tables import number
 
-WIDTH, LEFT, RIGHT, ROW, TOP = 760, 190, 90, 24, 26
+WIDTH, LEFT, RIGHT, ROW, TOP = 760, 190, 140, 24, 26
 """Sizes in units of the drawing: whole width, margins, height of a row, room above."""
 MOST_BARS = 40
 """More bars than these say nothing at a glance."""
@@ -29,13 +29,13 @@ def bars(caption: str, rows: Sequence[tuple[str, float, float]], limit: float | 
     if not 0 < len(rows) <= MOST_BARS or most <= 0.0:
         return ""
     scale = (WIDTH - LEFT - RIGHT) / most
-    height = TOP + ROW * len(rows) + 8
+    height, ranges = TOP + ROW * len(rows) + 8, any(low > 0.0 for _, low, _ in rows)
     parts = [f'<line class="axis" x1="{LEFT}" y1="{TOP - 4}" x2="{LEFT}" y2="{height - 4}"/>']
     for k, (name, low, high) in enumerate(rows):
         y = TOP + ROW * k
         bad = ' class="over"' if limit is not None and high > limit else ""
         start, end = LEFT + scale * low, LEFT + scale * high
-        text = number(high) if low == 0.0 else f"{number(low)} to {number(high)}"
+        text = f"{number(low)} to {number(high)}" if ranges else number(high)
         parts.append(
             f'<text x="{LEFT - 8}" y="{y + 13}" text-anchor="end">{escape(name)}</text>'
             f'<rect{bad} x="{start:.1f}" y="{y + 3}" width="{max(end - start, 1.5):.1f}" '

@@ -12,7 +12,8 @@ from crms_fenicsx.results.quantities import QUANTITIES
 from crms_fenicsx.results.summary import SUMMED_UP, Extreme, PartSummary, SupportSummary
 
 WHOLE = "whole membrane"
-NOISE = 1e-7
+BOTH = "supports and anchors"
+NOISE = 1e-6
 """Components of a force below this part of the largest one are rounding."""
 
 
@@ -217,6 +218,10 @@ def supports(cases: Sequence[Case], units: Units) -> Table:
                 scale = max(map(abs, case.summary.supports[name].total))
                 along = (one.mean, one.largest) if one.length > 0.0 else (None, None)
                 rows.append((name, case.name, *clean(one.total, scale, one), *along))
+    for case in cases:
+        total = case.summary.reaction
+        if total is not None:
+            rows.append((BOTH, case.name, *clean(total, max(map(abs, total))), None, None))
     kN, line = units["force"], units["stress"]
     columns = (
         "Support", "Combination", *(f"R{x}{kN}" for x in "xyz"), f"Per length, mean{line}",
