@@ -18,7 +18,9 @@ CROWN = np.array([[0.3, 0.8], [-0.2, 1.3], [0.1, 0.55]])
 """Places beside its crown, in plan."""
 
 
-def half_pipe(comm: MPI.Intracomm, n: int, length: float = 2.0) -> MembraneMesh:
+def half_pipe(
+    comm: MPI.Intracomm, n: int, length: float = 2.0, on_one_rank: bool = False
+) -> MembraneMesh:
     """Half a cylinder about the y axis, of two parts, "front" and "back"."""
     rows = max(round(n * length / (np.pi * R)), 2)
     angle = np.linspace(0.0, np.pi, n + 1)
@@ -36,17 +38,20 @@ def half_pipe(comm: MPI.Intracomm, n: int, length: float = 2.0) -> MembraneMesh:
             "right": np.stack([edge, edge + n + 1], 1) + n,
         },
         parts={"front": np.flatnonzero(ring < n / 2), "back": np.flatnonzero(ring >= n / 2)},
+        ranks=(lambda x: np.full(len(x), comm.size - 1)) if on_one_rank else None,
     )  # fmt: skip
 
 
-def pipe(comm: MPI.Intracomm, n: int = 16, turned: float = 30.0) -> Solver:
+def pipe(
+    comm: MPI.Intracomm, n: int = 16, turned: float = 30.0, on_one_rank: bool = False
+) -> Solver:
     """A half pipe under pressure, its ends free: hoop force p R, none along it."""
     c, s = np.cos(np.radians(turned)), np.sin(np.radians(turned))
     fabric = OrthotropicMembrane(
         E1=1e6, E2=1e6, G12=0.5e6, nu21=0.0, thickness=1.0, wrinkling=False,
         warp=lambda x: np.array([c * x[2], 0 * x[0] + s * R, -c * x[0]]),
     )  # fmt: skip
-    scene = Scene(half_pipe(comm, n), fabric)
+    scene = Scene(half_pipe(comm, n, on_one_rank=on_one_rank), fabric)
     for edge in ("left", "right"):
         scene.fix(edge)
     scene.fix(lambda x: x[2] > -1.0, "y")
@@ -161,8 +166,10 @@ def test_functions_have_the_values_of_the_cells(comm: MPI.Intracomm) -> None:
     assert found["warp"][0] == pytest.approx(total / area, rel=1e-7)
 
 
-def test_summary_of_the_pipe(comm: MPI.Intracomm) -> None:
-    solver = pipe(comm)
+@pytest.mark.parametrize("on_one_rank", [False, True])
+def test_summary_of_the_pipe(comm: MPI.Intracomm, on_one_rank: bool) -> None:
+    """Also where all other ranks have no cell."""
+    solver = pipe(comm, on_one_rank=on_one_rank)
     scene = solver.scene
     scene.set_strengths({"front": (4.0, 2.0), "back": (2.0, 2.0)})
     found, results = solver.summary(), solver.results()
