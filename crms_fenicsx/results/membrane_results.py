@@ -163,6 +163,7 @@ class MembraneResults:
         InputError
             On all ranks: there is no such part.
         """
+        checks.same(self.comm, "shares", part=part)
         cells: Indices = np.arange(len(self.state), dtype=np.int32)
         if part is not None:
             cells = checks.named("part", self.parts, part)

@@ -84,11 +84,11 @@ def checked_plan(
         comm, "report", filename=filename, title=title, about=about, unit=unit, force=force,
         cable_strengths=cable_strengths, pictures=pictures, view=view,
     )  # fmt: skip
-    path = checked_path(comm, filename)
     title, about = checked_labels(title, about, unit, force)
     strengths = checked_cable_strengths(scene, cable_strengths)
     colours = checked_pictures(scene, pictures)
     check_view(view)
+    path = checked_path(comm, filename)  # last, as it makes the folder
     look = {"unit": unit, "force": force, "view": view}
     return Plan(path, title, about, Units(unit, force), strengths, colours, look)
 

@@ -104,7 +104,7 @@ class Reporting:
         >>> found = solver.combine({"snow": {"snow": 1.5}, "storm": {"wind": 1.5}})
         >>> solver.report("results/tent/report.html", found, title="Tent", unit="m", force="kN")
         """
-        listed = None if combinations is None else list(combinations)
+        listed = list(combinations) if isinstance(combinations, Mapping) else combinations
         checks.same(self.comm, "report", combinations=listed)
         states = checked_states(self._scene, combinations)
         plan = checked_plan(
