@@ -7,6 +7,7 @@ A load step runs through the packages in one direction: `solver` and `steps` (th
 
 from crms_fenicsx import meshes
 from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.groups import combine_in_groups
 from crms_fenicsx.minimization.taylor import TaylorRates, taylor_test
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.friction import Friction
@@ -48,6 +49,7 @@ __all__ = [
     "Step",
     "TaylorRates",
     "UflMembrane",
+    "combine_in_groups",
     "meshes",
     "taylor_test",
 ]

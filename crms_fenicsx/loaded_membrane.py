@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from mpi4py import MPI
 
 from crms_fenicsx.energies.dead_load import (
@@ -13,6 +15,7 @@ from crms_fenicsx.energies.dead_load import (
     wind_load,
 )
 from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.model.strengths import Strengths, checked_strengths
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, collective
 from crms_fenicsx.runtime.readonly import ReadOnly
@@ -113,6 +116,31 @@ class LoadedMembrane:
         checks.same(self.comm, "put_wind", pressure=pressure, coefficient=coefficient, name=name)
         self._check_new_load("put_wind", name)
         self._add_load(wind_load(self.membrane, pressure, coefficient, name))
+
+    @collective
+    def set_strengths(self, strengths: Strengths | Mapping[str, Strengths]) -> None:
+        """Give the fabric's strengths, for the utilisation in results, files and reports.
+
+        They replace those given before. They change no equilibrium and are no part of checkpoints.
+
+        Parameters
+        ----------
+        strengths
+            In warp and weft, divided by the partial factors (force per length): one pair, or one
+            of each part by its name. Parts that are not named have no utilisation.
+
+        Raises
+        ------
+        InputError
+            On all ranks: a part that does not exist, or strengths that are not positive.
+
+        Examples
+        --------
+        >>> scene.set_strengths({"roof": (84.0, 80.0), "wall": (60.0, 57.0)})
+        """
+        checks.same(self.comm, "set_strengths", strengths=strengths)
+        parts = self.membrane.mesh.parts
+        self.membrane.strengths = checked_strengths("set_strengths", strengths, parts)
 
     def _check_new_load(self, call: str, name: str) -> None:
         self.membrane.check_finite(call)

@@ -14,17 +14,14 @@ from crms_fenicsx.checkpoint import Run
 from crms_fenicsx.checkpoint.call_record import plain_loads
 from crms_fenicsx.checkpoint.codec import Plain
 from crms_fenicsx.checkpoint.journal import FOLDER, Journal, Progress
-from crms_fenicsx.contact.contact_force import ContactForces, contact_forces
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
-from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.membrane import Marker
 from crms_fenicsx.output.history import History
 from crms_fenicsx.output.recorder import Recorder
-from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
-from crms_fenicsx.results.reactions import Reactions, reactions
+from crms_fenicsx.output.report import Reporting
+from crms_fenicsx.results.solver_results import SolverResults
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import ConvergenceError, InputError, collective
 from crms_fenicsx.runtime.interrupt import postponed, stop_together
@@ -44,7 +41,7 @@ ANOTHER = "make another Solver(scene, ...), which goes on from the scene as it i
 """What to do instead of assigning a solver's options."""
 
 
-class Solver(LoadCases):
+class Solver(LoadCases, SolverResults, Reporting):
     """Brings a scene from one equilibrium to the next.
 
     Parameters
@@ -141,64 +138,6 @@ class Solver(LoadCases):
     def history(self) -> History:
         """A row of numbers for each accepted step; `Recorder` says which."""
         return self._recorder.history
-
-    @collective
-    def results(self) -> MembraneResults:
-        """Stresses, strains and state of the membrane's cells in the current state. Collective.
-
-        Returns
-        -------
-        MembraneResults
-            Values in this rank's cells.
-        """
-        return membrane_results(self.system)
-
-    @collective
-    def reactions(self, where: str | Marker) -> Reactions:
-        """Forces that supports exert on the membrane, in the current state. Collective.
-
-        Those on a cable's ends are not among them: ``cable.start.reaction``.
-
-        Parameters
-        ----------
-        where
-            Held vertices, as for `Scene.vertices`.
-
-        Returns
-        -------
-        Reactions
-            Their sum, and the force on each of this rank's vertices.
-
-        Raises
-        ------
-        InputError
-            As `Scene.vertices`.
-        """
-        return reactions(self.system, where)
-
-    @collective
-    def contact_forces(self, cable: LaidCable) -> ContactForces:
-        """Forces of a cable on the membrane at its points, in the current state. Collective.
-
-        Parameters
-        ----------
-        cable
-            A cable of the scene.
-
-        Returns
-        -------
-        ContactForces
-            At the points of the cable's `line`; its ``line`` is the force per length of cable.
-
-        Raises
-        ------
-        InputError
-            It is no cable of this scene.
-        """
-        checks.same(self.comm, "contact_forces", cable=cable)
-        if not any(cable is own for own in self.scene.cables):
-            raise InputError(f"contact_forces: {cable!r} is not a cable of this scene.")
-        return contact_forces(cable, self.scene.net.strip_shape()).at(cable.line_nodes())
 
     @collective
     def advance(

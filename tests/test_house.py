@@ -13,7 +13,7 @@ PACKAGE = Path(crms_fenicsx.__file__).parent
 FLOORS = (
     "runtime dofs meshes surface geodesics model energies energies.paper minimization cables "
     "contact friction paths loaded_membrane scene contributions equilibrium results verification "
-    "steps output output.figures checkpoint solver crms_fenicsx"
+    "steps output output.figures output.report checkpoint solver groups crms_fenicsx"
 ).split()
 """Ground first: a module imports from its own package and from those before it."""
 

@@ -13,6 +13,7 @@ from crms_fenicsx.dofs.vertex_places import vertex_places
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.meshes.cell_geometry import OpenEdges, area_vectors, open_edges
 from crms_fenicsx.model.materials import LINEAR, UFL_LAW, MembraneMaterial
+from crms_fenicsx.model.strengths import Strengths
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.runtime.errors import InputError, PathError, collective, raised_together
@@ -48,6 +49,9 @@ class Membrane:
         Materials by number, and the number of each cell's; no tags if there is one for all.
     parts
         Names of the parts with a material of their own, by its number.
+    strengths
+        Of the parts in warp and weft (force per length), as `checked_strengths` returns them;
+        none before they are given. They are data for results, and no part of the state.
 
     Raises
     ------
@@ -72,6 +76,7 @@ class Membrane:
         self.held = np.zeros((len(self.u.x.array) // 3, 3), dtype=bool)
         edges = mesh.mesh.topology.index_map(1)
         self.held_edges = np.zeros(edges.size_local + edges.num_ghosts, dtype=bool)
+        self.strengths: dict[str, Strengths] = {}
 
     @cached_property
     def open_edges(self) -> OpenEdges:
@@ -87,6 +92,16 @@ class Membrane:
         positions = vertex_places(self.V)
         positions.flags.writeable = False
         return positions
+
+    @cached_property
+    def nodal_values(self) -> fem.FunctionSpace:
+        """Space of results with a value at each vertex, linear between them. Collective."""
+        return fem.functionspace(self.mesh.mesh, ("Lagrange", 1))
+
+    @cached_property
+    def cell_values(self) -> fem.FunctionSpace:
+        """Space of results with a value in each cell. Collective."""
+        return fem.functionspace(self.mesh.mesh, ("Discontinuous Lagrange", 0))
 
     @cached_property
     def centre(self) -> Array:

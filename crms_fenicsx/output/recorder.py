@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from crms_fenicsx.cables.deformed_surface import current_surface
 from crms_fenicsx.cables.enclosed_volume import gained_volume
 from crms_fenicsx.dofs.layout import vertex_starts
 from crms_fenicsx.equilibrium.system import System
@@ -21,6 +20,9 @@ from crms_fenicsx.runtime.arrays import Integers
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.steps.load_step import Step
+
+IN_FILES = ("true force 1", "true force 2", "warp", "weft", "shear", "utilisation")
+"""What ParaView files have of `crms_fenicsx.results.quantities`, beside directions and states."""
 
 
 class Recorder:
@@ -160,14 +162,15 @@ class Recorder:
         return gained_volume(scene.net)
 
     def _surface(self, system: System) -> Surface:
-        surface, results = current_surface(self.scene.net), membrane_results(system)
+        results = membrane_results(system)
+        surface = results.surface
+        values = {name: results.values(name)[surface.parents] for name in results.names}
         return Surface(
             surface.points,
             surface.triangles,
             {"displacement": surface.points - surface.stress_free},
             {
-                "true force 1": results.true_forces[surface.parents, 0],
-                "true force 2": results.true_forces[surface.parents, 1],
+                **{name: values[name] for name in IN_FILES if name in values},
                 "direction 1": results.true_directions[surface.parents, 0],
                 "state": results.state[surface.parents],
             },

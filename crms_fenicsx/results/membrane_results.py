@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+from dolfinx import fem
+from mpi4py import MPI
+from numpy.typing import ArrayLike
 
+from crms_fenicsx.cables.deformed_surface import CurrentSurface, current_surface
 from crms_fenicsx.equilibrium.system import System
+from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.model.strengths import ALL, Strengths, checked_strengths
+from crms_fenicsx.results.functions import by_cells, nodal_means
+from crms_fenicsx.results.places import PlaceResults, find_places
+from crms_fenicsx.results.quantities import QUANTITIES
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.runtime.compat import geometry_dofmap
-from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.runtime.errors import InputError, collective
 from crms_fenicsx.scene import Scene
-
-Strengths = tuple[float, float]
-"""In warp and weft (force per length)."""
 
 FLAT = 1e-12
 """Smallest squared stretch that a cell is taken to have, so that a collapsed one has directions."""
@@ -56,8 +63,14 @@ class MembraneResults:
         Current areas (length squared).
     folded : (n,) bool
         Whether a cable in tension folds the cell.
+    stress_free_areas : (n,)
+        Areas of the stress-free cells (length squared).
     parts
         This rank's owned cells of the mesh's parts, by their names.
+    surface
+        This rank's part of the current surface, with the facets of folded cells.
+    membrane
+        The membrane that they are results of.
     """
 
     strains: Array
@@ -72,16 +85,19 @@ class MembraneResults:
     normals: Array
     areas: Array
     folded: Booleans
+    stress_free_areas: Array
     parts: Mapping[str, Indices]
+    surface: CurrentSurface = field(repr=False)
+    membrane: Membrane = field(repr=False)
 
-    def utilisation(self, strengths: Strengths | Mapping[str, Strengths]) -> Array:
+    def utilisation(self, strengths: Strengths | Mapping[str, Strengths] | None = None) -> Array:
         """True section forces over strengths, the larger ratio of warp and weft.
 
         Parameters
         ----------
         strengths
             Of the fabric in warp and weft, divided by the partial factors (force per length); one
-            pair, or one of each part by its name.
+            pair, or one of each part by its name. By default those of `Scene.set_strengths`.
 
         Returns
         -------
@@ -91,31 +107,152 @@ class MembraneResults:
         Raises
         ------
         InputError
-            A part that does not exist, or strengths that are not positive.
+            A part that does not exist, strengths that are not positive, or none at all.
 
         Examples
         --------
         >>> worst = solver.results().utilisation({"roof": (84.0, 80.0)}).max()
         """
+        given = self.membrane.strengths
+        if strengths is not None:
+            given = checked_strengths("utilisation", strengths, self.parts)
+        elif not given:
+            raise InputError(
+                "utilisation: there are no strengths; give them, or call "
+                "scene.set_strengths((warp, weft)) before."
+            )
         found = np.full(len(self.state), np.nan)
-        if not isinstance(strengths, Mapping):
-            return self._ratios("the membrane", strengths, np.arange(len(found), dtype=np.int32))
-        for part, pair in strengths.items():
-            if part not in self.parts:
-                known = ", ".join(sorted(self.parts)) or "(none)"
-                raise InputError(
-                    f"utilisation: the mesh has no part {part!r}; it has the parts {known}."
-                )
-            found[self.parts[part]] = self._ratios(repr(part), pair, self.parts[part])
+        for part, pair in given.items():
+            cells = slice(None) if part == ALL else self.parts[part]
+            ratios = np.maximum(self.warp_weft[cells, :2] / pair, 0.0)
+            found[cells] = ratios.max(axis=1, initial=0.0)
         return found
 
-    def _ratios(self, part: str, strengths: Strengths, cells: Indices) -> Array:
-        if np.shape(strengths) != (2,):
-            raise InputError(
-                f"utilisation: strengths of {part} = {strengths!r}; give two, of warp and weft."
-            )
-        least = [checks.positive(f"utilisation: strength of {part}", x) for x in strengths]
-        return np.asarray(np.maximum(self.warp_weft[cells, :2] / least, 0.0).max(axis=1))
+    @property
+    def utilised(self) -> Array:
+        """`utilisation` of the strengths that the scene has, (n,)."""
+        return self.utilisation()
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the values that cells have, for `function` and ``at(...)[name]``."""
+        has = bool(self.membrane.strengths)
+        return [name for name in QUANTITIES if has or name != "utilisation"]
+
+    def values(self, name: str) -> Array:
+        """Values of this rank's cells by name, (n,): "warp", "weft", "shear" ...
+
+        Raises
+        ------
+        InputError
+            There are none of that name; it says which there are.
+        """
+        return checks.named("result", {one: QUANTITIES[one] for one in self.names}, name).of(self)
+
+    @collective
+    def shares(self, part: str | None = None) -> tuple[float, float, float]:
+        """Slack, wrinkled and taut shares of the stress-free area. Collective.
+
+        Parameters
+        ----------
+        part
+            Name of a part of the mesh; None: the whole membrane.
+
+        Raises
+        ------
+        InputError
+            On all ranks: there is no such part.
+        """
+        checks.same(self.comm, "shares", part=part)
+        cells: Indices = np.arange(len(self.state), dtype=np.int32)
+        if part is not None:
+            cells = checks.named("part", self.parts, part)
+        areas = self.comm.allreduce(
+            np.bincount(self.state[cells], self.stress_free_areas[cells], minlength=3)
+        )
+        slack, wrinkled, taut = (areas / areas.sum()).tolist()
+        return slack, wrinkled, taut
+
+    @property
+    def comm(self) -> MPI.Intracomm:
+        """Communicator of the membrane."""
+        return self.membrane.comm
+
+    @collective
+    def function(self, name: str, *, smooth: bool = False) -> fem.Function:
+        """Values as a function of DOLFINx on the stress-free mesh. Collective.
+
+        Parameters
+        ----------
+        name
+            One of `names`, or "displacement", a vector (length).
+        smooth
+            False: constant in each cell (DG0). True: linear (P1), at each vertex the mean over the
+            cells around it by their stress-free areas; it spreads over borders of parts and
+            folds. Displacements are linear always.
+
+        Raises
+        ------
+        InputError
+            On all ranks: there are no values of that name.
+        """
+        checks.same(self.comm, "function", name=name, smooth=smooth)
+        if name == "displacement":
+            found = fem.Function(self.membrane.V, name=name)
+            n = len(found.x.array) // 3
+            moved = self.surface.points[:n] - self.surface.stress_free[:n]
+            found.x.array[:] = moved.ravel()
+            return found
+        values = self.values(name)
+        if smooth:
+            return nodal_means(self.membrane, name, values, self.stress_free_areas)
+        return by_cells(self.membrane, name, values)
+
+    @collective
+    def at(
+        self,
+        points: ArrayLike,
+        *,
+        on: Literal["current", "stress-free"] = "current",
+        smooth: bool = False,
+    ) -> PlaceResults:
+        """Results at places of the surface. Collective.
+
+        Parameters
+        ----------
+        points
+            Places in plan, (k, 2), on the uppermost sheet there, or in space, (k, 3), at the
+            nearest place (length); the same on all ranks.
+        on
+            The shape that they are places of. "stress-free" follows the same place of the fabric
+            through all load cases.
+        smooth
+            Whether values are linear between means at the vertices, as in `function`, or those of
+            the cell that has the place: on an edge, of one of its cells.
+
+        Returns
+        -------
+        PlaceResults
+            The same on all ranks: places, displacements, and values by name,
+            ``results.at([(3.0, 4.0)])["warp"]``.
+
+        Raises
+        ------
+        InputError
+            On all ranks: no points, or one off the surface; in plan by more than 5 % of the cell's
+            size there, in space by more than 10 %.
+        """
+        checks.same(self.comm, "at", points=points, on=on, smooth=smooth)
+        if on not in ("current", "stress-free"):
+            raise InputError(f"at: on = {on!r} is not known; use 'current' or 'stress-free'.")
+        places = find_places(self.comm, self.surface, points, on)
+        values = {}
+        for name in self.names:
+            if smooth:
+                values[name] = places.interpolated(self.function(name, smooth=True))
+            else:
+                values[name] = places.of_cells(self.values(name))
+        return PlaceResults(places.positions, places.stress_free, values)
 
 
 def membrane_results(system: System) -> MembraneResults:
@@ -166,6 +303,7 @@ def membrane_results(system: System) -> MembraneResults:
     along = larger * cos**2 + smaller * sin**2
     across = larger * sin**2 + smaller * cos**2
 
+    stress_free = np.linalg.norm(np.cross(before[:, 0], before[:, 1]), axis=1) / 2
     second_piola, directions = _principal(S)
     return MembraneResults(
         strains=_principal(E)[0],
@@ -178,9 +316,12 @@ def membrane_results(system: System) -> MembraneResults:
         second_piola_warp_weft=values[:, 3:6].copy(),
         state=np.rint(values[:, 6]).astype(np.int8),
         normals=normal,
-        areas=J * np.linalg.norm(np.cross(before[:, 0], before[:, 1]), axis=1) / 2,
+        areas=J * stress_free,
         folded=folded,
+        stress_free_areas=stress_free,
         parts={name: cells[cells < n] for name, cells in scene.mesh.parts.items()},
+        surface=current_surface(scene.net),
+        membrane=scene.membrane,
     )
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from dolfinx import fem, la
 
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.model.membrane import Marker
+from crms_fenicsx.model.membrane import Marker, Membrane
 from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.scene import Scene
 
@@ -23,11 +24,16 @@ class Reactions:
     positions, forces : (n, 3)
         This rank's owned vertices, where they are now, and the force on each; zero in directions
         that are not held.
+    per_length : (n, 3)
+        The forces per length of held edges (force per length): each vertex's force over half the
+        current length of the named edges around it that are held in that direction, at a corner
+        of several groups those of all; NaN where there are none.
     """
 
     total: Array
     positions: Array
     forces: Array
+    per_length: Array
 
 
 def reactions(system: System, where: str | Marker) -> Reactions:
@@ -48,7 +54,25 @@ def reactions(system: System, where: str | Marker) -> Reactions:
     InputError
         As `Scene.vertices`.
     """
-    dofs = system.scene.vertices(where)
+    dofs, scene = system.scene.vertices(where), system.scene
+    owned = dofs[dofs < system.unknowns.n_vertices]
+    forces = support_forces(system)[owned]
+    lengths = held_lengths(scene.membrane)[owned]
+    per_length = np.where(lengths > 0.0, forces / np.where(lengths > 0.0, lengths, 1.0), np.nan)
+    total = _sum_over_ranks(scene, forces)
+    return Reactions(total, scene.positions()[owned], forces, per_length)
+
+
+def support_forces(system: System) -> Array:
+    """Forces of the supports on this rank's owned vertices, (n, 3) (force). Collective.
+
+    Zero in directions that are not held.
+
+    Parameters
+    ----------
+    system
+        The scene's potential; it is brought to the scene's state.
+    """
     system.update()
     potential, unknowns = system.potential, system.unknowns
     potential.sum_up()
@@ -63,11 +87,43 @@ def reactions(system: System, where: str | Marker) -> Reactions:
     _leave_ends_to_anchors(system, g)
     _hand_on_rails(system, g)
     unknowns.gather_forces(vector, g)
-    owned = dofs[dofs < unknowns.n_vertices]
-    forces = np.where(system.scene.held[owned], g[owned], 0.0)
+    n = unknowns.n_vertices
+    forces: Array = np.where(system.scene.held[:n], g[:n], 0.0)
     vector.destroy()
-    total = _sum_over_ranks(system.scene, forces)
-    return Reactions(total, system.scene.positions()[owned], forces)
+    return forces
+
+
+def held_lengths(membrane: Membrane, group: str | None = None) -> Array:
+    """Length of held edges that belongs to each vertex and direction, (n, 3), with ghosts.
+
+    Half the current length of the edges around whose two ends are held in a direction (length).
+    Collective.
+
+    Parameters
+    ----------
+    membrane
+        The membrane.
+    group
+        Name of the group whose edges count; None: all named groups, the boundary among them.
+    """
+    topology = membrane.mesh.mesh.topology
+    own = topology.index_map(1).size_local
+    groups = [edges for name, edges in membrane.mesh.edges.items() if group in (None, name)]
+    edges = np.unique(np.concatenate(groups))
+    edges = edges[edges < own]
+    dof_of = np.zeros(topology.index_map(0).size_local + topology.index_map(0).num_ghosts, int)
+    dof_of[topology.connectivity(2, 0).array.reshape(-1, 3)] = membrane.V.dofmap.list
+    ends = dof_of[topology.connectivity(1, 0).array.reshape(-1, 2)[edges]]
+    places = membrane.positions()
+    half = np.linalg.norm(places[ends[:, 1]] - places[ends[:, 0]], axis=1) / 2
+    both = membrane.held[ends].all(axis=1)
+    found = fem.Function(membrane.V)
+    lengths: Array = found.x.array.reshape(-1, 3)
+    for k in (0, 1):
+        np.add.at(lengths, ends[:, k], half[:, None] * both)
+    found.x.scatter_reverse(la.InsertMode.add)
+    found.x.scatter_forward()
+    return lengths.copy()
 
 
 def _subtract_pressure(system: System, g: Array) -> None:

@@ -163,7 +163,7 @@ class LoadCases:
         >>> max(found, key=lambda name: found[name].snapshot.tensions["ridge"])
         """
         checks.same(self._scene.comm, "combine", combinations=combinations, steps=steps)
-        self._check(combinations)
+        self.check_combinations(combinations)
         found = {}
         for name, given in combinations.items():
             pressure, factors = _loads(given)
@@ -175,8 +175,14 @@ class LoadCases:
                 found[name] = Combination(name, step, self.snapshot())
         return found
 
-    def _check(self, combinations: Mapping[str, Mapping[str, float]]) -> None:
-        """Refuse combinations that cannot be brought on."""
+    def check_combinations(self, combinations: Mapping[str, Mapping[str, float]]) -> None:
+        """Refuse combinations that cannot be brought on.
+
+        Raises
+        ------
+        InputError
+            As `combine`.
+        """
         if not isinstance(combinations, Mapping) or not combinations:
             raise InputError(
                 f"combine: combinations = {combinations!r}; write them as "

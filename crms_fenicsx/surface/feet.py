@@ -81,7 +81,7 @@ def _nearest(
     held = np.full(k, np.inf)
     position, share, corners = np.zeros((k, 3)), np.zeros((k, 3)), np.zeros((k, 3, 3))
     if len(triangles):
-        target, cell = _nearest_pairs(centre, radius, targets)
+        target, cell = nearest_pairs(centre, radius, targets)
         weights, places, gaps = closest(triangles[cell], targets[target])
         order = np.lexsort((gaps, target))  # the first of cells that are equally near
         best = order[np.unique(target[order], return_index=True)[1]]
@@ -90,8 +90,16 @@ def _nearest(
     return held, position, share, corners
 
 
-def _nearest_pairs(centre: Array, radius: Array, targets: Array) -> tuple[Integers, Integers]:
-    """Return pairs of targets and cells that may be the nearest ones, as `pairs_within`."""
+def nearest_pairs(centre: Array, radius: Array, targets: Array) -> tuple[Integers, Integers]:
+    """Return pairs of targets and cells that may be the nearest ones, as `pairs_within`.
+
+    Parameters
+    ----------
+    centre, radius
+        Balls around the cells, (m, 3) and (m,), at least one.
+    targets
+        (k, 3) points.
+    """
     rows, columns = [], []
     widest = radius.max()
     for first, square, rounding in _squares(centre, targets):

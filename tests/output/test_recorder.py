@@ -35,6 +35,7 @@ def folder(tmp_path: Path) -> Path:
 def run(results: Path | None) -> Solver:
     """Inflate a square in 2 steps, then tighten a cable over it in 1."""
     scene = sheet(COMM, 7)
+    scene.set_strengths((2.0, 1.0))
     solver = Solver(scene, results=results)
     solver.advance(pressure=0.01, steps=2)
     cable = scene.lay_cable(Cable(EA=32000.0), [(0.0, 45.0), (100.0, 52.0)], name="ridge")
@@ -108,6 +109,10 @@ def test_files_of_a_run(folder: Path) -> None:
         ("true force 1", results.true_forces[parents, 0], {"rtol": 1e-9}),
         ("direction 1", results.true_directions[parents, 0], {"atol": 1e-6}),
         ("state", results.state[parents], {}),
+        ("warp", results.warp_weft[parents, 0], {"rtol": 1e-9}),
+        ("weft", results.warp_weft[parents, 1], {"rtol": 1e-9}),
+        ("shear", results.warp_weft[parents, 2], {"atol": 1e-9}),
+        ("utilisation", results.utilisation((2.0, 1.0))[parents], {"rtol": 1e-9}),
     ):
         everywhere = np.concatenate(COMM.allgather(values))
         np.testing.assert_allclose(cells[name], everywhere, **tolerance)
@@ -192,7 +197,9 @@ def test_a_failed_step_is_not_recorded_and_the_run_goes_on(
     np.testing.assert_array_equal(solver.history["step"], [1, 2, 3])
 
 
-@pytest.mark.parametrize("colour", [None, "stress", "stress 2", "strain", "state", "displacement"])
+@pytest.mark.parametrize(
+    "colour", [None, "stress", "stress 2", "warp", "strain", "state", "displacement", "utilisation"]
+)
 def test_pictures_get_the_whole_surface(
     folder: Path, monkeypatch: pytest.MonkeyPatch, colour: str | None
 ) -> None:
@@ -207,6 +214,8 @@ def test_pictures_get_the_whole_surface(
     values = {
         "stress": results.true_forces[surface.parents, 0],
         "stress 2": results.true_forces[surface.parents, 1],
+        "warp": results.warp_weft[surface.parents, 0],
+        "utilisation": results.utilisation((2.0, 1.0))[surface.parents],
         "strain": results.strains[surface.parents, 0],
         "state": results.state[surface.parents],
         "displacement": moved[surface.triangles].mean(axis=1),

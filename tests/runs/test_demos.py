@@ -22,6 +22,7 @@ PROMISED = {
         ["10"],
     ),
     "inflated_square": (["inflated", "tightened", "both", "history"], {".": 10}, []),
+    "load_combinations": (["storm"], {".": 7}, ["3.0"]),
     "own_term": (["tied_down"], {".": 2}, []),
     "single_element": (["up", "down", "sliding_nodes"], {"up": 6, "down": 6}, []),
     "sliding_cable": (["paths", "inflated", "both"], {".": 6}, []),

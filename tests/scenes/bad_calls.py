@@ -271,6 +271,38 @@ def scenes(scene: Scene, other: Scene, solver: Solver, cable: LaidCable) -> list
         ),
         Call("reactions", solver.reactions, {"where": "left"}, {"where": where}),
         Call(
+            "at",
+            solver.results().at,
+            {"points": [(50.0, 50.0)]},
+            {"points": (*NO_PATHS, 3.0, [(-50.0, 50.0)]), "on": NO_TEXTS, "unknown": (1,)},
+        ),
+        Call("function", solver.results().function, {"name": "warp"}, {"name": no_names}),
+        Call("shares", solver.results().shares, {}, {"part": (*no_names[:3], "unknown")}),
+        Call(
+            "set_strengths",
+            other.set_strengths,
+            {"strengths": (2.0, 1.0)},
+            {
+                "strengths": (
+                    *NO_NUMBERS, None, (1.0, 0.0), (1.0, -1.0), (NAN, 1.0), (1.0, "x"), ("a", "b"),
+                    (1.0, 2.0, 3.0), {"unknown": (1.0, 2.0)}, {},
+                )
+            },
+        ),
+        Call(
+            "report",
+            solver.report,
+            {"filename": "/nowhere/a.html"},
+            {
+                "filename": ("/nowhere/a.pdf", 3, None, "", NAN, "/", "/proc/nowhere/a.html"),
+                "combinations": (3, "x", {}, {"a": 1.0}, [1]), "unknown": (1,),
+                "title": (3, None, NAN, ["a"]), "unit": (3, None), "force": (3, None),
+                "about": (3, "x", ["a"], {"a": 3}, {3: "a"}), "view": (3, "nowhere", NAN, [1.0]),
+                "pictures": ("stress", 3, NAN, ["red"], [3], ["utilisation"]),
+                "cable_strengths": (3, {"unknown": 1.0}, {cable.name: 0.0}, {cable.name: NAN}),
+            },
+        ),
+        Call(
             "contact_forces",
             solver.contact_forces,
             {"cable": cable},

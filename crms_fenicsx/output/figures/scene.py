@@ -20,6 +20,7 @@ from crms_fenicsx.output.figures.history import units_of_results
 from crms_fenicsx.output.figures.paths import draw_path
 from crms_fenicsx.output.figures.surface import draw_shape
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
+from crms_fenicsx.results.quantities import QUANTITIES
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.errors import InputError, PictureWarning, collective, raised_together
@@ -49,6 +50,11 @@ class Colour:
     values: Callable[[CurrentSurface, MembraneResults], Array]
 
 
+def _of_cells(name: str) -> Colour:
+    one = QUANTITIES[name]
+    return Colour(one.label, one.unit, lambda s, r: r.values(name)[s.parents])
+
+
 COLOURS = {
     "height": Colour("height", "length", lambda s, r: s.points[:, 2][s.triangles].mean(axis=1)),
     "displacement": Colour("displacement", "length", lambda s, r: _displacement(s)),
@@ -58,7 +64,7 @@ COLOURS = {
     "state": Colour(
         "0 slack, 1 wrinkled, 2 taut", "", lambda s, r: r.state[s.parents].astype(np.float64)
     ),
-}
+} | {name: _of_cells(name) for name in ("warp", "weft", "shear", "utilisation")}
 """What `draw` can colour the membrane by."""
 
 
@@ -81,6 +87,7 @@ def draw(
     unit: str = "",
     force: str = "",
     ghost: bool = False,
+    tensions: bool = True,
     **options: Any,
 ) -> None:
     """Draw a solver's scene in its current state, with the cables' tensions. Collective.
@@ -95,12 +102,15 @@ def draw(
         Picture to write; its suffix (.png, .pdf, .svg ...) says the format.
     colour
         What colours the membrane: "height" (z), "displacement", "stress" and "stress 2" (larger
-        and smaller principal true section force), "strain" (larger principal Green-Lagrange
-        strain), "state"; None: plain fabric.
+        and smaller principal true section force), "warp", "weft" and "shear" (true section
+        forces), "strain" (larger principal Green-Lagrange strain), "state", "utilisation" (of the
+        strengths of `Scene.set_strengths`); None: plain fabric.
     unit, force
         Names of the units of length and force, for labels.
     ghost
         Whether to show the stress-free shape, faintly.
+    tensions
+        Whether to colour the cables by their tensions, which takes a colour bar of its own.
     **options
         As for `draw_shape`: ``view``, ``box``, ``title``, ``limits`` ...
 
@@ -118,7 +128,7 @@ def draw(
         raise InputError(f"draw: solver is of type {type(solver).__name__}; give a Solver.")
     checks.same(
         solver.comm, "draw", filename=filename, colour=colour, unit=unit, force=force, ghost=ghost,
-        **options,
+        tensions=tensions, **options,
     )  # fmt: skip
     filename = checks.file("draw: filename", filename)
     if colour is not None and colour not in list(COLOURS):
@@ -141,7 +151,7 @@ def draw(
         options.setdefault("label", with_unit(chosen.label, named))
     if colour == "state":
         options.setdefault("limits", (0.0, 2.0))
-    if any(cable.taut for cable in scene.cables):
+    if tensions and any(cable.taut for cable in scene.cables):
         options |= {"line_values": "tension"}
         options.setdefault("line_label", with_unit("tension", force))
     if any(cable.lifted.any() for cable in scene.cables):

@@ -1,0 +1,131 @@
+"""Combinations of loads that groups of processes share, each with a scene of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+from crms_fenicsx.output.report.arguments import checked_plan
+from crms_fenicsx.output.report.case import Case
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.errors import InputError, raised_together
+from crms_fenicsx.solver import Solver
+
+Build = Callable[[MPI.Intracomm], Solver]
+"""Makes mesh, scene and solver on a communicator, and brings them to the base state."""
+
+
+def combine_in_groups(
+    build: Build,
+    combinations: Mapping[str, Mapping[str, float]],
+    *,
+    groups: int,
+    comm: MPI.Intracomm = MPI.COMM_WORLD,
+    steps: int = 1,
+    report: str | Path | None = None,
+    **options: Any,
+) -> dict[str, Case]:
+    """Bring on combinations of loads in groups of processes that work side by side. Collective.
+
+    A scene of moderate size gains little from more processes; many combinations of it do. The
+    processes are divided into groups; each builds the scene on its own communicator and takes
+    every `groups`-th combination.
+
+    Parameters
+    ----------
+    build
+        Called with the communicator of the group; returns the solver at the base state. All groups
+        must build the same. A folder for results cannot be shared: give `Solver` none.
+    combinations, steps
+        As for `Solver.combine`.
+    groups
+        How many groups, at most as many as processes.
+    comm
+        The processes.
+    report
+        File of a report about all combinations, as for `Solver.report`; None writes none.
+    **options
+        Of the report, as for `Solver.report`: ``title``, ``unit``, ``force``, ``pictures`` ...
+
+    Returns
+    -------
+    dict
+        Of each combination, in their order, a `Case` with its ``summary`` and its ``verification``,
+        the same on all processes.
+
+    Raises
+    ------
+    InputError
+        On all processes, and before a combination is computed: one that cannot be brought on, more
+        groups than processes, `build` returns no solver, or a report that cannot be written.
+    ConvergenceError
+        On all processes: a combination has no equilibrium; it says which.
+
+    Examples
+    --------
+    >>> def build(comm):
+    ...     mesh = meshes.spherical_cap(comm, radius=20.0, height=10.0, size=1.0)
+    ...     scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
+    ...     scene.fix("boundary")
+    ...     scene.put_load((0.0, 0.0, -0.6), name="snow", per="plan")
+    ...     solver = Solver(scene)
+    ...     solver.advance(pressure=0.7)
+    ...     return solver
+    >>> found = combine_in_groups(build, table, groups=4, report="results/dome.html")
+    >>> max(found, key=lambda name: found[name].summary.membrane.largest["warp"].value)
+    """
+    checks.same(comm, "combine_in_groups", combinations=combinations, groups=groups, steps=steps,
+                report=report)  # fmt: skip
+    if checks.whole("combine_in_groups: groups", groups, 1) > comm.size:
+        raise InputError(
+            f"combine_in_groups: groups = {groups} is more than the {comm.size} processes; give "
+            "as many or fewer, or start more processes."
+        )
+    if report is None and options:
+        raise InputError(
+            f"combine_in_groups: {sorted(options)} are for a report; give report= a file as well."
+        )
+    number = comm.rank * groups // comm.size
+    own: Any = comm.Split(number, comm.rank)
+    with raised_together(comm):
+        solver = build(own)
+        if not isinstance(solver, Solver):
+            raise InputError(f"combine_in_groups: build returned {solver!r}; return a Solver.")
+        solver.check_combinations(combinations)
+    scene = solver.scene
+    checks.same(
+        comm, "combine_in_groups: build", cells=scene.mesh.mesh.topology.index_map(2).size_global,
+        cables=[cable.name for cable in scene.cables], loads=[load.name for load in scene.loads],
+    )  # fmt: skip
+    plan = None if report is None else checked_plan(comm, scene, report, **options)
+    mine = {name: combinations[name] for name in list(combinations)[number::groups]}
+    with raised_together(comm):
+        states = solver.combine(mine, steps=steps) if mine else {}
+        cases = solver.cases(states) if mine else []
+    every = _joined(comm, own, cases, list(combinations))
+    if plan is not None:
+        with raised_together(comm):
+            drawn = solver.drawn(plan, states, cases, list(every.values())) if mine else []
+        pictured = _joined(comm, own, drawn, list(combinations))
+        with raised_together(comm):
+            if number == 0:
+                solver.write_report(plan, list(pictured.values()))
+    del solver, scene, states
+    own.Free()
+    return every
+
+
+def _joined(
+    comm: MPI.Intracomm, own: MPI.Intracomm, cases: list[Case], names: list[str]
+) -> dict[str, Case]:
+    """The cases of all groups in an order; pictures are on the first process only. Collective."""
+    sent = cases if own.rank == 0 else []
+    pictures = comm.gather({case.name: case.pictures for case in sent})
+    plain = comm.allgather([replace(case, pictures=()) for case in sent])
+    found = {case.name: case for part in plain for case in part}
+    shown = {name: one for part in pictures or [] for name, one in part.items()}
+    return {name: replace(found[name], pictures=shown.get(name, ())) for name in names}

@@ -1,0 +1,160 @@
+"""What a report has of each load case: its extremes, its verdict, its pictures."""
+
+from __future__ import annotations
+
+import io
+import math
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx.output.figures.scene import HasSystem, draw
+from crms_fenicsx.results.summary import Summary, summary
+from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.verification.report import Verification
+
+SHARPEST, COARSEST, MANY = 150, 70, 20
+"""Pixels per inch of pictures: of up to so many of them, and at least."""
+WIDTH = 6.0
+"""Of a picture, in inches."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture of a case: what colours the membrane, and the bytes of a PNG file."""
+
+    colour: str
+    png: bytes
+
+
+@dataclass(frozen=True)
+class Case:
+    """A load case as a report shows it; plain data that can be sent to other processes.
+
+    Attributes
+    ----------
+    name
+        Of the combination.
+    summary
+        Its extremes.
+    verification
+        What checks of it say; None if it was not verified in this run.
+    low, high
+        Corners of the box around membrane and cables (length).
+    pictures
+        On the first rank.
+    """
+
+    name: str
+    summary: Summary
+    verification: Verification | None
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    pictures: tuple[Picture, ...] = ()
+
+
+def case_of(solver: HasSystem, name: str, verification: Verification | None) -> Case:
+    """Take down the current state of a solver's scene. Collective."""
+    system = solver.system
+    found, scene, comm = summary(system), system.scene, solver.comm
+    places = np.concatenate([scene.positions(), *(cable.line for cable in scene.cables)])
+    high = [comm.allreduce(float(x.max(initial=-np.inf)), op=MPI.MAX) for x in places.T]
+    low = [-comm.allreduce(float((-x).max(initial=-np.inf)), op=MPI.MAX) for x in places.T]
+    return Case(name, found, verification, tuple(low), tuple(high))
+
+
+def with_pictures(
+    solver: HasSystem, case: Case, every: Sequence[Case], colours: Sequence[str], look: Any
+) -> Case:
+    """The case of a solver's current state with pictures of it. Collective.
+
+    Parameters
+    ----------
+    solver, case
+        The solver, and what `case_of` returned for its state.
+    every
+        All cases, which have one scale and one box.
+    colours
+        What colours the membrane, as for `draw`, or `TENSION`: a picture each.
+    look
+        Options of `draw`, by name.
+    """
+    common = _common(every)
+    options = {"box": common[0], "line_limits": common[1], **look}
+    dpi = sharpness(len(every) * len(colours))
+    pictures = []
+    for colour in colours:  # one colour bar each, or the shape would be small beside them
+        fabric = None if colour == TENSION else colour
+        options |= {"colour": fabric, "tensions": fabric is None}
+        png = draw_png(solver, dpi=dpi, limits=_limits(every, colour), **options)
+        if png:
+            pictures.append(Picture(colour, png))
+    return replace(case, pictures=tuple(pictures))
+
+
+def sharpness(count: int) -> int:
+    """Pixels per inch of pictures, for so many of them to keep within the budget."""
+    return int(np.clip(SHARPEST * math.sqrt(MANY / max(count, 1)), COARSEST, SHARPEST))
+
+
+def draw_png(solver: HasSystem, **options: Any) -> bytes:
+    """Draw a solver's scene as the bytes of a PNG file, on the first rank. Collective.
+
+    Elsewhere, and of a mesh too large for pictures, there are none.
+    """
+    comm = solver.comm
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(comm.bcast(folder)) / "picture.png"
+        draw(solver, path, width=WIDTH, **options)
+        comm.barrier()
+        return _reduced(path) if comm.rank == 0 and path.exists() else b""
+
+
+def _reduced(path: Path) -> bytes:
+    """A picture with 256 colours, which takes a third of the space."""
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    with Image.open(path) as picture:
+        picture.convert("RGB").quantize(256).save(buffer, "PNG", optimize=True)
+    return buffer.getvalue()
+
+
+def _common(every: Sequence[Case]) -> tuple[tuple[Array, Array], tuple[float, float] | None]:
+    """Box and range of tensions that all cases share; no range where no cable has any."""
+    low = np.min([case.low for case in every], axis=0)
+    high = np.max([case.high for case in every], axis=0)
+    air = 0.03 * float((high - low).max())
+    box = low - np.array([air, air, 0.0]), high + np.array([air, air, air / 2])
+    largest = [one.largest for case in every for one in case.summary.cables.values()]
+    most = max(largest, default=0.0)
+    return box, (0.0, most) if most > 0.0 else None
+
+
+TENSION = "tension"
+"""Name of the picture with plain fabric and the cables' tensions."""
+
+RANGES = {
+    "stress": "true force 1", "stress 2": "true force 2", "strain": "strain 1", "warp": "warp",
+    "weft": "weft", "shear": "shear", "utilisation": "utilisation",
+}  # fmt: skip
+"""Where the range of a colour is known from."""
+
+
+def _limits(every: Sequence[Case], colour: str) -> tuple[float, float] | None:
+    """Range of a colour over all cases; None where it is not known."""
+    if colour == "displacement":
+        return 0.0, max(case.summary.displacement.value for case in every) or 1.0
+    if colour not in RANGES:
+        return None
+    parts = [case.summary.membrane for case in every]
+    name = RANGES[colour]
+    low = min(part.least[name].value for part in parts if name in part.least)
+    high = max(part.largest[name].value for part in parts if name in part.largest)
+    low = 0.0 if -1e-9 * high < low < 0.3 * high else low
+    return (low, high) if low < high else None

@@ -1,0 +1,179 @@
+"""What a report says about the model: mesh, materials, supports, cables, loads."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx.meshes.cell_geometry import area_vectors, cell_sides
+from crms_fenicsx.model.friction import Friction
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.strengths import ALL, Strengths
+from crms_fenicsx.results.reactions import held_lengths
+from crms_fenicsx.results.summary import held_groups
+from crms_fenicsx.runtime.arrays import Array, Integers
+from crms_fenicsx.scene import Scene
+
+Row = tuple[str | int | float | None, ...]
+
+
+@dataclass(frozen=True)
+class ModelData:
+    """A scene by plain numbers and texts, the same on all ranks.
+
+    Attributes
+    ----------
+    cells, vertices, ranks
+        How many there are.
+    sides
+        Least, mean and largest length of the cells' stress-free sides (length).
+    low, high
+        Corners of the stress-free surface's box (length).
+    area
+        Stress-free (length squared).
+    materials
+        Rows: part, its stress-free area, kind of material, its data.
+    strengths
+        By part in warp and weft (force per length); under "" of the whole membrane.
+    supports
+        Rows: group, directions, vertices, length of its edges.
+    cables
+        Rows: name, EA, unstressed length, friction, ends, how it lies.
+    loads
+        Rows: name, kind, mean size per area at the factor 1, components of the sum.
+    other
+        Names and texts: pressure, laws, floor, terms of the user's own.
+    """
+
+    cells: int
+    vertices: int
+    ranks: int
+    sides: tuple[float, float, float]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    area: float
+    materials: tuple[Row, ...]
+    strengths: Mapping[str, Strengths]
+    supports: tuple[Row, ...]
+    cables: tuple[Row, ...]
+    loads: tuple[Row, ...]
+    other: Mapping[str, str]
+
+    @property
+    def size(self) -> float:
+        """Largest extent (length)."""
+        return max(b - a for a, b in zip(self.low, self.high, strict=True))
+
+
+def model_data(scene: Scene) -> ModelData:
+    """Describe a scene. Collective."""
+    mesh, comm = scene.mesh.mesh, scene.comm
+    owned = mesh.topology.index_map(2).size_local
+    sides = np.linalg.norm(cell_sides(mesh, np.arange(owned, dtype=np.int32)), axis=2)
+    least = comm.allreduce(float(sides.min(initial=np.inf)), op=MPI.MIN)
+    largest = comm.allreduce(float(sides.max(initial=0.0)), op=MPI.MAX)
+    cells = mesh.topology.index_map(2).size_global
+    mean = comm.allreduce(float(sides.sum())) / (3 * cells)
+    areas = np.linalg.norm(area_vectors(mesh)[:owned], axis=1)
+    places = scene.membrane.stress_free
+    low = [-comm.allreduce(float((-x).max(initial=-np.inf)), op=MPI.MAX) for x in places.T]
+    high = [comm.allreduce(float(x.max(initial=-np.inf)), op=MPI.MAX) for x in places.T]
+    return ModelData(
+        cells,
+        scene.V.dofmap.index_map.size_global,
+        comm.size,
+        (least, mean, largest),
+        tuple(low),
+        tuple(high),
+        comm.allreduce(float(areas.sum())),
+        _materials(scene, areas),
+        dict(scene.membrane.strengths),
+        _supports(scene),
+        tuple(_cable(cable) for cable in scene.cables),
+        _loads(scene),
+        _other(scene),
+    )
+
+
+def _materials(scene: Scene, areas: Array) -> tuple[Row, ...]:
+    membrane, rows = scene.membrane, []
+    for k, material in membrane.materials.items():
+        cells: Integers = np.arange(len(areas))
+        if membrane.cell_tags is not None:
+            cells = np.flatnonzero(membrane.cell_tags.values[: len(areas)] == k)
+        area = scene.comm.allreduce(float(areas[cells].sum()))
+        part = membrane.parts.get(k, ALL) or "whole membrane"
+        rows.append((part, area, type(material).__name__, _data(material)))
+    return tuple(rows)
+
+
+def _data(thing: Any) -> str:
+    """The fields of a dataclass as text."""
+    if not is_dataclass(thing):
+        return ""
+    return ", ".join(f"{one.name} = {_text(getattr(thing, one.name))}" for one in fields(thing))
+
+
+def _text(value: Any) -> str:
+    if callable(value):
+        return f"function {getattr(value, '__name__', type(value).__name__)}"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, tuple | list):
+        return "(" + ", ".join(_text(x) for x in value) + ")"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _supports(scene: Scene) -> tuple[Row, ...]:
+    rows: list[Row] = []
+    own, comm = scene.V.dofmap.index_map.size_local, scene.comm
+    for name, (directions, dofs) in held_groups(scene.membrane).items():
+        length = None
+        if name in scene.mesh.edges:
+            lengths = held_lengths(scene.membrane, name)[:own]
+            length = comm.allreduce(float(lengths.max(axis=1).sum()))
+        count = comm.allreduce(int(np.count_nonzero(dofs < own)))
+        rows.append((name, ", ".join(directions), count, length))
+    held = comm.allreduce(int(np.count_nonzero(scene.held[:own].any(axis=1))))
+    return (*rows, ("all held vertices", "", held, None))
+
+
+def _cable(cable: LaidCable) -> Row:
+    friction = cable.cable.friction
+    data = _data(friction) if isinstance(friction, Friction) else f"mu = {friction:g}"
+    free = cable.slides_freely and cable.cable.along == 0.0
+    lies = "in the edge's sleeve" if cable.in_edge else "in a sleeve" if cable.sleeve else "loose"
+    ends = " / ".join("anchored" if end != "tied" else "tied" for end in cable.ends)
+    return cable.name, cable.cable.EA, cable.L0, "none" if free else data, ends, lies
+
+
+def _loads(scene: Scene) -> tuple[Row, ...]:
+    rows: list[Row] = []
+    for load in scene.loads:
+        total = scene.comm.allreduce(load.forces.sum(axis=0))
+        kind = "dead load" if load.suction is None else "wind, follows the surface"
+        rows.append((load.name, kind, load.intensity, *total.tolist()))
+    return tuple(rows)
+
+
+def _other(scene: Scene) -> dict[str, str]:
+    pressed, comm = scene.membrane.pressed, scene.comm
+    if comm.allreduce(int(np.count_nonzero(~pressed))):
+        free = {k: comm.allreduce(int(np.count_nonzero(~pressed[cells])))
+                for k, cells in scene.mesh.parts.items()}  # fmt: skip
+        where = ", ".join(sorted(name for name, count in free.items() if count == 0))
+    else:
+        where = "all of the membrane"
+    found = {"Pressure acts on": where}
+    found["Strain"] = {
+        "total": "Green-Lagrange, from the stress-free shape", "step": "step-wise",
+    }[scene.strain_law]  # fmt: skip
+    if scene.floor_level is not None:
+        found["Rigid floor at z"] = f"{scene.floor_level:g}"
+    if scene.terms:
+        found["Terms of the energy added by the user"] = ", ".join(t.name for t in scene.terms)
+    return found

@@ -1,0 +1,166 @@
+"""Reports of a solver's states and combinations of loads, by one call on all ranks."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from mpi4py import MPI
+
+from crms_fenicsx.equilibrium.system import System
+from crms_fenicsx.output.report.arguments import Plan, checked_plan, checked_states
+from crms_fenicsx.output.report.case import SHARPEST, Case, case_of, draw_png, with_pictures
+from crms_fenicsx.output.report.contents import Report
+from crms_fenicsx.output.report.files import write
+from crms_fenicsx.output.report.model_data import model_data
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.errors import collective, raised_together
+from crms_fenicsx.scene import Scene
+from crms_fenicsx.steps.load_cases import Combination
+from crms_fenicsx.steps.load_step import Step
+from crms_fenicsx.steps.snapshot import Snapshot
+from crms_fenicsx.verification.report import Verification
+
+MOST_NAMES = 12
+"""Up to so many cables have their names in the picture of the model."""
+NOW = "Current state"
+"""Name of the case of a report without combinations."""
+
+
+class Reporting:
+    """The part of a solver that writes reports."""
+
+    comm: MPI.Intracomm
+    _scene: Scene
+    steps: list[Step]
+
+    @property
+    @abstractmethod
+    def system(self) -> System:
+        """The potential of the scene."""
+
+    @abstractmethod
+    def snapshot(self) -> Snapshot:
+        """The current state."""
+
+    @abstractmethod
+    def restore(self, snapshot: Snapshot) -> None:
+        """Bring the scene back to a state."""
+
+    @collective
+    def report(
+        self,
+        filename: str | Path,
+        combinations: Mapping[str, Combination] | None = None,
+        *,
+        title: str = "Membrane structure",
+        about: Mapping[str, str] | None = None,
+        unit: str = "",
+        force: str = "",
+        cable_strengths: Mapping[str, float] | None = None,
+        pictures: Sequence[str] | None = None,
+        view: tuple[float, float] = (-60.0, 30.0),
+    ) -> None:
+        """Write a report to attach to a calculation: one page of HTML, and CSV tables. Collective.
+
+        The page has the model, combinations, pictures, section forces, utilisation and envelopes,
+        cables, reactions and the verification's verdicts; it loads nothing from elsewhere, is
+        smaller than 5 MB, and prints on A4. The tables lie beside it: ``tent.html`` has
+        ``tent_membrane.csv``, ``tent_cables.csv`` and so on, with all digits. Results are those of
+        the states that the combinations led to; the scene's own state is as before.
+
+        Parameters
+        ----------
+        filename
+            Of the page, ending in .html. Files that are there are replaced when all are complete.
+        combinations
+            What `combine` returned; by default the current state alone.
+        title
+            Heading.
+        about
+            Names and texts below it: ``{"Project": "...", "Author": "..."}``.
+        unit, force
+            Names of the units of length and force, for headings.
+        cable_strengths
+            Strengths of cables by their names, divided by the partial factors (force); those that
+            are named get a utilisation. Those of the fabric are `Scene.set_strengths`'s.
+        pictures
+            What colours the membrane in a picture of each combination, as for `draw`, or "tension",
+            that of the cables; by default these, displacement, section forces (of fabrics with a
+            warp along warp and weft) and, with strengths, utilisation. Where the page would be too
+            large, the last ones are left out.
+        view
+            Where the viewer stands, as for `draw`.
+
+        Raises
+        ------
+        InputError
+            On all ranks and before anything is evaluated or written: an argument that cannot be
+            used, or a file that cannot be written.
+
+        Examples
+        --------
+        >>> found = solver.combine({"snow": {"snow": 1.5}, "storm": {"wind": 1.5}})
+        >>> solver.report("results/tent/report.html", found, title="Tent", unit="m", force="kN")
+        """
+        listed = list(combinations) if isinstance(combinations, Mapping) else combinations
+        checks.same(self.comm, "report", combinations=listed)
+        states = checked_states(self._scene, combinations)
+        plan = checked_plan(
+            self.comm, self._scene, filename, title=title, about=about, unit=unit, force=force,
+            cable_strengths=cable_strengths, pictures=pictures, view=view,
+        )  # fmt: skip
+        cases = self.cases(states)
+        self.write_report(plan, self.drawn(plan, states, cases, cases))
+
+    def cases(self, states: Mapping[str, Combination]) -> list[Case]:
+        """Internal: combinations as a report has them, or the current state. Collective."""
+        if not states:
+            return [case_of(self, NOW, self._last_verification())]
+        base, cases = self.snapshot(), []
+        try:
+            for name, one in states.items():
+                self.restore(one.snapshot)
+                cases.append(case_of(self, name, one.step.verification))
+        finally:
+            self.restore(base)
+        return cases
+
+    def drawn(
+        self, plan: Plan, states: Mapping[str, Combination], cases: Sequence[Case],
+        every: Sequence[Case],
+    ) -> list[Case]:  # fmt: skip
+        """Internal: cases with pictures in the scale of `every` case. Collective."""
+        if not states:
+            return [with_pictures(self, case, every, plan.colours, plan.look) for case in cases]
+        base, drawn = self.snapshot(), []
+        try:
+            for case in cases:
+                self.restore(states[case.name].snapshot)
+                drawn.append(with_pictures(self, case, every, plan.colours, plan.look))
+        finally:
+            self.restore(base)
+        return drawn
+
+    def write_report(self, plan: Plan, cases: Sequence[Case]) -> None:
+        """Internal: write the report of all cases, with the model as it is now. Collective."""
+        scene = self._scene
+        model, names = model_data(scene), len(scene.cables) <= MOST_NAMES
+        picture = draw_png(self, dpi=SHARPEST, show_names=names, **plan.look)
+        with raised_together(self.comm):
+            if self.comm.rank == 0:
+                write(
+                    plan.path,
+                    Report(
+                        plan.title, plan.about, plan.units, model, cases, picture,
+                        plan.cable_strengths,
+                    ),
+                )  # fmt: skip
+
+    def _last_verification(self) -> Verification | None:
+        """What checks of the load step say that has led to the current state."""
+        for step in reversed(self.steps):
+            if step.energies == self._scene.energies:
+                return step.verification
+        return None

@@ -1,0 +1,101 @@
+"""Forces of cables with their extremes along them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from crms_fenicsx.contact.contact_force import contact_forces
+from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
+from crms_fenicsx.runtime.arrays import Array, floats
+from crms_fenicsx.scene import Scene
+from crms_fenicsx.surface.triangles import norm
+
+Force = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class CableResults:
+    """A cable in an equilibrium, by plain numbers.
+
+    Attributes
+    ----------
+    name
+        Of the cable.
+    least, mean, largest
+        Tension (force) along the cable; they differ where friction along it holds it. The mean is
+        by unstressed length.
+    slack
+        Whether it has no tension.
+    length, L0, free
+        Current and unstressed length, and the current length off the membrane (length).
+    contact_mean, contact_largest
+        Normal force on the membrane per length of cable (force per length): its mean over the
+        length on the membrane, and its largest value; zero where it touches nothing.
+    start, end
+        Forces with which the anchors hold its ends (force); None of an end tied to the membrane.
+    """
+
+    name: str
+    least: float
+    mean: float
+    largest: float
+    slack: bool
+    length: float
+    L0: float
+    free: float
+    contact_mean: float
+    contact_largest: float
+    start: Force | None
+    end: Force | None
+
+
+def cable_results(scene: Scene) -> dict[str, CableResults]:
+    """Forces of a scene's cables in its current state, by their names. Collective.
+
+    The same on all ranks.
+    """
+    if not scene.cables:
+        return {}
+    shape = scene.net.strip_shape()
+    found = {}
+    for cable in scene.cables:
+        line = contact_forces(cable, shape).line[cable.line_nodes()]
+        sizes = norm(np.diff(cable.line, axis=0))
+        mean, largest = _contact(line, sizes)
+        found[cable.name] = CableResults(
+            cable.name,
+            float(cable.tensions.min()),
+            cable.tension,
+            float(cable.tensions.max()),
+            not cable.taut,
+            cable.length,
+            cable.L0,
+            float(sizes[cable.free_spans].sum()),
+            mean,
+            largest,
+            _reaction(cable, cable.start),
+            _reaction(cable, cable.end),
+        )
+    return found
+
+
+def _contact(line: Array, sizes: Array) -> tuple[float, float]:
+    """Mean and largest force per length, of values at the points of a cable's line."""
+    on = np.isfinite(line)
+    if not on.any():
+        return 0.0, 0.0
+    both = on[1:] & on[:-1]
+    length = float(sizes[both].sum())
+    means = (line[1:] + line[:-1])[both] / 2
+    mean = float((means * sizes[both]).sum() / length) if length > 0.0 else 0.0
+    return mean, float(line[on].max())
+
+
+def _reaction(cable: LaidCable, end: CableEnd) -> Force | None:
+    """Force of the anchor of an end; None if it has none."""
+    if cable.nodes[cable.node_of(end.which)].kind != "anchor":
+        return None
+    x, y, z = floats(end.reaction)
+    return x, y, z

@@ -1,0 +1,215 @@
+"""Places of the surface that users ask for: in which facets they lie, and what is there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+from numpy.typing import ArrayLike
+
+from crms_fenicsx.cables.deformed_surface import CurrentSurface
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
+from crms_fenicsx.runtime.compat import geometry_dofmap
+from crms_fenicsx.runtime.errors import InputError, as_text
+from crms_fenicsx.surface.closest_point import ON_SURFACE, RIM
+from crms_fenicsx.surface.feet import nearest_pairs
+from crms_fenicsx.surface.triangles import (
+    WALL,
+    balls,
+    closest,
+    double_areas,
+    flattened,
+    longest_sides,
+    mix,
+    norm,
+)
+
+HELD = 1e-9
+"""Distance in plan, relative to a facet's size, at which the facet still has a place."""
+
+
+@dataclass(frozen=True)
+class PlaceResults:
+    """Results at places of the surface, the same on all ranks.
+
+    Attributes
+    ----------
+    positions, stress_free : (k, 3)
+        The places on the current and on the stress-free surface (length).
+    values
+        What the cells have there, by name, (k,) each; ``self[name]`` is short for it.
+    """
+
+    positions: Array
+    stress_free: Array
+    values: dict[str, Array]
+
+    @property
+    def displacement(self) -> Array:
+        """From the stress-free to the current place, (k, 3) (length)."""
+        return self.positions - self.stress_free
+
+    def __getitem__(self, name: str) -> Array:
+        """Values by name, (k,).
+
+        Raises
+        ------
+        InputError
+            There are none of that name; it says which there are.
+        """
+        return checks.named("result", self.values, name)
+
+
+@dataclass(frozen=True)
+class Places:
+    """Places of a surface that is divided among ranks.
+
+    Attributes
+    ----------
+    comm
+        The ranks.
+    mine : (k,) bool
+        Which of them lie in this rank's facets.
+    cells : (k,) int
+        This rank's cells; any where the place is another rank's.
+    positions, stress_free : (k, 3)
+        Current and stress-free, on all ranks (length).
+    """
+
+    comm: MPI.Intracomm
+    mine: Booleans
+    cells: Integers
+    positions: Array
+    stress_free: Array
+
+    def of_cells(self, values: Array) -> Array:
+        """Values of the cells with the places, (k,). Collective."""
+        found = np.zeros(len(self.mine))
+        found[self.mine] = values[self.cells[self.mine]]
+        return np.asarray(self.comm.allreduce(found))
+
+    def interpolated(self, function: fem.Function) -> Array:
+        """Values of a linear function on the stress-free mesh, (k,). Collective."""
+        V = function.function_space
+        dofs: Indices = V.dofmap.list[self.cells[self.mine]]
+        corners = np.zeros((len(function.x.array), 3))
+        corners[V.dofmap.list] = V.mesh.geometry.x[geometry_dofmap(V.mesh)]
+        weights, _, _ = closest(corners[dofs], self.stress_free[self.mine])
+        found = np.zeros(len(self.mine))
+        found[self.mine] = (weights * function.x.array[dofs]).sum(axis=1)
+        return np.asarray(self.comm.allreduce(found))
+
+
+def find_places(
+    comm: MPI.Intracomm,
+    surface: CurrentSurface,
+    points: ArrayLike,
+    on: Literal["current", "stress-free"],
+) -> Places:
+    """Find the facets that places lie in. Collective.
+
+    Parameters
+    ----------
+    comm
+        The ranks among which the surface is divided.
+    surface
+        This rank's part of it.
+    points, on
+        As for `MembraneResults.at`.
+
+    Raises
+    ------
+    InputError
+        On all ranks: no points, or one off the surface.
+    """
+    targets, in_plan = _checked(points)
+    shape = surface.points if on == "current" else surface.stress_free
+    corners = shape[surface.triangles]
+    rows, weights, scores, sizes = _candidates(corners, targets, in_plan)
+    best, rank = _best_rank(comm, scores)
+    if np.isinf(best).any():
+        raise InputError("at: the membrane has no plan, only walls; give places in space, (k, 3).")
+    mine = rank == comm.rank
+    gaps, size = best[:, 0], np.asarray(comm.allreduce(np.where(mine, sizes, 0.0)))
+    given = [np.zeros((len(targets), 3)), np.zeros((len(targets), 3))]
+    for found, places in zip(given, (surface.points, surface.stress_free), strict=True):
+        found[mine] = mix(weights[mine], places[surface.triangles[rows[mine]]])
+    positions, stress_free = (np.asarray(comm.allreduce(found)) for found in given)
+    nearest = positions if on == "current" else stress_free
+    off = np.flatnonzero(gaps > (RIM if in_plan else ON_SURFACE) * size)
+    if len(off):
+        k = int(off[0])
+        point = targets[k, :2] if in_plan else targets[k]
+        raise InputError(
+            f"at: point {k} at {as_text(point)} is {gaps[k]:.6g} off the {on} surface, nearest to "
+            f"{as_text(nearest[k])}; give a place on it."
+        )
+    cells = np.zeros(len(targets), dtype=np.int64)
+    cells[mine] = surface.parents[rows[mine]]
+    return Places(comm, mine, cells, positions, stress_free)
+
+
+def _checked(points: ArrayLike) -> tuple[Array, bool]:
+    """The points as (k, 3), and whether they are in plan, then with z = 0."""
+    try:
+        array = np.asarray(points, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.zeros(0)
+    if array.ndim != 2 or array.shape[1] not in (2, 3) or not len(array):
+        raise InputError(
+            f"at: points = {points!r} must be places in plan, (k, 2), or in space, (k, 3), as in "
+            "[(3.0, 4.0)]."
+        )
+    if not np.isfinite(array).all():
+        raise InputError(f"at: points = {points!r} are not finite; give finite coordinates.")
+    in_plan = array.shape[1] == 2
+    return (np.pad(array, ((0, 0), (0, 1))) if in_plan else array), in_plan
+
+
+def _candidates(
+    corners: Array, targets: Array, in_plan: bool
+) -> tuple[Integers, Array, Array, Array]:
+    """This rank's best facet for each target.
+
+    Returns
+    -------
+    rows : (k,)
+        The facets; any where this rank has none.
+    weights : (k, 3)
+        Of their corners.
+    scores : (k, 2)
+        Distance, and how deep below others the place lies in plan; the least of them is the best.
+    sizes : (k,)
+        The facets' longest sides (length).
+    """
+    k = len(targets)
+    rows, weights = np.zeros(k, dtype=np.int64), np.zeros((k, 3))
+    scores, sizes = np.full((k, 2), np.inf), np.zeros(k)
+    usable: Integers = np.arange(len(corners))
+    flat = corners
+    if in_plan:  # walls have no place in plan
+        flat = flattened(corners)
+        usable = usable[norm(double_areas(flat)) > WALL * norm(double_areas(corners))]
+    if not len(usable):
+        return rows, weights, scores, sizes
+    triangles = flat[usable]
+    target, near = nearest_pairs(*balls(triangles), targets)
+    share, _, gaps = closest(triangles[near], targets[target])
+    size = longest_sides(triangles[near])
+    gaps = np.where(gaps <= HELD * size, 0.0, gaps)
+    depth = -mix(share, corners[usable[near]])[:, 2] if in_plan else np.zeros(len(near))
+    order = np.lexsort((near, depth, gaps, target))
+    chosen = order[np.unique(target[order], return_index=True)[1]]
+    rows, weights, sizes = usable[near[chosen]], share[chosen], size[chosen]
+    return rows, weights, np.stack([gaps, depth], axis=1)[chosen], sizes
+
+
+def _best_rank(comm: MPI.Intracomm, scores: Array) -> tuple[Array, Integers]:
+    """The least scores of all ranks, (k, 2), and the lowest rank that has them, (k,)."""
+    every = np.array(comm.allgather(scores))
+    rank = np.array([np.lexsort(every[:, k].T[::-1])[0] for k in range(len(scores))])
+    return every[rank, np.arange(len(scores))], rank

@@ -1,0 +1,58 @@
+"""What results know of the membrane's cells, by name: for fields, places, files and pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from crms_fenicsx.runtime.arrays import Array
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number that each cell has.
+
+    Attributes
+    ----------
+    label
+        What it is, for people.
+    attribute, column
+        Where `MembraneResults` holds it; -1: the attribute has one column only.
+    unit
+        "stress" (force per length), or "" for a plain number.
+    """
+
+    label: str
+    attribute: str
+    column: int = -1
+    unit: str = ""
+
+    def of(self, results: Any) -> Array:
+        """Its values in some membrane results, (n,)."""
+        values = np.asarray(getattr(results, self.attribute), dtype=np.float64)
+        return values if self.column < 0 else values[:, self.column]
+
+
+QUANTITIES = {
+    "warp": Quantity("section force along warp", "warp_weft", 0, "stress"),
+    "weft": Quantity("section force along weft", "warp_weft", 1, "stress"),
+    "shear": Quantity("shear of warp and weft", "warp_weft", 2, "stress"),
+    "true force 1": Quantity("larger section force", "true_forces", 0, "stress"),
+    "true force 2": Quantity("smaller section force", "true_forces", 1, "stress"),
+    "second Piola warp": Quantity(
+        "second Piola-Kirchhoff force along warp", "second_piola_warp_weft", 0, "stress"
+    ),
+    "second Piola weft": Quantity(
+        "second Piola-Kirchhoff force along weft", "second_piola_warp_weft", 1, "stress"
+    ),
+    "second Piola shear": Quantity(
+        "second Piola-Kirchhoff shear", "second_piola_warp_weft", 2, "stress"
+    ),
+    "strain 1": Quantity("larger strain", "strains", 0),
+    "strain 2": Quantity("smaller strain", "strains", 1),
+    "state": Quantity("0 slack, 1 wrinkled, 2 taut", "state"),
+    "utilisation": Quantity("utilisation", "utilised"),
+}
+"""All of them; "utilisation" needs the strengths of `Scene.set_strengths`."""

@@ -1,0 +1,238 @@
+"""An equilibrium by its extremes: plain numbers, the same on all ranks, for tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+
+from crms_fenicsx.equilibrium.system import System
+from crms_fenicsx.model.membrane import COMPONENTS, Membrane
+from crms_fenicsx.model.strengths import ALL
+from crms_fenicsx.results.cable_results import CableResults, cable_results
+from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
+from crms_fenicsx.results.reactions import held_lengths, support_forces
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
+
+Vector = tuple[float, float, float]
+
+SUMMED_UP = (
+    "true force 1", "true force 2", "warp", "weft", "shear", "strain 1", "utilisation",
+)  # fmt: skip
+"""Which of `crms_fenicsx.results.quantities` a summary has, where they are known."""
+
+
+@dataclass(frozen=True)
+class Extreme:
+    """A largest or least value, and where it is now (length)."""
+
+    value: float
+    at: Vector
+
+
+@dataclass(frozen=True)
+class PartSummary:
+    """A part of the membrane, or all of it.
+
+    Attributes
+    ----------
+    area
+        Stress-free (length squared).
+    slack, wrinkled
+        Shares of that area.
+    least, largest
+        Values of cells by the names in `SUMMED_UP`; those without strengths have no utilisation.
+    """
+
+    area: float
+    slack: float
+    wrinkled: float
+    least: Mapping[str, Extreme]
+    largest: Mapping[str, Extreme]
+
+
+@dataclass(frozen=True)
+class SupportSummary:
+    """A named group of vertices that is held.
+
+    Attributes
+    ----------
+    directions
+        Those in which all of its vertices are held, out of "xyz"; "" of vertices in no such group.
+    total
+        Sum of the reactions (force).
+    length
+        Current length of its edges (length); 0 of points.
+    mean, largest
+        Size of the reaction per length of held edges (force per length), along its edges in the
+        mean and at one vertex.
+    """
+
+    directions: str
+    total: Vector
+    length: float
+    mean: float
+    largest: float
+
+
+@dataclass(frozen=True)
+class Summary:
+    """An equilibrium by its extremes.
+
+    Attributes
+    ----------
+    pressure
+        Inner pressure (force per area).
+    factors
+        Of the loads, by their names.
+    energy
+        Total potential energy (force x length).
+    displacement
+        The largest one, from the stress-free shape (length).
+    lowest, highest
+        The largest displacements downward (negative) and upward (length).
+    parts
+        By the names of the mesh's parts; under "" the whole membrane.
+    cables
+        By their names.
+    supports
+        By the names of the groups, which may share vertices; under `ALL_SUPPORTS` all of them, and
+        under `OTHER_SUPPORTS` those in no group that is held as a whole.
+    """
+
+    pressure: float
+    factors: Mapping[str, float]
+    energy: float
+    displacement: Extreme
+    lowest: Extreme
+    highest: Extreme
+    parts: Mapping[str, PartSummary]
+    cables: Mapping[str, CableResults]
+    supports: Mapping[str, SupportSummary]
+
+    @property
+    def membrane(self) -> PartSummary:
+        """The whole membrane."""
+        return self.parts[ALL]
+
+    @property
+    def reaction(self) -> Vector | None:
+        """Sum of the forces of all supports and anchors (force); None without anchors."""
+        cables = self.cables.values()
+        ends = [end for one in cables for end in (one.start, one.end) if end is not None]
+        x, y, z = np.sum([self.supports[ALL_SUPPORTS].total, *ends], axis=0).tolist()
+        return (x, y, z) if ends else None
+
+
+ALL_SUPPORTS, OTHER_SUPPORTS = "all supports", "other supports"
+
+
+def summary(system: System) -> Summary:
+    """Sum up the scene's current state. Collective.
+
+    Parameters
+    ----------
+    system
+        The scene's potential; it is brought to the scene's state.
+    """
+    scene, results = system.scene, membrane_results(system)
+    n = scene.V.dofmap.index_map.size_local
+    moved: Array = scene.u.x.array.reshape(-1, 3)[:n]
+    places = scene.positions()[:n]
+    parts = {ALL: _part(results, None)}
+    if len(results.parts) > 1:
+        parts |= {name: _part(results, name) for name in sorted(results.parts)}
+    return Summary(
+        scene.pressure,
+        {load.name: load.factor for load in scene.loads},
+        scene.energy,
+        _extreme(scene.comm, np.linalg.norm(moved, axis=1), places, largest=True),
+        _extreme(scene.comm, moved[:, 2], places, largest=False),
+        _extreme(scene.comm, moved[:, 2], places, largest=True),
+        parts,
+        cable_results(scene),
+        _supports(system),
+    )
+
+
+def _part(results: MembraneResults, name: str | None) -> PartSummary:
+    comm = results.comm
+    cells = np.arange(len(results.state)) if name is None else results.parts[name]
+    slack, wrinkled, _ = results.shares(name)
+    shape = results.surface
+    dofs = results.membrane.V.dofmap.list[cells]
+    centres = np.asarray(shape.points[dofs].mean(axis=1))
+    least, largest = {}, {}
+    for one in SUMMED_UP:
+        if one not in results.names:
+            continue
+        values = results.values(one)[cells]
+        if comm.allreduce(int(np.isfinite(values).sum())):
+            least[one] = _extreme(comm, values, centres, largest=False)
+            largest[one] = _extreme(comm, values, centres, largest=True)
+    area = comm.allreduce(float(results.stress_free_areas[cells].sum()))
+    return PartSummary(area, slack, wrinkled, least, largest)
+
+
+def _extreme(comm: MPI.Intracomm, values: Array, places: Array, *, largest: bool) -> Extreme:
+    """The largest or least of all ranks' values, NaN left out; one is finite on some rank.
+
+    Of several equal ones that at the least place, x first, whichever rank has it.
+    """
+    sign = 1.0 if largest else -1.0
+    own = (-np.inf, (0.0, 0.0, 0.0))
+    ranked = np.where(np.isnan(values), -np.inf, sign * values)
+    if len(ranked):
+        ties = np.flatnonzero(ranked == ranked.max())
+        k = int(ties[np.lexsort(places[ties].T[::-1])[0]])
+        own = (float(ranked[k]), tuple(places[k].tolist()))
+    value, at = min(comm.allgather(own), key=lambda one: (-one[0], one[1]))
+    return Extreme(sign * value, at)
+
+
+def held_groups(membrane: Membrane) -> dict[str, tuple[str, Indices]]:
+    """Named groups that are held as a whole: in which directions, and their vertices. Collective.
+
+    Vertices by local degree of freedom, with ghosts.
+    """
+    mesh, found = membrane.mesh, {}
+    groups = [(name, 1, members) for name, members in sorted(mesh.edges.items())]
+    groups += [(name, 0, members) for name, members in sorted(mesh.points.items())]
+    for name, dimension, members in groups:
+        dofs = fem.locate_dofs_topological(membrane.V, dimension, members)
+        free = membrane.comm.allreduce(np.count_nonzero(~membrane.held[dofs], axis=0))
+        directions = "".join(letter for letter, k in COMPONENTS.items() if not free[k])
+        if directions:
+            found[name] = directions, dofs
+    return found
+
+
+def _supports(system: System) -> dict[str, SupportSummary]:
+    membrane, forces = system.scene.membrane, support_forces(system)
+    n, lengths = len(forces), held_lengths(membrane)[: len(forces)]
+    line = np.linalg.norm(forces / np.where(lengths > 0.0, lengths, np.inf), axis=1)
+    others: Booleans = np.any(membrane.held[:n], axis=1)
+    found = {}
+
+    def add(name: str, directions: str, dofs: Indices | Integers, own: Array) -> None:
+        x, y, z = membrane.comm.allreduce(forces[dofs].sum(axis=0)).tolist()
+        sums = np.array([own.sum(), (own * line[dofs]).sum()])
+        length, loaded = membrane.comm.allreduce(sums).tolist()
+        largest = membrane.comm.allreduce(float(line[dofs].max(initial=0.0)), op=MPI.MAX)
+        mean = loaded / length if length > 0.0 else 0.0
+        found[name] = SupportSummary(directions, (x, y, z), length, mean, largest)
+
+    for name, (directions, dofs) in held_groups(membrane).items():
+        own, dofs = np.zeros(len(forces)), dofs[dofs < n]
+        if name in membrane.mesh.edges:
+            own = held_lengths(membrane, name)[:n].max(axis=1)
+        add(name, directions, dofs, own[dofs])
+        others[dofs] = False
+    every = lengths.max(axis=1)
+    if membrane.comm.allreduce(int(others.sum())):
+        add(OTHER_SUPPORTS, "", np.flatnonzero(others), every[others])
+    add(ALL_SUPPORTS, "", np.arange(n), every)
+    return found

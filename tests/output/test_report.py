@@ -1,0 +1,278 @@
+"""Reports: what is in the page and its tables, and what is refused before anything is written."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from walled_roof import roof_mesh
+
+from crms_fenicsx import Cable, InputError, OrthotropicMembrane, Scene, Solver
+from crms_fenicsx.output.report import contents
+from crms_fenicsx.output.report.charts import bars
+from crms_fenicsx.output.report.tables import Table, number, per_cent, place
+
+FABRIC = OrthotropicMembrane(800.0, 500.0, 60.0, nu21=0.1, thickness=1.0, warp=(0.0, 1.0, 0.0))
+TABLE = {"snow <&> ice": {"snow": 1.0}, "storm": {"wind": 1.0, "pressure": 0.5}}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, comm: MPI.Intracomm) -> Path:
+    return Path(comm.bcast(str(tmp_path)))
+
+
+def tent(comm: MPI.Intracomm, on_one_rank: bool = False) -> Solver:
+    """A roof of two halves over a wall, a cable across it, snow and wind."""
+    ranks = (lambda x: np.full(len(x), comm.size - 1)) if on_one_rank else None
+    mesh = roof_mesh(comm, ranks, n=4, size=8.0, height=2.0, rise=1.0, levels=1)
+    scene = Scene(mesh, FABRIC, pressure_on=["roof"])
+    scene.fix("boundary")
+    scene.put_load((0.0, 0.0, -0.3), name="snow", per="plan")
+    scene.put_wind(0.5, -0.6)
+    solver = Solver(scene)
+    solver.advance(pressure=0.4)
+    scene.lay_cable(Cable(EA=2000.0), [(0.0, 5.0), (8.0, 5.5)], tension=2.0, name="ridge")
+    solver.advance()
+    scene.set_strengths({"roof": (30.0, 25.0)})
+    return solver
+
+
+class Page(HTMLParser):
+    """Reads a page: its tables by caption, and that all elements are closed."""
+
+    VOID = ("meta", "img")
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.words: list[str] = []
+        self.tables: dict[str, list[list[str]]] = {}
+        self.images: list[dict[str, str | None]] = []
+        self.rows: list[list[str]] = []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in self.VOID:
+            self.open.append(tag)
+        if tag == "img":
+            self.images.append(dict(attrs))
+        if tag == "table":
+            self.rows = []
+        if tag == "tr":
+            self.rows.append([])
+        if tag in ("td", "th"):
+            if tag == "th":
+                assert dict(attrs)["scope"] in ("col", "row", "rowgroup")
+            self.rows[-1].append("")
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+        if self.open and self.open[-1] in ("td", "th"):
+            self.rows[-1][-1] += data
+        elif self.open and self.open[-1] == "caption":
+            self.tables[data] = self.rows
+
+
+def read_csv(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_report_of_combinations(comm: MPI.Intracomm, folder: Path) -> None:
+    solver = tent(comm)
+    scene = solver.scene
+    u, tension = scene.u.x.array.copy(), scene.cables[0].tension
+    found = solver.combine(TABLE)
+    solver.report(
+        folder / "out" / "tent.html", found, title="Tent <1> & roof", unit="m", force="kN",
+        about={"Project": "A & B"}, cable_strengths={"ridge": 40.0},
+        pictures=["tension", "utilisation"],
+    )  # fmt: skip
+    comm.barrier()
+    assert np.array_equal(scene.u.x.array, u)
+    assert scene.cables[0].tension == tension
+    # what the states say that the combinations led to
+    expected = {}
+    for name, one in found.items():
+        solver.restore(one.snapshot)
+        every = np.concatenate(comm.allgather(solver.results().warp_weft))
+        expected[name] = (every[:, 0].max(), scene.cables[0].tension, solver.summary())
+
+    text = (folder / "out" / "tent.html").read_text(encoding="utf-8")
+    assert len(text.encode()) < 5e6
+    assert re.findall(r"""(?:src|href)\s*=\s*["'](?!data:|#)""", text) == []
+    assert "@import" not in text
+    assert "url(" not in text
+    assert "<script" not in text
+    page = Page(text)
+    assert any("Tent <1> & roof" in word for word in page.words)
+    assert sum("snow <&> ice" in word for word in page.words) > 5
+    assert len(page.images) == 1 + 2 * 2
+    for image in page.images:
+        assert image["alt"]
+        data = base64.b64decode((image["src"] or "").removeprefix("data:image/png;base64,"))
+        assert data.startswith(b"\x89PNG")
+
+    out = folder / "out"
+    names = {path.name for path in out.iterdir()}
+    assert names == {"tent.html"} | {
+        f"tent_{table}.csv"
+        for table in ("combinations", "overview", "membrane", "envelope", "cables",
+                      "cable_envelope", "supports", "anchors", "verification")
+    }  # fmt: skip
+    warp = "Section force along warp [kN/m]"
+    rows = [row for row in read_csv(out / "tent_membrane.csv") if row["Result"] == warp]
+    for name, (largest, _, summary) in expected.items():
+        row = next(r for r in rows if (r["Combination"], r["Part"]) == (name, "whole membrane"))
+        assert float(row["Largest"]) == pytest.approx(largest, rel=1e-9)
+        where = [float(row[f"largest at {x} [m]"]) for x in "xyz"]
+        np.testing.assert_allclose(where, summary.membrane.largest["warp"].at, rtol=1e-9)
+    envelope = read_csv(out / "tent_envelope.csv")
+    worst = max(expected, key=lambda name: expected[name][0])
+    row = next(r for r in envelope if (r["Part"], r["Result"]) == ("whole membrane", warp))
+    assert float(row["Largest"]) == pytest.approx(expected[worst][0], rel=1e-9)
+    assert row["Governs largest"] == worst
+    tensions = {name: one[1] for name, one in expected.items()}
+    for cable in read_csv(out / "tent_cables.csv"):
+        assert float(cable["Mean [kN]"]) == pytest.approx(tensions[cable["Combination"]], rel=1e-9)
+    (cable,) = page.tables["Envelope of the cables' tensions"][1:]
+    assert cable[0] == "ridge"
+    assert cable[5] == number(max(tensions.values()) / 40.0)
+    # the wall has no strengths, and no utilisation
+    used = {row["Part"] for row in envelope if row["Result"] == "Utilisation"}
+    assert used == {"whole membrane", "roof"}
+    for case in read_csv(out / "tent_verification.csv"):
+        assert case["Verdict"] == "passed", case
+    assert any("passed all checks" in word for word in page.words)
+
+
+def test_a_report_of_the_current_state(comm: MPI.Intracomm, folder: Path) -> None:
+    """Where the ranks but one have no cell."""
+    solver = tent(comm, on_one_rank=True)
+    solver.report(folder / "now.html", pictures=[])
+    comm.barrier()
+    page = Page((folder / "now.html").read_text(encoding="utf-8"))
+    assert "Current state" in page.tables["Inner pressure and factors of the loads"][1]
+    assert any("Verified: the state" in word for word in page.words)
+    solver.scene.u.x.array[:] *= 1.01
+    solver.scene.energies = {"membrane": 1.0}  # of a state that no step has led to
+    solver.report(folder / "now.html", pictures=[])
+    comm.barrier()
+    page = Page((folder / "now.html").read_text(encoding="utf-8"))
+    assert any("Not verified in this run" in word for word in page.words)
+
+
+def test_bad_reports_write_nothing(comm: MPI.Intracomm, folder: Path) -> None:
+    solver, other = tent(comm), tent(comm)
+    found = other.combine({"snow": {"snow": 0.1}})
+    page = folder / "tent.html"
+    if comm.rank == 0:
+        page.write_text("as before")
+        (folder / "folder.html").mkdir()
+    comm.barrier()
+    for options, words in (
+        ({"filename": folder / "tent.pdf"}, r"tent.pdf' is no page; give one with .html"),
+        ({"filename": folder / "folder.html"}, "folder.html is a folder"),
+        ({"filename": page / "below.html"}, "cannot be written"),
+        ({"filename": 3}, "filename = 3 is no path"),
+        ({"combinations": {}}, r"combinations = {}; give what solver.combine"),
+        ({"combinations": {"snow": 1.5}}, "combination 'snow' is 1.5"),
+        ({"combinations": found}, "'snow' is of another scene"),
+        ({"title": None}, "title = None is no text"),
+        ({"about": {"Project": 3}}, "about ="),
+        ({"cable_strengths": {"valley": 3.0}}, "no cable 'valley'; there are 'ridge'"),
+        ({"cable_strengths": {"ridge": 0.0}}, "strength of the cable 'ridge' = 0.0"),
+        ({"cable_strengths": 3.0}, "cable_strengths = 3.0"),
+        ({"pictures": ["colour"]}, "'colour', which is not known"),
+        ({"pictures": "stress"}, "write a list"),
+        ({"view": (1.0, 2.0, 3.0)}, "view"),
+    ):
+        with pytest.raises(InputError, match=words):
+            solver.report(**{"filename": page} | options)  # type: ignore[arg-type]
+    solver.scene.membrane.strengths.clear()
+    with pytest.raises(InputError, match=r"no strengths; call scene.set_strengths"):
+        solver.report(page, pictures=["utilisation"])
+    comm.barrier()
+    assert page.read_text() == "as before"
+    assert {path.name for path in folder.iterdir()} == {"tent.html", "folder.html"}
+
+
+def test_what_cannot_be_completed_leaves_what_is_there(
+    comm: MPI.Intracomm, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    solver = tent(comm)
+    page = folder / "tent.html"
+    solver.report(page, pictures=[])
+    comm.barrier()
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+
+    def full(self: Table) -> str:
+        if self.name == "supports":
+            raise OSError(28, "No space left on device")
+        return "new"
+
+    monkeypatch.setattr(Table, "csv", full)
+    with pytest.raises((InputError, OSError), match="No space"):
+        solver.report(page, title="new", pictures=[])
+    comm.barrier()
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_pictures_that_do_not_fit_are_left_out(
+    comm: MPI.Intracomm, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    solver = tent(comm)
+    monkeypatch.setattr(contents, "LARGEST", 150_000)
+    solver.report(folder / "now.html")
+    comm.barrier()
+    text = (folder / "now.html").read_text(encoding="utf-8")
+    page = Page(text)
+    assert len(text) < 150_000
+    assert any("pictures are left out" in word for word in page.words)
+
+
+def test_numbers_as_people_read_them() -> None:
+    shown = {
+        0.0: "0", 1234.56: "1235", 12.3456: "12.35", -0.012343: "\u22120.01234", 9.99996: "10.00",
+        1e-5: "1.000e\u22125", 1.23e9: "1.230e9", np.nan: "\u2013", 123456.7: "123457",
+    }  # fmt: skip
+    for value, text in shown.items():
+        assert number(value) == text
+    assert [per_cent(x) for x in (0.0, 1e-5, 0.1234)] == ["0.0 %", "< 0.1 %", "12.3 %"]
+    assert place((1.23456, -20.0, -1e-9), 40.0) == "1.2; \u221220.0; 0.0"
+
+
+def test_bars_are_as_long_as_their_values() -> None:
+    rows = [("calm <1>", 0.0, 0.5), ("storm", 0.5, 1.25)]
+    text = bars("Utilisation", rows, limit=1.0)
+    Page(text)
+    widths = [float(x) for x in re.findall(r'width="([\d.]+)" height', text)]
+    assert widths[1] == pytest.approx(1.5 * widths[0], rel=1e-2)
+    assert text.count('class="over"') == 1
+    assert "0.5000 to 1.250</text>" in text
+    assert bars("nothing", []) == bars("slack", [("a", 0.0, 0.0)]) == ""
+    assert bars("many", rows * 30) == ""
+
+
+def test_tables_group_rows_of_one_heading() -> None:
+    rows = [("a", "x", 1.0), ("a", "y", None), ("b", "x", 2)]
+    table = Table("T <1>", ("A", "B", "C"), rows, "t", headings=2)
+    page = Page(table.html())
+    assert page.tables["T <1>"] == [
+        ["A", "B", "C"], ["a", "x", "1.000"], ["y", "\u2013"], ["b", "x", "2"],
+    ]  # fmt: skip
+    assert 'rowspan="2"' in table.html()
+    assert table.csv() == "A,B,C\na,x,1.0\na,y,\nb,x,2\n"
+    many = Table("T", ("A",), [("a",)] * 1000, "t")
+    assert "1000 rows" in many.html()
