@@ -19,6 +19,7 @@ from crms_fenicsx.cables.node_table import ANCHOR, RAIL, RIDER, VERTEX, NodeTabl
 from crms_fenicsx.cables.points_on_edges import PointsOnEdges
 from crms_fenicsx.cables.rails import Rails
 from crms_fenicsx.cables.strip import Strip
+from crms_fenicsx.dofs.frame_blocks import FrameBlocks
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.vertex_places import vertex_places
 from crms_fenicsx.model.crossing import NodeId
@@ -203,18 +204,21 @@ class CableNumbering:
                 self.far_vertices[v] = (owner, dof)
                 self._far_X.append(place)
 
-    def unknowns(self) -> Unknowns:
-        """A layout with all cables' points, at their current positions."""
-        unknowns = Unknowns(
-            self.u.function_space, len(self.owned), self.ghosts, list(self.far_vertices.values())
-        )
+    def unknowns(self, frame: FrameBlocks | None = None) -> Unknowns:
+        """A layout with all cables' points, at their current positions, and with a frame's."""
+        V, far_vertices = self.u.function_space, list(self.far_vertices.values())
+        if frame is None:
+            unknowns = Unknowns(V, len(self.owned), self.ghosts, far_vertices)
+        else:
+            of_first = int(np.count_nonzero(self.owners == 0))
+            unknowns = frame.layout(V, len(self.owned), self.ghosts, far_vertices, of_first)
         self.blocks = np.full(len(self.owners), -1, dtype=np.int32)
-        self.blocks[self.owned] = unknowns.owned_point_blocks()
-        self.blocks[self.foreign] = unknowns.ghost_point_blocks()
+        self.blocks[self.owned] = unknowns.owned_point_blocks()[: len(self.owned)]
+        self.blocks[self.foreign] = unknowns.ghost_point_blocks()[: len(self.foreign)]
         # A rank may have no vertex at all.
         self.vertex_blocks = np.append(unknowns.vertex_blocks(), np.int32(-1))[self.dofs]
         """Local blocks of the strip's vertices, or -1."""
-        far = unknowns.far_vertex_blocks()
+        far = unknowns.far_vertex_blocks()[: len(far_vertices)]
         self.vertex_blocks[[self.strip.row_of[v] for v in self.far_vertices]] = far
         self.node_blocks = np.where(self.number >= 0, np.append(self.blocks, -1)[self.number], -1)
         at_vertex = self.nodes.kind == VERTEX

@@ -189,6 +189,7 @@ class Verifier:
         forces += np.sqrt(2 * modulus * abs(energies.get("membrane", 0.0)))
         forces *= reach * scene.membrane.size
         forces += sum(abs(cable.tension) * cable.length for cable in scene.cables)
+        forces += sum(abs(bar.force) * bar.length for bar in scene.bars)
         return float(forces + sum(abs(energy) for energy in energies.values()))
 
     def _difference(self, system: System, shake: Array, size: float) -> float:
@@ -327,6 +328,8 @@ class Verifier:
             loads *= -1.0
         for load in scene.loads:
             unknowns.add_to_vertices(load.factor * load.forces, loads)
+        if system.bars is not None:
+            system.bars.add_loads(loads)
         for term in scene.terms:
             added = np.zeros_like(loads)
             term.add_gradient(system.potential.x, system.potential.sums_of(term), added)
