@@ -155,6 +155,51 @@ class BracedMembrane(LoadedMembrane):
         return checks.vector(f"add_bar: {which} of {name!r}", given)
 
     @collective
+    def remove_bar(self, bar: PlacedBar | str) -> None:
+        """Take a bar away, with the anchors that it alone had. Collective.
+
+        The next load step finds the equilibrium without it. Joints stay.
+
+        Parameters
+        ----------
+        bar
+            A bar of this scene, or its name.
+
+        Raises
+        ------
+        InputError
+            On all ranks: there is no such bar.
+        """
+        checks.same(self.comm, "remove_bar", bar=bar)
+        if isinstance(bar, str):
+            bar = self.bar(bar)
+        if not any(bar is own for own in self.bars):
+            raise InputError(f"remove_bar: {bar!r} is not a bar of this scene.")
+        loaded = {name for load in self.loads for name in load.joints}
+        self.frame.remove_bar(bar, loaded)
+        self.changes += 1
+
+    def bar(self, name: str) -> PlacedBar:
+        """The bar with a name.
+
+        Raises
+        ------
+        InputError
+            There is none.
+        """
+        return checks.named("bar", {bar.name: bar for bar in self.bars}, name)
+
+    def joint(self, name: str) -> Joint:
+        """The joint with a name; that of a bar's anchor is "start of mast" or "end of mast".
+
+        Raises
+        ------
+        InputError
+            There is none.
+        """
+        return checks.named("joint", {joint.name: joint for joint in self.joints}, name)
+
+    @collective
     def put_joint_load(self, forces: Mapping[Joint, Place], *, name: str = "joint load") -> None:
         """Put forces on joints; `Solver.advance` brings them on by their factor. Collective.
 

@@ -16,6 +16,7 @@ from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.loaded_membrane import ANOTHER
 from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.model.bar import Joint
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import MembraneMaterial
@@ -270,7 +271,7 @@ class Scene(BracedMembrane):
     def lay_cable(
         self,
         cable: Cable,
-        path: Sequence[Sequence[float]] | Array,
+        path: Sequence[Sequence[float] | Joint] | Array,
         *,
         L0: float | None = None,
         tension: float | None = None,
@@ -297,7 +298,7 @@ class Scene(BracedMembrane):
             Points of its path: in plan, (k, 2), or in space, (k, 3). A first or last point in
             space that lies off the membrane is an anchor, from which the cable runs straight to
             the membrane: beyond the boundary to where it first meets it, over the membrane to the
-            place below.
+            place below. A `Joint` as first or last point holds the cable's end and moves with it.
         L0
             Unstressed length (length).
         tension
@@ -337,7 +338,8 @@ class Scene(BracedMembrane):
         checks.same(self.comm, "lay_cable", cable=cable, path=path, **given)
         self.membrane.check_finite("lay_cable")
         given["layer"] = checks.whole("lay_cable: layer", layer, 0)
-        laid = lay(self.net, cable, path, **given)
+        route, joints = self.frame.path_of(path)
+        laid = lay(self.net, cable, route, **given, joints=joints)
         self.changes += 1
         return laid
 

@@ -56,6 +56,7 @@ class SavedCable:
     sleeve: bool
     layer: int
     in_edge: bool
+    joints: tuple[str | None, str | None]
     state: CableState
 
 
@@ -154,6 +155,9 @@ class Contents:
                 raise ValueError(f"a load {load.name!r} of the intensity {load.intensity}")
             if not load.joints.keys() <= {joint.name for joint in self.joints}:
                 raise ValueError(f"a load {load.name!r} on joints that are not there")
+        fixed = {name for cable in self.cables for name in cable.joints} - {None}
+        if not fixed <= {joint.name for joint in self.joints}:
+            raise ValueError("a cable that is fixed to a joint that is not there")
         ends = list(chain.from_iterable(bar.ends for bar in self.bars))
         if any(isinstance(end, int) and end not in range(len(self.joints)) for end in ends):
             raise ValueError("a bar that ends at a joint that is not there")

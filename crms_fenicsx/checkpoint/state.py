@@ -187,7 +187,8 @@ def _contents(
         ),
         strip=() if strip is None else tuple(sorted(strip.complete)),
         cables=tuple(
-            SavedCable(c.name, c.cable, c.sleeve, c.layer, c.in_edge, c.state) for c in scene.cables
+            SavedCable(c.name, c.cable, c.sleeve, c.layer, c.in_edge, c.joints, c.state)
+            for c in scene.cables
         ),
         crossings=scene.net.crossings,
         joints=tuple(SavedJoint(j.name, j.first, j.held, j.state) for j in scene.joints),
@@ -248,7 +249,8 @@ def _restore(scene: Scene, fields: Fields, saved: Saved) -> None:
     for own, cable in zip(scene.cables, contents.cables, strict=False):
         own.state = cable.state
     net.cables = net.cables or tuple(
-        LaidCable(c.name, c.cable, c.state, c.sleeve, c.layer, c.in_edge) for c in contents.cables
+        LaidCable(c.name, c.cable, c.state, c.sleeve, c.layer, c.in_edge, c.joints)
+        for c in contents.cables
     )
     net.crossings = contents.crossings
     _restore_frame(scene, contents)

@@ -36,7 +36,8 @@ class BarContribution(Contribution):
         first = np.array([joint.first for joint in frame.joints]).reshape(-1, 3)
         homes = [frame.home(vertex) for vertex in self._vertices]
         places = np.array([vertex.place for vertex in self._vertices]).reshape(-1, 3)
-        self.blocks = FrameBlocks(first, homes, places)
+        names = [joint.name for joint in frame.joints]
+        self.blocks = FrameBlocks(names, first, homes, places)
 
     def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
         frame, blocks = self.scene.frame, self.blocks
@@ -96,8 +97,14 @@ class BarContribution(Contribution):
         scene = self.scene
         forces = self._forces()
         for joint, force in zip(scene.joints, forces, strict=True):
-            pulls = [bar.pull(joint) for bar in scene.bars if joint in (bar.start, bar.end)]
-            balance = -force - np.sum(pulls, axis=0) if pulls else -force
+            balance: Array = -np.asarray(force)
+            for bar in scene.bars:
+                if joint in (bar.start, bar.end):
+                    balance -= bar.pull(joint)
+            for cable in scene.cables:
+                for end, name in zip((cable.start, cable.end), cable.joints, strict=True):
+                    if name == joint.name and cable.taut:
+                        balance += end.reaction
             joint.update(reaction=np.where(joint.held, balance, 0.0) + 0.0)  # no -0.0
 
 

@@ -20,8 +20,8 @@ class FrameBlocks:
 
     Parameters
     ----------
-    joints : (n, 3)
-        Where the joints were made (length).
+    names, joints : (n,), (n, 3)
+        The joints, and where they were made (length).
     homes, places : (m, 2), (m, 3)
         Ranks that own the vertices and degrees of freedom there, and stress-free places (length);
         the same on all ranks.
@@ -34,8 +34,19 @@ class FrameBlocks:
         Those of the vertices, on the first rank; -1 on others.
     """
 
-    def __init__(self, joints: Array, homes: Sequence[tuple[int, int]], places: Array) -> None:
+    def __init__(
+        self,
+        names: Sequence[str],
+        joints: Array,
+        homes: Sequence[tuple[int, int]],
+        places: Array,
+    ) -> None:
+        self._number = {name: k for k, name in enumerate(names)}
         self.joints, self._homes, self._places = joints, homes, places
+
+    def block(self, joint: str) -> int:
+        """Local block of a joint."""
+        return int(self.joint_blocks[self._number[joint]])
 
     def layout(
         self,

@@ -22,7 +22,7 @@ from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.segments import difference
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
+from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans, Indices
 
 SLACK = 1e-3
 """Part of its axial stiffness that a slack guy has in H0."""
@@ -91,6 +91,16 @@ class BarEnergy(EnergyTerm):
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Add the bars' pull on their ends."""
         _add_forces(self._X, x, self.table.ends, self.forces, g)
+
+    def rounding(self, x: Array, sums: Array) -> float:
+        """Squared norm of the forces that rounding leaves at the ends of this rank's bars.
+
+        Of a bar's direction and of its length, from coordinates that may be longer than itself.
+        """
+        ends = self._X[self.table.ends] + x[self.table.ends]
+        far = np.linalg.norm(ends, axis=2).max(axis=1, initial=0.0)
+        stiffness = np.abs(self.forces) / self.lengths + self.table.EA / self.table.L0
+        return float(np.sum((EPSILON * stiffness * far) ** 2))
 
     def count_stiffness(self, sizes: RowSizes) -> None:
         self._pattern.count(sizes)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Sequence
 from itertools import count
+from typing import Any
 
 import numpy as np
 
@@ -138,6 +139,13 @@ class Frame:
         self.bars = (*self.bars, placed)
         return placed
 
+    def remove_bar(self, bar: PlacedBar, loaded: Collection[str]) -> None:
+        """Take a bar away, and its anchors unless others end or forces act there."""
+        self.bars = tuple(other for other in self.bars if other is not bar)
+        used = {end for other in self.bars for end in (other.start, other.end)}
+        own = {f"start of {bar.name}", f"end of {bar.name}"} - set(loaded)
+        self.joints = tuple(j for j in self.joints if j.name not in own or j in used)
+
     def bar_name(self, name: str | None) -> str:
         """The name of a new bar, by default "bar 1", "bar 2" ..."""
         found = _checked_name("add_bar", "bar", name, (bar.name for bar in self.bars))
@@ -150,21 +158,40 @@ class Frame:
         """The number of a joint of this scene; -1 if it is none."""
         return next((k for k, own in enumerate(self.joints) if own is joint), -1)
 
-    def check_held(self, cable_ends: Iterable[Joint]) -> None:
+    def path_of(
+        self, path: Sequence[Sequence[float] | Joint] | Array
+    ) -> tuple[Any, tuple[str | None, str | None]]:
+        """A cable's path with the places of joints, and their names at its first and last point."""
+        names: list[str | None] = [None, None]
+        if not isinstance(path, list | tuple) or not any(isinstance(p, Joint) for p in path):
+            return path, (None, None)
+        points: list[Any] = list(path)
+        for k, point in enumerate(points):
+            if isinstance(point, Joint):
+                if k not in (0, len(points) - 1) or self.number(point) < 0:
+                    raise InputError(
+                        f"lay_cable: path has {point!r} as point {k + 1}; only its first and last "
+                        "point may be joints, of this scene."
+                    )
+                names[k > 0], points[k] = point.name, point.position
+        return points, (names[0], names[1])
+
+    def check_held(self, cable_ends: Iterable[str | None]) -> None:
         """Refuse joints that nothing holds.
 
         Parameters
         ----------
         cable_ends
-            The joints at which cables end, that lie on the membrane elsewhere.
+            Names of the joints to which cables are fixed, which lie on the membrane elsewhere.
 
         Raises
         ------
         InputError
             A joint that is free and without a bar, or from which no bars lead to what is held.
         """
-        reached: set[object] = {joint for joint in self.joints if joint.held.all()}
-        reached |= {*self.vertices, *cable_ends}
+        of_cables = set(cable_ends)
+        reached: set[object] = {j for j in self.joints if j.held.all() or j.name in of_cables}
+        reached |= set(self.vertices)
         grows = True
         while grows:
             ends = [{bar.start, bar.end} for bar in self.bars]

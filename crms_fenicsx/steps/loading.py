@@ -105,7 +105,7 @@ def checked_target(
             raise InputError(
                 f"advance: {name} = {given!r} is no mapping; write {name}={{what: value}}."
             )
-    scene.frame.check_held(())
+    scene.frame.check_held(name for cable in scene.cables for name in cable.joints)
     movements = checked_movements(scene, move, steps)
     if value != 0.0:
         _check_rim(scene)

@@ -19,6 +19,9 @@ Way = Callable[[Array, float], Array]
 Move = Sequence[float] | Array | Way
 """One displacement (3,) for all, reached in equal parts, or a function."""
 
+ROUNDING = 64 * EPSILON
+"""What a function may have left of zero, relative to places and displacements."""
+
 
 @dataclass(frozen=True)
 class Rotation:
@@ -127,10 +130,10 @@ class Motion:
             The function returns something else, or does not begin at zero.
         """
         if callable(self.move):
-            start, size = self.at(0.0), np.abs(self.places).max(initial=0.0)
+            start = self.at(0.0)
             ends = [self.at((k + 1) / self.steps) for k in range(self.steps)]
-            size = max(size, *(np.abs(end).max(initial=0.0) for end in ends))
-            far = np.flatnonzero(np.abs(start).max(axis=1) > 64 * EPSILON * size)
+            size = max(float(np.abs(v).max(initial=0.0)) for v in (self.places, *ends))
+            far = np.flatnonzero(np.abs(start).max(axis=1, initial=0.0) > ROUNDING * size)
             if len(far):
                 raise InputError(
                     f"{self.what}: the function returned {start[far[0]]} for the place "
@@ -143,8 +146,15 @@ class Motion:
         return np.array(ends)
 
     def moving(self) -> Booleans:
-        """Which components of the places move, (n, 3)."""
-        return np.asarray((self.sampled != 0.0).any(axis=0))
+        """Which components of the places move, (n, 3), by more than a function's rounding."""
+        least = self._rounding() if callable(self.move) else 0.0
+        return np.asarray((np.abs(self.sampled) > least).any(axis=0))
+
+    def _rounding(self) -> float:
+        """Displacements up to which a function may mean zero (length)."""
+        return ROUNDING * float(
+            max(np.abs(v).max(initial=0.0) for v in (self.places, self.sampled))
+        )
 
     @property
     def displacement(self) -> Array | None:

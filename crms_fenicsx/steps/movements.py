@@ -158,6 +158,11 @@ def _anchor(scene: Scene, end: CableEnd) -> tuple[int, int]:
             "which is not held there; hold it with scene.fix before laying the cable, "
             "or lay the cable to an anchor off the membrane."
         )
+    if end.cable.joints[k] is not None:
+        raise InputError(
+            f"advance: the {end.which} of {end.cable.name!r} is fixed to the joint "
+            f"{end.cable.joints[k]!r}, which moves by its balance; move what holds that."
+        )
     return c, k  # the last node's number changes with the path
 
 
@@ -242,7 +247,7 @@ def _carried(
         (c, k): np.zeros(3)
         for c, cable in enumerate(scene.cables)
         for k in (0, -1)
-        if cable.nodes[k].kind == "anchor"
+        if cable.nodes[k].kind == "anchor" and cable.joints[k] is None
     }
     travels |= {j: np.zeros(3) for j, joint in enumerate(scene.joints) if joint.held.any()}
     for c, k, motion in ends:
