@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from crms_fenicsx.contributions.contribution import Contribution
@@ -9,6 +11,7 @@ from crms_fenicsx.dofs.frame_blocks import FrameBlocks
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.bars import BarEnergy, BarTable, JointLoads
 from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.minimization.damping import Damping, Springs
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.model.bar import Joint
 from crms_fenicsx.runtime.arrays import Array
@@ -43,6 +46,8 @@ class BarContribution(Contribution):
         frame, blocks = self.scene.frame, self.blocks
         for joint, block in zip(frame.joints, blocks.joint_blocks, strict=True):
             unknowns.held[block] = joint.held
+        if unknowns.bounds is not None:  # the floor is for the membrane
+            unknowns.bounds[0][blocks.joint_blocks] = -np.inf
         at: dict[object, np.int32] = dict(zip(frame.joints, blocks.joint_blocks, strict=True))
         at |= dict(zip(self._vertices, blocks.vertex_blocks, strict=True))
         bars = frame.bars if self.scene.comm.rank == 0 else ()
@@ -58,6 +63,18 @@ class BarContribution(Contribution):
         mine = blocks.joint_blocks if self.scene.comm.rank == 0 else blocks.joint_blocks[:0]
         self._loads = JointLoads(mine)
         return [self._bars, self._loads]
+
+    def damping(self, of_cables: Damping | None) -> Damping:
+        """What damps the quasi-Newton steps of bars' ends, and of cables.
+
+        As with the parts of a cable: sideways nothing holds the ends of slack guys and of bars
+        without force. A chain of them has no equilibrium found without it.
+        """
+        none = np.zeros((0, 3), dtype=np.int32)
+        springs = Springs(none, np.zeros(0), none[:, :2])
+        springs = springs if of_cables is None else of_cables.springs
+        segments = np.concatenate([springs.segments, self._bars.table.ends])
+        return Damping(replace(springs, segments=segments))
 
     def read_scene(self, potential: Potential) -> None:
         frame, joints = self.scene.frame, self.blocks.joint_blocks

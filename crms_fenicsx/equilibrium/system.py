@@ -110,6 +110,8 @@ class System:
         self.contributions.append(AddedTermsContribution(scene))
         hold(scene, self.unknowns)
         terms = [term for part in self.contributions for term in part.terms(self.unknowns)]
+        if self.bars is not None:
+            damping = self.bars.damping(damping)
         self.potential = Potential(self.unknowns, scene.u, terms, damping)
         self.minimizer = Minimizer(self.potential, self.prefix, self.rtol)
         self.built_for = scene.changes

@@ -76,6 +76,7 @@ class Verifier:
         self.scene, self.comm = scene, scene.comm
         self._random = np.random.default_rng((2026, scene.comm.rank))
         self._prescribed: tuple[Array, Array] = np.zeros((0, 3)), np.zeros((0, 2, 3))
+        self._joints: list[Array] = []
         self._cables: CableVerifier | None = None
         self._shake = np.zeros(0)
         self._saved: Array = np.zeros((0, 3))
@@ -88,6 +89,7 @@ class Verifier:
         u = scene.u.x.array.reshape(-1, 3)[scene.held]
         ends = [cable.positions[[0, -1]] for cable in scene.cables]
         self._prescribed = u, np.array(ends).reshape(-1, 2, 3)
+        self._joints = [joint.position for joint in scene.joints]
 
     def check(self, system: System, outcome: Outcome) -> Verification:
         """Check the state that a solve has left in the scene and in the potential. Collective.
@@ -279,6 +281,8 @@ class Verifier:
         away = float(
             np.max(np.abs(scene.u.x.array.reshape(-1, 3)[scene.held] - moved), initial=0.0)
         )
+        for joint, place in zip(scene.joints, self._joints, strict=True):
+            away = max(away, float(np.max(np.abs(joint.position - place)[joint.held], initial=0.0)))
         under = 0.0
         if scene.floor_level is not None:
             heights = scene.positions()[~scene.held[:, 2], 2]
