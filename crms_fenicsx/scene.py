@@ -298,7 +298,8 @@ class Scene(BracedMembrane):
             Points of its path: in plan, (k, 2), or in space, (k, 3). A first or last point in
             space that lies off the membrane is an anchor, from which the cable runs straight to
             the membrane: beyond the boundary to where it first meets it, over the membrane to the
-            place below. A `Joint` as first or last point holds the cable's end and moves with it.
+            place below. A `Joint` as first or last point (others in space then) holds the cable's end
+            and moves with it.
         L0
             Unstressed length (length).
         tension

@@ -192,10 +192,11 @@ def _held_joint(scene: Scene, joint: Joint, motion: Motion) -> int:
 def _check_group(scene: Scene, name: str, dofs: Indices, motion: Motion) -> None:
     """Refuse movements in directions that are not held. Collective."""
     with raised_together(scene.comm):
-        free = motion.moving() & ~scene.held[dofs]
+        moving = motion.moving()
+        free = moving & ~scene.held[dofs]
         if free.any():
             row = int(np.argmax(free.any(axis=1)))
-            letters = "".join(np.array(list("xyz"))[free.any(axis=0)])
+            letters = "".join(np.array(list("xyz"))[moving.any(axis=0)])
             raise InputError(
                 f"advance: {name!r} is not held in {letters}, so that it cannot be moved by "
                 f"{motion.sampled[-1, row]}; call scene.fix({name!r}, {letters!r}) first."

@@ -109,7 +109,9 @@ def test_groups_need_hold_only_where_functions_move_them(comm):
     X = scene.membrane.stress_free[right]
     heights = scene.positions()[right, 2]
     np.testing.assert_allclose(heights, 0.1 + 0.05 * X[:, 1], atol=1e-14)
-    with pytest.raises(InputError, match=r"'right' is not held in y, .*scene\.fix\('right', 'y'\)"):
+    with pytest.raises(
+        InputError, match=r"'right' is not held in yz, .*scene\.fix\('right', 'yz'\)"
+    ):
         solver.advance(move={"right": Rotation((0, 0, 0), (1, 0, 0), 0.1)})
 
 
