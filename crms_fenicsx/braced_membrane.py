@@ -156,7 +156,7 @@ class BracedMembrane(LoadedMembrane):
 
     @collective
     def remove_bar(self, bar: PlacedBar | str) -> None:
-        """Take a bar away, with the anchors that it alone had. Collective.
+        """Take a bar away, with the anchors that nothing else needs. Collective.
 
         The next load step finds the equilibrium without it. Joints stay.
 
@@ -175,9 +175,12 @@ class BracedMembrane(LoadedMembrane):
             bar = self.bar(bar)
         if not any(bar is own for own in self.bars):
             raise InputError(f"remove_bar: {bar!r} is not a bar of this scene.")
-        loaded = {name for load in self.loads for name in load.joints}
-        self.frame.remove_bar(bar, loaded)
+        self.frame.remove_bar(bar, self._used_joints())
         self.changes += 1
+
+    def _used_joints(self) -> set[str | None]:
+        """Names of the joints that loads need."""
+        return {name for load in self.loads for name in load.joints}
 
     def bar(self, name: str) -> PlacedBar:
         """The bar with a name.

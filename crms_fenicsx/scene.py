@@ -298,8 +298,8 @@ class Scene(BracedMembrane):
             Points of its path: in plan, (k, 2), or in space, (k, 3). A first or last point in
             space that lies off the membrane is an anchor, from which the cable runs straight to
             the membrane: beyond the boundary to where it first meets it, over the membrane to the
-            place below. A `Joint` as first or last point (others in space then) holds the cable's end
-            and moves with it.
+            place below. A `Joint` as first or last point (the others in space) holds the cable's
+            end, which moves with it.
         L0
             Unstressed length (length).
         tension
@@ -343,6 +343,10 @@ class Scene(BracedMembrane):
         laid = lay(self.net, cable, route, **given, joints=joints)
         self.changes += 1
         return laid
+
+    def _used_joints(self) -> set[str | None]:
+        """Names of the joints that loads and cables need."""
+        return super()._used_joints().union(*(cable.joints for cable in self.cables))
 
     @collective
     def remove(self, cable: LaidCable | str) -> None:

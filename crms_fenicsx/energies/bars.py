@@ -22,6 +22,7 @@ from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.segments import difference
 from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.model.bar import SHORTEST
 from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans, Indices
 
 SLACK = 1e-3
@@ -99,7 +100,7 @@ class BarEnergy(EnergyTerm):
         """
         ends = self._X[self.table.ends] + x[self.table.ends]
         far = np.linalg.norm(ends, axis=2).max(axis=1, initial=0.0)
-        stiffness = np.abs(self.forces) / self.lengths + self.table.EA / self.table.L0
+        stiffness = np.abs(self.forces) / self._least_lengths() + self.table.EA / self.table.L0
         return float(np.sum((EPSILON * stiffness * far) ** 2))
 
     def count_stiffness(self, sizes: RowSizes) -> None:
@@ -117,13 +118,18 @@ class BarEnergy(EnergyTerm):
         """Add stiffness, slack guys with a part of theirs, forces no less than some."""
         t = self.table
         axial = np.where(t.tension_only & (self.lengths < t.L0), slack, 1.0) * t.EA / t.L0
-        across = np.maximum(self.forces, least) / self.lengths
+        lengths = self._least_lengths()
+        across = np.maximum(self.forces, least) / lengths
         ways = self._X[t.ends] + x[t.ends]
-        d = (ways[:, 1] - ways[:, 0]) / self.lengths[:, None]
+        d = (ways[:, 1] - ways[:, 0]) / lengths[:, None]
         along = d[:, :, None] * d[:, None, :]
         self._pattern.own_values[:] = (axial - across)[:, None, None] * along
         self._pattern.own_values += across[:, None, None] * np.eye(3)
         self._pattern.add(A, self.unknowns)
+
+    def _least_lengths(self) -> Array:
+        """The lengths, but those of bars whose ends meet, which have no direction."""
+        return np.maximum(self.lengths, SHORTEST * self.table.L0)
 
     def elements_on(self, chosen: Booleans) -> BarTable | None:
         some = chosen[self.table.ends].any(axis=1)

@@ -12,6 +12,8 @@ from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.runtime.readonly import ReadOnly
 
+SHORTEST = 1e-12
+"""Length of a bar, relative to its unstressed one, up to which it has no direction."""
 FOUND = "it follows from the loads, call solver.advance(...)"
 ANOTHER_BAR = "add another bar with scene.add_bar(...)"
 ANOTHER_JOINT = "add another joint with scene.add_joint(...)"
@@ -177,7 +179,7 @@ class PlacedBar:
 
     def pull(self, end: BarEnd) -> Array:
         """Force (3,) with which it acts on one of its ends (force)."""
-        way = (self.points[1] - self.points[0]) / self.length
+        way = (self.points[1] - self.points[0]) / max(self.length, SHORTEST * self.L0)
         return self.force * (float(end == self.start) - float(end == self.end)) * way
 
     def __repr__(self) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence, Set
 from itertools import count
 from typing import Any
 
@@ -139,11 +139,11 @@ class Frame:
         self.bars = (*self.bars, placed)
         return placed
 
-    def remove_bar(self, bar: PlacedBar, loaded: Collection[str]) -> None:
-        """Take a bar away, and its anchors unless others end or forces act there."""
+    def remove_bar(self, bar: PlacedBar, needed: Set[str | None]) -> None:
+        """Take a bar away, and its anchors unless others end there or they are needed by name."""
         self.bars = tuple(other for other in self.bars if other is not bar)
         used = {end for other in self.bars for end in (other.start, other.end)}
-        own = {f"start of {bar.name}", f"end of {bar.name}"} - set(loaded)
+        own = {f"start of {bar.name}", f"end of {bar.name}"} - needed
         self.joints = tuple(j for j in self.joints if j.name not in own or j in used)
 
     def bar_name(self, name: str | None) -> str:

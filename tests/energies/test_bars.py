@@ -73,6 +73,15 @@ def test_h0_keeps_a_little_of_a_slack_guy():
     assert np.linalg.norm(f.matrix(0 * X), 2) == pytest.approx(2 * SLACK * 3.0 / table.L0[0])
 
 
+def test_a_bar_whose_ends_meet_has_no_direction():
+    meet = np.array([X[0], X[0]])
+    table = BarTable(ENDS[:1], np.array([3.0]), np.array([2.0]), np.array([False]))
+    f = TermOnPoints(BarEnergy(table), meet)
+    energy, g = f.value(0 * meet)
+    assert energy == pytest.approx(3.0) and not g.any()
+    assert np.isfinite(f.matrix(0 * meet)).all()
+
+
 def test_some_of_the_bars_make_a_term_of_their_own():
     f, x = TermOnPoints(term(), X), 0.02 * noise(X, 1)
     f.value(x)

@@ -130,6 +130,12 @@ def test_guys_are_tightened_and_anchors_moved(comm):
     np.testing.assert_allclose(pole.start.position, [0.0, 9.0, -0.001], atol=1e-15)
     with pytest.raises(InputError, match=r"Joint\('top'\) is not held in x, "):
         solver.advance(move={top: (0.1, 0.0, 0.0)})
+    scene.lay_cable(Cable(1e3), [pole.start, (3.0, 2.0, 0.0)])
+    with solver.branch("without its mast"):
+        scene.remove_bar(pole)
+        assert scene.joint("start of mast") is pole.start, "a cable ends there"
+    assert scene.bar("mast") is pole
+    scene.remove(scene.cables[0])
     scene.remove_bar("east")
     assert [joint.name for joint in scene.joints] == ["top", "start of mast", "end of west"]
     solver.advance(load=1.0)
