@@ -9,6 +9,7 @@ from crms_fenicsx import meshes
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.groups import combine_in_groups
 from crms_fenicsx.minimization.taylor import TaylorRates, taylor_test
+from crms_fenicsx.model.bar import Bar, Joint, MeshVertex, PlacedBar
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable
@@ -27,9 +28,11 @@ from crms_fenicsx.runtime.errors import (
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.solver import Solver
 from crms_fenicsx.steps.load_step import Step
+from crms_fenicsx.steps.motion import Rotation
 
 __version__ = "0.1.0"
 __all__ = [
+    "Bar",
     "Cable",
     "ConvergenceError",
     "EnergyTerm",
@@ -37,13 +40,17 @@ __all__ = [
     "FrictionWarning",
     "InputError",
     "IsotropicMembrane",
+    "Joint",
     "LaidCable",
     "MeshError",
+    "MeshVertex",
     "OrthotropicMembrane",
     "PathError",
     "PathWarning",
     "PenaltyWarning",
     "PictureWarning",
+    "PlacedBar",
+    "Rotation",
     "Scene",
     "Solver",
     "Step",

@@ -8,13 +8,15 @@ from weakref import proxy
 
 from dolfinx import fem
 
+from crms_fenicsx.braced_membrane import BracedMembrane
 from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.enclosed_volume import gained_volume
 from crms_fenicsx.energies.checked_term import checked_energy
 from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.loaded_membrane import ANOTHER, LoadedMembrane
+from crms_fenicsx.loaded_membrane import ANOTHER
 from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.model.bar import Joint
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import MembraneMaterial
@@ -38,7 +40,7 @@ class Cables(tuple[LaidCable, ...]):
         self._scene.remove(cable)
 
 
-class Scene(LoadedMembrane):
+class Scene(BracedMembrane):
     """A cable-reinforced membrane structure and its current state.
 
     Units are the user's: any consistent set of length and force.
@@ -269,7 +271,7 @@ class Scene(LoadedMembrane):
     def lay_cable(
         self,
         cable: Cable,
-        path: Sequence[Sequence[float]] | Array,
+        path: Sequence[Sequence[float] | Joint] | Array,
         *,
         L0: float | None = None,
         tension: float | None = None,
@@ -296,7 +298,8 @@ class Scene(LoadedMembrane):
             Points of its path: in plan, (k, 2), or in space, (k, 3). A first or last point in
             space that lies off the membrane is an anchor, from which the cable runs straight to
             the membrane: beyond the boundary to where it first meets it, over the membrane to the
-            place below.
+            place below. A `Joint` as first or last point (the others in space) holds the cable's
+            end, which moves with it.
         L0
             Unstressed length (length).
         tension
@@ -336,9 +339,14 @@ class Scene(LoadedMembrane):
         checks.same(self.comm, "lay_cable", cable=cable, path=path, **given)
         self.membrane.check_finite("lay_cable")
         given["layer"] = checks.whole("lay_cable: layer", layer, 0)
-        laid = lay(self.net, cable, path, **given)
+        route, joints = self.frame.path_of(path)
+        laid = lay(self.net, cable, route, **given, joints=joints)
         self.changes += 1
         return laid
+
+    def _used_joints(self) -> set[str | None]:
+        """Names of the joints that loads and cables need."""
+        return super()._used_joints().union(*(cable.joints for cable in self.cables))
 
     @collective
     def remove(self, cable: LaidCable | str) -> None:

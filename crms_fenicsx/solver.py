@@ -32,6 +32,7 @@ from crms_fenicsx.steps.increment_solver import IncrementSolver
 from crms_fenicsx.steps.load_cases import LoadCases
 from crms_fenicsx.steps.load_step import Step
 from crms_fenicsx.steps.loading import checked_target
+from crms_fenicsx.steps.motion import Move
 from crms_fenicsx.steps.options import checked_options
 from crms_fenicsx.steps.warnings import no_equilibrium, warn_of_blocked, warn_of_friction
 
@@ -144,7 +145,7 @@ class Solver(LoadCases, SolverResults, Reporting):
         self,
         *,
         pressure: float | None = None,
-        move: Mapping[object, tuple[float, float, float]] | None = None,
+        move: Mapping[object, Move] | None = None,
         L0: Mapping[object, float] | None = None,
         load: float | Mapping[str, float] | None = None,
         steps: int = 1,
@@ -161,13 +162,13 @@ class Solver(LoadCases, SolverResults, Reporting):
         pressure
             Pressure to reach (force per area), positive to the membrane's outside.
         move
-            Displacements (length) of cables (both ends), cable ends (``cable.start``) or held
-            groups of vertices, by which they move during this call. What is named twice, as a
-            corner of two groups, moves by the sum. Groups need to be held only in the directions
-            in which they move. Cable ends on a moved group stay where they are unless they are
-            moved as well.
+            Displacements (length) of cables (both ends), cable ends (``cable.start``), held joints
+            (``bar.start``) or held groups, by which they move during this call, or functions that
+            give them: `Rotation`, `Way`. What is named twice, as a corner of two groups, moves by
+            the sum. Groups need to be held only in the directions in which they move. Cable ends
+            on a moved group stay where they are unless they are moved as well.
         L0
-            Unstressed lengths of cables to reach (length).
+            Unstressed lengths of cables and bars to reach (length).
         load
             Factors to reach of the loads on the membrane, by their names; those not named keep
             theirs. Where there is one load only, a number is its factor.
@@ -182,8 +183,7 @@ class Solver(LoadCases, SolverResults, Reporting):
         Raises
         ------
         InputError
-            A load that cannot be applied, or results in a folder to which another solver writes;
-            nothing is computed then.
+            Loads that cannot be applied, or another solver's folder; nothing is computed then.
         ConvergenceError
             No equilibrium was found; the scene is at the last good state.
         KeyboardInterrupt, SystemExit
@@ -197,11 +197,11 @@ class Solver(LoadCases, SolverResults, Reporting):
         )
         checks.whole("advance: steps", steps, 1)
         move, L0 = {} if move is None else move, {} if L0 is None else L0
-        target = checked_target(scene, pressure, move, L0, load)
+        target = checked_target(scene, pressure, move, L0, load, steps)
         self._recorder.claim(bool(self._options.resume))
         self._increments.forget_removed()
         first = State.of(scene)
-        done, increment = self._resumed(plain_loads(pressure, move, L0, load, steps), steps)
+        done, increment = self._resumed(plain_loads(pressure, target.moves, L0, load, steps))
         halvings, began = 0, time.perf_counter()
         spent: Outcome | None = None
         with postponed(scene.comm), progress(scene.comm, steps, "load steps") as bar:
@@ -237,7 +237,7 @@ class Solver(LoadCases, SolverResults, Reporting):
                 began, spent, halvings = time.perf_counter(), None, 0
         return self.steps[-1]
 
-    def _resumed(self, loads: Plain, steps: int) -> tuple[float, float]:
+    def _resumed(self, loads: Plain) -> tuple[float, float]:
         """Bring scene and solver to where a call to `advance` has come to before. Collective.
 
         Returns
@@ -246,7 +246,7 @@ class Solver(LoadCases, SolverResults, Reporting):
         """
         if self._journal is None:
             return 0.0, 1.0
-        come, run = self._journal.begin(self.scene, loads, steps)
+        come, run = self._journal.begin(self.scene, loads)
         if run is not None:
             self._go_on_from(run)
         if come.failure is not None:

@@ -19,6 +19,7 @@ from crms_fenicsx.cables.node_table import ANCHOR, RAIL, RIDER, VERTEX, NodeTabl
 from crms_fenicsx.cables.points_on_edges import PointsOnEdges
 from crms_fenicsx.cables.rails import Rails
 from crms_fenicsx.cables.strip import Strip
+from crms_fenicsx.dofs.frame_blocks import FrameBlocks
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.vertex_places import vertex_places
 from crms_fenicsx.model.crossing import NodeId
@@ -203,18 +204,22 @@ class CableNumbering:
                 self.far_vertices[v] = (owner, dof)
                 self._far_X.append(place)
 
-    def unknowns(self) -> Unknowns:
-        """A layout with all cables' points, at their current positions."""
-        unknowns = Unknowns(
-            self.u.function_space, len(self.owned), self.ghosts, list(self.far_vertices.values())
-        )
+    def unknowns(self, frame: FrameBlocks | None = None) -> Unknowns:
+        """A layout with all cables' points, at their current positions, and with a frame's."""
+        self._frame = frame
+        V, far_vertices = self.u.function_space, list(self.far_vertices.values())
+        if frame is None:
+            unknowns = Unknowns(V, len(self.owned), self.ghosts, far_vertices)
+        else:
+            of_first = int(np.count_nonzero(self.owners == 0))
+            unknowns = frame.layout(V, len(self.owned), self.ghosts, far_vertices, of_first)
         self.blocks = np.full(len(self.owners), -1, dtype=np.int32)
-        self.blocks[self.owned] = unknowns.owned_point_blocks()
-        self.blocks[self.foreign] = unknowns.ghost_point_blocks()
+        self.blocks[self.owned] = unknowns.owned_point_blocks()[: len(self.owned)]
+        self.blocks[self.foreign] = unknowns.ghost_point_blocks()[: len(self.foreign)]
         # A rank may have no vertex at all.
         self.vertex_blocks = np.append(unknowns.vertex_blocks(), np.int32(-1))[self.dofs]
         """Local blocks of the strip's vertices, or -1."""
-        far = unknowns.far_vertex_blocks()
+        far = unknowns.far_vertex_blocks()[: len(far_vertices)]
         self.vertex_blocks[[self.strip.row_of[v] for v in self.far_vertices]] = far
         self.node_blocks = np.where(self.number >= 0, np.append(self.blocks, -1)[self.number], -1)
         at_vertex = self.nodes.kind == VERTEX
@@ -256,11 +261,11 @@ class CableNumbering:
     def hold(self, unknowns: Unknowns) -> None:
         """Hold the anchors; let tied points and the sliding points of slack cables ride.
 
-        Collective.
+        Ends that are fixed to joints ride on these. Collective.
         """
-        nodes, rows = self.nodes, self._own_points
+        nodes, rows, joints = self.nodes, self._own_points, self._joint_blocks()
         unknowns.held[self.node_blocks[rows[nodes.kind[rows] == ANCHOR]]] = True
-        rides = (nodes.kind == RIDER) | (nodes.slides & ~nodes.taut)
+        rides = (nodes.kind == RIDER) | (nodes.slides & ~nodes.taut) | (joints >= 0)
         loaded, idle = (rows[rides[rows] & (nodes.taut[rows] == taut)] for taut in (True, False))
         riders = np.concatenate([loaded, idle])
         weights = nodes.weights[riders]
@@ -268,6 +273,8 @@ class CableNumbering:
         s = self.fractions()[riders[slides]]
         weights[slides, :2] = np.stack([1 - s, s], axis=1)
         ends = self.support_blocks(riders)
+        on_joint = joints[riders] >= 0
+        ends[on_joint, 0], weights[on_joint, 0] = joints[riders[on_joint]], 1.0
         unknowns.set_riders(
             self.node_blocks[riders].astype(np.int32),
             np.where(ends < 0, ends[:, :1], ends).astype(np.int32),
@@ -287,6 +294,16 @@ class CableNumbering:
             unknowns.update_ghosts(vector)  # on far vertices
             self.rails.place(unknowns, x)
             vector.destroy()
+
+    def _joint_blocks(self) -> Integers:
+        """Local blocks of the joints to which nodes are fixed, (nodes,); -1 for others."""
+        found = np.full(len(self.nodes.kind), -1)
+        for c, cable in enumerate(self.cables):
+            for k, name in zip((0, len(cable.nodes) - 1), cable.joints, strict=True):
+                if name is not None:
+                    assert self._frame is not None
+                    found[self.row(c, k)] = self._frame.block(name)
+        return found
 
     def fractions(self) -> Array:
         """Where the nodes are on their edges now, (nodes,)."""

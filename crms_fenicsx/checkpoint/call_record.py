@@ -9,8 +9,9 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.checkpoint.codec import Plain, encode
-from crms_fenicsx.checkpoint.fields import dof_vertex_ids, edge_vertices
+from crms_fenicsx.checkpoint.fields import edge_vertices
 from crms_fenicsx.checkpoint.fingerprint import fingerprint, mixed
+from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
 from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.scene import Scene
@@ -40,6 +41,8 @@ def plain_loads(
 
 
 def _name(key: object) -> str:
+    if isinstance(key, Joint | PlacedBar):
+        return f"{'joint' if isinstance(key, Joint) else 'bar'} {key.name!r}"
     if isinstance(key, CableEnd):
         return f"{key.which} of the cable {key.cable.name!r}"
     return f"cable {key.name!r}" if isinstance(key, LaidCable) else f"group {key!r}"
@@ -53,7 +56,7 @@ def scene_record(scene: Scene) -> Plain:
     """
     mesh = scene.mesh.mesh
     own = scene.V.dofmap.index_map.size_local
-    ids = dof_vertex_ids(scene)
+    ids = scene.membrane.vertex_ids
     cells = mesh.topology.index_map(2).size_local
     pairs = np.sort(edge_vertices(scene)[: mesh.topology.index_map(1).size_local], axis=1)
     pressed = scene.membrane.pressed[:cells, None].astype(np.int64)
@@ -79,10 +82,28 @@ def scene_record(scene: Scene) -> Plain:
                     *_sums(scene, ids, load.forces),
                     load.intensity * scene.membrane.size**2,
                 ],
+                "joints": {name: list(force) for name, force in load.joints.items()},
             }
             for load in scene.loads
         ],
         "cables": [_described(cable) for cable in scene.cables],
+        "joints": [
+            {
+                "name": joint.name,
+                "held": [int(held) for held in joint.held],
+                "position": joint.position.tolist(),
+            }
+            for joint in scene.joints
+        ],
+        "bars": [
+            {
+                "name": bar.name,
+                **encode(bar.bar),
+                "ends": bar.points.ravel().tolist(),
+                "L0": float(bar.L0),
+            }
+            for bar in scene.bars
+        ],
     }
 
 

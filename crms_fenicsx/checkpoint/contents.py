@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import chain
+from typing import Annotated
 
 from crms_fenicsx.checkpoint.codec import Plain
 from crms_fenicsx.energies.paper.step_history import StepHistory
+from crms_fenicsx.model.bar import Bar, BarState, JointState, MeshVertex
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.cable_state import CableState
 from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.paths.tried_paths import TriedPaths
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.steps.load_step import Step
 from crms_fenicsx.surface.points import Support
 
@@ -54,7 +56,28 @@ class SavedCable:
     sleeve: bool
     layer: int
     in_edge: bool
+    joints: tuple[str | None, str | None]
     state: CableState
+
+
+@dataclass(frozen=True)
+class SavedJoint:
+    """A joint; see `Joint`."""
+
+    name: str
+    first: Annotated[Array, 3]
+    held: Annotated[Booleans, 3]
+    state: JointState
+
+
+@dataclass(frozen=True)
+class SavedBar:
+    """A bar, between joints by their numbers or vertices; see `PlacedBar`."""
+
+    name: str
+    bar: Bar
+    ends: tuple[int | MeshVertex, int | MeshVertex]
+    state: BarState
 
 
 @dataclass(frozen=True)
@@ -71,6 +94,7 @@ class SavedLoad:
     intensity: float
     follows: bool
     factor: float
+    joints: dict[str, tuple[float, float, float]]
 
 
 @dataclass(frozen=True)
@@ -111,6 +135,8 @@ class Contents:
     strip: tuple[int, ...]
     cables: tuple[SavedCable, ...]
     crossings: tuple[Crossing, ...]
+    joints: tuple[SavedJoint, ...]
+    bars: tuple[SavedBar, ...]
     run: Run
     call: Plain | None
 
@@ -127,7 +153,16 @@ class Contents:
         for load in self.loads:
             if not load.intensity >= 0:
                 raise ValueError(f"a load {load.name!r} of the intensity {load.intensity}")
+            if not load.joints.keys() <= {joint.name for joint in self.joints}:
+                raise ValueError(f"a load {load.name!r} on joints that are not there")
+        fixed = {name for cable in self.cables for name in cable.joints} - {None}
+        if not fixed <= {joint.name for joint in self.joints}:
+            raise ValueError("a cable that is fixed to a joint that is not there")
+        ends = list(chain.from_iterable(bar.ends for bar in self.bars))
+        if any(isinstance(end, int) and end not in range(len(self.joints)) for end in ends):
+            raise ValueError("a bar that ends at a joint that is not there")
         ids = [*self.strip, *chain.from_iterable(self._supports())]
+        ids += [end.number for end in ends if isinstance(end, MeshVertex)]
         if ids and not 0 <= min(ids) <= max(ids) < n_vertices:
             raise ValueError(f"vertices {min(ids)} to {max(ids)} of a mesh with {n_vertices}")
         numbers = range(len(self.cables))

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.meshes.edge_table import edge_keys
-from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids, vertex_ids
+from crms_fenicsx.meshes.membrane_mesh import vertex_ids
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.output.npy import read_rows, write_rows
 from crms_fenicsx.output.shared_file import first_row
@@ -62,7 +62,7 @@ def write_fields(folder: Path, scene: Scene) -> tuple[int, dict[str, str]]:
     """
     fields, comm = Fields.of(scene), scene.comm
     vertices = scene.V.dofmap.index_map
-    own, total, ids = vertices.size_local, vertices.size_global, dof_vertex_ids(scene)
+    own, total, ids = vertices.size_local, vertices.size_global, scene.membrane.vertex_ids
     X = scene.membrane.stress_free
     digests = {
         name: write_rows(folder / f"{name}.npy", comm, ids[:own], values[:own], total)
@@ -107,7 +107,7 @@ def read_fields(
     InputError
         On all ranks: files that are damaged, or vertices that are elsewhere.
     """
-    comm, ids = scene.comm, dof_vertex_ids(scene)
+    comm, ids = scene.comm, scene.membrane.vertex_ids
     vertices = scene.V.dofmap.index_map
     own, shape = vertices.size_local, (vertices.size_global, 3)
 
@@ -153,13 +153,6 @@ def read_fields(
 def _check_finite(file: Path, values: Array) -> None:
     if not np.isfinite(values).all():
         raise InputError(f"{file} has numbers that are not finite; take another checkpoint")
-
-
-def dof_vertex_ids(scene: Scene) -> Integers:
-    """Ids of the vertices, numbers in the mesh as it was given, by degree of freedom."""
-    ids = np.zeros(len(scene.held), dtype=np.int64)
-    ids[scene.V.dofmap.list] = cell_vertex_ids(scene.mesh.mesh)
-    return ids
 
 
 def cell_ids(scene: Scene) -> tuple[Integers, int]:

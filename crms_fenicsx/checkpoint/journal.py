@@ -84,7 +84,7 @@ class Journal:
             if comm.rank == 0:
                 make_writable(self.folder)
 
-    def begin(self, scene: Scene, loads: Plain, steps: int) -> tuple[Progress, Run | None]:
+    def begin(self, scene: Scene, loads: Plain) -> tuple[Progress, Run | None]:
         """Begin a call, and bring the scene to where it has come to before. Collective.
 
         Parameters
@@ -92,9 +92,7 @@ class Journal:
         scene
             As it is before the loads.
         loads
-            What the call was given, as plain data.
-        steps
-            Number of its increments.
+            What the call was given, as plain data, its number of steps among it.
 
         Returns
         -------
@@ -109,6 +107,7 @@ class Journal:
             history, or the checkpoint cannot be read.
         """
         refuse_history(scene)
+        steps = loads["steps"]
         self._number += 1
         call: Plain = {"solver": self.options, "advance": loads, "scene": scene_record(scene)}
         saved = self._saved() if self._replaying else None

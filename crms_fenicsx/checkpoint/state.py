@@ -16,11 +16,19 @@ from mpi4py import MPI
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.cables.strip_gather import cells_at
 from crms_fenicsx.checkpoint.codec import Plain, decode, encode
-from crms_fenicsx.checkpoint.contents import Contents, Run, SavedCable, SavedLoad
+from crms_fenicsx.checkpoint.contents import (
+    Contents,
+    Run,
+    SavedBar,
+    SavedCable,
+    SavedJoint,
+    SavedLoad,
+)
 from crms_fenicsx.checkpoint.fields import Fields, cell_ids, read_fields, write_fields
 from crms_fenicsx.checkpoint.fingerprint import check_same, fingerprint
 from crms_fenicsx.checkpoint.folder import complete, replaced_folder
 from crms_fenicsx.energies.dead_load import MembraneLoad
+from crms_fenicsx.model.bar import BarEnd, Joint, MeshVertex, PlacedBar
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.output.npy import read_rows, write_rows
 from crms_fenicsx.runtime.checks import LONGEST
@@ -29,7 +37,7 @@ from crms_fenicsx.runtime.files import explained, read_text, readable
 from crms_fenicsx.scene import Scene
 
 STATE, CELLS = "state.json", "cells.npy"
-FORMAT = "crms_fenicsx checkpoint 5"
+FORMAT = "crms_fenicsx checkpoint 6"
 """What a checkpoint says it is; the number grows when its content changes."""
 
 
@@ -138,6 +146,11 @@ def restore(saved: Saved, scene: Scene) -> Run:
         names = [cable.name for cable in contents.cables]
         if scene.cables and [cable.name for cable in scene.cables] != names:
             raise ValueError(f"its cables are {names}, and the scene's {scene.cables}")
+        for kind, ours, theirs in (
+            ("joints", scene.joints, contents.joints), ("bars", scene.bars, contents.bars),
+        ):  # fmt: skip
+            if ours and [one.name for one in ours] != [one.name for one in theirs]:
+                raise ValueError(f"its {kind} are {[one.name for one in theirs]}, not {ours}")
     check_same(contents.scene, scene)
     follows = [load.follows for load in contents.loads]
     fields = read_fields(place, scene, contents.held_edges, digests, follows)
@@ -167,17 +180,45 @@ def _contents(
         dissipated=scene.net.removed_dissipation,
         energies=scene.energies,
         loads=tuple(
-            SavedLoad(load.name, load.intensity, load.suction is not None, load.factor)
+            SavedLoad(
+                load.name, load.intensity, load.suction is not None, load.factor, dict(load.joints)
+            )
             for load in scene.loads
         ),
         strip=() if strip is None else tuple(sorted(strip.complete)),
         cables=tuple(
-            SavedCable(c.name, c.cable, c.sleeve, c.layer, c.in_edge, c.state) for c in scene.cables
+            SavedCable(c.name, c.cable, c.sleeve, c.layer, c.in_edge, c.joints, c.state)
+            for c in scene.cables
         ),
         crossings=scene.net.crossings,
+        joints=tuple(SavedJoint(j.name, j.first, j.held, j.state) for j in scene.joints),
+        bars=tuple(
+            SavedBar(b.name, b.bar, (_saved_end(scene, b.start), _saved_end(scene, b.end)), b.state)
+            for b in scene.bars
+        ),
         run=replace(run.with_cells(None), steps=steps),
         call=call,
     )
+
+
+def _saved_end(scene: Scene, end: BarEnd) -> int | MeshVertex:
+    """An end of a bar, a joint by its number."""
+    return scene.frame.number(end) if isinstance(end, Joint) else end
+
+
+def _restore_frame(scene: Scene, contents: Contents) -> None:
+    """Bring joints and bars to a state that has been read, or make them."""
+    frame = scene.frame
+    for own, saved in zip(frame.joints, contents.joints, strict=False):
+        own.state = saved.state
+    for bar, saved_bar in zip(frame.bars, contents.bars, strict=False):
+        bar.state = saved_bar.state
+    frame.joints += tuple(
+        Joint(j.name, j.first, j.held, j.state) for j in contents.joints[len(frame.joints) :]
+    )
+    for b in contents.bars[len(frame.bars) :]:
+        start, end = (frame.joints[end] if isinstance(end, int) else end for end in b.ends)
+        frame.bars += (PlacedBar(b.name, b.bar, start, end, b.state),)
 
 
 def _restore(scene: Scene, fields: Fields, saved: Saved) -> None:
@@ -200,7 +241,7 @@ def _restore(scene: Scene, fields: Fields, saved: Saved) -> None:
     scene.energies, net = contents.energies, scene.net
     net.laid, net.removed_dissipation = contents.laid, contents.dissipated
     scene._loads = tuple(
-        MembraneLoad(load.name, forces, load.intensity, suction, load.factor)
+        MembraneLoad(load.name, forces, load.intensity, suction, load.factor, load.joints)
         for load, forces, suction in zip(
             contents.loads, fields.forces, fields.suctions, strict=True
         )
@@ -208,9 +249,11 @@ def _restore(scene: Scene, fields: Fields, saved: Saved) -> None:
     for own, cable in zip(scene.cables, contents.cables, strict=False):
         own.state = cable.state
     net.cables = net.cables or tuple(
-        LaidCable(c.name, c.cable, c.state, c.sleeve, c.layer, c.in_edge) for c in contents.cables
+        LaidCable(c.name, c.cable, c.state, c.sleeve, c.layer, c.in_edge, c.joints)
+        for c in contents.cables
     )
     net.crossings = contents.crossings
+    _restore_frame(scene, contents)
     scene.changes += 1
 
 

@@ -14,6 +14,7 @@ from crms_fenicsx.contributions.contribution import Contribution
 from crms_fenicsx.contributions.folds import FoldContribution
 from crms_fenicsx.contributions.loads import PressureContribution
 from crms_fenicsx.contributions.membrane import MembraneContribution
+from crms_fenicsx.dofs.frame_blocks import FrameBlocks
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.cable_tension import CableTension
 from crms_fenicsx.energies.paper.step_cable import StepCableTension
@@ -44,6 +45,8 @@ class CableContribution(Contribution):
         The cells that cables in tension fold are taken from it.
     pressure
         Pressure on the plain cells.
+    frame
+        Blocks of joints and of vertices at ends of bars; None without any.
 
     Attributes
     ----------
@@ -66,13 +69,17 @@ class CableContribution(Contribution):
     """
 
     def __init__(
-        self, scene: Scene, membrane: MembraneContribution, pressure: PressureContribution
+        self,
+        scene: Scene,
+        membrane: MembraneContribution,
+        pressure: PressureContribution,
+        frame: FrameBlocks | None = None,
     ) -> None:
         super().__init__(scene)
         scene.net.arrange_crossings()
         assert scene.net.strip is not None
         self.numbering = CableNumbering(scene.cables, scene.net.strip, scene.u)
-        self.unknowns = self.numbering.unknowns()
+        self.unknowns = self.numbering.unknowns(frame)
         self.numbering.hold(self.unknowns)
         self.node_positions = NodePositions(self.numbering, self.unknowns)
         self.taut = [cable for cable in scene.cables if cable.taut]

@@ -53,6 +53,8 @@ class MembraneLoad:
         a dead load.
     factor
         What the forces are multiplied by; load steps change it.
+    joints
+        Forces (force) on joints of bars, by their names.
     """
 
     name: str
@@ -60,6 +62,7 @@ class MembraneLoad:
     intensity: float
     suction: Array | None = field(default=None, repr=False)
     factor: float = 0.0
+    joints: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
     @property
     def blows(self) -> bool:

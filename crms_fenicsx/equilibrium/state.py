@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from crms_fenicsx.energies.dead_load import MembraneLoad
+from crms_fenicsx.model.bar import BarState, JointState
 from crms_fenicsx.model.cable_state import CableNode, CableState
 from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.runtime.arrays import Array
@@ -14,7 +15,7 @@ from crms_fenicsx.scene import Scene
 
 @dataclass(frozen=True)
 class State:
-    """Displacements, cables and loads of a scene at one moment."""
+    """Displacements, cables, bars and loads of a scene at one moment."""
 
     u: Array
     pressure: float
@@ -22,6 +23,8 @@ class State:
     energies: dict[str, float]
     cables: tuple[CableState, ...]
     crossings: tuple[Crossing, ...]
+    joints: tuple[JointState, ...]
+    bars: tuple[BarState, ...]
 
     @classmethod
     def of(cls, scene: Scene) -> State:
@@ -33,6 +36,8 @@ class State:
             dict(scene.energies),
             tuple(cable.state for cable in scene.cables),
             scene.net.crossings,
+            tuple(joint.state for joint in scene.joints),
+            tuple(bar.state for bar in scene.bars),
         )
 
     def restore_positions(self, scene: Scene) -> None:
@@ -41,6 +46,7 @@ class State:
         Points that the paths had are where they were; others lie on the membrane of then.
         """
         scene.u.x.array[:] = self.u
+        self._restore_frame(scene)
         shape = scene.net.strip_shape()
         for cable, was in zip(scene.cables, self.cables, strict=True):
             known = {_key(was.nodes, k): k for k in range(len(was.nodes)) if not was.lifted[k]}
@@ -58,9 +64,17 @@ class State:
         scene.u.x.array[:] = self.u
         scene._pressure, scene._loads = self.pressure, self.loads
         scene.energies = dict(self.energies)
+        self._restore_frame(scene)
         for cable, was in zip(scene.cables, self.cables, strict=True):
             cable.state = was
         scene.net.crossings = self.crossings
+
+    def _restore_frame(self, scene: Scene) -> None:
+        """Bring joints and bars to this state."""
+        for joint, state in zip(scene.joints, self.joints, strict=True):
+            joint.state = state
+        for bar, was in zip(scene.bars, self.bars, strict=True):
+            bar.state = was
 
 
 def _key(nodes: Sequence[CableNode], k: int) -> object:

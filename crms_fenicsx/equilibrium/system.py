@@ -19,6 +19,7 @@ from crms_fenicsx.model.crossing import NodeId
 from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
+    from crms_fenicsx.contributions.bars import BarContribution
     from crms_fenicsx.contributions.cables import CableContribution
 
 
@@ -41,8 +42,8 @@ class System:
     ----------
     contributions
         What the features of the scene contribute, in the order of their terms.
-    membrane, pressure, cables
-        Some of them; `cables` is None without any.
+    membrane, pressure, cables, bars
+        Some of them; `cables` and `bars` are None without any.
     unknowns, potential
         The layout, and the sum of the terms over it.
     objective
@@ -87,10 +88,12 @@ class System:
         scene, damping = self.scene, None
         self.membrane.unfold()
         self.contributions: list[Contribution] = list(self._lasting)
+        self.bars = self._bar_contribution()
         if scene.cables:
             from crms_fenicsx.contributions.cables import CableContribution
 
-            self.cables = CableContribution(scene, self.membrane, self.pressure)
+            frame = None if self.bars is None else self.bars.blocks
+            self.cables = CableContribution(scene, self.membrane, self.pressure, frame)
             self.unknowns, damping = self.cables.unknowns, self.cables.damping()
             self.contributions += [self.cables, self.cables.folds]
             if scene.net.has_friction or any(cable.axial is not None for cable in scene.cables):
@@ -98,13 +101,28 @@ class System:
 
                 self.contributions.append(FrictionContribution(scene, self.cables))
         else:
-            self.cables, self.unknowns = None, Unknowns(scene.V)
+            self.cables = None
+            self.unknowns = (
+                Unknowns(scene.V) if self.bars is None else self.bars.blocks.layout(scene.V)
+            )
+        if self.bars is not None:
+            self.contributions.append(self.bars)
         self.contributions.append(AddedTermsContribution(scene))
         hold(scene, self.unknowns)
         terms = [term for part in self.contributions for term in part.terms(self.unknowns)]
+        if self.bars is not None:
+            damping = self.bars.damping(damping)
         self.potential = Potential(self.unknowns, scene.u, terms, damping)
         self.minimizer = Minimizer(self.potential, self.prefix, self.rtol)
         self.built_for = scene.changes
+
+    def _bar_contribution(self) -> BarContribution | None:
+        """The contribution of bars and joints; None without any."""
+        if not self.scene.frame:
+            return None
+        from crms_fenicsx.contributions.bars import BarContribution
+
+        return BarContribution(self.scene)
 
     def prepare(self) -> None:
         """Bring the potential up to date with the scene's parts and loads. Collective."""

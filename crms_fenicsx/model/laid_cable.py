@@ -70,7 +70,7 @@ class LaidCable:
 
     Parameters
     ----------
-    name, cable, sleeve, layer
+    name, cable, sleeve, layer, in_edge, joints
         As the attributes.
     state
         All that changes of it. The package replaces it, see `update`; users read its parts as
@@ -113,6 +113,8 @@ class LaidCable:
     layer
         Of two cables that cross the one with the higher layer lies on top; of equal ones the one
         laid later.
+    joints
+        Names of the joints of bars to which its first and last end are fixed; None elsewhere.
     path_is_geodesic
         Whether its path has been pulled taut once: it has been in tension, free to slide.
     ends_before : (2, 3)
@@ -133,6 +135,7 @@ class LaidCable:
     sleeve: ReadOnly[bool] = ReadOnly("_sleeve", RELAY)
     in_edge: ReadOnly[bool] = ReadOnly("_in_edge", RELAY)
     layer: ReadOnly[int] = ReadOnly("_layer", RELAY)
+    joints: ReadOnly[tuple[str | None, str | None]] = ReadOnly("_joints", RELAY)
     L0: ReadOnly[float] = ReadOnly("state.L0", "call solver.advance(L0={cable: length})")
     nodes: ReadOnly[tuple[CableNode, ...]] = ReadOnly("state.nodes", FOUND)
     positions: ReadOnly[Array] = ReadOnly("state.positions", FOUND)
@@ -158,9 +161,11 @@ class LaidCable:
         sleeve: bool = False,
         layer: int = 0,
         in_edge: bool = False,
+        joints: tuple[str | None, str | None] = (None, None),
     ) -> None:
         self._name, self._cable, self.state = name, cable, state
         self._sleeve, self._layer, self._in_edge = sleeve, layer, in_edge
+        self._joints = joints
 
     def update(self, **changes: Any) -> None:
         """Replace parts of its state, by name; arrays among them become read-only."""

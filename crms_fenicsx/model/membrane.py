@@ -12,10 +12,11 @@ from dolfinx.mesh import MeshTags, meshtags
 from crms_fenicsx.dofs.vertex_places import vertex_places
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.meshes.cell_geometry import OpenEdges, area_vectors, open_edges
+from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.model.materials import LINEAR, UFL_LAW, MembraneMaterial
 from crms_fenicsx.model.strengths import Strengths
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.runtime.errors import InputError, PathError, collective, raised_together
 
 Marker = Callable[[Array], Booleans]
@@ -102,6 +103,12 @@ class Membrane:
     def cell_values(self) -> fem.FunctionSpace:
         """Space of results with a value in each cell. Collective."""
         return fem.functionspace(self.mesh.mesh, ("Discontinuous Lagrange", 0))
+
+    def vertex_ids(self) -> Integers:
+        """Numbers of the vertices in the mesh as it was given, by degree of freedom, (n,)."""
+        ids = np.zeros(len(self.held), dtype=np.int64)
+        ids[self.V.dofmap.list] = cell_vertex_ids(self.mesh.mesh)
+        return ids
 
     @cached_property
     def centre(self) -> Array:

@@ -1,4 +1,4 @@
-"""Lines of cables with their tensions, for output."""
+"""Lines of cables with their tensions, and of bars with their forces, for output."""
 
 from __future__ import annotations
 
@@ -33,3 +33,11 @@ def cable_lines(scene: Scene) -> list[Line]:
         )
         for cable in scene.cables
     ]
+
+
+def bar_lines(scene: Scene) -> list[Line]:
+    """Return the scene's bars as lines, the same on all ranks.
+
+    Their "tension" is the axial force, negative in compression; they are never "lifted".
+    """
+    return [Line(bar.points, {"tension": bar.force, "lifted": 0.0}, bar.name) for bar in scene.bars]

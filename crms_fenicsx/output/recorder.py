@@ -10,7 +10,7 @@ import numpy as np
 from crms_fenicsx.cables.enclosed_volume import gained_volume
 from crms_fenicsx.dofs.layout import vertex_starts
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.output.cable_lines import cable_lines
+from crms_fenicsx.output.cable_lines import bar_lines, cable_lines
 from crms_fenicsx.output.data import Surface
 from crms_fenicsx.output.history import History, Value
 from crms_fenicsx.output.lock import FolderLock
@@ -44,7 +44,8 @@ class Recorder:
         that of each kind of term ("energy membrane"), "dissipated" by friction in all steps and
         "passes" of friction forces (once a cable has friction), "volume" gained (once there is
         pressure), "tension", "length" and "L0" of each cable by its name ("tension cable 1"; with
-        friction along it also "tension cable 1 start" and "... end"),
+        friction along it also "tension cable 1 start" and "... end"), "force", "bar length" and
+        "bar L0" of each bar by its name,
         "blocked points" (fold points that have run into a vertex), and what the solve took:
         "iterations",
         "evaluations", "factorizations", "solves", "flips", "residual" (force), "seconds".
@@ -93,7 +94,8 @@ class Recorder:
             row["case"] = case
         self.history.append(row)
         if self.series is not None:
-            self.series.write(step.number, self._surface(system), cable_lines(self.scene))
+            lines = [*cable_lines(self.scene), *bar_lines(self.scene)]
+            self.series.write(step.number, self._surface(system), lines)
 
     def resume(self, rows: Sequence[Mapping[str, Value]]) -> None:
         """Go on after the steps of an earlier run. Collective.
@@ -142,6 +144,10 @@ class Recorder:
                 row[f"tension {cable.name} end"] = float(cable.tensions[-1])
             row[f"length {cable.name}"] = cable.length
             row[f"L0 {cable.name}"] = cable.L0
+        for bar in scene.bars:
+            row[f"force {bar.name}"] = bar.force
+            row[f"bar length {bar.name}"] = bar.length
+            row[f"bar L0 {bar.name}"] = bar.L0
         if scene.cables or "blocked points" in self.history.columns:
             row["blocked points"] = sum(len(cable.blocked) for cable in scene.cables)
         row["iterations"] = outcome.iterations

@@ -47,6 +47,7 @@ def lay(
     layer: int,
     name: str | None,
     measured_on: MeasuredOn,
+    joints: tuple[str | None, str | None] = (None, None),
 ) -> LaidCable:
     """Trace the path, decide what each of its points is, and add the cable to the net.
 
@@ -70,6 +71,12 @@ def lay(
         traced = _traced(net.membrane, route, known)
     except PathError as error:
         raise PathError(f"lay_cable: {name!r}: {error}") from None
+    for joint, anchor in zip(joints, (traced.start_anchor, traced.end_anchor), strict=True):
+        if joint is not None and anchor is None:
+            raise PathError(
+                f"lay_cable: {name!r} ends at the joint {joint!r}, which lies on the membrane; let "
+                "the bars end at a vertex there instead, scene.vertex_at(...), and the cable too."
+            )
     strip = cells_at(net.membrane, [v for point in traced.points for v in point.support])
     shape = StripShape.of(net.membrane, strip)
     refuse_forks(traced, shape, name)
@@ -86,7 +93,7 @@ def lay(
     off, nowhere = np.zeros(len(nodes), dtype=bool), np.full_like(positions, np.nan)
     state = CableState(nodes, positions, fractions_of(nodes), off, nowhere, 1.0, 0.0, 0.0)
     in_edge = _follows_free_edge(traced, strip)
-    laid = LaidCable(name, cable, state, bool(sleeve) or in_edge, layer, in_edge)
+    laid = LaidCable(name, cable, state, bool(sleeve) or in_edge, layer, in_edge, joints)
     _refuse_folds(net.membrane, strip, laid)
     if not laid.sleeve:
         drape(laid, shape)

@@ -4,23 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 from dolfinx.fem import locate_dofs_topological
-from mpi4py import MPI
 
 from crms_fenicsx.energies.pressure_rim import rim_of
 from crms_fenicsx.equilibrium.state import State
-from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
+from crms_fenicsx.model.bar import PlacedBar
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import EPSILON, Array, Indices
+from crms_fenicsx.runtime.arrays import EPSILON
 from crms_fenicsx.runtime.errors import InputError, as_text, raised_together
 from crms_fenicsx.scene import Scene
-
-Value = TypeVar("Value")
-
-TYPE_OF_MOVE = "a laid cable, one of its ends, or the name of a group of held vertices"
+from crms_fenicsx.steps.motion import Move
+from crms_fenicsx.steps.movements import Movements, cable_number, checked_movements
 
 
 @dataclass(frozen=True)
@@ -33,23 +30,24 @@ class Target:
         First and last pressure (force per area).
     factors
         First and last factor of each load that changes, by its name.
-    cable_ends
-        Number of the cable, its first (0) or last (-1) node, and that end's displacement (length).
-    moved : (n, 3)
-        Displacements of the vertices (length).
-    rigid_translation : (3,)
-        Displacement that all supports have in common, and zero if there is none (length): the
-        whole structure begins each increment displaced by it.
+    movements
+        How supports and anchors move.
     lengths
         Number of the cable, its first and last unstressed length (length).
+    bar_lengths
+        The same of bars.
     """
 
     pressure: tuple[float, float]
     factors: dict[str, tuple[float, float]]
-    cable_ends: list[tuple[int, int, Array]]
-    moved: Array
-    rigid_translation: Array
+    movements: Movements
     lengths: list[tuple[int, float, float]]
+    bar_lengths: list[tuple[int, float, float]]
+
+    @property
+    def moves(self) -> dict[object, list[float]]:
+        """What was moved, and numbers that tell how."""
+        return self.movements.samples
 
     def apply(self, scene: Scene, first: State, before: float, share: float) -> None:
         """Set the loads at a share of the way from the state `first`; `before` is that reached."""
@@ -60,21 +58,11 @@ class Target:
             else load
             for load in scene.loads
         )
-        u = scene.u.x.array.reshape(-1, 3)
-        u += (share - before) * self.rigid_translation
-        for cable in scene.cables:
-            cable.update(positions=cable.positions + (share - before) * self.rigid_translation)
-        some = self.moved != 0.0
-        u[some] = first.u.reshape(-1, 3)[some] + share * self.moved[some]
-        moved = {c: scene.cables[c].positions.copy() for c, _, _ in self.cable_ends}
-        for c, k, _ in self.cable_ends:
-            moved[c][k] = first.cables[c].positions[k]
-        for c, k, displacement in self.cable_ends:
-            moved[c][k] += share * displacement
-        for c, positions in moved.items():
-            scene.cables[c].update(positions=positions)
+        self.movements.apply(scene, first, before, share)
         for c, start, end in self.lengths:
             scene.cables[c].update(L0=start + share * (end - start))
+        for b, start, end in self.bar_lengths:
+            scene.bars[b].update(L0=start + share * (end - start))
 
 
 def _between(first: float, last: float, share: float) -> float:
@@ -90,9 +78,10 @@ def _between(first: float, last: float, share: float) -> float:
 def checked_target(
     scene: Scene,
     pressure: float | None,
-    move: Mapping[object, tuple[float, float, float]],
+    move: Mapping[object, Move],
     L0: Mapping[object, float],
     load: float | Mapping[str, float] | None = None,
+    steps: int = 1,
 ) -> Target:
     """Check the loads and say what they change; see `Solver.advance`. Collective.
 
@@ -116,46 +105,36 @@ def checked_target(
             raise InputError(
                 f"advance: {name} = {given!r} is no mapping; write {name}={{what: value}}."
             )
-    ends: list[tuple[int, int, Array]] = []
-    vertices: list[tuple[Indices, Array]] = []
-    for key, vector in _in_order(move):
-        displacement = checks.vector(f"advance: move of {key!r}", vector)
-        if isinstance(key, LaidCable):
-            wanted = [key.start, key.end]
-        elif isinstance(key, CableEnd):
-            wanted = [key]
-        elif isinstance(key, str):
-            vertices.append((_held_group(scene, key, displacement), displacement))
-            continue
-        else:
-            raise InputError(f"advance: cannot move {key!r}; give {TYPE_OF_MOVE}.")
-        for end in wanted:
-            c, k = _number(scene, end.cable), 0 if end.which == "start" else -1
-            if end.cable.nodes[k].kind != "anchor":
-                raise InputError(
-                    f"advance: the {end.which} of {end.cable.name!r} is tied to the membrane, "
-                    "which is not held there; hold it with scene.fix before laying the cable, "
-                    "or lay the cable to an anchor off the membrane."
-                )
-            # The last node's number changes with the path.
-            ends.append((c, 0 if k == 0 else -1, displacement))
+    scene.frame.check_held(name for cable in scene.cables for name in cable.joints)
+    movements = checked_movements(scene, move, steps)
     if value != 0.0:
         _check_rim(scene)
-    moved = _moved(scene, vertices)
-    _check_above_floor(scene, moved)
-    lengths = []
-    for key, length in _in_order(L0):
-        if not isinstance(key, LaidCable):
-            raise InputError(f"advance: L0 of {key!r}; give a laid cable.")
-        if key.cable.law == "step":
+    cables, bars = _lengths(scene, L0)
+    return Target((scene.pressure, value), factors, movements, cables, bars)
+
+
+Lengths = list[tuple[int, float, float]]
+
+
+def _lengths(scene: Scene, L0: Mapping[object, float]) -> tuple[Lengths, Lengths]:
+    """Numbers of cables and of bars, and their first and last unstressed lengths."""
+    cables, bars = list[tuple[int, float, float]](), list[tuple[int, float, float]]()
+    for key, length in sorted(L0.items(), key=lambda item: repr(item[0])):  # alike on all ranks
+        if not isinstance(key, LaidCable | PlacedBar):
+            raise InputError(f"advance: L0 of {key!r}; give a laid cable or a bar.")
+        if isinstance(key, LaidCable) and key.cable.law == "step":
             raise InputError(
                 f"advance: {key.name!r} has the step-wise law (2.2-2), which has no unstressed "
                 'length; use Cable(law="total").'
             )
         length = checks.positive(f"advance: L0 of {key.name!r}", length)
-        lengths.append((_number(scene, key), key.L0, length))
-    rigid_translation = _carried(scene, moved, ends)
-    return Target((scene.pressure, value), factors, ends, moved, rigid_translation, lengths)
+        if isinstance(key, LaidCable):
+            cables.append((cable_number(scene, key), key.L0, length))
+        elif not any(key is bar for bar in scene.bars):
+            raise InputError(f"advance: {key!r} is not a bar of this scene.")
+        else:
+            bars.append((scene.bars.index(key), key.L0, length))
+    return cables, bars
 
 
 def _factors(scene: Scene, load: float | Mapping[str, float]) -> dict[str, tuple[float, float]]:
@@ -190,76 +169,6 @@ def _check_wind(scene: Scene, factors: Mapping[str, tuple[float, float]]) -> Non
                     'surface, with Scene(..., pressure="step"); use pressure="total", or put the '
                     "wind as a dead load with scene.put_load."
                 )
-
-
-def _in_order(given: Mapping[object, Value]) -> list[tuple[object, Value]]:
-    """The items by the names of their keys: sums and errors are then the same on all ranks."""
-    return sorted(given.items(), key=lambda item: repr(item[0]))
-
-
-def _number(scene: Scene, cable: object) -> int:
-    for c, other in enumerate(scene.cables):
-        if other is cable:
-            return c
-    raise InputError(f"advance: {cable!r} is not a cable of this scene.")
-
-
-def _held_group(scene: Scene, name: str, displacement: Array) -> Indices:
-    dofs = scene.vertices(name)
-    moving = displacement != 0.0
-    with raised_together(scene.comm):
-        if not scene.held[dofs][:, moving].all():
-            letters = "".join(np.array(list("xyz"))[moving])
-            raise InputError(
-                f"advance: {name!r} is not held in {letters}, so that it cannot be moved by "
-                f"{displacement}; call scene.fix({name!r}, {letters!r}) first."
-            )
-    return dofs
-
-
-def _check_above_floor(scene: Scene, moved: Array) -> None:
-    """The floor is for the free vertices; held ones must not be moved through it."""
-    if scene.floor_level is None:
-        return
-    with raised_together(scene.comm):
-        places = scene.positions()
-        heights = places[:, 2] + moved[:, 2]
-        through = np.flatnonzero((moved[:, 2] < 0) & (heights < scene.floor_level))
-        if len(through):
-            raise InputError(
-                f"advance: move brings the vertex at {places[through[0]]} to z = "
-                f"{heights[through[0]]:g}, below the floor z = {scene.floor_level:g}; move it "
-                "less."
-            )
-
-
-def _moved(scene: Scene, vertices: list[tuple[Indices, Array]]) -> Array:
-    """Movements of all vertices, (n, 3); those of a vertex in several groups add up."""
-    moved = np.zeros_like(scene.held, dtype=np.float64)
-    for dofs, displacement in vertices:
-        moved[dofs] += displacement
-    return moved
-
-
-def _carried(scene: Scene, moved: Array, ends: list[tuple[int, int, Array]]) -> Array:
-    """The displacement that held vertices and anchors have in common, (3,); else zero."""
-    given = np.where(scene.held, moved, np.nan)
-    ranges: Array = np.stack([np.fmin.reduce(v, initial=np.inf) for v in (given, -given)])
-    scene.comm.Allreduce(MPI.IN_PLACE, ranges, op=MPI.MIN)
-    least, negative = ranges
-    # A direction in which nothing is held stays as it is.
-    common: Array = np.where(np.isinf(least), 0.0, least)
-    travels: dict[tuple[int, int], Array] = {
-        (c, k): np.zeros(3)
-        for c, cable in enumerate(scene.cables)
-        for k in (0, -1)
-        if cable.nodes[k].kind == "anchor"
-    }
-    for c, k, displacement in ends:
-        travels[c, k] = travels[c, k] + displacement
-    alike = np.all((least == -negative) | np.isinf(least))
-    alike &= all(np.array_equal(travel, common) for travel in travels.values())
-    return common if alike and scene.floor_level is None else np.zeros(3)
 
 
 def has_free_rim(scene: Scene) -> bool:

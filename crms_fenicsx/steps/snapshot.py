@@ -9,6 +9,7 @@ from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.equilibrium.state import State
+from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.runtime.arrays import Array, Booleans
@@ -36,6 +37,8 @@ class Snapshot:
     cables: tuple[LaidCable, ...]
     strip: Strip | None
     removed_dissipation: float
+    joints: tuple[Joint, ...]
+    bars: tuple[PlacedBar, ...]
     held: Booleans
     held_edges: Booleans
     floor: float | None
@@ -54,6 +57,8 @@ class Snapshot:
             net.cables,
             net.strip,
             net.removed_dissipation,
+            scene.joints,
+            scene.bars,
             membrane.held.copy(),
             membrane.held_edges.copy(),
             scene.floor_level,
@@ -76,6 +81,7 @@ class Snapshot:
         scene, net = self.scene, self.scene.net
         net.cables, net.strip = self.cables, self.strip
         net.removed_dissipation = self.removed_dissipation
+        scene.frame.joints, scene.frame.bars = self.joints, self.bars
         self.state.restore(scene)
         scene.membrane.held[:] = self.held
         scene.membrane.held_edges[:] = self.held_edges

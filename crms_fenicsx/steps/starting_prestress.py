@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from mpi4py import MPI
 
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.steps.loading import Target
@@ -30,9 +29,7 @@ def starting_prestress(system: System, target: Target, share: float) -> tuple[fl
     """
     scene, size = system.scene, system.scene.membrane.size
     modulus = max(m.reference_modulus for m in scene.materials.values())
-    moves = [float(np.linalg.norm(d)) for *_, d in target.cable_ends]
-    moves.append(float(np.max(np.linalg.norm(target.moved, axis=1), initial=0.0)))
-    travel = share * scene.comm.allreduce(max(moves), op=MPI.MAX)
+    travel = share * target.movements.travel
     loads = abs(scene.pressure) + system.added_force_per_area()
     loads += sum(abs(load.factor) * load.intensity for load in scene.loads)
     coming = 0.3 * (loads * size) ** (2 / 3) * modulus ** (1 / 3)

@@ -141,7 +141,11 @@ class CableVerifier:
         shape = scene.net.strip_shape()
         parts, pulls = _parts_and_pulls(system)
         found: dict[str, tuple[float, str]] = {}
+        joints = {joint.name: joint.position for joint in scene.joints}
         for c, (cable, nodes) in enumerate(zip(scene.cables, self._nodes, strict=True)):
+            for k, name in enumerate(cable.joints):
+                if name is not None:
+                    ends[c, k] = joints[name]
             values = _places(cable, nodes, ends[c], scene.membrane.size, shape)
             values["breaks in the path"] = float(nodes.breaks)
             if cable.taut:
@@ -197,7 +201,8 @@ def _parts_and_pulls(system: System) -> tuple[list[Array], list[float]]:
     for c, cable in enumerate(cables):
         for i, end in enumerate((cable.start, cable.end)):
             k = cable.node_of(end.which)
-            if cable.taut and cable.nodes[k].kind == "anchor" and numbering.is_mine(c, k):
+            given = cable.nodes[k].kind == "anchor" and cable.joints[i] is None
+            if cable.taut and given and numbering.is_mine(c, k):
                 beside = cable.positions[cable.contacts()[1 if i == 0 else -2]]
                 if np.linalg.norm(cable.positions[k] - beside) > 1e-6 * cable.length:
                     force = system.potential.g[numbering.block(c, k)]

@@ -76,6 +76,7 @@ class Verifier:
         self.scene, self.comm = scene, scene.comm
         self._random = np.random.default_rng((2026, scene.comm.rank))
         self._prescribed: tuple[Array, Array] = np.zeros((0, 3)), np.zeros((0, 2, 3))
+        self._joints: list[Array] = []
         self._cables: CableVerifier | None = None
         self._shake = np.zeros(0)
         self._saved: Array = np.zeros((0, 3))
@@ -88,6 +89,7 @@ class Verifier:
         u = scene.u.x.array.reshape(-1, 3)[scene.held]
         ends = [cable.positions[[0, -1]] for cable in scene.cables]
         self._prescribed = u, np.array(ends).reshape(-1, 2, 3)
+        self._joints = [joint.position for joint in scene.joints]
 
     def check(self, system: System, outcome: Outcome) -> Verification:
         """Check the state that a solve has left in the scene and in the potential. Collective.
@@ -189,6 +191,7 @@ class Verifier:
         forces += np.sqrt(2 * modulus * abs(energies.get("membrane", 0.0)))
         forces *= reach * scene.membrane.size
         forces += sum(abs(cable.tension) * cable.length for cable in scene.cables)
+        forces += sum(abs(bar.force) * bar.length for bar in scene.bars)
         return float(forces + sum(abs(energy) for energy in energies.values()))
 
     def _difference(self, system: System, shake: Array, size: float) -> float:
@@ -278,6 +281,8 @@ class Verifier:
         away = float(
             np.max(np.abs(scene.u.x.array.reshape(-1, 3)[scene.held] - moved), initial=0.0)
         )
+        for joint, place in zip(scene.joints, self._joints, strict=True):
+            away = max(away, float(np.max(np.abs(joint.position - place)[joint.held], initial=0.0)))
         under = 0.0
         if scene.floor_level is not None:
             heights = scene.positions()[~scene.held[:, 2], 2]
@@ -327,6 +332,8 @@ class Verifier:
             loads *= -1.0
         for load in scene.loads:
             unknowns.add_to_vertices(load.factor * load.forces, loads)
+        if system.bars is not None:
+            system.bars.add_loads(loads)
         for term in scene.terms:
             added = np.zeros_like(loads)
             term.add_gradient(system.potential.x, system.potential.sums_of(term), added)

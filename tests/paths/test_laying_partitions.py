@@ -8,7 +8,6 @@ from mpi4py import MPI
 from term_scene import ISOTROPIC, irregular_square
 
 from crms_fenicsx import Cable, Scene
-from crms_fenicsx.checkpoint.fields import dof_vertex_ids
 from crms_fenicsx.meshes import from_arrays
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids, vertex_ids, vertex_nodes
 from crms_fenicsx.runtime.arrays import Array, Integers
@@ -38,7 +37,7 @@ def scene_of(comm: MPI.Intracomm, deformed: bool, seed: int) -> Scene:
     scene.fix("boundary")
     if deformed:
         bump = np.random.default_rng(7).normal(size=points.shape) * (0.3, 0.3, 1.0)
-        scene.u.x.array[:] = bump[dof_vertex_ids(scene)].ravel()
+        scene.u.x.array[:] = bump[scene.membrane.vertex_ids].ravel()
     return scene
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from cabled_square import sheet
 
-from crms_fenicsx import Cable, ConvergenceError, Friction, Scene, Solver
+from crms_fenicsx import Bar, Cable, ConvergenceError, Friction, Scene, Solver
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.model.cable_state import CableState
 from crms_fenicsx.model.laid_cable import LaidCable
@@ -33,6 +33,10 @@ def laid(comm, kind: str = "plain") -> tuple[Scene, Solver, LaidCable]:
 def test_nothing_is_assigned(comm) -> None:
     """The message names the way to do it. On one rank alone it would be done there only."""
     scene, solver, cable = laid(comm)
+    bar = scene.add_bar(Bar(1.0), (0.0, 0.0, 9.0), (1.0, 0.0, 9.0))
+    for state in (bar.state, bar.start.state):
+        with pytest.raises(FrozenInstanceError):
+            state.position = None
     ways = {
         (solver, "rtol"): r"Solver.rtol = 7: .* make another Solver",
         (scene, "pressure"): r"Scene.pressure = 7: .* call solver.advance\(pressure=",
@@ -45,6 +49,11 @@ def test_nothing_is_assigned(comm) -> None:
         (cable, "taut"): "solver.advance",
         (cable, "positions"): "solver.advance",
         (cable, "name"): "scene.lay_cable",
+        (scene, "bars"): "scene.add_bar",
+        (scene, "joints"): "scene.add_joint",
+        (bar, "L0"): r"PlacedBar.L0 = 7: .*solver.advance\(L0=",
+        (bar, "points"): "solver.advance",
+        (bar.start, "position"): "solver.advance",
     }
     for (owner, name), way in ways.items():
         before = getattr(owner, name)
@@ -58,6 +67,7 @@ def test_nothing_is_assigned(comm) -> None:
         "sleeve",
         "in_edge",
         "layer",
+        "joints",
     }
     assert isinstance(scene.cables, tuple)
 
@@ -65,7 +75,8 @@ def test_nothing_is_assigned(comm) -> None:
 def test_all_that_changes_of_a_cable_is_its_state(comm) -> None:
     """It is one frozen value, whose arrays cannot be written: a snapshot is a reference to it."""
     *_, cable = laid(comm)
-    assert vars(cable).keys() == {"_name", "_cable", "_sleeve", "_in_edge", "_layer", "state"}
+    data = {"_name", "_cable", "_sleeve", "_in_edge", "_layer", "_joints"}
+    assert vars(cable).keys() == {*data, "state"}
     before = cable.state
     for field in fields(CableState):
         with pytest.raises(FrozenInstanceError):

@@ -11,12 +11,14 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import (
+    Bar,
     Cable,
     Friction,
     InputError,
     IsotropicMembrane,
     LaidCable,
     OrthotropicMembrane,
+    Rotation,
     Scene,
     Solver,
     meshes,
@@ -73,6 +75,8 @@ def snapshot(scene: Scene) -> list[Any]:
         strip,
         scene.energies,
         scene.changes,
+        [(joint.name, joint.position.tolist()) for joint in scene.joints],
+        [(bar.name, bar.L0, bar.points.tolist()) for bar in scene.bars],
     ]
 
 
@@ -151,6 +155,14 @@ def data() -> list[Call]:
     cable = {"EA": NOT_POSITIVE, "law": NO_TEXTS, "friction": none}
     return [
         Call("Cable", Cable, {"EA": 1.0}, cable, False),
+        Call("Bar", Bar, {"EA": 1.0}, {"EA": NOT_POSITIVE, "tension_only": (3, None, "x")}, False),
+        Call(
+            "Rotation",
+            Rotation,
+            {"point": (0.0, 0.0, 0.0), "axis": UP, "angle": 1.0},
+            {"point": NO_VECTORS, "axis": (*NO_VECTORS, (0.0, 0.0, 0.0)), "angle": NO_NUMBERS},
+            False,
+        ),
         Call("Friction", Friction, {"mu": 0.3}, friction, False),
         Call("IsotropicMembrane", IsotropicMembrane, FOIL, isotropic, False),
         Call("OrthotropicMembrane", OrthotropicMembrane, FABRIC, orthotropic, False),
@@ -198,6 +210,14 @@ def scenes(scene: Scene, other: Scene, solver: Solver, cable: LaidCable) -> list
     material = (None, "fabric", 3.0, {}, {"roof": foil}, {"roof": None}, [foil], Cable(1.0))
     moves = [{key: v} for key in ("left", cable, cable.start) for v in NO_VECTORS]
     moves += [{key: UP} for key in (3, "unknown", None, other)]
+    moves += [
+        {"left": Function(lambda x: 0 * x, bad, rank)}
+        for bad in NO_FIELDS
+        for rank in (None, comm.size - 1)
+    ]
+    top, far = other.add_joint((0.0, 0.0, 9.0), name="top"), (9.0, 9.0, 9.0)
+    other.add_bar(Bar(1.0), top, far, name="rod")
+    ends = (*NO_VECTORS, None, top, (0.0, 0.0, 9.0))
     lengths = [{cable: v} for v in (*NOT_POSITIVE, None)] + [{"left": 1.0}, {None: 1.0}]
     no_names = ("", 3, NAN, ["a"], {})
     names = (*no_names, cable.name)
@@ -232,6 +252,32 @@ def scenes(scene: Scene, other: Scene, solver: Solver, cable: LaidCable) -> list
             {
                 "pressure": NOT_POSITIVE, "name": no_names,
                 "coefficient": (*NO_NUMBERS, None, {}, {"unknown": 1.0}, *fields),
+            },
+        ),
+        Call(
+            "add_joint",
+            other.add_joint,
+            {"position": UP},
+            {"position": NO_VECTORS, "name": (*no_names, "top"), "held": ("xq", 3, None, ["x"])},
+        ),
+        Call("vertex_at", other.vertex_at, {"point": (0.0, 0.0, 0.0)}, {"point": NO_VECTORS}),
+        Call(
+            "add_bar",
+            other.add_bar,
+            {"bar": Bar(1.0), "start": top, "end": UP},
+            {
+                "bar": (None, 3.0, "x", Bar, Cable(1.0)), "end": ends, "L0": NOT_POSITIVE,
+                "name": (*no_names, "rod"),
+            },
+        ),
+        Call("remove_bar", other.remove_bar, {"bar": "rod"}, {"bar": (None, 3, "x", NAN, top)}),
+        Call(
+            "put_joint_load",
+            other.put_joint_load,
+            {"forces": {top: UP}},
+            {
+                "forces": (None, 3, "x", {}, {top: (1.0, 2.0)}, {"top": UP}, [top]),
+                "name": no_names,
             },
         ),
         Call(

@@ -162,14 +162,14 @@ def test_a_part_of_the_supports_carries_nothing(free_mesh: meshes.MembraneMesh) 
     cable = scene.lay_cable(CABLE, [(-10.0, 47.0, 0.0), (110.0, 52.0, 0.0)], L0=120.0)
     up = (0.0, 0.0, 5.0)
     both: dict[object, tuple[float, float, float]] = {"boundary": up, cable: up}
-    assert np.array_equal(checked_target(scene, None, both, {}).rigid_translation, up)
+    assert np.array_equal(checked_target(scene, None, both, {}).movements.rigid_translation, up)
     moves: list[dict[object, tuple[float, float, float]]] = [
         {"boundary": up}, {cable: up}, {"boundary": up, cable.start: up}, {}
     ]  # fmt: skip
     for move in moves:
-        assert not checked_target(scene, None, move, {}).rigid_translation.any()
+        assert not checked_target(scene, None, move, {}).movements.rigid_translation.any()
     scene.floor(-1.0)
-    assert not checked_target(scene, None, both, {}).rigid_translation.any()
+    assert not checked_target(scene, None, both, {}).movements.rigid_translation.any()
 
 
 def test_moving_a_cable_and_its_end_adds_up(square: meshes.MembraneMesh) -> None:

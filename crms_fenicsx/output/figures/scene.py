@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.cables.deformed_surface import CurrentSurface, current_surface
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.output.cable_lines import cable_lines
+from crms_fenicsx.output.cable_lines import bar_lines, cable_lines
 from crms_fenicsx.output.data import Line
 from crms_fenicsx.output.figures.axes3d import with_unit
 from crms_fenicsx.output.figures.history import units_of_results
@@ -90,9 +90,9 @@ def draw(
     tensions: bool = True,
     **options: Any,
 ) -> None:
-    """Draw a solver's scene in its current state, with the cables' tensions. Collective.
+    """Draw a solver's scene in its current state, with the tensions of cables and bars. Collective.
 
-    Cables are striped where they are off the membrane.
+    Cables are striped where they are off the membrane; the compression of bars is negative.
 
     Parameters
     ----------
@@ -151,12 +151,12 @@ def draw(
         options.setdefault("label", with_unit(chosen.label, named))
     if colour == "state":
         options.setdefault("limits", (0.0, 2.0))
-    if tensions and any(cable.taut for cable in scene.cables):
+    if tensions and (scene.bars or any(cable.taut for cable in scene.cables)):
         options |= {"line_values": "tension"}
         options.setdefault("line_label", with_unit("tension", force))
     if any(cable.lifted.any() for cable in scene.cables):
         options.setdefault("loose", "lifted")
-    lines = cable_lines(scene)
+    lines = [*cable_lines(scene), *bar_lines(scene)]
     parts = scene.comm.gather((surface, values, _own_cells(scene) if ghost else None))
     with raised_together(scene.comm):
         if parts is not None:

@@ -1,0 +1,186 @@
+"""Bars in tension and compression, and the joints and vertices between which they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any
+
+import numpy as np
+
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array, Booleans
+from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.runtime.readonly import ReadOnly
+
+SHORTEST = 1e-12
+"""Length of a bar, relative to its unstressed one, up to which it has no direction."""
+FOUND = "it follows from the loads, call solver.advance(...)"
+ANOTHER_BAR = "add another bar with scene.add_bar(...)"
+ANOTHER_JOINT = "add another joint with scene.add_joint(...)"
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A linearly elastic, straight bar with hinges at both ends: a mast, a strut or a guy.
+
+    Its energy is ``EA/2 (l - L0)^2 / L0``, its axial force ``EA (l - L0) / L0``, l the current and
+    L0 the unstressed length. It does not buckle: compare its compression with what it can bear.
+
+    Parameters
+    ----------
+    EA
+        Axial stiffness (force).
+    tension_only
+        Whether it is slack, without any force, where it is shorter than L0: a guy.
+    """
+
+    EA: float
+    tension_only: bool = False
+
+    def __post_init__(self) -> None:
+        checks.positive("Bar: EA", self.EA)
+        if not isinstance(self.tension_only, bool | np.bool_):
+            raise InputError(
+                f"Bar: tension_only = {self.tension_only!r} must be True (a guy) or False."
+            )
+
+
+@dataclass(frozen=True)
+class JointState:
+    """What load steps change of a joint.
+
+    Attributes
+    ----------
+    position : (3,)
+        Where it is (length).
+    reaction : (3,)
+        Force with which what holds it acts on it (force); zero in directions in which it is free.
+    """
+
+    position: Annotated[Array, 3]
+    reaction: Annotated[Array, 3]
+
+    def __post_init__(self) -> None:
+        for value in vars(self).values():
+            value.flags.writeable = False
+
+
+class Joint:
+    """A point off the membrane at which bars end: a hinge, free or held. Read-only.
+
+    Made by `Scene.add_joint`, and by `Scene.add_bar` for an end that is a point in space.
+
+    Attributes
+    ----------
+    name
+        Name in messages and checkpoints, and for loads.
+    first : (3,)
+        Where it was made (length).
+    held : (3,) bool
+        Components of its displacement that are held.
+    position, reaction
+        See `JointState`.
+    """
+
+    position: ReadOnly[Array] = ReadOnly("state.position", FOUND)
+    reaction: ReadOnly[Array] = ReadOnly("state.reaction", FOUND)
+
+    def __init__(self, name: str, first: Array, held: Booleans, state: JointState) -> None:
+        self.name, self.first, self.held, self.state = name, first, held, state
+
+    def update(self, **changes: Any) -> None:
+        """Replace parts of its state; for the package alone."""
+        self.state = replace(self.state, **changes)
+
+    def __repr__(self) -> str:
+        return f"Joint({self.name!r})"
+
+
+@dataclass(frozen=True)
+class MeshVertex:
+    """A vertex of the membrane as the end of bars; `Scene.vertex_at` finds one.
+
+    Attributes
+    ----------
+    number
+        Its number in the mesh as it was given, the same on all ranks.
+    place
+        Where it is when stress-free, (x, y, z) (length).
+    """
+
+    number: int
+    place: tuple[float, float, float] = field(compare=False)
+
+
+BarEnd = Joint | MeshVertex
+
+
+@dataclass(frozen=True)
+class BarState:
+    """What load steps change of a bar.
+
+    Attributes
+    ----------
+    L0
+        Unstressed length (length).
+    points : (2, 3)
+        Where its ends are (length).
+    """
+
+    L0: float
+    points: Annotated[Array, 2, 3]
+
+    def __post_init__(self) -> None:
+        self.points.flags.writeable = False
+
+
+class PlacedBar:
+    """A bar at its place. Made by `Scene.add_bar`, and read-only.
+
+    Attributes
+    ----------
+    name
+        Name in tables and pictures.
+    bar
+        Its data.
+    start, end
+        The joints or vertices at which it ends.
+    L0
+        Unstressed length (length).
+    points : (2, 3)
+        Where its ends are (length).
+    """
+
+    L0: ReadOnly[float] = ReadOnly("state.L0", "call solver.advance(L0={bar: ...})")
+    points: ReadOnly[Array] = ReadOnly("state.points", FOUND)
+
+    def __init__(self, name: str, bar: Bar, start: BarEnd, end: BarEnd, state: BarState) -> None:
+        self.name, self.bar, self.start, self.end, self.state = name, bar, start, end, state
+
+    def update(self, **changes: Any) -> None:
+        """Replace parts of its state; for the package alone."""
+        self.state = replace(self.state, **changes)
+
+    @property
+    def length(self) -> float:
+        """Current length (length)."""
+        return float(np.linalg.norm(self.points[1] - self.points[0]))
+
+    @property
+    def force(self) -> float:
+        """Axial force (force): tension is positive, compression negative."""
+        force = self.bar.EA * (self.length - self.L0) / self.L0
+        return max(force, 0.0) if self.bar.tension_only else force
+
+    @property
+    def slack(self) -> bool:
+        """Whether it is a guy that has no tension now."""
+        return self.bar.tension_only and self.force == 0.0
+
+    def pull(self, end: BarEnd) -> Array:
+        """Force (3,) with which it acts on one of its ends (force)."""
+        way = (self.points[1] - self.points[0]) / max(self.length, SHORTEST * self.L0)
+        return self.force * (float(end == self.start) - float(end == self.end)) * way
+
+    def __repr__(self) -> str:
+        return f"PlacedBar({self.name!r}, force {self.force:.6g})"

@@ -1,0 +1,260 @@
+"""What moves in a call of `Solver.advance`: held vertices, ends of cables, held joints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx.equilibrium.state import State
+from crms_fenicsx.model.bar import Joint
+from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
+from crms_fenicsx.runtime.arrays import Array, Indices
+from crms_fenicsx.runtime.errors import InputError, raised_together
+from crms_fenicsx.scene import Scene
+from crms_fenicsx.steps.motion import Motion, Move
+
+TYPE_OF_MOVE = (
+    "a laid cable, one of its ends, a held joint, or the name of a group of held vertices"
+)
+
+
+@dataclass(frozen=True)
+class Movements:
+    """Movements of supports and anchors, checked.
+
+    Attributes
+    ----------
+    vertices
+        Local degrees of freedom and the movement of each group.
+    cable_ends
+        Number of the cable, its first (0) or last (-1) node, and that end's movement.
+    joints
+        Number of the joint, and its movement.
+    rigid_translation : (3,)
+        Displacement that all supports have in common, and zero if there is none (length): the
+        whole structure begins each increment displaced by it.
+    travel
+        The longest displacement at the end of an increment (length).
+    samples
+        By what was given numbers that tell a movement from others: the displacement, or sums of
+        what a function gives.
+    """
+
+    vertices: list[tuple[Indices, Motion]]
+    cable_ends: list[tuple[int, int, Motion]]
+    joints: list[tuple[int, Motion]]
+    rigid_translation: Array
+    travel: float
+    samples: dict[object, list[float]]
+
+    def apply(self, scene: Scene, first: State, before: float, share: float) -> None:
+        """Move to a share of the way from the state `first`; `before` is that reached.
+
+        Where a vertex or an end is named twice its displacements add up.
+        """
+        u = scene.u.x.array.reshape(-1, 3)
+        further = (share - before) * self.rigid_translation
+        u += further
+        for cable in scene.cables:
+            cable.update(positions=cable.positions + further)
+        for joint in scene.joints:
+            joint.update(position=joint.position + further)
+        self._move_vertices(u, first.u.reshape(-1, 3), scene, share)
+        moved = {c: scene.cables[c].positions.copy() for c, _, _ in self.cable_ends}
+        for c, k, _ in self.cable_ends:
+            moved[c][k] = first.cables[c].positions[k]
+        for c, k, motion in self.cable_ends:
+            moved[c][k] += motion.at(share).reshape(3)
+        for c, positions in moved.items():
+            scene.cables[c].update(positions=positions)
+        places = {j: first.joints[j].position.copy() for j, _ in self.joints}
+        for j, motion in self.joints:
+            places[j] += motion.at(share).reshape(3)
+        for j, place in places.items():
+            scene.joints[j].update(position=place)
+
+    def _move_vertices(self, u: Array, start: Array, scene: Scene, share: float) -> None:
+        some, moved = np.zeros(u.shape, dtype=bool), np.zeros_like(u)
+        for dofs, motion in self.vertices:
+            some[dofs] |= motion.moving()
+            moved[dofs] += motion.at(share)
+        some &= scene.held
+        u[some] = start[some] + moved[some]
+
+
+def checked_movements(scene: Scene, move: Mapping[object, Move], steps: int) -> Movements:
+    """Check movements and say what they change; see `Solver.advance`. Collective.
+
+    Raises
+    ------
+    InputError
+        On all ranks: what cannot be moved, or not so.
+    """
+    places = scene.positions()
+    ends: list[tuple[int, int, Motion]] = []
+    joints: list[tuple[int, Motion]] = []
+    vertices: list[tuple[Indices, Motion]] = []
+    samples: dict[object, list[float]] = {}
+    travel = 0.0
+    for key, given in sorted(move.items(), key=lambda item: repr(item[0])):  # alike on all ranks
+        what = f"advance: move of {key!r}"
+        own: list[Motion] = []
+        if isinstance(key, LaidCable | CableEnd):
+            for end in (key.start, key.end) if isinstance(key, LaidCable) else (key,):
+                c, k = _anchor(scene, end)
+                place = end.cable.positions[k]
+                own.append(Motion.of(what, given, place[None], steps))
+                ends.append((c, k, own[-1]))
+        elif isinstance(key, Joint):
+            own.append(Motion.of(what, given, key.position[None], steps))
+            joints.append((_held_joint(scene, key, own[0]), own[0]))
+        elif isinstance(key, str):
+            dofs = scene.vertices(key)
+            own.append(Motion.of(what, given, places[dofs], steps))
+            _check_group(scene, key, dofs, own[0])
+            vertices.append((dofs, own[0]))
+        else:
+            raise InputError(f"advance: cannot move {key!r}; give {TYPE_OF_MOVE}.")
+        samples[key] = _samples(scene, own, vertices[-1][0] if isinstance(key, str) else None)
+        with raised_together(scene.comm):
+            sizes = (np.linalg.norm(motion.sampled, axis=2) for motion in own)
+            travel = max(travel, *(float(size.max(initial=0.0)) for size in sizes))
+    _check_above_floor(scene, vertices, steps)
+    travel = scene.comm.allreduce(travel, op=MPI.MAX)
+    return Movements(
+        vertices, ends, joints, _carried(scene, vertices, ends, joints), travel, samples
+    )
+
+
+def _samples(scene: Scene, motions: list[Motion], dofs: Indices | None) -> list[float]:
+    """What tells a movement from others: a displacement, or sums over what a function gives.
+
+    Of vertices those that this rank owns count, with weights by their numbers. Collective.
+    """
+    if motions[0].displacement is not None:
+        return [float(x) for x in motions[0].displacement]
+    found: Array = np.zeros(0)
+    with raised_together(scene.comm):
+        given = np.concatenate([motion.sampled for motion in motions], axis=1)
+        weights = np.ones(given.shape[1])
+        if dofs is not None:
+            own = dofs < scene.V.dofmap.index_map.size_local
+            weights = own * (0.5 + (0.6180339887498949 * scene.membrane.vertex_ids[dofs]) % 1.0)
+        elif scene.comm.rank:  # all ranks have the same ends
+            weights *= 0.0
+        found = np.einsum("n,sni->si", weights, given).ravel()
+    return [float(x) for x in scene.comm.allreduce(found)]
+
+
+def _anchor(scene: Scene, end: CableEnd) -> tuple[int, int]:
+    """Number of the cable of an end and its node, 0 or -1, if it is an anchor."""
+    c, k = cable_number(scene, end.cable), 0 if end.which == "start" else -1
+    if end.cable.nodes[k].kind != "anchor":
+        raise InputError(
+            f"advance: the {end.which} of {end.cable.name!r} is tied to the membrane, "
+            "which is not held there; hold it with scene.fix before laying the cable, "
+            "or lay the cable to an anchor off the membrane."
+        )
+    if end.cable.joints[k] is not None:
+        raise InputError(
+            f"advance: the {end.which} of {end.cable.name!r} is fixed to the joint "
+            f"{end.cable.joints[k]!r}, which moves by its balance; move what holds that."
+        )
+    return c, k  # the last node's number changes with the path
+
+
+def cable_number(scene: Scene, cable: object) -> int:
+    """The number of a cable of this scene."""
+    for c, other in enumerate(scene.cables):
+        if other is cable:
+            return c
+    raise InputError(f"advance: {cable!r} is not a cable of this scene.")
+
+
+def _held_joint(scene: Scene, joint: Joint, motion: Motion) -> int:
+    """The number of a joint that is held where it moves."""
+    number = scene.frame.number(joint)
+    if number < 0:
+        raise InputError(f"advance: {joint!r} is not a joint of this scene.")
+    free = motion.moving()[0] & ~joint.held
+    if free.any():
+        letters = "".join(np.array(list("xyz"))[free])
+        raise InputError(
+            f"advance: {joint!r} is not held in {letters}, so that it cannot be moved by "
+            f"{motion.sampled[-1, 0]}; make it with held={letters!r}."
+        )
+    return number
+
+
+def _check_group(scene: Scene, name: str, dofs: Indices, motion: Motion) -> None:
+    """Refuse movements in directions that are not held. Collective."""
+    with raised_together(scene.comm):
+        moving = motion.moving()
+        free = moving & ~scene.held[dofs]
+        if free.any():
+            row = int(np.argmax(free.any(axis=1)))
+            letters = "".join(np.array(list("xyz"))[moving.any(axis=0)])
+            raise InputError(
+                f"advance: {name!r} is not held in {letters}, so that it cannot be moved by "
+                f"{motion.sampled[-1, row]}; call scene.fix({name!r}, {letters!r}) first."
+            )
+
+
+def _check_above_floor(scene: Scene, vertices: list[tuple[Indices, Motion]], steps: int) -> None:
+    """The floor is for the free vertices; held ones must not be moved through it."""
+    if scene.floor_level is None:
+        return
+    with raised_together(scene.comm):
+        places = scene.positions()
+        for k in range(steps):
+            moved = np.zeros(len(places))
+            for dofs, motion in vertices:
+                moved[dofs] += motion.sampled[k, :, 2]
+            heights = places[:, 2] + moved
+            through = np.flatnonzero((moved < 0) & (heights < scene.floor_level))
+            if len(through):
+                raise InputError(
+                    f"advance: move brings the vertex at {places[through[0]]} to z = "
+                    f"{heights[through[0]]:g}, below the floor z = {scene.floor_level:g}; move it "
+                    "less."
+                )
+
+
+def _carried(
+    scene: Scene,
+    vertices: list[tuple[Indices, Motion]],
+    ends: list[tuple[int, int, Motion]],
+    joints: list[tuple[int, Motion]],
+) -> Array:
+    """The displacement that supports, anchors and held joints have in common, (3,); else zero."""
+    motions = (
+        [own[-1] for own in vertices] + [own[-1] for own in ends] + [own[-1] for own in joints]
+    )
+    if any(motion.displacement is None for motion in motions):
+        return np.zeros(3)
+    moved = np.zeros_like(scene.held, dtype=np.float64)
+    for dofs, motion in vertices:
+        moved[dofs] += motion.at(1.0)
+    of_held = np.where(scene.held, moved, np.nan)
+    ranges: Array = np.stack([np.fmin.reduce(v, initial=np.inf) for v in (of_held, -of_held)])
+    scene.comm.Allreduce(MPI.IN_PLACE, ranges, op=MPI.MIN)
+    least, negative = ranges
+    # A direction in which nothing is held stays as it is.
+    common: Array = np.where(np.isinf(least), 0.0, least)
+    travels: dict[object, Array] = {
+        (c, k): np.zeros(3)
+        for c, cable in enumerate(scene.cables)
+        for k in (0, -1)
+        if cable.nodes[k].kind == "anchor" and cable.joints[k] is None
+    }
+    travels |= {j: np.zeros(3) for j, joint in enumerate(scene.joints) if joint.held.any()}
+    for c, k, motion in ends:
+        travels[c, k] = travels[c, k] + motion.at(1.0)
+    for j, motion in joints:
+        travels[j] = travels[j] + motion.at(1.0)
+    alike = np.all((least == -negative) | np.isinf(least))
+    alike &= all(np.array_equal(travel, common) for travel in travels.values())
+    return common if alike and scene.floor_level is None else np.zeros(3)
