@@ -9,6 +9,7 @@ from crms_fenicsx import meshes
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.minimization.taylor import TaylorRates, taylor_test
 from crms_fenicsx.model.cable import Cable
+from crms_fenicsx.model.fan_control import FanControl
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import IsotropicMembrane, OrthotropicMembrane
@@ -32,6 +33,7 @@ __all__ = [
     "Cable",
     "ConvergenceError",
     "EnergyTerm",
+    "FanControl",
     "Friction",
     "FrictionWarning",
     "InputError",

@@ -14,23 +14,20 @@ from crms_fenicsx.checkpoint import Run
 from crms_fenicsx.checkpoint.call_record import plain_loads
 from crms_fenicsx.checkpoint.codec import Plain
 from crms_fenicsx.checkpoint.journal import FOLDER, Journal, Progress
-from crms_fenicsx.contact.contact_force import ContactForces, contact_forces
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
-from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.membrane import Marker
+from crms_fenicsx.model.fan_control import FanControl
 from crms_fenicsx.output.history import History
 from crms_fenicsx.output.recorder import Recorder
-from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
-from crms_fenicsx.results.reactions import Reactions, reactions
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import ConvergenceError, InputError, collective
 from crms_fenicsx.runtime.interrupt import postponed, stop_together
 from crms_fenicsx.runtime.progress import progress
 from crms_fenicsx.runtime.readonly import ReadOnly
 from crms_fenicsx.scene import Scene
+from crms_fenicsx.steps.found_state import FoundState
 from crms_fenicsx.steps.increment_solver import IncrementSolver
 from crms_fenicsx.steps.load_cases import LoadCases
 from crms_fenicsx.steps.load_step import Step
@@ -44,7 +41,7 @@ ANOTHER = "make another Solver(scene, ...), which goes on from the scene as it i
 """What to do instead of assigning a solver's options."""
 
 
-class Solver(LoadCases):
+class Solver(LoadCases, FoundState):
     """Brings a scene from one equilibrium to the next.
 
     Parameters
@@ -143,71 +140,15 @@ class Solver(LoadCases):
         return self._recorder.history
 
     @collective
-    def results(self) -> MembraneResults:
-        """Stresses, strains and state of the membrane's cells in the current state. Collective.
-
-        Returns
-        -------
-        MembraneResults
-            Values in this rank's cells.
-        """
-        return membrane_results(self.system)
-
-    @collective
-    def reactions(self, where: str | Marker) -> Reactions:
-        """Forces that supports exert on the membrane, in the current state. Collective.
-
-        Those on a cable's ends are not among them: ``cable.start.reaction``.
-
-        Parameters
-        ----------
-        where
-            Held vertices, as for `Scene.vertices`.
-
-        Returns
-        -------
-        Reactions
-            Their sum, and the force on each of this rank's vertices.
-
-        Raises
-        ------
-        InputError
-            As `Scene.vertices`.
-        """
-        return reactions(self.system, where)
-
-    @collective
-    def contact_forces(self, cable: LaidCable) -> ContactForces:
-        """Forces of a cable on the membrane at its points, in the current state. Collective.
-
-        Parameters
-        ----------
-        cable
-            A cable of the scene.
-
-        Returns
-        -------
-        ContactForces
-            At the points of the cable's `line`; its ``line`` is the force per length of cable.
-
-        Raises
-        ------
-        InputError
-            It is no cable of this scene.
-        """
-        checks.same(self.comm, "contact_forces", cable=cable)
-        if not any(cable is own for own in self.scene.cables):
-            raise InputError(f"contact_forces: {cable!r} is not a cable of this scene.")
-        return contact_forces(cable, self.scene.net.strip_shape()).at(cable.line_nodes())
-
-    @collective
     def advance(
         self,
         *,
-        pressure: float | None = None,
+        pressure: float | FanControl | None = None,
         move: Mapping[object, tuple[float, float, float]] | None = None,
         L0: Mapping[object, float] | None = None,
         load: float | Mapping[str, float] | None = None,
+        temperature: float | None = None,
+        atmosphere: float | None = None,
         steps: int = 1,
     ) -> Step:
         """Go to new loads in equal increments, and write each state.
@@ -220,7 +161,8 @@ class Solver(LoadCases):
         Parameters
         ----------
         pressure
-            Pressure to reach (force per area), positive to the membrane's outside.
+            Pressure to reach (force per area), positive to the membrane's outside, or a
+            `FanControl`, by which it follows a load in this call.
         move
             Displacements (length) of cables (both ends), cable ends (``cable.start``) or held
             groups of vertices, by which they move during this call. What is named twice, as a
@@ -232,6 +174,9 @@ class Solver(LoadCases):
         load
             Factors to reach of the loads on the membrane, by their names; those not named keep
             theirs. Where there is one load only, a number is its factor.
+        temperature, atmosphere
+            Where air is sealed: its absolute temperature to reach, relative to that at sealing, and
+            the pressure of the atmosphere (force per area); see `Scene.seal`.
         steps
             Number of increments.
 
@@ -253,16 +198,17 @@ class Solver(LoadCases):
             state, which with `resume` is in a checkpoint.
         """
         scene = self.scene
+        air = {"temperature": temperature, "atmosphere": atmosphere}
         checks.same(
-            self.comm, "advance", pressure=pressure, move=move, L0=L0, load=load, steps=steps
+            self.comm, "advance", pressure=pressure, move=move, L0=L0, load=load, steps=steps, **air
         )
         checks.whole("advance: steps", steps, 1)
         move, L0 = {} if move is None else move, {} if L0 is None else L0
-        target = checked_target(scene, pressure, move, L0, load)
+        target = checked_target(scene, pressure, move, L0, load, **air)
         self._recorder.claim(bool(self._options.resume))
         self._increments.forget_removed()
         first = State.of(scene)
-        done, increment = self._resumed(plain_loads(pressure, move, L0, load, steps), steps)
+        done, increment = self._resumed(plain_loads(pressure, move, L0, load, steps, air), steps)
         halvings, began = 0, time.perf_counter()
         spent: Outcome | None = None
         with postponed(scene.comm), progress(scene.comm, steps, "load steps") as bar:

@@ -11,6 +11,7 @@ from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.cable_state import CableState
 from crms_fenicsx.model.crossing import Crossing
+from crms_fenicsx.model.sealed_air import SealedAir
 from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.steps.load_step import Step
@@ -85,7 +86,7 @@ class Contents:
         How many edges are held.
     digests
         Of the files with the fields, by their names.
-    pressure, floor, dissipated, energies
+    pressure, air, floor, dissipated, energies
         As in the scene.
     laid
         How many cables have been laid.
@@ -103,6 +104,7 @@ class Contents:
     held_edges: int
     digests: dict[str, str]
     pressure: float
+    air: SealedAir | None
     floor: float | None
     laid: int
     dissipated: float

@@ -29,7 +29,7 @@ from crms_fenicsx.runtime.files import explained, read_text, readable
 from crms_fenicsx.scene import Scene
 
 STATE, CELLS = "state.json", "cells.npy"
-FORMAT = "crms_fenicsx checkpoint 5"
+FORMAT = "crms_fenicsx checkpoint 6"
 """What a checkpoint says it is; the number grows when its content changes."""
 
 
@@ -162,6 +162,7 @@ def _contents(
         held_edges=edges,
         digests=digests,
         pressure=scene.pressure,
+        air=scene.air,
         floor=scene.floor_level,
         laid=scene.net.laid,
         dissipated=scene.net.removed_dissipation,
@@ -196,7 +197,8 @@ def _restore(scene: Scene, fields: Fields, saved: Saved) -> None:
         scene.net.strip = strip
     scene.u.x.array[:] = fields.u.ravel()
     scene.held[:] = fields.held
-    scene._floor_level, scene._pressure = contents.floor, contents.pressure
+    scene._floor_level, scene._air = contents.floor, contents.air
+    scene._pressure = contents.pressure
     scene.energies, net = contents.energies, scene.net
     net.laid, net.removed_dissipation = contents.laid, contents.dissipated
     scene._loads = tuple(

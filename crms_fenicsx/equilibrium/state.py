@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from crms_fenicsx.energies.dead_load import MembraneLoad
 from crms_fenicsx.model.cable_state import CableNode, CableState
 from crms_fenicsx.model.crossing import Crossing
+from crms_fenicsx.model.sealed_air import SealedAir
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
 
@@ -18,6 +19,7 @@ class State:
 
     u: Array
     pressure: float
+    air: SealedAir | None
     loads: tuple[MembraneLoad, ...]
     energies: dict[str, float]
     cables: tuple[CableState, ...]
@@ -29,6 +31,7 @@ class State:
         return cls(
             scene.u.x.array.copy(),
             scene.pressure,
+            scene.air,
             scene.loads,
             dict(scene.energies),
             tuple(cable.state for cable in scene.cables),
@@ -56,7 +59,7 @@ class State:
     def restore(self, scene: Scene) -> None:
         """Bring the scene back to this state."""
         scene.u.x.array[:] = self.u
-        scene._pressure, scene._loads = self.pressure, self.loads
+        scene._pressure, scene._air, scene._loads = self.pressure, self.air, self.loads
         scene.energies = dict(self.energies)
         for cable, was in zip(scene.cables, self.cables, strict=True):
             cable.state = was

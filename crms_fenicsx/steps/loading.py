@@ -12,11 +12,13 @@ from mpi4py import MPI
 
 from crms_fenicsx.energies.pressure_rim import rim_of
 from crms_fenicsx.equilibrium.state import State
+from crms_fenicsx.model.fan_control import FanControl
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import EPSILON, Array, Indices
+from crms_fenicsx.runtime.arrays import Array, Indices
 from crms_fenicsx.runtime.errors import InputError, as_text, raised_together
 from crms_fenicsx.scene import Scene
+from crms_fenicsx.steps.inner_pressure import InnerPressure, between, checked_pressure
 
 Value = TypeVar("Value")
 
@@ -30,7 +32,7 @@ class Target:
     Attributes
     ----------
     pressure
-        First and last pressure (force per area).
+        Way of the inner pressure.
     factors
         First and last factor of each load that changes, by its name.
     cable_ends
@@ -44,7 +46,7 @@ class Target:
         Number of the cable, its first and last unstressed length (length).
     """
 
-    pressure: tuple[float, float]
+    pressure: InnerPressure
     factors: dict[str, tuple[float, float]]
     cable_ends: list[tuple[int, int, Array]]
     moved: Array
@@ -53,13 +55,13 @@ class Target:
 
     def apply(self, scene: Scene, first: State, before: float, share: float) -> None:
         """Set the loads at a share of the way from the state `first`; `before` is that reached."""
-        scene._pressure = _between(*self.pressure, share)
         scene._loads = tuple(
-            replace(load, factor=_between(*self.factors[load.name], share))
+            replace(load, factor=between(*self.factors[load.name], share))
             if load.name in self.factors
             else load
             for load in scene.loads
         )
+        self.pressure.apply(scene, share)
         u = scene.u.x.array.reshape(-1, 3)
         u += (share - before) * self.rigid_translation
         for cable in scene.cables:
@@ -77,22 +79,14 @@ class Target:
             scene.cables[c].update(L0=start + share * (end - start))
 
 
-def _between(first: float, last: float, share: float) -> float:
-    """A load at a share of the way; none where only rounding is left of it.
-
-    A scene without load is another one than one with the least: nothing may be in equilibrium.
-    """
-    value = first + share * (last - first)
-    rounding = 4 * EPSILON * max(abs(first), abs(last))
-    return 0.0 if abs(value) <= rounding else value
-
-
 def checked_target(
     scene: Scene,
-    pressure: float | None,
+    pressure: float | FanControl | None,
     move: Mapping[object, tuple[float, float, float]],
     L0: Mapping[object, float],
     load: float | Mapping[str, float] | None = None,
+    temperature: float | None = None,
+    atmosphere: float | None = None,
 ) -> Target:
     """Check the loads and say what they change; see `Solver.advance`. Collective.
 
@@ -107,8 +101,7 @@ def checked_target(
             "advance: nothing of the membrane is held; hold its boundary with "
             'scene.fix("boundary").'
         )
-    value = scene.pressure if pressure is None else pressure
-    value = checks.finite("advance: pressure", value)
+    inner = checked_pressure(scene, pressure, temperature, atmosphere)
     factors = {} if load is None else _factors(scene, load)
     _check_wind(scene, factors)
     for name, given in (("move", move), ("L0", L0)):
@@ -139,7 +132,7 @@ def checked_target(
                 )
             # The last node's number changes with the path.
             ends.append((c, 0 if k == 0 else -1, displacement))
-    if value != 0.0:
+    if inner.acts:
         _check_rim(scene)
     moved = _moved(scene, vertices)
     _check_above_floor(scene, moved)
@@ -155,7 +148,7 @@ def checked_target(
         length = checks.positive(f"advance: L0 of {key.name!r}", length)
         lengths.append((_number(scene, key), key.L0, length))
     rigid_translation = _carried(scene, moved, ends)
-    return Target((scene.pressure, value), factors, ends, moved, rigid_translation, lengths)
+    return Target(inner, factors, ends, moved, rigid_translation, lengths)
 
 
 def _factors(scene: Scene, load: float | Mapping[str, float]) -> dict[str, tuple[float, float]]:
