@@ -23,6 +23,7 @@ from crms_fenicsx.runtime.errors import (
     PathWarning,
     PenaltyWarning,
     PictureWarning,
+    PondWarning,
 )
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.solver import Solver
@@ -45,6 +46,7 @@ __all__ = [
     "PathWarning",
     "PenaltyWarning",
     "PictureWarning",
+    "PondWarning",
     "Scene",
     "Solver",
     "Step",

@@ -1,12 +1,15 @@
-"""What lies under and over a loaded membrane: air that is sealed."""
+"""What is under and on a loaded membrane: air that is sealed, and water."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
 from crms_fenicsx.loaded_membrane import LoadedMembrane
 from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.model.sealed_air import SealedAir
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, collective
@@ -14,7 +17,7 @@ from crms_fenicsx.runtime.readonly import ReadOnly
 
 
 class FilledMembrane(LoadedMembrane):
-    """A loaded membrane over air that may be sealed.
+    """A loaded membrane over air that may be sealed, and under ponds.
 
     Parameters
     ----------
@@ -26,12 +29,22 @@ class FilledMembrane(LoadedMembrane):
         "_air", "call scene.seal(volume=...) or scene.unseal()"
     )
     """The air, if it is sealed, with its current temperature and atmosphere; else None."""
+    ponds: ReadOnly[tuple[Pond, ...]] = ReadOnly(
+        "_ponds", "call scene.put_pond(...) or solver.advance(load=...)"
+    )
+    """The water on the membrane, with its current levels, volumes and factors."""
     pressure_law: ReadOnly[Literal["total", "step"]]
     _pressure: float
 
     def __init__(self, membrane: Membrane) -> None:
         super().__init__(membrane)
         self._air: SealedAir | None = None
+        self._ponds: tuple[Pond, ...] = ()
+
+    @property
+    def factors(self) -> dict[str, float]:
+        """Current factors of the loads and ponds, by their names."""
+        return super().factors | {pond.name: pond.factor for pond in self._ponds}
 
     @property
     @abstractmethod
@@ -107,4 +120,91 @@ class FilledMembrane(LoadedMembrane):
         if self._air is None:
             raise InputError("unseal: the air is not sealed; scene.seal(volume=...) does that.")
         self._air = None
+        self.changes += 1
+
+    @collective
+    def put_pond(
+        self,
+        weight: float,
+        *,
+        level: float | None = None,
+        volume: float | None = None,
+        on: Sequence[str] | None = None,
+        name: str = "pond",
+    ) -> None:
+        """Let water stand on the membrane; `Solver.advance` brings it on by its factor. Collective.
+
+        It lies over all that is below its level, on the side of the membrane that faces up, and
+        presses on it the more the further it sinks. Water over a rim below the level does not run
+        off. Give either the level, as where water comes and goes, or the volume.
+
+        Parameters
+        ----------
+        weight
+            Weight of the water by volume (force / length cubed), positive: 10 kN / m^3.
+        level
+            Height z of the water's surface (length).
+        volume
+            Amount of water (length cubed); its level follows.
+        on
+            Parts of the mesh that it stands on; all of it by default. Walls below a roof have none.
+        name
+            What load steps and results know it by.
+
+        Raises
+        ------
+        InputError
+            On all ranks: a weight or a volume that is not positive, neither level nor volume or
+            both, a part that does not exist, cells without an upper side, or a name that is taken.
+
+        Notes
+        -----
+        A load step that ends in an equilibrium that is not stable raises a `PondWarning`, one
+        without equilibrium a `ConvergenceError`. The rim of what is under water must be held, or
+        slide in planes of symmetry: elsewhere a dam would have to stand on it.
+
+        Examples
+        --------
+        >>> scene.put_pond(10.0, level=6.2, on=["roof"])
+        >>> solver.advance(load={"pond": 1.0}, steps=4)
+        >>> scene.ponds[0].volume
+        """
+        checks.same(
+            self.comm, "put_pond", weight=weight, level=level, volume=volume, on=on, name=name
+        )
+        self._check_new_load("put_pond", name)
+        weight = checks.positive("put_pond: weight", weight)
+        if (level is None) == (volume is None):
+            raise InputError(
+                f"put_pond: level = {level!r} and volume = {volume!r}; give one of the two."
+            )
+        known, parts = self.membrane.mesh.parts, () if on is None else tuple(on)
+        if on is not None and (isinstance(on, str) or not on or not set(parts) <= set(known)):
+            names = ", ".join(map(repr, known)) or "none"
+            raise InputError(
+                f"put_pond: on = {on!r}; give a list of parts of the mesh, which are {names}."
+            )
+        if volume is not None:
+            volume = checks.positive("put_pond: volume", volume)
+            pond = Pond(name, weight, "volume", float(self.membrane.centre[2]), volume, parts, 1)
+        else:
+            level = checks.finite("put_pond: level", level)
+            pond = Pond(name, weight, "level", level, 0.0, parts, 1)
+        pond = replace(pond, side=pond.found_side(self.membrane))
+        self._ponds = (*self._ponds, pond)
+        self.changes += 1
+
+    @collective
+    def remove_load(self, name: str) -> None:
+        """Take a load or a pond away; the next load step goes on without it. Collective.
+
+        Raises
+        ------
+        InputError
+            On all ranks: there is no such load.
+        """
+        checks.same(self.comm, "remove_load", name=name)
+        checks.named("load", self.factors, name)
+        self._loads = tuple(load for load in self._loads if load.name != name)
+        self._ponds = tuple(pond for pond in self._ponds if pond.name != name)
         self.changes += 1

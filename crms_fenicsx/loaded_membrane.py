@@ -122,7 +122,7 @@ class LoadedMembrane:
             raise InputError(
                 f"{call}: name = {name!r} is the inner pressure's; give another one, as in 'snow'."
             )
-        if any(load.name == name for load in self.loads):
+        if name in self.factors:
             raise InputError(
                 f"{call}: there is a load {name!r} already; give another name, or take that one "
                 f"away with scene.remove_load({name!r})."
@@ -132,19 +132,10 @@ class LoadedMembrane:
         self._loads = (*self._loads, load)
         self.changes += 1
 
-    @collective
-    def remove_load(self, name: str) -> None:
-        """Take a load away; the next load step finds the equilibrium without it. Collective.
-
-        Raises
-        ------
-        InputError
-            On all ranks: there is no such load.
-        """
-        checks.same(self.comm, "remove_load", name=name)
-        load = self.load(name)
-        self._loads = tuple(other for other in self._loads if other is not load)
-        self.changes += 1
+    @property
+    def factors(self) -> dict[str, float]:
+        """Current factors of the loads, by their names."""
+        return {load.name: load.factor for load in self.loads}
 
     def load(self, name: str) -> MembraneLoad:
         """The load with a name.

@@ -33,7 +33,12 @@ from crms_fenicsx.steps.load_cases import LoadCases
 from crms_fenicsx.steps.load_step import Step
 from crms_fenicsx.steps.loading import checked_target
 from crms_fenicsx.steps.options import checked_options
-from crms_fenicsx.steps.warnings import no_equilibrium, warn_of_blocked, warn_of_friction
+from crms_fenicsx.steps.warnings import (
+    no_equilibrium,
+    warn_of_blocked,
+    warn_of_friction,
+    warn_of_ponds,
+)
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -226,7 +231,10 @@ class Solver(LoadCases, FoundState):
                 if not outcome.converged:
                     halvings, increment = halvings + 1, (goal - done) / 2
                     if increment < 0.5**self.max_halvings * (1 - 1e-9):
-                        failure = no_equilibrium(number, outcome, self.max_halvings, done / steps)
+                        part = done / steps
+                        failure = no_equilibrium(
+                            number, outcome, self.max_halvings, part, scene.ponds
+                        )
                         self._keep(done, increment, str(failure))
                         raise failure
                     logger.info("halving the increment: %s", outcome.reason)
@@ -237,6 +245,7 @@ class Solver(LoadCases, FoundState):
                 if not self.slide:
                     warn_of_blocked(number, scene)
                 warn_of_friction(number, scene, before, outcome.unsettled)
+                warn_of_ponds(number, self.system)
                 if abs(goal - round(goal)) < 1e-9:
                     bar.advance(1, f"energy {step.energy:.6g}")
                 done, increment = goal, min(2 * (goal - done), 1.0)

@@ -11,6 +11,7 @@ from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.cable_state import CableState
 from crms_fenicsx.model.crossing import Crossing
+from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.model.sealed_air import SealedAir
 from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.runtime.arrays import Array
@@ -92,6 +93,8 @@ class Contents:
         How many cables have been laid.
     loads
         Those on the membrane but for their forces.
+    ponds
+        As in the scene.
     strip
         Ids of the vertices all whose cells are known to the cables.
     run
@@ -110,6 +113,7 @@ class Contents:
     dissipated: float
     energies: dict[str, float]
     loads: tuple[SavedLoad, ...]
+    ponds: tuple[Pond, ...]
     strip: tuple[int, ...]
     cables: tuple[SavedCable, ...]
     crossings: tuple[Crossing, ...]

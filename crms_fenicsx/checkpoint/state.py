@@ -171,6 +171,7 @@ def _contents(
             SavedLoad(load.name, load.intensity, load.suction is not None, load.factor)
             for load in scene.loads
         ),
+        ponds=scene.ponds,
         strip=() if strip is None else tuple(sorted(strip.complete)),
         cables=tuple(
             SavedCable(c.name, c.cable, c.sleeve, c.layer, c.in_edge, c.state) for c in scene.cables
@@ -198,7 +199,7 @@ def _restore(scene: Scene, fields: Fields, saved: Saved) -> None:
     scene.u.x.array[:] = fields.u.ravel()
     scene.held[:] = fields.held
     scene._floor_level, scene._air = contents.floor, contents.air
-    scene._pressure = contents.pressure
+    scene._pressure, scene._ponds = contents.pressure, contents.ponds
     scene.energies, net = contents.energies, scene.net
     net.laid, net.removed_dissipation = contents.laid, contents.dissipated
     scene._loads = tuple(

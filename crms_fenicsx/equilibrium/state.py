@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from crms_fenicsx.energies.dead_load import MembraneLoad
 from crms_fenicsx.model.cable_state import CableNode, CableState
 from crms_fenicsx.model.crossing import Crossing
+from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.model.sealed_air import SealedAir
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
@@ -21,6 +22,7 @@ class State:
     pressure: float
     air: SealedAir | None
     loads: tuple[MembraneLoad, ...]
+    ponds: tuple[Pond, ...]
     energies: dict[str, float]
     cables: tuple[CableState, ...]
     crossings: tuple[Crossing, ...]
@@ -33,6 +35,7 @@ class State:
             scene.pressure,
             scene.air,
             scene.loads,
+            scene.ponds,
             dict(scene.energies),
             tuple(cable.state for cable in scene.cables),
             scene.net.crossings,
@@ -59,7 +62,8 @@ class State:
     def restore(self, scene: Scene) -> None:
         """Bring the scene back to this state."""
         scene.u.x.array[:] = self.u
-        scene._pressure, scene._air, scene._loads = self.pressure, self.air, self.loads
+        scene._pressure, scene._air = self.pressure, self.air
+        scene._loads, scene._ponds = self.loads, self.ponds
         scene.energies = dict(self.energies)
         for cable, was in zip(scene.cables, self.cables, strict=True):
             cable.state = was

@@ -125,6 +125,10 @@ class Recorder:
         }
         for load in scene.loads:
             row["load" if load.name == "load" else f"load {load.name}"] = load.factor
+        for pond in scene.ponds:
+            row[f"load {pond.name}"] = pond.factor
+            row[f"level {pond.name}"] = pond.level
+            row[f"volume {pond.name}"] = pond.volume
         row["energy"] = step.energy
         row |= {f"energy {name}": value for name, value in step.energies.items()}
         held = any(cable.grip is not None or cable.axial is not None for cable in scene.cables)

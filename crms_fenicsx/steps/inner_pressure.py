@@ -57,7 +57,7 @@ class InnerPressure:
             )
             scene._pressure = scene._air.pressure(scene.volume)
         elif self.fans is not None:
-            factor = scene.load(self.fans.load).factor
+            factor = scene.factors[self.fans.load]
             rest = between(self.first, self.last, share)
             scene._pressure = self.fans.pressure(factor) + rest
         else:
@@ -98,7 +98,8 @@ def checked_pressure(
         }
         return InnerPressure(scene.pressure, scene.pressure, air=(air, replace(air, **changed)))
     if isinstance(pressure, FanControl):
-        offset = scene.pressure - pressure.pressure(scene.load(pressure.load).factor)
+        factor = checks.named("load", scene.factors, pressure.load)
+        offset = scene.pressure - pressure.pressure(factor)
         return InnerPressure(offset, 0.0, fans=pressure)
     last = scene.pressure if pressure is None else checks.finite("advance: pressure", pressure)
     return InnerPressure(scene.pressure, last)

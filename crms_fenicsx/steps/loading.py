@@ -61,6 +61,12 @@ class Target:
             else load
             for load in scene.loads
         )
+        scene._ponds = tuple(
+            replace(pond, factor=between(*self.factors[pond.name], share))
+            if pond.name in self.factors
+            else pond
+            for pond in scene.ponds
+        )
         self.pressure.apply(scene, share)
         u = scene.u.x.array.reshape(-1, 3)
         u += (share - before) * self.rigid_translation
@@ -152,24 +158,36 @@ def checked_target(
 
 
 def _factors(scene: Scene, load: float | Mapping[str, float]) -> dict[str, tuple[float, float]]:
-    """First and last factors of loads, by their names."""
-    if not scene.loads:
+    """First and last factors of loads and ponds, by their names."""
+    present = scene.factors
+    if not present:
         raise InputError(
             f"advance: load = {load!r}, but there is none on the membrane; put one there with "
-            "scene.put_load or scene.put_wind."
+            "scene.put_load, scene.put_wind or scene.put_pond."
         )
     if not isinstance(load, Mapping):
-        if len(scene.loads) > 1:
-            names = ", ".join(repr(other.name) for other in scene.loads)
+        only = next(iter(present))
+        if len(present) > 1:
+            names = ", ".join(map(repr, present))
             raise InputError(
                 f"advance: load = {load!r}, but there are the loads {names}; write "
-                f"load={{{scene.loads[0].name!r}: {load!r}}}."
+                f"load={{{only!r}: {load!r}}}."
             )
-        return {scene.loads[0].name: (scene.loads[0].factor, checks.finite("advance: load", load))}
-    return {
-        name: (scene.load(name).factor, checks.finite(f"advance: load of {name!r}", factor))
+        return {only: (present[only], checks.finite("advance: load", load))}
+    found = {
+        name: (
+            checks.named("load", present, name),
+            checks.finite(f"advance: load of {name!r}", factor),
+        )
         for name, factor in load.items()
     }
+    for pond in scene.ponds:
+        if found.get(pond.name, (0.0, 0.0))[1] < 0.0:
+            raise InputError(
+                f"advance: load of {pond.name!r} = {load[pond.name]:g}, of water, which cannot "
+                "pull; give 0 or more."
+            )
+    return found
 
 
 def _check_wind(scene: Scene, factors: Mapping[str, tuple[float, float]]) -> None:
