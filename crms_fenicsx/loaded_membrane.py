@@ -20,8 +20,8 @@ from crms_fenicsx.runtime.readonly import ReadOnly
 ANOTHER = "make another Scene(...)"
 """What to do instead of assigning what a scene is made of."""
 
-PRESSURE = "pressure"
-"""What combinations of loads know the inner pressure by; no name of a load."""
+AIR = ("pressure", "temperature", "atmosphere")
+"""What combinations know what is of the air by, as `Solver.advance` does; no names of loads."""
 
 
 class LoadedMembrane:
@@ -118,9 +118,9 @@ class LoadedMembrane:
         self.membrane.check_finite(call)
         if not isinstance(name, str) or not name:
             raise InputError(f"{call}: name = {name!r} is no text; give one, as in 'snow'.")
-        if name == PRESSURE:
+        if name in AIR:
             raise InputError(
-                f"{call}: name = {name!r} is the inner pressure's; give another one, as in 'snow'."
+                f"{call}: name = {name!r} is one of the air's; give another one, as in 'snow'."
             )
         if name in self.factors:
             raise InputError(

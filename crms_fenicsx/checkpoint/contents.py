@@ -133,6 +133,11 @@ class Contents:
         for load in self.loads:
             if not load.intensity >= 0:
                 raise ValueError(f"a load {load.name!r} of the intensity {load.intensity}")
+        for pond in self.ponds:
+            if not (pond.weight > 0 and pond.side in (-1, 1)):
+                raise ValueError(f"a pond {pond.name!r} of {pond.weight} on the side {pond.side}")
+        if self.air is not None and not min(self.air.volume, self.air.absolute) > 0:
+            raise ValueError(f"sealed air that is none, {self.air}")
         ids = [*self.strip, *chain.from_iterable(self._supports())]
         if ids and not 0 <= min(ids) <= max(ids) < n_vertices:
             raise ValueError(f"vertices {min(ids)} to {max(ids)} of a mesh with {n_vertices}")

@@ -136,6 +136,9 @@ def restore(saved: Saved, scene: Scene) -> Run:
     with reading(saved.file):
         contents.check(scene.V.dofmap.index_map.size_global)
         names = [cable.name for cable in contents.cables]
+        unknown = {part for pond in contents.ponds for part in pond.parts}
+        if unknown := unknown - set(scene.mesh.parts):
+            raise ValueError(f"ponds on parts {sorted(unknown)}, which the mesh has not")
         if scene.cables and [cable.name for cable in scene.cables] != names:
             raise ValueError(f"its cables are {names}, and the scene's {scene.cables}")
     check_same(contents.scene, scene)

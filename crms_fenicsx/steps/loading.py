@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import TypeVar
 
 import numpy as np
@@ -87,9 +88,9 @@ class Target:
 
 def checked_target(
     scene: Scene,
-    pressure: float | FanControl | None,
-    move: Mapping[object, tuple[float, float, float]],
-    L0: Mapping[object, float],
+    pressure: float | FanControl | None = None,
+    move: Mapping[object, tuple[float, float, float]] = MappingProxyType({}),
+    L0: Mapping[object, float] = MappingProxyType({}),
     load: float | Mapping[str, float] | None = None,
     temperature: float | None = None,
     atmosphere: float | None = None,

@@ -109,8 +109,30 @@ def test_a_cable_over_sealed_air(comm: MPI.Intracomm) -> None:
         assert scene.cable("ridge").tension == pytest.approx(tension, rel=1e-7)
         again = solver.reactions("boundary").total
         np.testing.assert_allclose(again, total, atol=1e-6 * np.abs(total).max())
+    with solver.branch("hot"):
+        scene.seal(volume=volume, atmosphere=0.3)
+        solver.advance(temperature=1.02)
+        assert scene.pressure > pressure
     assert scene.air is None
     assert scene.pressure == pressure
+    assert solver.advance().outcome.iterations == 0
+
+
+def test_combinations_of_sealed_air(comm: MPI.Intracomm) -> None:
+    scene = clamped(meshes.rectangle(comm, 100.0, 100.0, 25.0))
+    scene.put_load((0.0, 0.0, -2e-3), name="snow", per="plan")
+    solver = Solver(scene)
+    solver.advance(pressure=0.02)
+    scene.seal(volume=60000.0, atmosphere=0.3)
+    found = solver.combine(
+        {"cold": {"temperature": 0.98}, "high": {"atmosphere": 0.29, "snow": 1.0}}
+    )
+    states = [found[name].snapshot.state for name in ("cold", "high")]
+    assert [(s.air.temperature, s.air.atmosphere) for s in states] == [(0.98, 0.3), (1.0, 0.29)]
+    assert states[0].pressure < 0.02 < states[1].pressure
+    assert scene.pressure == 0.02
+    with pytest.raises(InputError, match="'warm': advance: temperature = 0 is not positive"):
+        solver.combine({"warm": {"temperature": 0}})
 
 
 def test_sealed_air_goes_on(comm: MPI.Intracomm, tmp_path: Path) -> None:

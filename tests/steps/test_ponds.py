@@ -86,7 +86,7 @@ def test_water_gathers_without_end(comm: MPI.Intracomm) -> None:
     assert scene.ponds[0].volume == volume
 
 
-@pytest.mark.parametrize("part", [0.95, 1.05], ids=["carried", "lost"])
+@pytest.mark.parametrize("part", [0.99, 1.01], ids=["carried", "lost"])
 def test_an_equilibrium_that_is_not_stable(comm: MPI.Intracomm, part: float) -> None:
     """Water on a flat strip that an equal load from below carries: N = weight L^2 / pi^2."""
     length = 4.0
@@ -95,8 +95,8 @@ def test_an_equilibrium_that_is_not_stable(comm: MPI.Intracomm, part: float) -> 
     scene.fix(lambda x: np.isclose(x[0] * (length - x[0]), 0.0))
     scene.fix(lambda x: np.isclose(x[1] * (1.0 - x[1]), 0.0), "y")
     weight = part * TENSION * np.pi**2 / length**2
-    scene.put_pond(weight, level=0.1)
-    scene.put_load((0.0, 0.0, 0.1 * weight), name="lift", per="plan")
+    scene.put_pond(weight, level=1e-3)
+    scene.put_load((0.0, 0.0, 1e-3 * weight), name="lift", per="plan")
     solver = Solver(scene)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", PondWarning)
@@ -183,7 +183,7 @@ def test_bad_input(comm: MPI.Intracomm) -> None:
         ("level = inf is not finite", {"weight": 10, "level": float("inf")}),
         ("'attic'.*which are 'left', 'right'", {"weight": 10, "level": 0.0, "on": ["attic"]}),
         ("on = 'left'; give a list", {"weight": 10, "level": 0.0, "on": "left"}),
-        ("is the inner pressure's", {"weight": 10, "level": 0.0, "name": "pressure"}),
+        ("is one of the air's", {"weight": 10, "level": 0.0, "name": "pressure"}),
     ):
         with pytest.raises(InputError, match=message):
             scene.put_pond(**arguments)
