@@ -178,12 +178,7 @@ class FilledMembrane(LoadedMembrane):
             raise InputError(
                 f"put_pond: level = {level!r} and volume = {volume!r}; give one of the two."
             )
-        known, parts = self.membrane.mesh.parts, () if on is None else tuple(on)
-        if on is not None and (isinstance(on, str) or not on or not set(parts) <= set(known)):
-            names = ", ".join(map(repr, known)) or "none"
-            raise InputError(
-                f"put_pond: on = {on!r}; give a list of parts of the mesh, which are {names}."
-            )
+        parts = () if on is None else self._parts(on)
         if volume is not None:
             volume = checks.positive("put_pond: volume", volume)
             pond = Pond(name, weight, "volume", float(self.membrane.centre[2]), volume, parts, 1)
@@ -193,6 +188,17 @@ class FilledMembrane(LoadedMembrane):
         pond = replace(pond, side=pond.found_side(self.membrane))
         self._ponds = (*self._ponds, pond)
         self.changes += 1
+
+    def _parts(self, on: object) -> tuple[str, ...]:
+        """The parts of the mesh that a pond's `on` names."""
+        known = list(self.membrane.mesh.parts)
+        listed = isinstance(on, Sequence) and not isinstance(on, str) and len(on) > 0
+        if not listed or any(part not in known for part in on):  # type: ignore[union-attr]
+            names = ", ".join(map(repr, known)) or "none"
+            raise InputError(
+                f"put_pond: on = {on!r}; give a list of parts of the mesh, which are {names}."
+            )
+        return tuple(on)  # type: ignore[arg-type]
 
     @collective
     def remove_load(self, name: str) -> None:

@@ -177,7 +177,8 @@ class Solver(LoadCases, FoundState):
         L0
             Unstressed lengths of cables to reach (length).
         load
-            Factors to reach of loads and ponds, by their names; those not named keep theirs. Where there is one load only, a number is its factor.
+            Factors to reach of loads and ponds, by their names; those not named keep theirs. Where
+            there is one load only, a number is its factor.
         temperature, atmosphere
             Where air is sealed: its absolute temperature to reach, relative to that at sealing, and
             the pressure of the atmosphere (force per area); see `Scene.seal`.
