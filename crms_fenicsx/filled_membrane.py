@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 from crms_fenicsx.loaded_membrane import LoadedMembrane
 from crms_fenicsx.model.membrane import Membrane
@@ -189,16 +189,16 @@ class FilledMembrane(LoadedMembrane):
         self._ponds = (*self._ponds, pond)
         self.changes += 1
 
-    def _parts(self, on: object) -> tuple[str, ...]:
+    def _parts(self, on: Any) -> tuple[str, ...]:
         """The parts of the mesh that a pond's `on` names."""
         known = list(self.membrane.mesh.parts)
         listed = isinstance(on, Sequence) and not isinstance(on, str) and len(on) > 0
-        if not listed or any(part not in known for part in on):  # type: ignore[union-attr]
+        if not listed or any(part not in known for part in on):
             names = ", ".join(map(repr, known)) or "none"
             raise InputError(
                 f"put_pond: on = {on!r}; give a list of parts of the mesh, which are {names}."
             )
-        return tuple(on)  # type: ignore[arg-type]
+        return tuple(on)
 
     @collective
     def remove_load(self, name: str) -> None:
