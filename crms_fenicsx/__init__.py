@@ -11,6 +11,7 @@ from crms_fenicsx.groups import combine_in_groups
 from crms_fenicsx.minimization.taylor import TaylorRates, taylor_test
 from crms_fenicsx.model.bar import Bar, Joint, MeshVertex, PlacedBar
 from crms_fenicsx.model.cable import Cable
+from crms_fenicsx.model.fan_control import FanControl
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import IsotropicMembrane, OrthotropicMembrane
@@ -24,6 +25,7 @@ from crms_fenicsx.runtime.errors import (
     PathWarning,
     PenaltyWarning,
     PictureWarning,
+    PondWarning,
 )
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.solver import Solver
@@ -36,6 +38,7 @@ __all__ = [
     "Cable",
     "ConvergenceError",
     "EnergyTerm",
+    "FanControl",
     "Friction",
     "FrictionWarning",
     "InputError",
@@ -50,6 +53,7 @@ __all__ = [
     "PenaltyWarning",
     "PictureWarning",
     "PlacedBar",
+    "PondWarning",
     "Rotation",
     "Scene",
     "Solver",

@@ -23,8 +23,8 @@ from crms_fenicsx.runtime.readonly import ReadOnly
 ANOTHER = "make another Scene(...)"
 """What to do instead of assigning what a scene is made of."""
 
-PRESSURE = "pressure"
-"""What combinations of loads know the inner pressure by; no name of a load."""
+AIR = ("pressure", "temperature", "atmosphere")
+"""What combinations know what is of the air by, as `Solver.advance` does; no names of loads."""
 
 
 class LoadedMembrane:
@@ -146,11 +146,11 @@ class LoadedMembrane:
         self.membrane.check_finite(call)
         if not isinstance(name, str) or not name:
             raise InputError(f"{call}: name = {name!r} is no text; give one, as in 'snow'.")
-        if name == PRESSURE:
+        if name in AIR:
             raise InputError(
-                f"{call}: name = {name!r} is the inner pressure's; give another one, as in 'snow'."
+                f"{call}: name = {name!r} is one of the air's; give another one, as in 'snow'."
             )
-        if any(load.name == name for load in self.loads):
+        if name in self.factors:
             raise InputError(
                 f"{call}: there is a load {name!r} already; give another name, or take that one "
                 f"away with scene.remove_load({name!r})."
@@ -160,19 +160,10 @@ class LoadedMembrane:
         self._loads = (*self._loads, load)
         self.changes += 1
 
-    @collective
-    def remove_load(self, name: str) -> None:
-        """Take a load away; the next load step finds the equilibrium without it. Collective.
-
-        Raises
-        ------
-        InputError
-            On all ranks: there is no such load.
-        """
-        checks.same(self.comm, "remove_load", name=name)
-        load = self.load(name)
-        self._loads = tuple(other for other in self._loads if other is not load)
-        self.changes += 1
+    @property
+    def factors(self) -> dict[str, float]:
+        """Current factors of the loads, by their names."""
+        return {load.name: load.factor for load in self.loads}
 
     def load(self, name: str) -> MembraneLoad:
         """The load with a name.

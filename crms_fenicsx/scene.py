@@ -14,6 +14,7 @@ from crms_fenicsx.cables.enclosed_volume import gained_volume
 from crms_fenicsx.energies.checked_term import checked_energy
 from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.filled_membrane import FilledMembrane
 from crms_fenicsx.loaded_membrane import ANOTHER
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.model.bar import Joint
@@ -40,7 +41,7 @@ class Cables(tuple[LaidCable, ...]):
         self._scene.remove(cable)
 
 
-class Scene(BracedMembrane):
+class Scene(FilledMembrane, BracedMembrane):
     """A cable-reinforced membrane structure and its current state.
 
     Units are the user's: any consistent set of length and force.

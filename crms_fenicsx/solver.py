@@ -18,6 +18,7 @@ from crms_fenicsx.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
+from crms_fenicsx.model.fan_control import FanControl
 from crms_fenicsx.output.history import History
 from crms_fenicsx.output.recorder import Recorder
 from crms_fenicsx.output.report import Reporting
@@ -34,7 +35,12 @@ from crms_fenicsx.steps.load_step import Step
 from crms_fenicsx.steps.loading import checked_target
 from crms_fenicsx.steps.motion import Move
 from crms_fenicsx.steps.options import checked_options
-from crms_fenicsx.steps.warnings import no_equilibrium, warn_of_blocked, warn_of_friction
+from crms_fenicsx.steps.warnings import (
+    no_equilibrium,
+    warn_of_blocked,
+    warn_of_friction,
+    warn_of_ponds,
+)
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -144,10 +150,12 @@ class Solver(LoadCases, SolverResults, Reporting):
     def advance(
         self,
         *,
-        pressure: float | None = None,
+        pressure: float | FanControl | None = None,
         move: Mapping[object, Move] | None = None,
         L0: Mapping[object, float] | None = None,
         load: float | Mapping[str, float] | None = None,
+        temperature: float | None = None,
+        atmosphere: float | None = None,
         steps: int = 1,
     ) -> Step:
         """Go to new loads in equal increments, and write each state.
@@ -160,7 +168,8 @@ class Solver(LoadCases, SolverResults, Reporting):
         Parameters
         ----------
         pressure
-            Pressure to reach (force per area), positive to the membrane's outside.
+            Pressure to reach (force per area), positive to the membrane's outside, or a
+            `FanControl`, by which it follows a load in this call.
         move
             Displacements (length) of cables (both ends), cable ends (``cable.start``), held joints
             (``bar.start``) or held groups, by which they move during this call, or functions that
@@ -170,8 +179,11 @@ class Solver(LoadCases, SolverResults, Reporting):
         L0
             Unstressed lengths of cables and bars to reach (length).
         load
-            Factors to reach of the loads on the membrane, by their names; those not named keep
-            theirs. Where there is one load only, a number is its factor.
+            Factors to reach of loads and ponds, by their names; those not named keep theirs. Where
+            there is one load only, a number is its factor.
+        temperature, atmosphere
+            Where air is sealed: its absolute temperature to reach, relative to that at sealing, and
+            the pressure of the atmosphere (force per area); see `Scene.seal`.
         steps
             Number of increments.
 
@@ -192,16 +204,18 @@ class Solver(LoadCases, SolverResults, Reporting):
             state, which with `resume` is in a checkpoint.
         """
         scene = self.scene
+        air = {"temperature": temperature, "atmosphere": atmosphere}
         checks.same(
-            self.comm, "advance", pressure=pressure, move=move, L0=L0, load=load, steps=steps
+            self.comm, "advance", pressure=pressure, move=move, L0=L0, load=load, steps=steps, **air
         )
         checks.whole("advance: steps", steps, 1)
         move, L0 = {} if move is None else move, {} if L0 is None else L0
-        target = checked_target(scene, pressure, move, L0, load, steps)
+        target = checked_target(scene, pressure, move, L0, load, steps, **air)
         self._recorder.claim(bool(self._options.resume))
         self._increments.forget_removed()
         first = State.of(scene)
-        done, increment = self._resumed(plain_loads(pressure, target.moves, L0, load, steps))
+        loads = plain_loads(pressure, target.moves, L0, load, steps, air)
+        done, increment = self._resumed(loads)
         halvings, began = 0, time.perf_counter()
         spent: Outcome | None = None
         with postponed(scene.comm), progress(scene.comm, steps, "load steps") as bar:
@@ -219,7 +233,10 @@ class Solver(LoadCases, SolverResults, Reporting):
                 if not outcome.converged:
                     halvings, increment = halvings + 1, (goal - done) / 2
                     if increment < 0.5**self.max_halvings * (1 - 1e-9):
-                        failure = no_equilibrium(number, outcome, self.max_halvings, done / steps)
+                        part = done / steps
+                        failure = no_equilibrium(
+                            number, outcome, self.max_halvings, part, scene.ponds
+                        )
                         self._keep(done, increment, str(failure))
                         raise failure
                     logger.info("halving the increment: %s", outcome.reason)
@@ -230,6 +247,7 @@ class Solver(LoadCases, SolverResults, Reporting):
                 if not self.slide:
                     warn_of_blocked(number, scene)
                 warn_of_friction(number, scene, before, outcome.unsettled)
+                warn_of_ponds(number, self.system)
                 if abs(goal - round(goal)) < 1e-9:
                     bar.advance(1, f"energy {step.energy:.6g}")
                 done, increment = goal, min(2 * (goal - done), 1.0)

@@ -24,6 +24,7 @@ KERNELS = (
     "crms_fenicsx.energies.folded_pressure",
     "crms_fenicsx.energies.paper.friction_element",
     "crms_fenicsx.energies.paper.step_folded_membrane",
+    "crms_fenicsx.energies.ponding",
     "crms_fenicsx.energies.segments",
     "crms_fenicsx.energies.stress_laws",
     "crms_fenicsx.energies.tension_field",

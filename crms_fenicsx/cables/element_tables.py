@@ -86,6 +86,11 @@ def cable_tables(
     )
 
 
+def facets_of(numbering: CableNumbering, cells: Booleans) -> Facets:
+    """Facets of the folded cells among some local cells."""
+    return _FoldedCellsOf(numbering).facets(cells)
+
+
 def _smoothing(numbering: CableNumbering, own: Integers) -> Array:
     """Smoothing of this rank's links; negative where their ends are given."""
     nodes, links, strip = numbering.nodes, numbering.links, numbering.strip

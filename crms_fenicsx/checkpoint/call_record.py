@@ -12,6 +12,7 @@ from crms_fenicsx.checkpoint.codec import Plain, encode
 from crms_fenicsx.checkpoint.fields import edge_vertices
 from crms_fenicsx.checkpoint.fingerprint import fingerprint, mixed
 from crms_fenicsx.model.bar import Joint, PlacedBar
+from crms_fenicsx.model.fan_control import FanControl
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
 from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.scene import Scene
@@ -24,19 +25,21 @@ their rounding make."""
 
 
 def plain_loads(
-    pressure: float | None,
+    pressure: float | FanControl | None,
     move: Mapping[object, Vector],
     L0: Mapping[object, float],
     load: float | Mapping[str, float] | None,
     steps: int,
+    air: Mapping[str, float | None],
 ) -> Plain:
-    """The arguments of `Solver.advance` as plain data, by names."""
+    """The arguments of `Solver.advance` as plain data, by names; `air` are those of sealed air."""
     return {
-        "pressure": None if pressure is None else float(pressure),
+        "pressure": encode(pressure),
         "load": encode(load),
         "move": {_name(key): [float(x) for x in vector] for key, vector in move.items()},
         "L0": {_name(key): float(length) for key, length in L0.items()},
         "steps": int(steps),
+        **{name: encode(value) for name, value in air.items()},
     }
 
 
@@ -72,6 +75,8 @@ def scene_record(scene: Scene) -> Plain:
         ),
         "floor": None if scene.floor_level is None else float(scene.floor_level),
         "pressure before": float(scene.pressure),
+        "sealed air before": encode(scene.air),
+        "ponds before": encode(scene.ponds),
         "displacements (sums with weights)": [*_sums(scene, ids[:own], u[:own]), largest],
         "loads": [
             {

@@ -13,6 +13,8 @@ from crms_fenicsx.model.bar import Bar, BarState, JointState, MeshVertex
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.cable_state import CableState
 from crms_fenicsx.model.crossing import Crossing
+from crms_fenicsx.model.pond import Pond
+from crms_fenicsx.model.sealed_air import SealedAir
 from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.steps.load_step import Step
@@ -109,12 +111,14 @@ class Contents:
         How many edges are held.
     digests
         Of the files with the fields, by their names.
-    pressure, floor, dissipated, energies
+    pressure, air, floor, dissipated, energies
         As in the scene.
     laid
         How many cables have been laid.
     loads
         Those on the membrane but for their forces.
+    ponds
+        As in the scene.
     strip
         Ids of the vertices all whose cells are known to the cables.
     run
@@ -127,11 +131,13 @@ class Contents:
     held_edges: int
     digests: dict[str, str]
     pressure: float
+    air: SealedAir | None
     floor: float | None
     laid: int
     dissipated: float
     energies: dict[str, float]
     loads: tuple[SavedLoad, ...]
+    ponds: tuple[Pond, ...]
     strip: tuple[int, ...]
     cables: tuple[SavedCable, ...]
     crossings: tuple[Crossing, ...]
@@ -161,6 +167,11 @@ class Contents:
         ends = list(chain.from_iterable(bar.ends for bar in self.bars))
         if any(isinstance(end, int) and end not in range(len(self.joints)) for end in ends):
             raise ValueError("a bar that ends at a joint that is not there")
+        for pond in self.ponds:
+            if not (pond.weight > 0 and pond.side in (-1, 1)):
+                raise ValueError(f"a pond {pond.name!r} of {pond.weight} on the side {pond.side}")
+        if self.air is not None and not min(self.air.volume, self.air.absolute) > 0:
+            raise ValueError(f"sealed air that is none, {self.air}")
         ids = [*self.strip, *chain.from_iterable(self._supports())]
         ids += [end.number for end in ends if isinstance(end, MeshVertex)]
         if ids and not 0 <= min(ids) <= max(ids) < n_vertices:

@@ -144,6 +144,9 @@ def restore(saved: Saved, scene: Scene) -> Run:
     with reading(saved.file):
         contents.check(scene.V.dofmap.index_map.size_global)
         names = [cable.name for cable in contents.cables]
+        unknown = {part for pond in contents.ponds for part in pond.parts}
+        if unknown := unknown - set(scene.mesh.parts):
+            raise ValueError(f"ponds on parts {sorted(unknown)}, which the mesh has not")
         if scene.cables and [cable.name for cable in scene.cables] != names:
             raise ValueError(f"its cables are {names}, and the scene's {scene.cables}")
         for kind, ours, theirs in (
@@ -175,6 +178,7 @@ def _contents(
         held_edges=edges,
         digests=digests,
         pressure=scene.pressure,
+        air=scene.air,
         floor=scene.floor_level,
         laid=scene.net.laid,
         dissipated=scene.net.removed_dissipation,
@@ -185,6 +189,7 @@ def _contents(
             )
             for load in scene.loads
         ),
+        ponds=scene.ponds,
         strip=() if strip is None else tuple(sorted(strip.complete)),
         cables=tuple(
             SavedCable(c.name, c.cable, c.sleeve, c.layer, c.in_edge, c.joints, c.state)
@@ -237,7 +242,8 @@ def _restore(scene: Scene, fields: Fields, saved: Saved) -> None:
         scene.net.strip = strip
     scene.u.x.array[:] = fields.u.ravel()
     scene.held[:] = fields.held
-    scene._floor_level, scene._pressure = contents.floor, contents.pressure
+    scene._floor_level, scene._air = contents.floor, contents.air
+    scene._pressure, scene._ponds = contents.pressure, contents.ponds
     scene.energies, net = contents.energies, scene.net
     net.laid, net.removed_dissipation = contents.laid, contents.dissipated
     scene._loads = tuple(

@@ -63,7 +63,9 @@ class FoldContribution(Contribution):
         self.energy, self.penalty = self._fold_term(self.tables), self._penalty_term(self.tables)
         terms: list[EnergyTerm] = [self.energy, self.penalty]
         self._make_twins(unknowns)
-        if self.pressure.term is not None:
+        if self.pressure.sealed is not None:
+            self.pressure.sealed.parts.append(self._pressure_term(self.tables))
+        elif self.pressure.term is not None:
             terms.append(self._pressure_term(self.tables))
         return terms
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from dolfinx import fem
@@ -21,6 +22,9 @@ from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.scene import Scene
 
+if TYPE_CHECKING:
+    from crms_fenicsx.energies.sealed_pressure import SealedPressure
+
 
 class PressureContribution(Contribution):
     """Pressure on the plain cells, and on what closes the volume where the rim slides in planes.
@@ -37,9 +41,11 @@ class PressureContribution(Contribution):
     cells : Function
         1 in the plain cells under pressure, else 0.
     value : Constant
-        The pressure (force per area).
+        The pressure (force per area); 1 where the air is sealed, and another one knows it.
     term
         Pressure on these cells; None before there has been any.
+    sealed
+        Pressure of sealed air, of which `term` is a part; None if there is none.
     folded_volume : (1,)
         Volume gained under folded cells in the steps before, with the paper's pressure
         (length cubed).
@@ -51,12 +57,14 @@ class PressureContribution(Contribution):
         self.cells = fem.Function(membrane.energy.plain.function_space)
         self.value = fem.Constant(scene.mesh.mesh, PETSc.ScalarType(0.0))
         self.term: FollowerPressure | StepPressure | None = None
+        self.sealed: SealedPressure | None = None
         self._history = scene.step_history or StepHistory()
         self.folded_volume = np.array([self._history.folded_volume])
 
     @property
     def is_stale(self) -> bool:
-        return self.scene.pressure != 0.0 and self.term is None
+        acts = self.scene.pressure != 0.0 or self.scene.air is not None
+        return acts and self.term is None
 
     @property
     def has_history(self) -> bool:
@@ -65,16 +73,23 @@ class PressureContribution(Contribution):
     def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
         self.cells.x.array[:] = self.membrane.energy.plain.x.array * self.scene.membrane.pressed
         if self.term is None:
-            if self.scene.pressure == 0.0 and "pressure" not in self.scene.energies:
+            idle = self.scene.pressure == 0.0 and "pressure" not in self.scene.energies
+            if idle and self.scene.air is None:
                 return []
             self.term = self._make_term()
-        self.term.twin = None
+        self.term.twin, self.sealed = None, None
         if isinstance(self.term, StepPressure):
             if not self.membrane.has_folds:
                 self.term.volume_n += float(self.folded_volume[0])
                 self.folded_volume[0] = 0.0
             return [self.term]
-        return [self.term, *self._rim_terms()]
+        if self.scene.air is None:
+            return [self.term, *self._rim_terms()]
+        from crms_fenicsx.energies.sealed_pressure import SealedPressure
+
+        self.value.value = 1.0
+        self.sealed = SealedPressure(self.scene.air, self.term, self._rim_terms(), self.value)
+        return [self.sealed]
 
     def _make_term(self) -> FollowerPressure | StepPressure:
         scene = self.scene
@@ -91,7 +106,14 @@ class PressureContribution(Contribution):
         return [RimPressure(rim, self.value, self.scene.membrane.centre)]
 
     def read_scene(self, potential: Potential) -> None:
-        self.value.value = self.scene.pressure
+        if self.sealed is None:
+            self.value.value = self.scene.pressure
+        elif self.scene.air is not None:
+            self.sealed.air = self.scene.air
+
+    def write_scene(self, potential: Potential) -> None:
+        if self.sealed is not None:
+            self.scene._pressure = self.sealed.pressure(potential.sums_of(self.sealed))
 
     def commit(self) -> None:
         if self.has_history:

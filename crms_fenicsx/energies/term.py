@@ -53,7 +53,8 @@ class EnergyTerm(ABC):
         Positions of all blocks at zero displacement, (n_local, 3) (length).
 
     Each rank adds its own share, to ghosts as well, and each share is added by one rank only.
-    Nothing here may communicate, and `sums`, `energy` and `add_gradient` are called in each
+    Nothing here may communicate (but `sums` of terms that are not made of elements, which all ranks
+    call together), and `sums`, `energy` and `add_gradient` are called in each
     iteration: they should allocate nothing and have no loop over elements in Python.
 
     Attributes

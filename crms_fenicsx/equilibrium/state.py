@@ -9,6 +9,8 @@ from crms_fenicsx.energies.dead_load import MembraneLoad
 from crms_fenicsx.model.bar import BarState, JointState
 from crms_fenicsx.model.cable_state import CableNode, CableState
 from crms_fenicsx.model.crossing import Crossing
+from crms_fenicsx.model.pond import Pond
+from crms_fenicsx.model.sealed_air import SealedAir
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
 
@@ -19,7 +21,9 @@ class State:
 
     u: Array
     pressure: float
+    air: SealedAir | None
     loads: tuple[MembraneLoad, ...]
+    ponds: tuple[Pond, ...]
     energies: dict[str, float]
     cables: tuple[CableState, ...]
     crossings: tuple[Crossing, ...]
@@ -32,7 +36,9 @@ class State:
         return cls(
             scene.u.x.array.copy(),
             scene.pressure,
+            scene.air,
             scene.loads,
+            scene.ponds,
             dict(scene.energies),
             tuple(cable.state for cable in scene.cables),
             scene.net.crossings,
@@ -62,7 +68,8 @@ class State:
     def restore(self, scene: Scene) -> None:
         """Bring the scene back to this state."""
         scene.u.x.array[:] = self.u
-        scene._pressure, scene._loads = self.pressure, self.loads
+        scene._pressure, scene._air = self.pressure, self.air
+        scene._loads, scene._ponds = self.loads, self.ponds
         scene.energies = dict(self.energies)
         self._restore_frame(scene)
         for cable, was in zip(scene.cables, self.cables, strict=True):

@@ -21,6 +21,7 @@ from crms_fenicsx.scene import Scene
 if TYPE_CHECKING:
     from crms_fenicsx.contributions.bars import BarContribution
     from crms_fenicsx.contributions.cables import CableContribution
+    from crms_fenicsx.contributions.ponds import PondContribution
 
 
 class System:
@@ -42,8 +43,8 @@ class System:
     ----------
     contributions
         What the features of the scene contribute, in the order of their terms.
-    membrane, pressure, cables, bars
-        Some of them; `cables` and `bars` are None without any.
+    membrane, pressure, cables, bars, ponds
+        Some of them; the last three are None without any.
     unknowns, potential
         The layout, and the sum of the terms over it.
     objective
@@ -57,6 +58,7 @@ class System:
         self.pressure = PressureContribution(scene, self.membrane)
         self._lasting = [self.membrane, self.pressure, MembraneLoadsContribution(scene)]
         self.cables: CableContribution | None = None
+        self.ponds: PondContribution | None = None
         self.minimizer: Minimizer | None = None
         self._solved = True
         """Whether the last solve has converged; if not, the next one does without Newton's method,
@@ -107,6 +109,12 @@ class System:
             )
         if self.bars is not None:
             self.contributions.append(self.bars)
+        self.ponds = None
+        if scene.ponds:
+            from crms_fenicsx.contributions.ponds import PondContribution
+
+            self.ponds = PondContribution(scene, self.membrane, self.cables)
+            self.contributions.append(self.ponds)
         self.contributions.append(AddedTermsContribution(scene))
         hold(scene, self.unknowns)
         terms = [term for part in self.contributions for term in part.terms(self.unknowns)]
@@ -145,11 +153,12 @@ class System:
         self.read_scene()
 
     def added_force_per_area(self) -> float:
-        """Mean size of the forces of terms that the user has added (force per area). Collective."""
-        if not self.scene.terms:
+        """Mean size of the forces of ponds and of the user's terms (force per area). Collective."""
+        if not self.scene.terms and not self.scene.ponds:
             return 0.0
         self.update()
-        return force_per_area(self.scene, self.potential)
+        of_terms = force_per_area(self.scene, self.potential) if self.scene.terms else 0.0
+        return of_terms + (0.0 if self.ponds is None else self.ponds.force_per_area(self.potential))
 
     def locate_cables(self) -> None:
         """Copy the positions of cable points to the scene, on all ranks. Collective."""
@@ -189,6 +198,18 @@ class System:
             if error.__cause__ is not None:  # an error in a callback, or an interrupt
                 raise error.__cause__ from None
             raise
+
+    def is_unstable_under_water(self) -> bool:
+        """Whether ponds make the present state one that is not stable.
+
+        Collective; see `PondContribution.is_unstable`.
+        """
+        if self.ponds is None:
+            return False
+        assert self.minimizer is not None
+        unstable = self.ponds.is_unstable(self.potential, self.minimizer.h0)
+        self.reset_h0()
+        return unstable
 
     def caught_nodes(self, limit: float) -> set[NodeId]:
         """Fold points at which a folded edge has a kink of more than a limit (rad). Collective."""

@@ -145,11 +145,7 @@ class InitialHessian:
         -------
         Whether it is definite as far as the factorisation tells; if not it is of no use.
         """
-        held = self.potential.unknowns.held[: self.potential.unknowns.n_owned].copy()
-        if self.potential.unknowns.bounds is not None:
-            held |= at_bounds(self.potential)
-        self._held = held
-        self._assemble(held, exact and self._exact)
+        held = self.assemble(exact and self._exact)
         if self._membrane is not None:
             self._membrane.assemble(held)
         elif not self._exact:
@@ -176,8 +172,18 @@ class InitialHessian:
             return False
         return True
 
-    def _assemble(self, held: npt.NDArray[np.bool_], exact: bool) -> None:
+    def assemble(self, exact: bool) -> npt.NDArray[np.bool_]:
+        """Assemble K at the potential's current state, as for `rebuild`, and not more.
+
+        Returns
+        -------
+        Owned components that are held in it, (n, 3).
+        """
         A, unknowns = self.matrix, self.potential.unknowns
+        held = unknowns.held[: unknowns.n_owned].copy()
+        if unknowns.bounds is not None:
+            held |= at_bounds(self.potential)
+        self._held = held
         A.zeroEntries()
         if self._new:  # every diagonal entry must exist, also of points that no term touches
             blocks = unknowns.matrix_numbers[: unknowns.n_owned, None]
@@ -197,6 +203,7 @@ class InitialHessian:
         rows = np.flatnonzero(held) + 3 * unknowns.start
         A.zeroRowsColumns(rows.astype(PETSc.IntType), diag=largest)
         A.setOption(PETSc.Mat.Option.SPD, True)
+        return held
 
     def _stiffen_across_rails(self, value: float) -> None:
         """Give the components across the rails, which have no stiffness, this one."""

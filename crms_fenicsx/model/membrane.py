@@ -104,6 +104,7 @@ class Membrane:
         """Space of results with a value in each cell. Collective."""
         return fem.functionspace(self.mesh.mesh, ("Discontinuous Lagrange", 0))
 
+    @cached_property
     def vertex_ids(self) -> Integers:
         """Numbers of the vertices in the mesh as it was given, by degree of freedom, (n,)."""
         ids = np.zeros(len(self.held), dtype=np.int64)

@@ -129,12 +129,19 @@ class Recorder:
         }
         for load in scene.loads:
             row["load" if load.name == "load" else f"load {load.name}"] = load.factor
+        for pond in scene.ponds:
+            row[f"load {pond.name}"] = pond.factor
+            row[f"level {pond.name}"] = pond.level
+            row[f"volume {pond.name}"] = pond.volume
         row["energy"] = step.energy
         row |= {f"energy {name}": value for name, value in step.energies.items()}
         held = any(cable.grip is not None or cable.axial is not None for cable in scene.cables)
         if held or "dissipated" in self.history.columns:
             row["dissipated"] = scene.dissipated
             row["passes"] = outcome.passes
+        if scene.air is not None:
+            row["temperature"] = scene.air.temperature
+            row["atmosphere"] = scene.air.atmosphere
         if scene.pressure != 0.0 or "volume" in self.history.columns:
             row["volume"] = self._volume()
         for cable in scene.cables:
@@ -163,7 +170,7 @@ class Recorder:
     def _volume(self) -> float:
         """The volume gained in the step's state: where it can be, from the work of the pressure."""
         scene = self.scene
-        if scene.pressure_law == "total" and scene.pressure != 0.0:
+        if scene.pressure_law == "total" and scene.pressure != 0.0 and scene.air is None:
             return -scene.energies["pressure"] / scene.pressure
         return gained_volume(scene.net)
 

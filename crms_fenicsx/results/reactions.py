@@ -80,10 +80,12 @@ def support_forces(system: System) -> Array:
     # The potential -p (V - V0) has the pressure's forces as gradient only inside the boundary.
     potential_only = system.scene.pressure_law == "total"
     for term in potential.terms:
-        if not (potential_only and term.name == "pressure"):
+        if not (potential_only and term.name == "pressure") and term.name != "pond":
             term.add_gradient(potential.x, potential.sums_of(term), g)
     if potential_only and system.scene.pressure != 0.0:
         _subtract_pressure(system, g)
+    if system.ponds is not None:
+        system.ponds.add_pressure(potential, g, -1.0)
     _leave_ends_to_anchors(system, g)
     _hand_on_rails(system, g)
     unknowns.gather_forces(vector, g)

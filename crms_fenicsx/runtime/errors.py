@@ -58,6 +58,10 @@ class PenaltyWarning(UserWarning):
     """A penalty factor outside the range in which folded elements are stable and do not lock."""
 
 
+class PondWarning(UserWarning):
+    """Water on a membrane in an equilibrium that is not stable: it would gather on."""
+
+
 class PictureWarning(UserWarning):
     """A mesh too large for a picture, which one process draws from all of it."""
 

@@ -6,8 +6,10 @@ from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
-from crms_fenicsx.loaded_membrane import PRESSURE
+from crms_fenicsx.loaded_membrane import AIR
+from crms_fenicsx.model.fan_control import FanControl
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import ConvergenceError, InputError, collective
 from crms_fenicsx.scene import Scene
@@ -48,8 +50,10 @@ class LoadCases:
     def advance(
         self,
         *,
-        pressure: float | None = None,
+        pressure: float | FanControl | None = None,
         load: float | Mapping[str, float] | None = None,
+        temperature: float | None = None,
+        atmosphere: float | None = None,
         steps: int = 1,
     ) -> Step:
         """Go to new loads."""
@@ -127,7 +131,7 @@ class LoadCases:
             self.restore(base)
 
     def combine(
-        self, combinations: Mapping[str, Mapping[str, float]], *, steps: int = 1
+        self, combinations: Mapping[str, Mapping[str, Any]], *, steps: int = 1
     ) -> dict[str, Combination]:
         """Bring on combinations of loads, each from the current state. Collective.
 
@@ -136,8 +140,9 @@ class LoadCases:
         Parameters
         ----------
         combinations
-            By its name the factors of each combination's loads, by theirs, and under "pressure" the
-            inner pressure (force per area), if it is another one. What is not named stays.
+            By its name the factors of each combination's loads, by theirs, and what else of
+            "pressure", "temperature" and "atmosphere" is another one, as in `Solver.advance`. What
+            is not named stays.
         steps
             Number of increments of each.
 
@@ -166,16 +171,16 @@ class LoadCases:
         self.check_combinations(combinations)
         found = {}
         for name, given in combinations.items():
-            pressure, factors = _loads(given)
+            air, factors = _loads(given)
             with self.branch(name):
                 try:
-                    step = self.advance(pressure=pressure, load=factors, steps=steps)
+                    step = self.advance(load=factors, steps=steps, **air)
                 except ConvergenceError as error:
                     raise ConvergenceError(f"combination {name!r}: {error}") from error
                 found[name] = Combination(name, step, self.snapshot())
         return found
 
-    def check_combinations(self, combinations: Mapping[str, Mapping[str, float]]) -> None:
+    def check_combinations(self, combinations: Mapping[str, Mapping[str, Any]]) -> None:
         """Refuse combinations that cannot be brought on.
 
         Raises
@@ -196,14 +201,14 @@ class LoadCases:
                     f"combine: {name!r} is {given!r}; write factors by the loads' names, as in "
                     '{"weight": 1.35, "snow": 1.5}.'
                 )
-            pressure, factors = _loads(given)
+            air, factors = _loads(given)
             try:
-                checked_target(self._scene, pressure, {}, {}, factors)
+                checked_target(self._scene, load=factors, **air)
             except InputError as error:
                 raise InputError(f"combine: {name!r}: {error}") from error
 
 
-def _loads(given: Mapping[str, float]) -> tuple[float | None, dict[str, float] | None]:
-    """Inner pressure of a combination and factors of its loads; None where it names none."""
-    factors = {load: factor for load, factor in given.items() if load != PRESSURE}
-    return given.get(PRESSURE), factors or None
+def _loads(given: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, float] | None]:
+    """The air's of a combination, and factors of its loads; None where it names none."""
+    factors = {load: factor for load, factor in given.items() if load not in AIR}
+    return {name: given[name] for name in AIR if name in given}, factors or None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from dolfinx.fem import locate_dofs_topological
@@ -11,11 +12,12 @@ from dolfinx.fem import locate_dofs_topological
 from crms_fenicsx.energies.pressure_rim import rim_of
 from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.model.bar import PlacedBar
+from crms_fenicsx.model.fan_control import FanControl
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import EPSILON
 from crms_fenicsx.runtime.errors import InputError, as_text, raised_together
 from crms_fenicsx.scene import Scene
+from crms_fenicsx.steps.inner_pressure import InnerPressure, between, checked_pressure
 from crms_fenicsx.steps.motion import Move
 from crms_fenicsx.steps.movements import Movements, cable_number, checked_movements
 
@@ -27,7 +29,7 @@ class Target:
     Attributes
     ----------
     pressure
-        First and last pressure (force per area).
+        Way of the inner pressure.
     factors
         First and last factor of each load that changes, by its name.
     movements
@@ -38,7 +40,7 @@ class Target:
         The same of bars.
     """
 
-    pressure: tuple[float, float]
+    pressure: InnerPressure
     factors: dict[str, tuple[float, float]]
     movements: Movements
     lengths: list[tuple[int, float, float]]
@@ -51,13 +53,19 @@ class Target:
 
     def apply(self, scene: Scene, first: State, before: float, share: float) -> None:
         """Set the loads at a share of the way from the state `first`; `before` is that reached."""
-        scene._pressure = _between(*self.pressure, share)
         scene._loads = tuple(
-            replace(load, factor=_between(*self.factors[load.name], share))
+            replace(load, factor=between(*self.factors[load.name], share))
             if load.name in self.factors
             else load
             for load in scene.loads
         )
+        scene._ponds = tuple(
+            replace(pond, factor=between(*self.factors[pond.name], share))
+            if pond.name in self.factors
+            else pond
+            for pond in scene.ponds
+        )
+        self.pressure.apply(scene, share)
         self.movements.apply(scene, first, before, share)
         for c, start, end in self.lengths:
             scene.cables[c].update(L0=start + share * (end - start))
@@ -65,23 +73,15 @@ class Target:
             scene.bars[b].update(L0=start + share * (end - start))
 
 
-def _between(first: float, last: float, share: float) -> float:
-    """A load at a share of the way; none where only rounding is left of it.
-
-    A scene without load is another one than one with the least: nothing may be in equilibrium.
-    """
-    value = first + share * (last - first)
-    rounding = 4 * EPSILON * max(abs(first), abs(last))
-    return 0.0 if abs(value) <= rounding else value
-
-
 def checked_target(
     scene: Scene,
-    pressure: float | None,
-    move: Mapping[object, Move],
-    L0: Mapping[object, float],
+    pressure: float | FanControl | None = None,
+    move: Mapping[object, Move] = MappingProxyType({}),
+    L0: Mapping[object, float] = MappingProxyType({}),
     load: float | Mapping[str, float] | None = None,
     steps: int = 1,
+    temperature: float | None = None,
+    atmosphere: float | None = None,
 ) -> Target:
     """Check the loads and say what they change; see `Solver.advance`. Collective.
 
@@ -96,8 +96,7 @@ def checked_target(
             "advance: nothing of the membrane is held; hold its boundary with "
             'scene.fix("boundary").'
         )
-    value = scene.pressure if pressure is None else pressure
-    value = checks.finite("advance: pressure", value)
+    inner = checked_pressure(scene, pressure, temperature, atmosphere)
     factors = {} if load is None else _factors(scene, load)
     _check_wind(scene, factors)
     for name, given in (("move", move), ("L0", L0)):
@@ -107,10 +106,10 @@ def checked_target(
             )
     scene.frame.check_held(name for cable in scene.cables for name in cable.joints)
     movements = checked_movements(scene, move, steps)
-    if value != 0.0:
+    if inner.acts:
         _check_rim(scene)
     cables, bars = _lengths(scene, L0)
-    return Target((scene.pressure, value), factors, movements, cables, bars)
+    return Target(inner, factors, movements, cables, bars)
 
 
 Lengths = list[tuple[int, float, float]]
@@ -138,24 +137,36 @@ def _lengths(scene: Scene, L0: Mapping[object, float]) -> tuple[Lengths, Lengths
 
 
 def _factors(scene: Scene, load: float | Mapping[str, float]) -> dict[str, tuple[float, float]]:
-    """First and last factors of loads, by their names."""
-    if not scene.loads:
+    """First and last factors of loads and ponds, by their names."""
+    present = scene.factors
+    if not present:
         raise InputError(
             f"advance: load = {load!r}, but there is none on the membrane; put one there with "
-            "scene.put_load or scene.put_wind."
+            "scene.put_load, scene.put_wind or scene.put_pond."
         )
     if not isinstance(load, Mapping):
-        if len(scene.loads) > 1:
-            names = ", ".join(repr(other.name) for other in scene.loads)
+        only = next(iter(present))
+        if len(present) > 1:
+            names = ", ".join(map(repr, present))
             raise InputError(
                 f"advance: load = {load!r}, but there are the loads {names}; write "
-                f"load={{{scene.loads[0].name!r}: {load!r}}}."
+                f"load={{{only!r}: {load!r}}}."
             )
-        return {scene.loads[0].name: (scene.loads[0].factor, checks.finite("advance: load", load))}
-    return {
-        name: (scene.load(name).factor, checks.finite(f"advance: load of {name!r}", factor))
+        return {only: (present[only], checks.finite("advance: load", load))}
+    found = {
+        name: (
+            checks.named("load", present, name),
+            checks.finite(f"advance: load of {name!r}", factor),
+        )
         for name, factor in load.items()
     }
+    for pond in scene.ponds:
+        if found.get(pond.name, (0.0, 0.0))[1] < 0.0:
+            raise InputError(
+                f"advance: load of {pond.name!r} = {load[pond.name]:g}, of water, which cannot "
+                "pull; give 0 or more."
+            )
+    return found
 
 
 def _check_wind(scene: Scene, factors: Mapping[str, tuple[float, float]]) -> None:

@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 
 from crms_fenicsx.equilibrium.state import State
+from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
-from crms_fenicsx.runtime.errors import ConvergenceError, FrictionWarning, PathWarning
+from crms_fenicsx.model.pond import Pond
+from crms_fenicsx.runtime.errors import (
+    ConvergenceError,
+    FrictionWarning,
+    PathWarning,
+    PondWarning,
+)
 from crms_fenicsx.scene import Scene
 
 CALLER = 4
@@ -65,14 +73,36 @@ def warn_of_blocked(number: int, scene: Scene) -> None:
             )
 
 
+def warn_of_ponds(number: int, system: System) -> None:
+    """Warn of water in an equilibrium that is not stable. Collective."""
+    if system.is_unstable_under_water() and system.scene.comm.rank == 0:
+        names = _names(system.scene.ponds)
+        warnings.warn(
+            f"step {number}: the equilibrium under {names} is not stable: where the membrane sinks "
+            "a little more water gathers than it can carry; give it more prestress or slope, or "
+            "the pond a volume instead of a level.",
+            PondWarning,
+            stacklevel=CALLER,
+        )
+
+
+def _names(ponds: Sequence[Pond]) -> str:
+    return ", ".join(repr(pond.name) for pond in ponds)
+
+
 def no_equilibrium(
-    number: int, outcome: Outcome, max_halvings: int, done: float
+    number: int, outcome: Outcome, max_halvings: int, done: float, ponds: Sequence[Pond]
 ) -> ConvergenceError:
     """Make the error of a step whose last attempt has failed; `done` of the loads are on."""
+    water = "" if not ponds else (
+        f" There may be none under {_names(ponds)}, where water gathers without end: a membrane of "
+        "more prestress or slope carries more, a given volume stays as it is. Water that ends at "
+        "an edge that is free has none: hold that, or name all parts that are under water."
+    )  # fmt: skip
     return ConvergenceError(
         f"step {number}: no equilibrium found, {outcome.reason}: unbalanced force "
         f"{outcome.residual:.3g}, tolerance {outcome.tolerance:.3g}, with the increment halved "
         f"{max_halvings} times; {done:.2%} of the loads are on and the scene is at that "
         "state. Try more steps, check that the cables can carry tension where they lie, and "
-        "look at the state reached."
+        f"look at the state reached.{water}"
     )

@@ -255,7 +255,7 @@ class Verifier:
         g = potential.g  # free between two solves
         g[:] = -loads
         for term in potential.terms:
-            if term.name not in ("pressure", "dead load") and term not in scene.terms:
+            if term.name not in ("pressure", "dead load", "pond") and term not in scene.terms:
                 term.add_gradient(potential.x, potential.sums_of(term), g)
         unknowns.gather_forces(potential.g_vector, g)
         supports = np.where(unknowns.held[:n], g[:n], 0.0)
@@ -311,7 +311,7 @@ class Verifier:
         return any(friction is not None and friction.law == "step" for friction in taut)
 
     def _loads(self, system: System) -> Array:
-        """This rank's nodal forces of pressure, dead load and added terms, (n_local, 3).
+        """This rank's nodal forces of pressure, loads, ponds and added terms, (n_local, 3).
 
         A facet's pressure is shared by its corners; the paper's keeps those of the step's start,
         which its term alone knows.
@@ -334,6 +334,8 @@ class Verifier:
             unknowns.add_to_vertices(load.factor * load.forces, loads)
         if system.bars is not None:
             system.bars.add_loads(loads)
+        if system.ponds is not None:
+            system.ponds.add_pressure(system.potential, loads, 1.0)
         for term in scene.terms:
             added = np.zeros_like(loads)
             term.add_gradient(system.potential.x, system.potential.sums_of(term), added)

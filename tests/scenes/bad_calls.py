@@ -70,6 +70,8 @@ def snapshot(scene: Scene) -> list[Any]:
         u,
         held,
         scene.pressure,
+        scene.air,
+        scene.ponds,
         scene.floor_level,
         cables,
         strip,
@@ -281,6 +283,24 @@ def scenes(scene: Scene, other: Scene, solver: Solver, cable: LaidCable) -> list
             },
         ),
         Call(
+            "seal",
+            scene.seal,
+            {"volume": 1000.0},
+            {
+                "volume": (*NOT_POSITIVE, None), "atmosphere": (*NOT_POSITIVE, None),
+                "exponent": (*NO_NUMBERS, None, 0.9), "unknown": (1,),
+            },
+        ),
+        Call(
+            "put_pond",
+            scene.put_pond,
+            {"weight": 10.0, "level": 0.0},
+            {
+                "weight": (*NOT_POSITIVE, None), "level": (*NO_NUMBERS, None), "volume": (1.0, "x"),
+                "on": (3, NAN, "left", [], ["unknown"], [3], [["left"]], {}), "name": no_names,
+            },
+        ),
+        Call(
             "lay_cable",
             scene.lay_cable,
             {"cable": Cable(1.0), "path": ACROSS},
@@ -310,7 +330,9 @@ def scenes(scene: Scene, other: Scene, solver: Solver, cable: LaidCable) -> list
             solver.advance,
             {"pressure": 0.01},
             {
-                "pressure": NO_NUMBERS, "load": (*NO_NUMBERS, 1.0), "steps": (*NO_COUNTS, 0),
+                "pressure": NO_NUMBERS, "temperature": (*NO_NUMBERS, 1.0),
+                "atmosphere": (*NO_NUMBERS, 1.0), "load": (*NO_NUMBERS, 1.0),
+                "steps": (*NO_COUNTS, 0),
                 "move": (3, "x", [("left", UP)], [3], *moves), "L0": (3, "x", [cable], *lengths),
                 "unknown": (1,),
             },

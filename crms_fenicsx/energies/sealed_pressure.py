@@ -1,0 +1,140 @@
+"""Pressure of sealed air, which falls as the volume grows, on plain cells, folded cells and rim.
+
+The terms of a given pressure know their part of the volume each. Here they have the unit pressure,
+and are added up to one term of the whole volume: the pressure follows from the sum over all ranks.
+Its second derivatives are those of a given pressure and the dyad ``Pi'' grad(V) grad(V)^T``, which
+H0 takes as it takes those of cables.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from dolfinx import fem
+from petsc4py import PETSc
+
+from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.preallocation import RowSizes
+from crms_fenicsx.energies.folded_pressure import Facets, FoldedFollowerPressure
+from crms_fenicsx.energies.pressure import FollowerPressure
+from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.model.sealed_air import SealedAir
+from crms_fenicsx.runtime.arrays import Array, Booleans
+
+
+class SealedPressure(EnergyTerm):
+    """Potential of sealed air; see `SealedAir`.
+
+    Parameters
+    ----------
+    air
+        The air.
+    plain
+        Pressure on the plain cells.
+    rim
+        Pressure on what closes the volume at the rim, if there is any.
+    unit
+        The constant that all parts have as their pressure; 1 here.
+
+    Attributes
+    ----------
+    air
+        The air; load steps change its temperature and the atmosphere.
+    parts
+        Terms of parts of the volume; that of folded cells comes to them before the term is used.
+    """
+
+    name = "pressure"
+
+    def __init__(
+        self,
+        air: SealedAir,
+        plain: FollowerPressure,
+        rim: Sequence[EnergyTerm],
+        unit: fem.Constant,
+    ) -> None:
+        self.air, self._unit = air, unit
+        self.parts: list[EnergyTerm] = [plain, *rim]
+        self.integral, self._origin = plain.integral, plain.origin
+        self._pressed = fem.Constant(plain.u.function_space.mesh, PETSc.ScalarType(0.0))
+
+    @property
+    def n_sums(self) -> int:  # type: ignore[override]
+        """The parts' volumes."""
+        return len(self.parts)
+
+    def attach(self, unknowns: Unknowns) -> None:
+        """Use this layout."""
+        super().attach(unknowns)
+        for part in self.parts:
+            part.attach(unknowns)
+        self._forces: Array = np.zeros((unknowns.n_local, 3))
+
+    def sums(self, x: Array, out: Array) -> None:
+        """This rank's parts of the volumes gained (length cubed)."""
+        for k, part in enumerate(self.parts):
+            part.sums(x, out[k : k + 1])
+
+    def pressure(self, sums: Array) -> float:
+        """Pressure over that of the atmosphere (force per area)."""
+        return self.air.pressure(float(sums.sum()))
+
+    def energy(self, sums: Array) -> float:
+        """Potential of the air and of the atmosphere (force x length)."""
+        return self.air.energy(float(sums.sum()))
+
+    def _add_forces(self, pressure: float, x: Array, sums: Array, g: Array) -> None:
+        """Add the nodal forces of a pressure, with the sign of a gradient."""
+        self._forces[:] = 0.0
+        for k, part in enumerate(self.parts):
+            part.add_gradient(x, sums[k : k + 1], self._forces)
+        self._forces *= pressure
+        g += self._forces
+
+    def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
+        """Add the nodal forces, with the sign of a gradient."""
+        self._add_forces(self.pressure(sums), x, sums, g)
+
+    def count_stiffness(self, sizes: RowSizes) -> None:
+        """Count the parts' blocks."""
+        for part in self.parts:
+            part.count_stiffness(sizes)
+
+    def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+        """Add nothing but the places of the parts' second derivatives, which are not definite."""
+        for k, part in enumerate(self.parts):
+            part.add_stiffness(x, sums[k : k + 1], A)
+
+    def add_stiffness_without_cables(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+        """Add nothing."""
+
+    def add_hessian(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+        """Add the second derivatives at a given pressure."""
+        self._unit.value = self.pressure(sums)
+        try:
+            for k, part in reversed(list(enumerate(self.parts))):  # DOLFINx's form is the last
+                part.add_hessian(x, sums[k : k + 1], A)
+        finally:
+            self._unit.value = 1.0
+
+    def dyads(self, sums: Array) -> Sequence[float]:
+        """Stiffness of the air (force / length^5)."""
+        return (self.air.stiffness(float(sums.sum())),)
+
+    def add_dyad_column(self, k: int, x: Array, g: Array) -> None:
+        """Add the gradient of the volume."""
+        self._add_forces(-1.0, x, np.zeros(len(self.parts)), g)
+
+    def elements_on(self, chosen: Booleans) -> Facets | None:
+        """Facets of plain and folded cells with chosen corners."""
+        found = [table for part in self.parts if (table := part.elements_on(chosen)) is not None]
+        if not found:
+            return None
+        names = ("corners", "weights", "plain_corners")
+        return Facets(*(np.concatenate([getattr(t, name) for t in found]) for name in names))
+
+    def of_elements(self, table: Facets, sums: Array) -> FoldedFollowerPressure:
+        """The present pressure on such facets: few of them change the volume by little."""
+        self._pressed.value = self.pressure(sums)
+        return FoldedFollowerPressure(table, self._pressed, self._origin.value)

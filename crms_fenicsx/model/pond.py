@@ -1,0 +1,79 @@
+"""Water that stands on a membrane, up to a level of its own or of the amount that there is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.runtime.arrays import Booleans
+from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.surface.triangles import double_areas
+
+UPRIGHT = 1e-6
+"""Area of the plan, relative to that of the surface, from which on cells have an upper side."""
+
+
+@dataclass(frozen=True)
+class Pond:
+    """Water on a membrane.
+
+    Attributes
+    ----------
+    name
+        What load steps, history and checkpoints know it by.
+    weight
+        Weight by volume (force / length cubed) at the factor 1.
+    given
+        Whether the "level" or the "volume" stays as it is.
+    level
+        Height z of the water's surface (length).
+    volume
+        Amount of water (length cubed).
+    parts
+        Names of the parts of the mesh that it stands on; all of it if there are none.
+    side
+        1 if the cells' normals point up on the whole, else -1.
+    factor
+        What the weight is multiplied by; load steps change it.
+    """
+
+    name: str
+    weight: float
+    given: Literal["level", "volume"]
+    level: float
+    volume: float
+    parts: tuple[str, ...]
+    side: int
+    factor: float = 0.0
+
+    def cells(self, membrane: Membrane) -> Booleans:
+        """Whether this rank's cells, with ghosts, can have water on them."""
+        known = membrane.mesh.mesh.topology.index_map(2)
+        cells = np.full(known.size_local + known.num_ghosts, not self.parts)
+        for part in self.parts:
+            cells[membrane.mesh.parts[part]] = True
+        return cells
+
+    def found_side(self, membrane: Membrane) -> int:
+        """The side of its cells that faces up in the current shape. Collective.
+
+        Raises
+        ------
+        InputError
+            On all ranks: they stand upright.
+        """
+        own = membrane.mesh.mesh.topology.index_map(2).size_local
+        cells = membrane.V.dofmap.list[:own][self.cells(membrane)[:own]]
+        vectors = double_areas(membrane.positions()[cells])
+        local = np.array([vectors[:, 2].sum(), np.linalg.norm(vectors, axis=1).sum()])
+        plan, area = membrane.comm.allreduce(local, op=MPI.SUM)
+        if abs(plan) <= UPRIGHT * area:
+            raise InputError(
+                f"put_pond: the cells of {self.name!r} have no upper side; name the parts of the "
+                'roof, as in on=["roof"].'
+            )
+        return 1 if plan > 0.0 else -1
