@@ -125,7 +125,8 @@ def find_form(
     _check_free_edges(membrane, lines)
     centre = _rim_centre(membrane, lift, bool(inflations))
     film = Film(membrane, prescribed.cell_forces, prescribed.directions, centre)
-    inflation = Inflation(film, pressure, volume, rise, float(centre[2]))
+    n = membrane.V.dofmap.index_map.size_local
+    inflation = Inflation(film, pressure, volume, rise, centre, ~membrane.held[:n, 2])
     search = FormSearch(membrane, film, lines, inflation, prefix)
     try:
         search.run(lift)

@@ -6,7 +6,10 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.form_finding.film import Film
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Booleans
+
+MIDDLE = 1e-6
+"""Height that a vertex must have over others for each length that it is farther from the centre."""
 
 
 class Inflation:
@@ -19,8 +22,10 @@ class Inflation:
     pressure, volume, rise
         What is given (force per area; length cubed; length), the others None; none of them: there
         is no pressure.
-    base
-        Height above which the rise counts (length).
+    centre
+        Centre of the rim (3,) (length), above which the rise counts.
+    free : (n,)
+        Whether each vertex of this rank is not held vertically.
 
     Attributes
     ----------
@@ -41,12 +46,13 @@ class Inflation:
         pressure: float | None,
         volume: float | None,
         rise: float | None,
-        base: float,
+        centre: Array,
+        free: Booleans,
     ) -> None:
         self.film, self.pressure = film, pressure or 0.0
         self.is_found = volume is not None or rise is not None
         self.acts = self.is_found or pressure is not None
-        self._volume, self._rise, self._base = volume, rise, base
+        self._volume, self._rise, self._centre, self._free = volume, rise, centre, free
         self.size = (volume if volume is not None else rise) or 1.0
         self.gap = 0.0
         self.growth: Array = np.zeros((0, 3))
@@ -58,11 +64,14 @@ class Inflation:
         if self._volume is not None:
             self.gap, self.gap_slope = self.film.volume() - self._volume, self.growth
         elif self._rise is not None:
-            n = len(self.growth)
-            comm = self.film.comm
-            own = float(np.max(x[:n, 2], initial=-np.inf))
-            top, rank = comm.allreduce((own, comm.rank), op=MPI.MAXLOC)
-            self.gap = top - self._base - self._rise
-            self.gap_slope = np.zeros_like(self.growth)
+            x, comm = x[: len(self.growth)], self.film.comm
+            # on a flat mesh all are as high: the one in the middle
+            away = np.linalg.norm(x - self._centre, axis=1)
+            heights = np.where(self._free, x[:, 2] - MIDDLE * away, -np.inf)
+            own = (float(np.max(heights, initial=-np.inf)), comm.rank)
+            _, rank = comm.allreduce(own, op=MPI.MAXLOC)
+            top, self.gap_slope = 0.0, np.zeros_like(self.growth)
             if comm.rank == rank:
-                self.gap_slope[int(np.argmax(x[:n, 2])), 2] = 1.0
+                crown = int(np.argmax(heights))
+                top, self.gap_slope[crown, 2] = float(x[crown, 2]), 1.0
+            self.gap = comm.bcast(top, root=rank) - float(self._centre[2]) - self._rise

@@ -24,6 +24,10 @@ vertices need not be held; and of that with the elasticity that holds them, to b
 THINNEST = 1e-3
 """Smallest area of a cell over the square of its longest side, relative to the start mesh."""
 
+STRAIGHT, JUMP = 1e-12, 5.0
+"""Relative size of what is zero in the equations of the cables, and largest factor by which a
+tension changes in an iteration."""
+
 
 class FormSearch:
     """Moves a film and its cables to equilibrium.
@@ -36,7 +40,7 @@ class FormSearch:
     membrane
         The start mesh with its supports.
     film, lines, inflation
-        What bears forces. `lines` have tensions to start with.
+        What bears forces.
     prefix
         Of PETSc's options for the linear solver.
     """
@@ -65,9 +69,20 @@ class FormSearch:
         self._pc.setFromOptions()
         self._force = film.largest * membrane.size
         self._thickness = self._shapes()
+        for line in lines:
+            self._begin(line)
         self.iterations = 0
         self.holding = False
         """Whether the elasticity that holds vertices is part of the equilibrium found."""
+
+    def _begin(self, line: EdgeLine) -> None:
+        """Give a cable a tension to begin with: what is not known for an arc of its length."""
+        length = self.comm.allreduce(line.length_and_slope(self.membrane.positions())[0])
+        cable = line.cable
+        if cable.tension is not None:
+            line.tension = cable.tension
+        else:
+            line.tension = length * (cable.force_density or self.film.largest)
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
@@ -188,11 +203,14 @@ class FormSearch:
             matrix = [[np.vdot(row, way) for way in ways] for row in rows]
             local = np.column_stack([matrix, [np.vdot(row, way) for row in rows]])
             total = self.comm.allreduce(local)
-            change = np.linalg.solve(np.diag(diagonal) - total[:, :-1], -gaps - total[:, -1])
+            system = np.diag(diagonal) - total[:, :-1]
+            # singular where cables are straight
+            change = np.linalg.lstsq(system, -gaps - total[:, -1], rcond=STRAIGHT)[0]
+            for k, line in enumerate(self._found):
+                change[k] = np.clip(change[k], (1 / JUMP - 1) * line.tension, JUMP * line.tension)
+                line.tension += float(change[k])
             for one, by in zip(ways, change, strict=True):
                 way -= by * one
-            for line, by in zip(self._found, change, strict=False):
-                line.tension = max(line.tension + float(by), 0.1 * line.tension)
             if inflation.is_found:
                 inflation.pressure += float(change[-1])
         film.u.x.array[: way.size] += way.ravel()
