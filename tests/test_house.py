@@ -12,8 +12,8 @@ import crms_fenicsx
 PACKAGE = Path(crms_fenicsx.__file__).parent
 FLOORS = (
     "runtime dofs meshes surface geodesics model energies energies.paper minimization cables "
-    "contact friction paths loaded_membrane scene contributions equilibrium results verification "
-    "steps output output.figures checkpoint solver crms_fenicsx"
+    "contact friction paths loaded_membrane scene form_finding contributions equilibrium results "
+    "verification steps output output.figures checkpoint solver crms_fenicsx"
 ).split()
 """Ground first: a module imports from its own package and from those before it."""
 

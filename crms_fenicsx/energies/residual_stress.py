@@ -65,7 +65,7 @@ class ResidualStress(EnergyTerm):
 
     def add_hessian(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add the second derivatives, in places that the membrane's stiffness has filled."""
-        fem_petsc.assemble_matrix(A, self._hessian)  # type: ignore[arg-type]
+        fem_petsc.assemble_matrix(A, self._hessian)
 
 
 def _axes(mesh: Any) -> Array:

@@ -150,7 +150,7 @@ def chained(pairs: Integers, name: str) -> Integers:
         They make a ring, several lines, or branch.
     """
     next_to: dict[int, list[int]] = {}
-    for a, b in pairs.tolist():
+    for a, b in ((int(a), int(b)) for a, b in pairs):
         next_to.setdefault(a, []).append(b)
         next_to.setdefault(b, []).append(a)
     ends = sorted(vertex for vertex, others in next_to.items() if len(others) == 1)
@@ -171,9 +171,9 @@ def chained(pairs: Integers, name: str) -> Integers:
 def places_of(membrane: Membrane, ids: Integers) -> Array:
     """Current places (length) of vertices by their numbers in the mesh as given. Collective."""
     n = membrane.V.dofmap.index_map.size_local
-    own = np.zeros(len(membrane.held), dtype=np.int64)
-    own[vertex_dofs(membrane)] = vertex_ids(membrane.mesh.mesh)
-    own, x = own[:n], membrane.positions()[:n]
+    numbers = np.zeros(len(membrane.held), dtype=np.int64)
+    numbers[vertex_dofs(membrane)] = vertex_ids(membrane.mesh.mesh)
+    own, x = numbers[:n], membrane.positions()[:n]
     here = np.isin(own, ids)
     found = membrane.comm.allgather((own[here], x[here]))
     numbers = np.concatenate([numbers for numbers, _ in found])

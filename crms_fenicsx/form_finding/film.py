@@ -16,9 +16,9 @@ from crms_fenicsx.energies.kinematics import Kinematics, tangent_basis
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime.arrays import Array
 
-HOLDING = 0.1
+SOFTEST, STIFFEST = 0.1, 10.0
 """Modulus times thickness of the elasticity that holds vertices in the surface, relative to the
-section forces. What it leaves of their unbalance does not depend on it, how fast does."""
+section forces, at first and at most. What is left of their unbalance hardly depends on it."""
 
 
 class Film:
@@ -34,8 +34,8 @@ class Film:
     stress S held (K.-U. Bletzinger and E. Ramm, Int. J. Space Structures 14, 1999; for soap films
     U. Pinkall and K. Polthier, Experimental Math. 2, 1993), which is positive definite.
 
-    A film does not tell where in the surface its vertices are. On demand an elasticity of
-    `HOLDING` holds them: stress by the Green-Lagrange strain from a reference shape.
+    A film does not tell where in the surface its vertices are. On demand an elasticity holds them:
+    stress by the Green-Lagrange strain from a reference shape.
 
     Parameters
     ----------
@@ -54,6 +54,8 @@ class Film:
         Displacements from the start mesh (length).
     reference
         Displacements of the reference shape from it.
+    modulus
+        Modulus times thickness of that elasticity, relative to the section forces.
     matrix
         The stiffness.
     largest
@@ -62,9 +64,7 @@ class Film:
         Whether s1 = s2 everywhere: then the stiffness is symmetric.
     """
 
-    def __init__(
-        self, membrane: Membrane, forces: Array, directions: Array, origin: Array
-    ) -> None:
+    def __init__(self, membrane: Membrane, forces: Array, directions: Array, origin: Array) -> None:
         self.comm, self.V, self.u = membrane.comm, membrane.V, membrane.u
         domain = self.V.mesh
         self.reference = fem.Function(self.V)
@@ -76,7 +76,10 @@ class Film:
         largest = float(np.max(forces, initial=0.0))
         self.largest = membrane.comm.allreduce(largest, op=MPI.MAX)
         self.isotropic = not membrane.comm.allreduce(bool(np.ptp(forces, axis=1).any()), op=MPI.LOR)
-        self._exact, self._holding, self._pressure = (fem.Constant(domain, 0.0) for _ in range(3))
+        self._exact, self._holding, self._pressure = (
+            fem.Constant(domain, np.float64(0.0)) for _ in range(3)
+        )
+        self.modulus = SOFTEST
         basis, dx = tangent_basis(domain, None), one_point(domain)
         F, Fr = Kinematics(self.u, basis).F, Kinematics(self.reference, basis).F
         C, G = (ufl.as_matrix([[ufl.dot(a, b) for b in A] for a in A]) for A in (F, Fr))
@@ -121,7 +124,7 @@ class Film:
         holding
             Whether with those of the elasticity that holds vertices.
         """
-        self._holding.value = HOLDING if holding else 0.0
+        self._holding.value = self.modulus if holding else 0.0
         return self._vector("force")
 
     def growth(self) -> Array:
@@ -153,10 +156,10 @@ class Film:
             Pressure (force per area) to the outer side.
         """
         self._exact.value = float(exact)
-        self._holding.value = HOLDING if exact else 0.0
+        self._holding.value = self.modulus if exact else 0.0
         self._pressure.value = pressure
         self.matrix.zeroEntries()
-        fem_petsc.assemble_matrix(self.matrix, self._stiffness)  # type: ignore[arg-type]
+        fem_petsc.assemble_matrix(self.matrix, self._stiffness)
 
     def section_forces(self, holding: bool) -> Array:
         """True section forces of this rank's cells as tensors in space, (n, 3, 3).
@@ -166,11 +169,11 @@ class Film:
         holding
             Whether with those of the elasticity that holds vertices.
         """
-        self._holding.value = HOLDING if holding else 0.0
+        self._holding.value = self.modulus if holding else 0.0
         cells = np.arange(self.V.mesh.topology.index_map(2).size_local, dtype=np.int32)
-        S, F = (
+        stress, F = (
             np.asarray(value.eval(self.V.mesh, cells)).reshape(len(cells), -1)
             for value in self._cell_values
         )
-        S, F = S[:, [0, 1, 1, 2]].reshape(-1, 2, 2), F.reshape(-1, 2, 3)
-        return np.asarray(np.einsum("nij,nia,njb->nab", S, F, F))
+        S, sides = stress[:, [0, 1, 1, 2]].reshape(-1, 2, 2), F.reshape(-1, 2, 3)
+        return np.asarray(np.einsum("nij,nia,njb->nab", S, sides, sides))

@@ -2,34 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-from mpi4py import MPI
-
-from crms_fenicsx.form_finding.cables import (
-    EdgeLine,
-    FormCable,
-    edge_lines,
-    places_of,
-    vertex_dofs,
-)
+from crms_fenicsx.form_finding.cables import FormCable, edge_lines, places_of
 from crms_fenicsx.form_finding.film import Film
 from crms_fenicsx.form_finding.found_form import FormCableFound, FoundForm, largest_part
 from crms_fenicsx.form_finding.inflation import Inflation
 from crms_fenicsx.form_finding.search import FormSearch
 from crms_fenicsx.form_finding.stresses import Direction, PrescribedStress, Stress
+from crms_fenicsx.form_finding.supports import Lift, check_free_edges, hold, lifts, rim_centre
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.meshes.membrane_mesh import moved
 from crms_fenicsx.model.materials import IsotropicMembrane
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.runtime.errors import InputError, as_text, collective, raised_together
-
-Lift = Sequence[float] | Callable[[Array], Array]
-"""A displacement (3,), or a function of start places (3, n) that returns (3, n) of them."""
+from crms_fenicsx.runtime.errors import InputError, collective
 
 
 @collective
@@ -100,30 +88,20 @@ def find_form(
     ...     mesh, 2.0, fixed=["masts", "corners"], lifted={"masts": (0.0, 0.0, 5.0)},
     ...     cables=[FormCable("north", tension=30.0), FormCable("south", length=21.5)],
     ... )
-    >>> scene = found.scene(IsotropicMembrane(E=500.0, nu=0.3, thickness=1.0), {"north": Cable(8e3)})
+    >>> scene = found.scene(IsotropicMembrane(E=500.0, nu=0.3, thickness=1.0), Cable(EA=8e3))
     """
-    given: dict[str, Any] = {
-        "stress": stress, "fixed": fixed, "lifted": lifted, "cables": cables, "warp": warp,
-        "pressure": pressure, "volume": volume, "rise": rise, "prefix": prefix,
-    }  # fmt: skip
-    if not isinstance(mesh, MembraneMesh):
-        raise InputError(f"find_form: mesh is of type {type(mesh).__name__}; give a MembraneMesh.")
-    checks.same(mesh.comm, "find_form", **given)
-    inflations = {"pressure": pressure, "volume": volume, "rise": rise}
-    inflations = {name: value for name, value in inflations.items() if value is not None}
-    if len(inflations) > 1:
-        raise InputError(
-            f"find_form: {' and '.join(inflations)} are given; give one of pressure, volume, rise."
-        )
-    for name, value in inflations.items():
-        (checks.finite if name == "pressure" else checks.positive)(f"find_form: {name}", value)
+    given = {"pressure": pressure, "volume": volume, "rise": rise}
+    inflated = _checked(
+        mesh, given, stress=stress, fixed=fixed, lifted=lifted, cables=cables, warp=warp,
+        prefix=prefix,
+    )  # fmt: skip
     prescribed = PrescribedStress.of(mesh, stress, warp)
     membrane = Membrane(mesh, IsotropicMembrane(E=1.0, nu=0.0, thickness=1.0))
-    supports = _hold(membrane, fixed)
-    lift = _lifts(membrane, lifted or {})
+    supports = hold(membrane, fixed)
+    lift = lifts(membrane, lifted or {})
     lines = edge_lines(membrane, cables)
-    _check_free_edges(membrane, lines)
-    centre = _rim_centre(membrane, lift, bool(inflations))
+    check_free_edges(membrane, lines)
+    centre = rim_centre(membrane, lift, inflated)
     film = Film(membrane, prescribed.cell_forces, prescribed.directions, centre)
     n = membrane.V.dofmap.index_map.size_local
     inflation = Inflation(film, pressure, volume, rise, centre, ~membrane.held[:n, 2])
@@ -140,97 +118,28 @@ def find_form(
     )
     return FoundForm(
         shape, prescribed, residual, largest_part(residual, film.largest, mesh.comm), supports,
-        found, film.area(), film.volume() if inflations else None, inflation.pressure,
+        found, film.area(), film.volume() if inflated else None, inflation.pressure,
         search.iterations,
     )  # fmt: skip
 
 
-def _hold(membrane: Membrane, fixed: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
-    """Hold groups; return the directions by group. Collective."""
-    if isinstance(fixed, str) or not isinstance(fixed, Sequence | Mapping) or not fixed:
+def _checked(mesh: MembraneMesh, inflations: Mapping[str, float | None], **given: Any) -> bool:
+    """Check arguments by themselves; return whether there is pressure. Collective."""
+    if not isinstance(mesh, MembraneMesh):
+        raise InputError(f"find_form: mesh is of type {type(mesh).__name__}; give a MembraneMesh.")
+    checks.same(mesh.comm, "find_form", **inflations, **given)
+    named = {name: value for name, value in inflations.items() if value is not None}
+    if len(named) > 1:
         raise InputError(
-            f'find_form: fixed = {fixed!r}; give the groups that are held, as in ["boundary"].'
+            f"find_form: {' and '.join(named)} are given; give one of {', '.join(inflations)}."
         )
-    supports = dict(fixed) if isinstance(fixed, Mapping) else dict.fromkeys(fixed, "xyz")
-    for group, directions in supports.items():
-        if not isinstance(group, str):
-            raise InputError(f"find_form: fixed has {group!r}; give names of groups of the mesh.")
-        membrane.hold(group, directions, new_edges=True)
-    free = "xyz"
-    for number, letter in enumerate("xyz"):
-        if membrane.comm.allreduce(bool(membrane.held[:, number].any()), op=MPI.LOR):
-            free = free.replace(letter, "")
-    if free:
+    for name, value in named.items():
+        (checks.finite if name == "pressure" else checks.positive)(f"find_form: {name}", value)
+    if not isinstance(given["lifted"], Mapping | None):
         raise InputError(
-            f"find_form: fixed = {fixed!r} holds nothing along {free}; hold a group there too."
+            f"find_form: lifted = {given['lifted']!r}; give displacements by group, as in "
+            '{"mast": (0.0, 0.0, 5.0)}.'
         )
-    return supports
-
-
-def _lifts(membrane: Membrane, lifted: Mapping[str, Lift]) -> Array:
-    """Movement of this rank's owned vertices, (n, 3). Collective."""
-    lift = np.full_like(membrane.stress_free, np.nan)
-    for group, by in lifted.items():
-        dofs = membrane.vertices(group)
-        with raised_together(membrane.comm):
-            places = membrane.stress_free[dofs]
-            if callable(by):
-                ways = np.asarray(by(places.T), dtype=float)
-                if ways.shape != places.T.shape or not np.isfinite(ways).all():
-                    raise InputError(
-                        f"find_form: the function that lifts {group!r} returned an array of shape "
-                        f"{ways.shape} or with values that are not finite; it must return "
-                        f"displacements of shape {places.T.shape}."
-                    )
-                ways = ways.T
-            else:
-                ways = np.tile(checks.vector(f"find_form: lifted[{group!r}]", by), (len(dofs), 1))
-            for bad, what in (
-                (~membrane.held[dofs] & (ways != 0.0), "is not held in that direction"),
-                (~np.isnan(lift[dofs]) & (lift[dofs] != ways), "another group moves elsewhere"),
-            ):
-                if bad.any():
-                    k = int(np.argmax(bad.any(axis=1)))
-                    raise InputError(
-                        f"find_form: {group!r} is lifted by {as_text(ways[k])} at "
-                        f"{as_text(places[k])}, which {what}; hold what is lifted, to one place."
-                    )
-            lift[dofs] = ways
-    return np.nan_to_num(lift, nan=0.0)
-
-
-def _check_free_edges(membrane: Membrane, lines: Sequence[EdgeLine]) -> None:
-    """Refuse free edges without a cable. Collective."""
-    topology = membrane.mesh.mesh.topology
-    edges = membrane.mesh.edges["boundary"]
-    edges = edges[edges < topology.index_map(1).size_local]
-    held = [membrane.mesh.edges[line.cable.group] for line in lines]
-    edges = np.setdiff1d(edges, np.concatenate([*held, np.zeros(0, np.int32)]))
-    ends = vertex_dofs(membrane)[topology.connectivity(1, 0).array.reshape(-1, 2)[edges]]
-    free = ends[~membrane.held[ends].any(axis=2).all(axis=1)]
-    count = membrane.comm.allreduce(len(free))
-    places = membrane.comm.allgather(membrane.stress_free[free[:1]].mean(axis=1))
-    if count:
-        place = as_text(np.concatenate(places)[0])
-        raise InputError(
-            f"find_form: {count} edges at the rim are neither held nor have a cable, one at "
-            f"{place}; the film would draw them in. Fix them, or give them a FormCable."
-        )
-
-
-def _rim_centre(membrane: Membrane, lift: Array, inflated: bool) -> Array:
-    """Mean place of the rim of what is closed, or of all vertices without a rim. Collective."""
-    edges = membrane.open_edges
-    ends = np.unique(edges.vertices)
-    if inflated:
-        free = ends[~membrane.held[ends].all(axis=1)]
-        places = membrane.comm.allgather(membrane.stress_free[free[:1]])
-        if sum(map(len, places)):
-            raise InputError(
-                "find_form: there is pressure, but the rim is not held in all directions at "
-                f"{as_text(np.concatenate(places)[0])}; hold the rim."
-            )
-    own = ends[ends < membrane.V.dofmap.index_map.size_local]
-    places = (membrane.stress_free + lift)[own]
-    total = membrane.comm.allreduce(np.array([*places.sum(axis=0), len(own)]))
-    return np.asarray(total[:3] / total[3]) if total[3] else membrane.centre
+    if isinstance(given["cables"], str) or not isinstance(given["cables"], Sequence):
+        raise InputError(f"find_form: cables = {given['cables']!r}; give a list of FormCables.")
+    return bool(named)

@@ -7,7 +7,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.form_finding.cables import EdgeLine
-from crms_fenicsx.form_finding.film import Film
+from crms_fenicsx.form_finding.film import SOFTEST, STIFFEST, Film
 from crms_fenicsx.form_finding.inflation import Inflation
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime.arrays import Array, Booleans
@@ -27,6 +27,11 @@ THINNEST = 1e-3
 STRAIGHT, JUMP = 1e-12, 5.0
 """Relative size of what is zero in the equations of the cables, and largest factor by which a
 tension changes in an iteration."""
+
+
+Unbalanced = tuple[Array, Array, float]
+"""Unbalanced forces, (n, 3), errors of the equations of tensions and pressure, and the largest of
+both relative to their size."""
 
 
 class FormSearch:
@@ -104,7 +109,7 @@ class FormSearch:
         """
         residual, gaps, error = self._unbalanced()
         updates = wait = UPDATES
-        best = 1.0
+        best, left = 1.0, np.inf
         with progress(self.comm, -np.log10(TOLERANCE), "finding the form") as bar:
             while error > TOLERANCE or self.iterations == 0:
                 if self.iterations == MOST:
@@ -116,6 +121,7 @@ class FormSearch:
                 newton = updates == 0
                 if newton and not self.holding:
                     self.film.reference.x.array[:] = self.film.u.x.array
+                    left = error
                 self._step(residual, gaps, newton, lift if self.iterations == 0 else None)
                 self.iterations += 1
                 sound = self._check_cells(newton)
@@ -123,18 +129,37 @@ class FormSearch:
                 if newton and not self.holding and not found[2] < QUICK * error and sound:
                     self.holding = True
                     found = self._unbalanced()
-                if newton and not found[2] < FALLEN * error:
+                if not newton:
+                    updates -= 1
+                elif not found[2] < FALLEN * error:
                     self._go_back(before)
-                    self.holding = False
-                    found, wait = self._unbalanced(), 2 * wait
-                    updates = wait
-                else:
-                    updates = max(updates - 1, 0)
+                    updates, wait = self._hold_more(wait)
+                    found = self._unbalanced()
+                elif self.holding and found[2] <= TOLERANCE:
+                    found = self._moved_on(left)
                 residual, gaps, error = found
                 if error < best:
                     bar.advance(np.log10(best / max(error, TOLERANCE)), f"residual {error:.1e}")
                     best = max(error, TOLERANCE)
         self._check_tensions()
+
+    def _hold_more(self, wait: int) -> tuple[int, int]:
+        """Stiffen what holds vertices; return updates to make next, and when that fails too."""
+        self.holding, film = False, self.film
+        if film.modulus < STIFFEST:
+            film.modulus *= 10.0
+            return 0, wait
+        film.modulus = SOFTEST
+        return 2 * wait, 2 * wait
+
+    def _moved_on(self, left: float) -> Unbalanced:
+        """Go on without holding where that has come nearer to a film's equilibrium. Collective."""
+        self.holding = False
+        alone = self._unbalanced()
+        if alone[2] < QUICK * left:
+            return alone
+        self.holding = True
+        return self._unbalanced()
 
     def _state(self) -> tuple[Array, list[float], float]:
         tensions = [line.tension for line in self.lines]
@@ -145,7 +170,7 @@ class FormSearch:
         for line, tension in zip(self.lines, tensions, strict=True):
             line.tension = tension
 
-    def _unbalanced(self) -> tuple[Array, Array, float]:
+    def _unbalanced(self) -> Unbalanced:
         """Unbalanced forces, (n, 3), errors of the equations, and the residual. Collective."""
         x = self.membrane.positions()
         self._slopes: list[Array] = []

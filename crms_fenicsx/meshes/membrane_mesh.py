@@ -208,7 +208,7 @@ def moved(mesh: MembraneMesh, V: Any, places: Array) -> MembraneMesh:
     places
         Coordinates (length) of the vertices by local degree of freedom of V, (n, 3), with ghosts.
     """
-    nodes = np.zeros_like(mesh.mesh.geometry.x)
+    nodes: Array = np.zeros((len(mesh.mesh.geometry.x), 3))
     nodes[geometry_dofmap(mesh.mesh)] = places[V.dofmap.list]
     return dataclasses.replace(mesh, mesh=with_nodes(mesh.mesh, nodes))
 
