@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from typing import Any
+
+import numpy as np
 
 from crms_fenicsx.form_finding.cables import FormCable, edge_lines, places_of
 from crms_fenicsx.form_finding.film import Film
 from crms_fenicsx.form_finding.found_form import FormCableFound, FoundForm, largest_part
 from crms_fenicsx.form_finding.inflation import Inflation
-from crms_fenicsx.form_finding.search import FormSearch
+from crms_fenicsx.form_finding.search import NO_FORM, FormSearch
 from crms_fenicsx.form_finding.stresses import Direction, PrescribedStress, Stress
 from crms_fenicsx.form_finding.supports import Lift, check_free_edges, hold, lifts, rim_centre
 from crms_fenicsx.meshes import MembraneMesh
@@ -17,7 +20,13 @@ from crms_fenicsx.meshes.membrane_mesh import moved
 from crms_fenicsx.model.materials import IsotropicMembrane
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.errors import InputError, collective
+from crms_fenicsx.runtime.errors import ConvergenceError, InputError, collective
+
+logger = logging.getLogger("crms_fenicsx")
+
+COARSE = 0.05
+"""Difference of section forces from those prescribed, relative to the largest of them, that a mesh
+may make; those along warp and weft may differ from them by as much as from each other, on top."""
 
 
 @collective
@@ -112,14 +121,15 @@ def find_form(
         search.destroy()
     shape = moved(mesh, membrane.V, membrane.positions())
     residual = film.section_forces(search.holding) - prescribed.tensors(shape)
+    deviation = largest_part(residual, film.largest, mesh.comm)
+    _check_deviation(deviation, prescribed, mesh)
     found = tuple(
         FormCableFound(line.cable.group, line.tension, length, places_of(membrane, line.ids))
         for line, length in zip(lines, search.lengths, strict=True)
     )
     return FoundForm(
-        shape, prescribed, residual, largest_part(residual, film.largest, mesh.comm), supports,
-        found, film.area(), film.volume() if inflated else None, inflation.pressure,
-        search.iterations,
+        shape, prescribed, residual, deviation, supports, found, film.area(),
+        film.volume() if inflated else None, inflation.pressure, search.iterations,
     )  # fmt: skip
 
 
@@ -143,3 +153,20 @@ def _checked(mesh: MembraneMesh, inflations: Mapping[str, float | None], **given
     if isinstance(given["cables"], str) or not isinstance(given["cables"], Sequence):
         raise InputError(f"find_form: cables = {given['cables']!r}; give a list of FormCables.")
     return bool(named)
+
+
+def _check_deviation(deviation: float, stress: PrescribedStress, mesh: MembraneMesh) -> None:
+    """Refuse forms that stand by other section forces than those prescribed."""
+    forces = np.array(list(stress.forces.values()))
+    incompatible = float(np.ptp(forces, axis=1).max() / forces.max())
+    if deviation > incompatible + COARSE:
+        raise ConvergenceError(
+            f"find_form: the nearest form has section forces that differ by {deviation:.0%} from "
+            f"those prescribed; {NO_FORM} Or the mesh is too coarse for its curvature."
+        )
+    if deviation > COARSE and mesh.comm.rank == 0:
+        logger.warning(
+            "find_form: section forces of the form differ from those prescribed by up to %.0f %%: "
+            "different ones along warp and weft do not balance each other on it",
+            100 * deviation,
+        )

@@ -146,7 +146,7 @@ class FormSearch:
     def _hold_more(self, wait: int) -> tuple[int, int]:
         """Stiffen what holds vertices; return updates to make next, and when that fails too."""
         self.holding, film = False, self.film
-        if film.modulus < STIFFEST:
+        if film.modulus < STIFFEST and not film.isotropic:  # else films never need more
             film.modulus *= 10.0
             return 0, wait
         film.modulus = SOFTEST
