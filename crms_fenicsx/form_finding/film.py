@@ -172,8 +172,8 @@ class Film:
         self._holding.value = self.modulus if holding else 0.0
         cells = np.arange(self.V.mesh.topology.index_map(2).size_local, dtype=np.int32)
         stress, F = (
-            np.asarray(value.eval(self.V.mesh, cells)).reshape(len(cells), -1)
-            for value in self._cell_values
+            np.asarray(value.eval(self.V.mesh, cells)).reshape(len(cells), width)
+            for value, width in zip(self._cell_values, (3, 6), strict=True)
         )
         S, sides = stress[:, [0, 1, 1, 2]].reshape(-1, 2, 2), F.reshape(-1, 2, 3)
         return np.asarray(np.einsum("nij,nia,njb->nab", S, sides, sides))

@@ -19,7 +19,9 @@ def net(n: int, lift: float, stress: float, tension: float) -> tuple[float, floa
     x[:, :2] = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
     index = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
     a = index[:-1, :-1].ravel()
-    cells = np.concatenate([np.stack([a, a + 1, a + n + 2], 1), np.stack([a, a + n + 2, a + n + 1], 1)])
+    cells = np.concatenate(
+        [np.stack([a, a + 1, a + n + 2], 1), np.stack([a, a + n + 2, a + n + 1], 1)]
+    )
     ends = np.concatenate([cells[:, [1, 2]], cells[:, [2, 0]], cells[:, [0, 1]]])
     lines = [index[0], index[:, -1], index[-1], index[:, 0]]
     cables = np.concatenate([np.stack([line[:-1], line[1:]], 1) for line in lines])

@@ -28,7 +28,11 @@ def wave(comm: MPI.Intracomm, size: float, stress: object, warp: object) -> floa
 
 @pytest.mark.parametrize(
     ("stress", "warp", "ratio"),
-    [((4.0, 1.0), (1.0, 0.0, 0.0), 4.0), ((4.0, 1.0), (0.0, 1.0, 0.3), 0.25), (3.0, (1, 1, 1), 1.0)],
+    [
+        ((4.0, 1.0), (1.0, 0.0, 0.0), 4.0),
+        ((4.0, 1.0), (0.0, 1.0, 0.3), 0.25),
+        (3.0, (1, 1, 1), 1.0),
+    ],
 )
 def test_small_slopes(comm: MPI.Intracomm, stress: object, warp: object, ratio: float) -> None:
     """``s_x z_xx + s_y z_yy = 0``, with second order."""
