@@ -152,6 +152,12 @@ def _checked(mesh: MembraneMesh, inflations: Mapping[str, float | None], **given
         )
     if isinstance(given["cables"], str) or not isinstance(given["cables"], Sequence):
         raise InputError(f"find_form: cables = {given['cables']!r}; give a list of FormCables.")
+    prefix = given["prefix"]
+    if not isinstance(prefix, str) or prefix.startswith("-"):
+        raise InputError(
+            f"find_form: prefix = {prefix!r} is no options prefix; give a text without the "
+            "leading '-', as 'crms_form_'."
+        )
     return bool(named)
 
 
