@@ -229,8 +229,10 @@ class FormSearch:
             local = np.column_stack([matrix, [np.vdot(row, way) for row in rows]])
             total = self.comm.allreduce(local)
             system = np.diag(diagonal) - total[:, :-1]
-            # singular where cables are straight
-            change = np.linalg.lstsq(system, -gaps - total[:, -1], rcond=STRAIGHT)[0]
+            change = np.zeros(len(gaps))
+            if np.isfinite(total).all():  # else cells have collapsed, which is seen below
+                # singular where cables are straight
+                change = np.linalg.lstsq(system, -gaps - total[:, -1], rcond=STRAIGHT)[0]
             for k, line in enumerate(self._found):
                 change[k] = np.clip(change[k], (1 / JUMP - 1) * line.tension, JUMP * line.tension)
                 line.tension += float(change[k])

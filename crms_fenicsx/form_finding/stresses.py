@@ -21,6 +21,8 @@ Direction = Sequence[float]
 Materials = MembraneMaterial | Mapping[str, MembraneMaterial]
 WHOLE = ""
 """What stands for the whole membrane where parts have names."""
+NORMAL = 1e-10
+"""Cosine below one at which a direction is normal to a cell."""
 
 
 @dataclass(frozen=True)
@@ -69,16 +71,25 @@ class PrescribedStress:
                 )
         number = _part_numbers(mesh, list(forces))
         values, ways = np.array(list(forces.values())), np.array(list(given.values()), dtype=float)
-        return cls(forces, given, values[number], ways[number])
+        found = cls(forces, given, values[number], ways[number])
+        found._check_warps(mesh)
+        return found
+
+    def _check_warps(self, mesh: MembraneMesh) -> None:
+        """Refuse warp directions that are normal to cells of which they matter. Collective."""
+        with raised_together(mesh.comm):
+            along = np.einsum("ni,ni->n", cell_normals(mesh.mesh), self.directions)
+            size = np.linalg.norm(self.directions, axis=1)
+            normal = np.abs(along) > (1 - NORMAL) * size
+            bad = np.flatnonzero(normal & (np.ptp(self.cell_forces, axis=1) > 0.0))
+            if len(bad):
+                raise InputError(
+                    f"find_form: the warp direction {self.directions[bad[0]]} is normal to the "
+                    "start mesh somewhere; give one that has a part in the surface everywhere."
+                )
 
     def tensors(self, mesh: MembraneMesh) -> Array:
-        """Section forces of the cells of a mesh as tensors in space, (n, 3, 3).
-
-        Raises
-        ------
-        InputError
-            A warp direction is normal to a cell. Not collective.
-        """
+        """Section forces of the cells of a mesh as tensors in space, (n, 3, 3)."""
         s1, s2 = self.cell_forces.T[:, :, None, None]
         n, d = cell_normals(mesh.mesh), self.directions
         w = d - np.sum(d * n, axis=1)[:, None] * n

@@ -84,13 +84,14 @@ def test_arguments(comm: MPI.Intracomm, mesh: MembraneMesh, idle: None) -> None:
         ({"fixed": {"boundary": "xy", "left": "xyz"}, "lifted": {"boundary": (0, 0, 1.0)}},
          "not held in that direction"),
         ({"lifted": {"left": (0, 0, 1.0), "front": (0, 0, 2.0)}}, "another group moves elsewhere"),
+        ({"stress": (1.0, 2.0), "warp": (0.0, 0.0, 1.0)}, "normal to the start mesh"),
         ({"cables": [FormCable("boundary", tension=1.0)]}, "not one line from end to end"),
         ({"cables": [FormCable("left", tension=1.0)] * 2}, "edges of another cable"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit(mesh: MembraneMesh, idle: None, given: Any, match: str) -> None:
     with pytest.raises(InputError, match=match):
-        find_form(mesh, 2.0, **{"fixed": ["boundary"], **given})
+        find_form(mesh, **{"stress": 2.0, "fixed": ["boundary"], **given})
 
 
 def test_parts_without_stress(comm: MPI.Intracomm, idle: None) -> None:
