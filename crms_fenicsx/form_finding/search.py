@@ -24,6 +24,8 @@ vertices need not be held; and of that with the elasticity that holds them, to b
 THINNEST = 1e-3
 """Smallest area of a cell over the square of its longest side, relative to the start mesh."""
 
+WORKSPACE = 100
+"""How much more memory MUMPS takes than it estimates, in per cent."""
 STRAIGHT, JUMP = 1e-12, 5.0
 """Relative size of what is zero in the equations of the cables, and largest factor by which a
 tension changes in an iteration."""
@@ -72,6 +74,10 @@ class FormSearch:
         self._pc.setType(PETSc.PC.Type.CHOLESKY if film.isotropic else PETSc.PC.Type.LU)
         self._pc.setFactorSolverType("mumps")
         self._pc.setFromOptions()
+        film.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        if self._pc.getFactorSolverType() == "mumps":  # its estimate may be too small
+            self._pc.setFactorSetUpSolverType()
+            self._pc.getFactorMatrix().setMumpsIcntl(14, WORKSPACE)
         self._force = film.largest * membrane.size
         self._thickness = self._shapes()
         for line in lines:

@@ -57,7 +57,8 @@ def sag(path: np.ndarray) -> float:
 
 def test_hypar(comm: MPI.Intracomm) -> None:
     """Both converge to the same form, with second order."""
-    coarse, fine = (np.array(net(n, 3.0, 2.0, 25.0)) for n in (5, 10))
+    nets = [np.array(net(n, 3.0, 2.0, 25.0)) for n in (5, 10)] if comm.rank == 0 else []
+    coarse, fine = comm.bcast(nets)
     limit = (4 * fine - coarse) / 3
     sizes, found = (2.0, 1.0, 0.5), []
     for size in sizes:

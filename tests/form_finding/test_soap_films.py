@@ -7,7 +7,7 @@ import pytest
 from form_meshes import SIDES, cylinder, nodes, order, sail
 from mpi4py import MPI
 
-from crms_fenicsx import ConvergenceError, meshes
+from crms_fenicsx import ConvergenceError, IsotropicMembrane, Solver, meshes
 from crms_fenicsx.form_finding import FormCable, find_form
 
 
@@ -26,6 +26,17 @@ def test_catenoid(comm: MPI.Intracomm, height: float, neck: float, area: float) 
     for error in np.transpose(errors):
         assert order(1 / rounds, error) > 1.9
     assert form.deviation < 2e-4
+
+
+def test_half_a_catenoid(comm: MPI.Intracomm) -> None:
+    """Its neck slides in a plane of symmetry."""
+    mesh = cylinder(comm, 32, 4, 10.0, 6.0)
+    form = find_form(mesh, 2.0, fixed={"below": "xyz", "above": "z"})
+    whole = find_form(cylinder(comm, 32, 8, 10.0, 12.0), 2.0, fixed=["boundary"])
+    assert 2 * form.area == pytest.approx(whole.area, rel=1e-6)
+    x = nodes(form)
+    assert np.hypot(*x[x[:, 2] > 5.999, :2].T).max() == pytest.approx(7.450711, rel=5e-3)
+    Solver(form.scene(IsotropicMembrane(1000.0, 0.3, 1.0))).advance()
 
 
 def test_rings_too_far_apart_have_no_film(comm: MPI.Intracomm) -> None:
