@@ -24,9 +24,9 @@ from crms_fenicsx.runtime.errors import ConvergenceError, InputError, collective
 
 logger = logging.getLogger("crms_fenicsx")
 
-COARSE = 0.05
-"""Difference of section forces from those prescribed, relative to the largest of them, that a mesh
-may make; those along warp and weft may differ from them by as much as from each other, on top."""
+TOLD, COARSE = 0.05, 0.1
+"""Difference of section forces from those prescribed, relative to the largest of them, that is
+told, and that a mesh may make; where those along warp and weft differ, by as much on top."""
 
 
 @collective
@@ -170,9 +170,9 @@ def _check_deviation(deviation: float, stress: PrescribedStress, mesh: MembraneM
             f"find_form: the nearest form has section forces that differ by {deviation:.0%} from "
             f"those prescribed; {NO_FORM} Or the mesh is too coarse for its curvature."
         )
-    if deviation > COARSE and mesh.comm.rank == 0:
+    if deviation > TOLD and mesh.comm.rank == 0:
         logger.warning(
             "find_form: section forces of the form differ from those prescribed by up to %.0f %%: "
-            "different ones along warp and weft do not balance each other on it",
+            "the mesh is coarse, or different ones along warp and weft do not balance each other",
             100 * deviation,
         )

@@ -18,9 +18,10 @@ TOLERANCE = 1e-12
 """Unbalanced force, relative to the forces in the cells, and error of what is prescribed."""
 UPDATES, MOST = 3, 200
 """Updates of the reference before Newton's method is tried, and most iterations of either."""
-QUICK, FALLEN = 0.3, 0.5
-"""Largest part of the residual that Newton's method leaves of that of the film alone, while
-vertices need not be held; and of that with the elasticity that holds them, to be any good."""
+QUICK, FALLEN, FALLING = 0.3, 0.5, 0.9
+"""Largest part of the residual that an iteration of Newton's method leaves: of that of the film
+alone, while vertices need not be held; of that with the elasticity that holds them, to be any good;
+of the film's where a stiffer elasticity damps it."""
 THINNEST = 1e-3
 """Smallest area of a cell over the square of its longest side, relative to the start mesh."""
 
@@ -113,6 +114,7 @@ class FormSearch:
         ConvergenceError
             There is none near, as cells collapse or the residual stays.
         """
+        film = self.film
         residual, gaps, error = self._unbalanced()
         updates = wait = UPDATES
         best, left = 1.0, np.inf
@@ -126,18 +128,22 @@ class FormSearch:
                 before = self._state()
                 newton = updates == 0
                 if newton and not self.holding:
-                    self.film.reference.x.array[:] = self.film.u.x.array
+                    film.reference.x.array[:] = film.u.x.array
                     left = error
                 self._step(residual, gaps, newton, lift if self.iterations == 0 else None)
                 self.iterations += 1
                 sound = self._check_cells(newton)
                 found = self._unbalanced() if sound else (residual, gaps, np.inf)
+                damped = film.isotropic and film.modulus > SOFTEST
+                needed = FALLING if damped else FALLEN
                 if newton and not self.holding and not found[2] < QUICK * error and sound:
-                    self.holding = True
+                    self.holding = not damped
                     found = self._unbalanced()
                 if not newton:
                     updates -= 1
-                elif not found[2] < FALLEN * error:
+                elif damped and found[2] < FALLING * error:
+                    film.modulus /= 10.0
+                elif not found[2] < needed * error:
                     self._go_back(before)
                     updates, wait = self._hold_more(wait)
                     found = self._unbalanced()
@@ -152,7 +158,7 @@ class FormSearch:
     def _hold_more(self, wait: int) -> tuple[int, int]:
         """Stiffen what holds vertices; return updates to make next, and when that fails too."""
         self.holding, film = False, self.film
-        if film.modulus < STIFFEST and not film.isotropic:  # else films never need more
+        if film.modulus < STIFFEST:
             film.modulus *= 10.0
             return 0, wait
         film.modulus = SOFTEST
