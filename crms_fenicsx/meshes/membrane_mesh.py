@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import ParamSpec
+from typing import Any, ParamSpec
 
 import dolfinx.mesh
 import numpy as np
@@ -19,8 +20,8 @@ from crms_fenicsx.meshes.orientation import UPWARD, Outside
 from crms_fenicsx.meshes.partition import Ranks, cell_ranks, checked_ranks
 from crms_fenicsx.meshes.surface import EMPTY, SurfaceArrays, checked_surface
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Indices, Integers
-from crms_fenicsx.runtime.compat import create_mesh, geometry_dofmap
+from crms_fenicsx.runtime.arrays import Array, Indices, Integers
+from crms_fenicsx.runtime.compat import create_mesh, geometry_dofmap, with_nodes
 from crms_fenicsx.runtime.errors import raised_together
 
 P = ParamSpec("P")
@@ -193,6 +194,23 @@ def mesh_generator(shape: Callable[P, SurfaceArrays]) -> Callable[P, MembraneMes
         return_annotation=MembraneMesh
     )
     return generate
+
+
+def moved(mesh: MembraneMesh, V: Any, places: Array) -> MembraneMesh:
+    """Return the same cells and groups on the same ranks, with the vertices elsewhere. Collective.
+
+    Parameters
+    ----------
+    mesh
+        The mesh, which stays as it is.
+    V
+        A space of continuous piecewise linear functions on it.
+    places
+        Coordinates (length) of the vertices by local degree of freedom of V, (n, 3), with ghosts.
+    """
+    nodes: Array = np.zeros((len(mesh.mesh.geometry.x), 3))
+    nodes[geometry_dofmap(mesh.mesh)] = places[V.dofmap.list]
+    return dataclasses.replace(mesh, mesh=with_nodes(mesh.mesh, nodes))
 
 
 def vertex_nodes(mesh: dolfinx.mesh.Mesh) -> Indices:

@@ -50,6 +50,25 @@ def create_mesh(
     return dolfinx.mesh.create_mesh(comm, cells=cells, x=points, e=element, partitioner=partitioner)
 
 
+def with_nodes(mesh: dolfinx.mesh.Mesh, nodes: Array) -> dolfinx.mesh.Mesh:
+    """Return a mesh of the same topology and distribution with other coordinates.
+
+    Parameters
+    ----------
+    mesh
+        A mesh of `create_mesh`.
+    nodes
+        Coordinates of the local geometry nodes, shape (n, 3), in units of length.
+    """
+    old: Any = mesh._cpp_object
+    geometry = type(old.geometry)(
+        old.geometry.index_map(), geometry_dofmap(mesh), old.geometry.cmap, nodes,
+        old.geometry.input_global_indices,
+    )  # fmt: skip
+    element = basix.ufl.element("Lagrange", "triangle", 1, shape=(3,), dtype=np.float64)
+    return dolfinx.mesh.Mesh(type(old)(mesh.comm, old.topology, geometry), ufl.Mesh(element))
+
+
 def default_ranks(comm: MPI.Intracomm, cells: Integers) -> Indices:
     """Return the ranks that DOLFINx would send cells to. Collective.
 

@@ -1,0 +1,76 @@
+"""Section forces that a membrane has beside its materials' prestress when it is not strained."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from dolfinx.fem import petsc as fem_petsc
+from petsc4py import PETSc
+
+from crms_fenicsx.energies.integral import Integral, one_point
+from crms_fenicsx.energies.kinematics import Kinematics, tangent_basis
+from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.meshes.cell_geometry import cell_normals
+from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.compat import geometry_dofmap
+
+
+class ResidualStress(EnergyTerm):
+    """Energy ``int S : E`` of second Piola-Kirchhoff forces S that stay, E the strain.
+
+    Parameters
+    ----------
+    u
+        Vertex displacements.
+    forces
+        S (force per length) of the local cells as tensors in space, (n, 3, 3); what is not in the
+        surface does not count.
+    """
+
+    name = "residual stress"
+    integral: Integral
+
+    def __init__(self, u: fem.Function, forces: Array) -> None:
+        V = u.function_space
+        self.u = u
+        S = fem.Function(fem.functionspace(V.mesh, ("DG", 0, (3,))))
+        axes = _axes(V.mesh)[: len(forces)]
+        both = np.einsum("nia,nab,njb->nij", axes, forces, axes)
+        S.x.array[: 3 * len(forces)] = both[:, [0, 1, 0], [0, 1, 1]].ravel()
+        stress = ufl.as_matrix([[S[0], S[2]], [S[2], S[1]]])
+        basis = tangent_basis(V.mesh, None)
+        kinematics = Kinematics(u, basis)
+
+        def variation(v: Any, q: Any, dx: ufl.Measure) -> Any:
+            work = ufl.inner(stress, kinematics.strain_variation(v))
+            return (ufl.inner(stress, kinematics.strain()) * q + work) * dx
+
+        self.integral = Integral(V, variation)
+        v, w = ufl.TestFunction(V), ufl.TrialFunction(V)
+        dv, dw = ([ufl.dot(ufl.grad(f), e) for e in basis] for f in (v, w))
+        pairs = [(i, j) for i in (0, 1) for j in (0, 1)]
+        geometric: Any = sum(stress[i, j] * ufl.dot(dv[i], dw[j]) for i, j in pairs)
+        self._hessian = fem.form(geometric * one_point(V.mesh))
+
+    def sums(self, x: Array, out: Array) -> None:
+        """This rank's part of the energy."""
+        out[0] = self.integral.value
+
+    def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
+        """Add the nodal forces of this rank's cells."""
+        self.unknowns.add_to_vertices(self.integral.gradient, g)
+
+    def add_hessian(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+        """Add the second derivatives, in places that the membrane's stiffness has filled."""
+        fem_petsc.assemble_matrix(A, self._hessian)
+
+
+def _axes(mesh: Any) -> Array:
+    """Those of `tangent_basis` without a warp, (n, 2, 3)."""
+    x = mesh.geometry.x[geometry_dofmap(mesh)]
+    first = x[:, 1] - x[:, 0]
+    first = first / np.linalg.norm(first, axis=1)[:, None]
+    return np.stack([first, np.cross(cell_normals(mesh), first)], axis=1)

@@ -1,0 +1,7 @@
+"""Form finding: the shape that belongs to section forces, cables, supports and inner pressure."""
+
+from crms_fenicsx.form_finding.cables import FormCable
+from crms_fenicsx.form_finding.find_form import find_form
+from crms_fenicsx.form_finding.found_form import FormCableFound, FoundForm
+
+__all__ = ["FormCable", "FormCableFound", "FoundForm", "find_form"]

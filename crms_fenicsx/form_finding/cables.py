@@ -1,0 +1,189 @@
+"""Cables along edges of the mesh whose tension is prescribed, or found for a length."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from petsc4py import PETSc
+
+from crms_fenicsx.meshes.membrane_mesh import vertex_ids
+from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array, Indices, Integers
+from crms_fenicsx.runtime.errors import InputError, raised_together
+
+LAWS = ("tension", "force_density", "length")
+
+
+@dataclass(frozen=True)
+class FormCable:
+    """A cable along edges of the mesh, by one of its tension, force density or length.
+
+    Its tension is the same over its whole length, as that of a cable that slides freely.
+
+    Parameters
+    ----------
+    group
+        Edge group of the mesh: one line of edges from one end to the other, at the rim of the
+        membrane or inside.
+    tension
+        Tension T (force).
+    force_density
+        T / L, with the length L of the whole cable (force per length). What is known as the force
+        density of one of n equal links is n times that.
+    length
+        L (length); T is found.
+
+    Raises
+    ------
+    InputError
+        None or several of them are given, or one is not positive.
+    """
+
+    group: str
+    tension: float | None = None
+    force_density: float | None = None
+    length: float | None = None
+
+    def __post_init__(self) -> None:
+        given = [name for name in LAWS if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise InputError(
+                f"FormCable: {self.group!r} has {' and '.join(given) or 'nothing'} prescribed; "
+                "give one of tension, force_density and length."
+            )
+        checks.positive(f"FormCable: {given[0]} of {self.group!r}", getattr(self, given[0]))
+
+
+@dataclass
+class EdgeLine:
+    """The edges of a cable.
+
+    Attributes
+    ----------
+    cable
+        What is prescribed of it.
+    ids : (k,)
+        Its vertices from end to end, by their numbers in the mesh as it was given.
+    edges : (m, 2)
+        Vertices of the edges that this rank owns, by local degree of freedom.
+    tension
+        Current tension (force).
+    """
+
+    cable: FormCable
+    ids: Integers
+    edges: Indices
+    tension: float = 0.0
+    _sides: Array = field(default_factory=lambda: np.zeros((0, 3)))
+
+    def length_and_slope(self, x: Array) -> tuple[float, Array]:
+        """This rank's share of the length at places x (n, 3), and of its gradient, (n, 3)."""
+        self._sides = x[self.edges[:, 1]] - x[self.edges[:, 0]]
+        lengths = np.linalg.norm(self._sides, axis=1)
+        slope = np.zeros_like(x)
+        directions = self._sides / lengths[:, None]
+        np.add.at(slope, self.edges[:, 1], directions)
+        np.add.at(slope, self.edges[:, 0], -directions)
+        return float(lengths.sum()), slope
+
+    def add_stiffness(self, A: PETSc.Mat, exact: bool) -> None:
+        """Add its stiffness where `length_and_slope` was asked for last.
+
+        Parameters
+        ----------
+        A
+            Where to.
+        exact
+            Whether tension or force densities are held; the latter is positive definite.
+        """
+        lengths = np.linalg.norm(self._sides, axis=1)
+        t = self._sides / lengths[:, None]
+        block = np.eye(3) - float(exact) * t[:, :, None] * t[:, None, :]
+        block *= (self.tension / lengths)[:, None, None]
+        signs = np.array([[1.0, -1.0], [-1.0, 1.0]])
+        values = np.einsum("ij,nab->niajb", signs, block).reshape(len(t), 36)
+        A.setValuesBlockedLocalRCV(self.edges, self.edges, values, PETSc.InsertMode.ADD)
+
+
+def edge_lines(membrane: Membrane, cables: Sequence[FormCable]) -> list[EdgeLine]:
+    """Find the edges of cables. Collective.
+
+    Raises
+    ------
+    InputError
+        On all ranks: no such group, several cables on an edge, or edges that make no line.
+    """
+    mesh, topology = membrane.mesh, membrane.mesh.mesh.topology
+    with raised_together(mesh.comm):
+        for cable in cables:
+            if not isinstance(cable, FormCable):
+                raise InputError(f"find_form: {cable!r} is no FormCable; write FormCable(group).")
+            checks.named("edge group", mesh.edges, cable.group)
+    dof_of = vertex_dofs(membrane)
+    ends = topology.connectivity(1, 0).array.reshape(-1, 2)
+    ids, owned = vertex_ids(mesh.mesh), topology.index_map(1).size_local
+    taken = np.zeros(len(ends), dtype=bool)
+    lines = []
+    for cable in cables:
+        own = mesh.edges[cable.group]
+        own = own[own < owned]
+        pairs = np.concatenate(mesh.comm.allgather(ids[ends[own]].reshape(-1, 2)))
+        with raised_together(mesh.comm):
+            if taken[own].any():
+                raise InputError(
+                    f"find_form: {cable.group!r} has edges of another cable; give each edge one."
+                )
+            lines.append(EdgeLine(cable, chained(pairs, cable.group), dof_of[ends[own]]))
+        taken[own] = True
+    return lines
+
+
+def chained(pairs: Integers, name: str) -> Integers:
+    """The vertices of a line of edges from end to end, (k + 1,), from their pairs, (k, 2).
+
+    Raises
+    ------
+    InputError
+        They make a ring, several lines, or branch.
+    """
+    next_to: dict[int, list[int]] = {}
+    for a, b in ((int(a), int(b)) for a, b in pairs):
+        next_to.setdefault(a, []).append(b)
+        next_to.setdefault(b, []).append(a)
+    ends = sorted(vertex for vertex, others in next_to.items() if len(others) == 1)
+    line = ends[:1]
+    while line and len(line) < len(next_to):
+        onward = [vertex for vertex in next_to[line[-1]] if vertex not in line[-2:]]
+        if len(onward) != 1:
+            break
+        line += onward
+    if len(ends) != 2 or len(line) != len(next_to):
+        raise InputError(
+            f"find_form: the {len(pairs)} edges of group {name!r} are not one line from end to end "
+            f"(they have {len(ends)} ends); give each cable an edge group of its own."
+        )
+    return np.array(line, dtype=np.int64)
+
+
+def places_of(membrane: Membrane, ids: Integers) -> Array:
+    """Current places (length) of vertices by their numbers in the mesh as given. Collective."""
+    n = membrane.V.dofmap.index_map.size_local
+    numbers = np.zeros(len(membrane.held), dtype=np.int64)
+    numbers[vertex_dofs(membrane)] = vertex_ids(membrane.mesh.mesh)
+    own, x = numbers[:n], membrane.positions()[:n]
+    here = np.isin(own, ids)
+    found = membrane.comm.allgather((own[here], x[here]))
+    numbers = np.concatenate([numbers for numbers, _ in found])
+    order = np.argsort(numbers)
+    places = np.concatenate([places for _, places in found])[order]
+    return np.asarray(places[np.searchsorted(numbers[order], ids)])
+
+
+def vertex_dofs(membrane: Membrane) -> Indices:
+    """Local degree of freedom of each local vertex, (n,)."""
+    dofs = np.zeros(len(membrane.held), dtype=np.int32)
+    dofs[membrane.mesh.mesh.topology.connectivity(2, 0).array] = membrane.V.dofmap.list.ravel()
+    return dofs

@@ -1,0 +1,179 @@
+"""A film of prescribed section forces: its nodal forces, stiffness, area and volume."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem, la
+from dolfinx.fem import petsc as fem_petsc
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from crms_fenicsx.energies.integral import one_point
+from crms_fenicsx.energies.kinematics import Kinematics, tangent_basis
+from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.runtime.arrays import Array
+
+SOFTEST, STIFFEST = 0.1, 10.0
+"""Modulus times thickness of the elasticity that holds vertices in the surface, relative to the
+section forces, at first and at most. What is left of their unbalance hardly depends on it."""
+
+
+class Film:
+    """Section forces that keep their size per current length, on a mesh that moves.
+
+    Forces per length s1 along the warp and s2 across it do the virtual work
+
+        R(v) = int_a (s2 I + (s1 - s2) w w) : grad(v) da,   w = P d / |P d|,
+
+    over the current surface, where w is the projection of a direction d in space. With s1 = s2 it
+    is the variation of s2 times the area, as of a soap film. The stiffness is either its exact
+    derivative or that of the updated reference strategy, int S : grad(v)^T grad(w) da with the
+    stress S held (K.-U. Bletzinger and E. Ramm, Int. J. Space Structures 14, 1999; for soap films
+    U. Pinkall and K. Polthier, Experimental Math. 2, 1993), which is positive definite.
+
+    A film does not tell where in the surface its vertices are. On demand an elasticity holds them:
+    stress by the Green-Lagrange strain from a reference shape.
+
+    Parameters
+    ----------
+    membrane
+        The start mesh.
+    forces
+        s1 and s2 (force per length) of the local cells, (n, 2).
+    directions
+        d of these cells, (n, 3).
+    origin
+        Point (3,) from which the volume counts (length).
+
+    Attributes
+    ----------
+    u
+        Displacements from the start mesh (length).
+    reference
+        Displacements of the reference shape from it.
+    modulus
+        Modulus times thickness of that elasticity, relative to the section forces.
+    matrix
+        The stiffness.
+    largest
+        Largest of the section forces (force per length).
+    isotropic
+        Whether s1 = s2 everywhere: then the stiffness is symmetric.
+    """
+
+    def __init__(self, membrane: Membrane, forces: Array, directions: Array, origin: Array) -> None:
+        self.comm, self.V, self.u = membrane.comm, membrane.V, membrane.u
+        domain = self.V.mesh
+        self.reference = fem.Function(self.V)
+        constants = fem.functionspace(domain, ("DG", 0))
+        s1, s2 = fem.Function(constants), fem.Function(constants)
+        d = fem.Function(fem.functionspace(domain, ("DG", 0, (3,))))
+        s1.x.array[:], s2.x.array[:] = forces.T
+        d.x.array[:] = directions.ravel()
+        largest = float(np.max(forces, initial=0.0))
+        self.largest = membrane.comm.allreduce(largest, op=MPI.MAX)
+        self.isotropic = not membrane.comm.allreduce(bool(np.ptp(forces, axis=1).any()), op=MPI.LOR)
+        self._exact, self._holding, self._pressure = (
+            fem.Constant(domain, np.float64(0.0)) for _ in range(3)
+        )
+        self.modulus = SOFTEST
+        basis, dx = tangent_basis(domain, None), one_point(domain)
+        F, Fr = Kinematics(self.u, basis).F, Kinematics(self.reference, basis).F
+        C, G = (ufl.as_matrix([[ufl.dot(a, b) for b in A] for a in A]) for A in (F, Fr))
+        inverse, J, lifted = ufl.inv(C), ufl.sqrt(ufl.det(C)), ufl.inv(G)
+        # second Piola-Kirchhoff forces of the start mesh
+        S: Any = s2 * J * inverse
+        if not self.isotropic:
+            along = inverse * ufl.as_vector([ufl.dot(a, d) for a in F])
+            S += (s1 - s2) * J / ufl.dot(along, C * along) * ufl.outer(along, along)
+        S += self._holding * (s1 + s2) / 4 * ufl.sqrt(ufl.det(G)) * lifted * (C - G) * lifted
+        v, w = ufl.TestFunction(self.V), ufl.TrialFunction(self.V)
+        dv, dw = ([ufl.dot(ufl.grad(f), e) for e in basis] for f in (v, w))
+        pairs = [(i, j) for i in (0, 1) for j in (0, 1)]
+        force: Any = sum(S[i, j] * ufl.dot(F[i], dv[j]) for i, j in pairs) * dx
+        held: Any = sum(S[i, j] * ufl.dot(dw[i], dv[j]) for i, j in pairs) * dx
+        x = ufl.SpatialCoordinate(domain) + self.u - fem.Constant(domain, origin)
+        volume: Any = ufl.dot(x, ufl.cross(*F)) / 3 * dx
+        growth = ufl.derivative(volume, self.u, v)
+        self._forms = {"force": force, "volume": volume, "growth": growth, "area": J * dx}
+        self._forms = {name: fem.form(form) for name, form in self._forms.items()}
+        exact = ufl.derivative(force - self._pressure * growth, self.u, w)
+        self._stiffness = fem.form((1 - self._exact) * held + self._exact * exact)
+        self.matrix: PETSc.Mat = fem_petsc.create_matrix(self._stiffness)
+        self._sum = la.vector(self.V.dofmap.index_map, 3, dtype=np.float64)
+        stress = ufl.as_vector([S[i, j] / J for i, j in ((0, 0), (0, 1), (1, 1))])
+        values = [stress, ufl.as_vector([A[i] for A in F for i in range(3)])]
+        self._cell_values = [fem.Expression(value, np.array([[1 / 3, 1 / 3]])) for value in values]
+
+    def area(self) -> float:
+        """Area of the current surface (length squared). Collective."""
+        return float(self.comm.allreduce(fem.assemble_scalar(self._forms["area"])))
+
+    def volume(self) -> float:
+        """Volume between the surface and the origin (length cubed). Collective."""
+        return float(self.comm.allreduce(fem.assemble_scalar(self._forms["volume"])))
+
+    def forces(self, holding: bool) -> Array:
+        """Nodal forces of this rank's vertices, those of the film's stress, (n, 3). Collective.
+
+        Parameters
+        ----------
+        holding
+            Whether with those of the elasticity that holds vertices.
+        """
+        self._holding.value = self.modulus if holding else 0.0
+        return self._vector("force")
+
+    def growth(self) -> Array:
+        """Derivatives of the volume by the places of this rank's vertices, (n, 3). Collective."""
+        return self._vector("growth")
+
+    def _vector(self, name: str) -> Array:
+        array = self._sum.array
+        array[:] = 0.0
+        fem.assemble_vector(array, self._forms[name])
+        return self.gathered(array.reshape(-1, 3))
+
+    def gathered(self, local: Array) -> Array:
+        """Sum up vectors at vertices, (n, 3) with ghosts, to those of the owned. Collective."""
+        self._sum.array[:] = local.ravel()
+        self._sum.scatter_reverse(la.InsertMode.add)
+        n = self.V.dofmap.index_map.size_local
+        return self._sum.array[: 3 * n].reshape(n, 3).copy()
+
+    def assemble(self, exact: bool, pressure: float) -> None:
+        """Assemble the stiffness, to which cables may still be added.
+
+        Parameters
+        ----------
+        exact
+            Whether by exact derivatives, with the elasticity that holds vertices and that of the
+            follower pressure; else by the updated reference strategy.
+        pressure
+            Pressure (force per area) to the outer side.
+        """
+        self._exact.value = float(exact)
+        self._holding.value = self.modulus if exact else 0.0
+        self._pressure.value = pressure
+        self.matrix.zeroEntries()
+        fem_petsc.assemble_matrix(self.matrix, self._stiffness)
+
+    def section_forces(self, holding: bool) -> Array:
+        """True section forces of this rank's cells as tensors in space, (n, 3, 3).
+
+        Parameters
+        ----------
+        holding
+            Whether with those of the elasticity that holds vertices.
+        """
+        self._holding.value = self.modulus if holding else 0.0
+        cells = np.arange(self.V.mesh.topology.index_map(2).size_local, dtype=np.int32)
+        stress, F = (
+            np.asarray(value.eval(self.V.mesh, cells)).reshape(len(cells), width)
+            for value, width in zip(self._cell_values, (3, 6), strict=True)
+        )
+        S, sides = stress[:, [0, 1, 1, 2]].reshape(-1, 2, 2), F.reshape(-1, 2, 3)
+        return np.asarray(np.einsum("nij,nia,njb->nab", S, sides, sides))

@@ -1,0 +1,178 @@
+"""Find the form of a membrane from its section forces, cables, supports and inner pressure."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from crms_fenicsx.form_finding.cables import FormCable, edge_lines, places_of
+from crms_fenicsx.form_finding.film import Film
+from crms_fenicsx.form_finding.found_form import FormCableFound, FoundForm, largest_part
+from crms_fenicsx.form_finding.inflation import Inflation
+from crms_fenicsx.form_finding.search import NO_FORM, FormSearch
+from crms_fenicsx.form_finding.stresses import Direction, PrescribedStress, Stress
+from crms_fenicsx.form_finding.supports import Lift, check_free_edges, hold, lifts, rim_centre
+from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.meshes.membrane_mesh import moved
+from crms_fenicsx.model.materials import IsotropicMembrane
+from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.errors import ConvergenceError, InputError, collective
+
+logger = logging.getLogger("crms_fenicsx")
+
+TOLD, COARSE = 0.05, 0.1
+"""Difference of section forces from those prescribed, relative to the largest of them, that is
+told, and that a mesh may make; where those along warp and weft differ, by as much on top."""
+
+
+@collective
+def find_form(
+    mesh: MembraneMesh,
+    stress: Stress,
+    *,
+    fixed: Sequence[str] | Mapping[str, str],
+    lifted: Mapping[str, Lift] | None = None,
+    cables: Sequence[FormCable] = (),
+    warp: Direction | Mapping[str, Direction] = (1.0, 0.0, 0.0),
+    pressure: float | None = None,
+    volume: float | None = None,
+    rise: float | None = None,
+    prefix: str = "crms_form_",
+) -> FoundForm:
+    """Find the equilibrium of prescribed section forces, cables and inner pressure. Collective.
+
+    The membrane has no stiffness here: its section forces are what is given, whatever its
+    strain. Free edges need a cable.
+
+    Parameters
+    ----------
+    mesh
+        Where to start, such as a flat mesh. It stays as it is.
+    stress
+        Section force (force per length), equal in all directions or (along warp, along weft), of
+        the membrane or of each part by its name.
+    fixed
+        Groups of edges or points that are held, or by group the directions in which they are, out
+        of "xyz".
+    lifted
+        Movement of held groups from the start mesh to where they belong (length).
+    cables
+        Cables along edges of the mesh.
+    warp
+        Direction of the warp in space, or of each part; its projection on the surface counts.
+    pressure
+        Inner pressure (force per area) to the membrane's outer side. The rim must be held.
+    volume
+        Volume (length cubed) that the membrane encloses with the cone from its rim to the rim's
+        centre, which of a plane rim is its plane; the pressure is found.
+    rise
+        Height (length) of the highest vertex over the rim's centre; the pressure is found.
+    prefix
+        Prefix of the linear solver's options in PETSc's options database.
+
+    Returns
+    -------
+    FoundForm
+        The form as a mesh, and what is needed to analyse it.
+
+    Raises
+    ------
+    InputError
+        On all ranks: an argument that cannot be used, a free edge without a cable, or pressure
+        within a rim that is not held.
+    ConvergenceError
+        On all ranks: there is no such form, or none is found.
+
+    Notes
+    -----
+    Some updates of the reference (see `Film`) lead from afar to where Newton's method converges.
+
+    Examples
+    --------
+    >>> found = find_form(
+    ...     mesh, 2.0, fixed=["masts", "corners"], lifted={"masts": (0.0, 0.0, 5.0)},
+    ...     cables=[FormCable("north", tension=30.0), FormCable("south", length=21.5)],
+    ... )
+    >>> scene = found.scene(IsotropicMembrane(E=500.0, nu=0.3, thickness=1.0), Cable(EA=8e3))
+    """
+    given = {"pressure": pressure, "volume": volume, "rise": rise}
+    inflated = _checked(
+        mesh, given, stress=stress, fixed=fixed, lifted=lifted, cables=cables, warp=warp,
+        prefix=prefix,
+    )  # fmt: skip
+    prescribed = PrescribedStress.of(mesh, stress, warp)
+    membrane = Membrane(mesh, IsotropicMembrane(E=1.0, nu=0.0, thickness=1.0))
+    supports = hold(membrane, fixed)
+    lift = lifts(membrane, lifted or {})
+    lines = edge_lines(membrane, cables)
+    check_free_edges(membrane, lines)
+    centre = rim_centre(membrane, lift, inflated)
+    film = Film(membrane, prescribed.cell_forces, prescribed.directions, centre)
+    n = membrane.V.dofmap.index_map.size_local
+    inflation = Inflation(film, pressure, volume, rise, centre, ~membrane.held[:n, 2])
+    search = FormSearch(membrane, film, lines, inflation, prefix)
+    try:
+        search.run(lift)
+    finally:
+        search.destroy()
+    shape = moved(mesh, membrane.V, membrane.positions())
+    residual = film.section_forces(search.holding) - prescribed.tensors(shape)
+    deviation = largest_part(residual, film.largest, mesh.comm)
+    _check_deviation(deviation, prescribed, mesh)
+    found = tuple(
+        FormCableFound(line.cable.group, line.tension, length, places_of(membrane, line.ids))
+        for line, length in zip(lines, search.lengths, strict=True)
+    )
+    return FoundForm(
+        shape, prescribed, residual, deviation, supports, found, film.area(),
+        film.volume() if inflated else None, inflation.pressure, search.iterations,
+    )  # fmt: skip
+
+
+def _checked(mesh: MembraneMesh, inflations: Mapping[str, float | None], **given: Any) -> bool:
+    """Check arguments by themselves; return whether there is pressure. Collective."""
+    if not isinstance(mesh, MembraneMesh):
+        raise InputError(f"find_form: mesh is of type {type(mesh).__name__}; give a MembraneMesh.")
+    checks.same(mesh.comm, "find_form", **inflations, **given)
+    named = {name: value for name, value in inflations.items() if value is not None}
+    if len(named) > 1:
+        raise InputError(
+            f"find_form: {' and '.join(named)} are given; give one of {', '.join(inflations)}."
+        )
+    for name, value in named.items():
+        (checks.finite if name == "pressure" else checks.positive)(f"find_form: {name}", value)
+    if not isinstance(given["lifted"], Mapping | None):
+        raise InputError(
+            f"find_form: lifted = {given['lifted']!r}; give displacements by group, as in "
+            '{"mast": (0.0, 0.0, 5.0)}.'
+        )
+    if isinstance(given["cables"], str) or not isinstance(given["cables"], Sequence):
+        raise InputError(f"find_form: cables = {given['cables']!r}; give a list of FormCables.")
+    prefix = given["prefix"]
+    if not isinstance(prefix, str) or prefix.startswith("-"):
+        raise InputError(
+            f"find_form: prefix = {prefix!r} is no options prefix; give a text without the "
+            "leading '-', as 'crms_form_'."
+        )
+    return bool(named)
+
+
+def _check_deviation(deviation: float, stress: PrescribedStress, mesh: MembraneMesh) -> None:
+    """Refuse forms that stand by other section forces than those prescribed."""
+    forces = np.array(list(stress.forces.values()))
+    incompatible = float(np.ptp(forces, axis=1).max() / forces.max())
+    if deviation > incompatible + COARSE:
+        raise ConvergenceError(
+            f"find_form: the nearest form has section forces that differ by {deviation:.0%} from "
+            f"those prescribed; {NO_FORM} Or the mesh is too coarse for its curvature."
+        )
+    if deviation > TOLD and mesh.comm.rank == 0:
+        logger.warning(
+            "find_form: section forces of the form differ from those prescribed by up to %.0f %%: "
+            "the mesh is coarse, or different ones along warp and weft do not balance each other",
+            100 * deviation,
+        )

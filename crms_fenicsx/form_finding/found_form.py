@@ -1,0 +1,167 @@
+"""A form that was found, and the scene to analyse it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx.energies.residual_stress import ResidualStress
+from crms_fenicsx.form_finding.stresses import Materials, PrescribedStress
+from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.model.cable import Cable
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.errors import InputError, collective
+from crms_fenicsx.scene import Scene
+
+ROUNDING = 1e-10
+"""Residual section forces relative to those prescribed that are none."""
+
+
+@dataclass(frozen=True)
+class FormCableFound:
+    """A cable of a form that was found.
+
+    Attributes
+    ----------
+    name
+        That of its edge group.
+    tension
+        Tension (force).
+    length
+        Length (length).
+    path
+        Places of its vertices from end to end (length), (k, 3).
+    """
+
+    name: str
+    tension: float
+    length: float
+    path: Array
+
+    @property
+    def force_density(self) -> float:
+        """Tension over length (force per length)."""
+        return self.tension / self.length
+
+
+@dataclass(frozen=True)
+class FoundForm:
+    """A form in equilibrium.
+
+    Attributes
+    ----------
+    mesh
+        The form, as the stress-free shape of an analysis, with the groups of the start mesh.
+    stress
+        Section forces that were prescribed.
+    residual_stress
+        What this rank's cells have beside these (force per length), tensors in space (n, 3, 3).
+        Prescribed section forces balance each other along a curved surface only as well as its
+        facets resolve it, and those that differ along warp and weft not at all: these do the rest.
+    deviation
+        Largest of them relative to the largest prescribed one.
+    supports
+        Directions in which groups are held, by their names.
+    cables
+        The cables with tensions, lengths and places.
+    area, volume
+        Area, and with pressure the volume as `find_form` counts it.
+    pressure
+        Inner pressure (force per area), 0 without any.
+    iterations
+        Linear systems that were solved.
+    """
+
+    mesh: MembraneMesh
+    stress: PrescribedStress
+    residual_stress: Array
+    deviation: float
+    supports: Mapping[str, str]
+    cables: tuple[FormCableFound, ...]
+    area: float
+    volume: float | None
+    pressure: float
+    iterations: int
+
+    @property
+    def comm(self) -> MPI.Intracomm:
+        """Communicator of the mesh."""
+        return self.mesh.comm
+
+    @property
+    def tensions(self) -> dict[str, float]:
+        """Tensions (force) of the cables by name."""
+        return {cable.name: cable.tension for cable in self.cables}
+
+    @collective
+    def scene(
+        self,
+        material: Materials,
+        cables: Cable | Mapping[str, Cable] | None = None,
+        **options: Any,
+    ) -> Scene:
+        """Make a scene that is in equilibrium as it is. Collective.
+
+        Its supports hold, its cables are laid in sleeves, with the tensions found, and its pressure
+        is that of the form. Where there is `residual_stress` it is a term of the energy: results
+        show the materials' section forces without it.
+
+        Parameters
+        ----------
+        material
+            Material of the membrane, or of each part; its prestress is replaced by the section
+            forces of the form, and where these differ along warp and weft its warp direction.
+        cables
+            What the cables are made of, one for all or each by name.
+        **options
+            For `Scene`.
+
+        Raises
+        ------
+        InputError
+            On all ranks: materials that do not fit, a cable that is missing or not known.
+        """
+        checks.same(self.comm, "FoundForm.scene", material=material, cables=cables)
+        kinds = self._kinds(cables)
+        scene = Scene(self.mesh, self.stress.materials(material), **options)
+        for group, directions in self.supports.items():
+            scene.fix(group, directions)
+        if self.deviation > ROUNDING:
+            scene.add_term(ResidualStress(scene.u, self.residual_stress))
+        for cable in self.cables:
+            scene.lay_cable(
+                kinds[cable.name], cable.path, tension=cable.tension, name=cable.name,
+                sleeve=True, measured_on="facets",
+            )  # fmt: skip
+        scene._pressure = self.pressure
+        return scene
+
+    def _kinds(self, cables: Cable | Mapping[str, Cable] | None) -> dict[str, Cable]:
+        """The kind of each cable."""
+        names = [cable.name for cable in self.cables]
+        kinds = dict.fromkeys(names, cables) if not isinstance(cables, Mapping) else dict(cables)
+        for name, kind in kinds.items():
+            if name not in names:
+                raise InputError(
+                    f"FoundForm.scene: the form has no cable {name!r}; it has "
+                    f"{', '.join(map(repr, names)) or 'none'}."
+                )
+            if not isinstance(kind, Cable):
+                raise InputError(
+                    f"FoundForm.scene: the cable {name!r} is {kind!r}; give a Cable(EA=...)."
+                )
+        missing = [name for name in names if name not in kinds]
+        if missing:
+            raise InputError(f"FoundForm.scene: the cable {missing[0]!r} has no Cable; give one.")
+        return kinds  # type: ignore[return-value]
+
+
+def largest_part(forces: Array, largest: float, comm: MPI.Intracomm) -> float:
+    """Largest entry of tensors (n, 3, 3) on any rank, relative to `largest`. Collective."""
+    own = float(np.abs(forces).max(initial=0.0))
+    return comm.allreduce(own, op=MPI.MAX) / largest

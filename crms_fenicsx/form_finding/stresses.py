@@ -1,0 +1,180 @@
+"""The section forces that a form is to have, and the materials that have them as prestress."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.meshes.cell_geometry import cell_normals
+from crms_fenicsx.model.materials import IsotropicMembrane, MembraneMaterial, OrthotropicMembrane
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array, Integers
+from crms_fenicsx.runtime.errors import InputError, raised_together
+
+Stress = float | Sequence[float] | Mapping[str, float | Sequence[float]]
+"""A section force or (along warp, along weft), of the membrane or of each part (force/length)."""
+Direction = Sequence[float]
+Materials = MembraneMaterial | Mapping[str, MembraneMaterial]
+WHOLE = ""
+"""What stands for the whole membrane where parts have names."""
+NORMAL = 1e-10
+"""Cosine below one at which a direction is normal to a cell."""
+
+
+@dataclass(frozen=True)
+class PrescribedStress:
+    """Section forces along warp and weft of the membrane or of its parts.
+
+    Attributes
+    ----------
+    forces
+        Section forces (s1, s2) (force per length) by part; by `WHOLE` of the whole membrane.
+    warps
+        Warp directions in space by part.
+    cell_forces, directions
+        Both of the local cells, (n, 2) and (n, 3).
+    """
+
+    forces: dict[str, tuple[float, float]]
+    warps: dict[str, Direction]
+    cell_forces: Array
+    directions: Array
+
+    @classmethod
+    def of(
+        cls, mesh: MembraneMesh, stress: Stress, warp: Direction | Mapping[str, Direction]
+    ) -> PrescribedStress:
+        """Check what the user gave. Collective.
+
+        Raises
+        ------
+        InputError
+            On all ranks: section forces that are not positive, directions that are none, or parts
+            that do not exist, overlap or leave cells out.
+        """
+        by_part = dict(stress) if isinstance(stress, Mapping) else {WHOLE: stress}
+        forces = {part: _pair(part, value) for part, value in by_part.items()}
+        given = dict(warp) if isinstance(warp, Mapping) else dict.fromkeys(forces, warp)
+        if given.keys() != forces.keys():
+            raise InputError(
+                f"find_form: warp is given for {_names(given)}, but stress for {_names(forces)}; "
+                "give both for the same parts, or one direction for all."
+            )
+        for part, direction in given.items():
+            if not checks.vector(f"find_form: warp{_of(part)}", direction).any():
+                raise InputError(
+                    f"find_form: warp{_of(part)} = {direction} is no direction; one is not zero."
+                )
+        number = _part_numbers(mesh, list(forces))
+        values, ways = np.array(list(forces.values())), np.array(list(given.values()), dtype=float)
+        found = cls(forces, given, values[number], ways[number])
+        found._check_warps(mesh)
+        return found
+
+    def _check_warps(self, mesh: MembraneMesh) -> None:
+        """Refuse warp directions that are normal to cells of which they matter. Collective."""
+        with raised_together(mesh.comm):
+            along = np.einsum("ni,ni->n", cell_normals(mesh.mesh), self.directions)
+            size = np.linalg.norm(self.directions, axis=1)
+            normal = np.abs(along) > (1 - NORMAL) * size
+            bad = np.flatnonzero(normal & (np.ptp(self.cell_forces, axis=1) > 0.0))
+            if len(bad):
+                raise InputError(
+                    f"find_form: the warp direction {self.directions[bad[0]]} is normal to the "
+                    "start mesh somewhere; give one that has a part in the surface everywhere."
+                )
+
+    def tensors(self, mesh: MembraneMesh) -> Array:
+        """Section forces of the cells of a mesh as tensors in space, (n, 3, 3)."""
+        s1, s2 = self.cell_forces.T[:, :, None, None]
+        n, d = cell_normals(mesh.mesh), self.directions
+        w = d - np.sum(d * n, axis=1)[:, None] * n
+        length = np.linalg.norm(w, axis=1)[:, None]
+        w = w / np.maximum(length, 1e-300)
+        flat = np.eye(3) - n[:, :, None] * n[:, None, :]
+        return np.asarray(s2 * flat + (s1 - s2) * w[:, :, None] * w[:, None, :])
+
+    def materials(self, material: Materials) -> Materials:
+        """Materials with these section forces as their prestress.
+
+        Parameters
+        ----------
+        material
+            Of the membrane, or of each part.
+
+        Raises
+        ------
+        InputError
+            A material that cannot have them, or parts others than those of the section forces.
+        """
+        if WHOLE in self.forces:
+            if not isinstance(material, Mapping):
+                return self._stressed(material, WHOLE, WHOLE)
+            return {part: self._stressed(own, WHOLE, part) for part, own in material.items()}
+        if not isinstance(material, Mapping):
+            material = dict.fromkeys(self.forces, material)
+        if material.keys() != self.forces.keys():
+            raise InputError(
+                f"FoundForm.scene: materials are given for {_names(material)}, but the form has "
+                f"section forces of {_names(self.forces)}; give the same parts."
+            )
+        return {part: self._stressed(own, part, part) for part, own in material.items()}
+
+    def _stressed(self, material: MembraneMaterial, part: str, owner: str) -> MembraneMaterial:
+        if not isinstance(material, IsotropicMembrane | OrthotropicMembrane):
+            raise InputError(
+                f"FoundForm.scene: the material{_of(owner)} is a {type(material).__name__}, "
+                "whose prestress cannot be set; give an IsotropicMembrane or OrthotropicMembrane."
+            )
+        s1, s2 = self.forces[part]
+        if s1 == s2:
+            return dataclasses.replace(material, prestress=s1)
+        if isinstance(material, IsotropicMembrane):
+            raise InputError(
+                f"FoundForm.scene: the material{_of(owner)} is isotropic, but has the section "
+                f"forces {(s1, s2)} along warp and weft; give an OrthotropicMembrane."
+            )
+        x, y, z = (float(value) for value in self.warps[part])
+        return dataclasses.replace(material, prestress=(s1, s2), warp=(x, y, z))
+
+
+def _of(part: str) -> str:
+    return f" of part {part!r}" if part != WHOLE else ""
+
+
+def _names(parts: Mapping[str, object]) -> str:
+    return ", ".join(map(repr, parts)) if WHOLE not in parts else "the whole membrane"
+
+
+def _pair(part: str, value: object) -> tuple[float, float]:
+    """Section forces along warp and weft."""
+    what = f"find_form: stress{_of(part)}"
+    values = list(value) if isinstance(value, Sequence | np.ndarray) else [value, value]
+    if isinstance(value, str) or len(values) != 2:
+        raise InputError(f"{what} = {value!r} must be one number or two (warp, weft).")
+    return checks.positive(what, values[0]), checks.positive(what, values[1])
+
+
+def _part_numbers(mesh: MembraneMesh, parts: list[str]) -> Integers:
+    """Which of the parts each local cell belongs to, (n,). Collective."""
+    cells = mesh.mesh.topology.index_map(2)
+    n = cells.size_local + cells.num_ghosts
+    if parts == [WHOLE]:
+        return np.zeros(n, dtype=np.int64)
+    count, number = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
+    with raised_together(mesh.comm):
+        for k, part in enumerate(parts):
+            own = checks.named("part", mesh.parts, part)
+            count[own] += 1
+            number[own] = k
+        for bad, what in ((count == 0, "no"), (count > 1, "more than one")):
+            if bad.any():
+                raise InputError(
+                    f"find_form: {np.count_nonzero(bad)} cells have {what} stress, with that of "
+                    f"{_names(dict.fromkeys(parts))}; give each cell one."
+                )
+    return number

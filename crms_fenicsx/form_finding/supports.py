@@ -1,0 +1,108 @@
+"""Where a form is held, and that its rim is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx.form_finding.cables import EdgeLine, vertex_dofs
+from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.errors import InputError, as_text, raised_together
+
+Lift = Sequence[float] | Callable[[Array], Array]
+"""A displacement (3,), or a function of start places (3, n) that returns (3, n) of them."""
+
+
+def hold(membrane: Membrane, fixed: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
+    """Hold groups; return the directions by group. Collective."""
+    if isinstance(fixed, str) or not isinstance(fixed, Sequence | Mapping) or not fixed:
+        raise InputError(
+            f'find_form: fixed = {fixed!r}; give the groups that are held, as in ["boundary"].'
+        )
+    supports = dict(fixed) if isinstance(fixed, Mapping) else dict.fromkeys(fixed, "xyz")
+    for group, directions in supports.items():
+        if not isinstance(group, str):
+            raise InputError(f"find_form: fixed has {group!r}; give names of groups of the mesh.")
+        membrane.hold(group, directions, new_edges=True)
+    free = "xyz"
+    for number, letter in enumerate("xyz"):
+        if membrane.comm.allreduce(bool(membrane.held[:, number].any()), op=MPI.LOR):
+            free = free.replace(letter, "")
+    if free:
+        raise InputError(
+            f"find_form: fixed = {fixed!r} holds nothing along {free}; hold a group there too."
+        )
+    return supports
+
+
+def lifts(membrane: Membrane, lifted: Mapping[str, Lift]) -> Array:
+    """Movement of this rank's owned vertices, (n, 3). Collective."""
+    lift = np.full_like(membrane.stress_free, np.nan)
+    for group, by in lifted.items():
+        dofs = membrane.vertices(group)
+        with raised_together(membrane.comm):
+            places = membrane.stress_free[dofs]
+            if callable(by):
+                ways = np.asarray(by(places.T), dtype=float)
+                if ways.shape != places.T.shape or not np.isfinite(ways).all():
+                    raise InputError(
+                        f"find_form: the function that lifts {group!r} returned an array of shape "
+                        f"{ways.shape} or with values that are not finite; it must return "
+                        f"displacements of shape {places.T.shape}."
+                    )
+                ways = ways.T
+            else:
+                ways = np.tile(checks.vector(f"find_form: lifted[{group!r}]", by), (len(dofs), 1))
+            for bad, what in (
+                (~membrane.held[dofs] & (ways != 0.0), "is not held in that direction"),
+                (~np.isnan(lift[dofs]) & (lift[dofs] != ways), "another group moves elsewhere"),
+            ):
+                if bad.any():
+                    k = int(np.argmax(bad.any(axis=1)))
+                    raise InputError(
+                        f"find_form: {group!r} is lifted by {as_text(ways[k])} at "
+                        f"{as_text(places[k])}, which {what}; hold what is lifted, to one place."
+                    )
+            lift[dofs] = ways
+    return np.nan_to_num(lift, nan=0.0)
+
+
+def check_free_edges(membrane: Membrane, lines: Sequence[EdgeLine]) -> None:
+    """Refuse free edges without a cable. Collective."""
+    topology = membrane.mesh.mesh.topology
+    edges = membrane.mesh.edges["boundary"]
+    edges = edges[edges < topology.index_map(1).size_local]
+    held = [membrane.mesh.edges[line.cable.group] for line in lines]
+    edges = np.setdiff1d(edges, np.concatenate([*held, np.zeros(0, np.int32)]))
+    ends = vertex_dofs(membrane)[topology.connectivity(1, 0).array.reshape(-1, 2)[edges]]
+    free = ends[~membrane.held[ends].any(axis=2).all(axis=1)]
+    count = membrane.comm.allreduce(len(free))
+    places = membrane.comm.allgather(membrane.stress_free[free[:1]].mean(axis=1))
+    if count:
+        place = as_text(np.concatenate(places)[0])
+        raise InputError(
+            f"find_form: {count} edges at the rim are neither held nor have a cable, one at "
+            f"{place}; the film would draw them in. Fix them, or give them a FormCable."
+        )
+
+
+def rim_centre(membrane: Membrane, lift: Array, inflated: bool) -> Array:
+    """Mean place of the rim of what is closed, or of all vertices without a rim. Collective."""
+    edges = membrane.open_edges
+    ends = np.unique(edges.vertices)
+    if inflated:
+        free = ends[~membrane.held[ends].all(axis=1)]
+        found = np.concatenate(membrane.comm.allgather(membrane.stress_free[free[:1]]))
+        if len(found):
+            raise InputError(
+                "find_form: there is pressure, but the rim is not held in all directions at "
+                f"{as_text(found[0])}; hold the rim."
+            )
+    own = ends[ends < membrane.V.dofmap.index_map.size_local]
+    places = (membrane.stress_free + lift)[own]
+    total = membrane.comm.allreduce(np.array([*places.sum(axis=0), len(own)]))
+    return np.asarray(total[:3] / total[3]) if total[3] else membrane.centre
