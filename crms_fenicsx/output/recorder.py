@@ -177,13 +177,13 @@ class Recorder:
     def _surface(self, system: System) -> Surface:
         results = membrane_results(system)
         surface = results.surface
-        values = {name: results.values(name)[surface.parents] for name in results.names}
+        names = [name for name in IN_FILES if name in results.names]
         return Surface(
             surface.points,
             surface.triangles,
             {"displacement": surface.points - surface.stress_free},
             {
-                **{name: values[name] for name in IN_FILES if name in values},
+                **{name: results.values(name)[surface.parents] for name in names},
                 "direction 1": results.true_directions[surface.parents, 0],
                 "state": results.state[surface.parents],
             },
