@@ -325,9 +325,9 @@ class Solver(LoadCases, SolverResults, Reporting):
     def load(self, folder: str | FilePath) -> None:
         """Go on from a state that `save` has saved, on any number of processes. Collective.
 
-        The script builds mesh, scene and solver as before. Held vertices, floor, loads and cables
-        come from the checkpoint and replace those given so far; what follows is as if the run had
-        not ended. Results go on, too, where the solver's folder has those of the steps before.
+        The script builds mesh, scene and solver as before. Held vertices, floor, loads, cables and
+        bars come from the checkpoint and replace those given so far; what follows is as if the run
+        had not ended. Results go on, too, where the solver's folder has those of the steps before.
 
         Parameters
         ----------

@@ -120,8 +120,8 @@ class IncrementSolver:
         Outcome, and what the verification says; None where there was none.
         """
         history = self.scene.step_history
-        target.apply(self.scene, first, done / steps, goal / steps)
         try:
+            target.apply(self.scene, first, done / steps, goal / steps)
             prestress = starting_prestress(self.system, target, (goal - done) / steps)
             outcome, verification = self._solve(prestress)
         except BaseException:

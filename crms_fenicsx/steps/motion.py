@@ -122,7 +122,7 @@ class Motion:
 
     @cached_property
     def sampled(self) -> Array:
-        """Displacements at the ends of the increments, (steps, n, 3).
+        """Displacements at the ends of the increments, (steps, n, 3); of one for all the last.
 
         Raises
         ------
@@ -141,9 +141,7 @@ class Motion:
                     "and must begin at zero."
                 )
             return np.array(ends).reshape(self.steps, -1, 3)
-        ends = [np.broadcast_to(self.at((k + 1) / self.steps), self.places.shape)
-                for k in range(self.steps)]  # fmt: skip
-        return np.array(ends)
+        return np.broadcast_to(self.move, (1, *self.places.shape))
 
     def moving(self) -> Booleans:
         """Which components of the places move, (n, 3), by more than a function's rounding."""

@@ -53,8 +53,12 @@ class Movements:
     def apply(self, scene: Scene, first: State, before: float, share: float) -> None:
         """Move to a share of the way from the state `first`; `before` is that reached.
 
-        Where a vertex or an end is named twice its displacements add up.
+        Where a vertex or an end is named twice its displacements add up. Collective.
         """
+        with raised_together(scene.comm):  # functions, before anything moves
+            of_vertices = [motion.at(share) for _, motion in self.vertices]
+            of_ends = [motion.at(share).reshape(3) for *_, motion in self.cable_ends]
+            of_joints = [motion.at(share).reshape(3) for _, motion in self.joints]
         u = scene.u.x.array.reshape(-1, 3)
         further = (share - before) * self.rigid_translation
         u += further
@@ -62,27 +66,24 @@ class Movements:
             cable.update(positions=cable.positions + further)
         for joint in scene.joints:
             joint.update(position=joint.position + further)
-        self._move_vertices(u, first.u.reshape(-1, 3), scene, share)
+        some, moved_by = np.zeros(u.shape, dtype=bool), np.zeros_like(u)
+        for (dofs, motion), displacement in zip(self.vertices, of_vertices, strict=True):
+            some[dofs] |= motion.moving()
+            moved_by[dofs] += displacement
+        some &= scene.held
+        u[some] = first.u.reshape(-1, 3)[some] + moved_by[some]
         moved = {c: scene.cables[c].positions.copy() for c, _, _ in self.cable_ends}
         for c, k, _ in self.cable_ends:
             moved[c][k] = first.cables[c].positions[k]
-        for c, k, motion in self.cable_ends:
-            moved[c][k] += motion.at(share).reshape(3)
+        for (c, k, _), displacement in zip(self.cable_ends, of_ends, strict=True):
+            moved[c][k] += displacement
         for c, positions in moved.items():
             scene.cables[c].update(positions=positions)
         places = {j: first.joints[j].position.copy() for j, _ in self.joints}
-        for j, motion in self.joints:
-            places[j] += motion.at(share).reshape(3)
+        for (j, _), displacement in zip(self.joints, of_joints, strict=True):
+            places[j] += displacement
         for j, place in places.items():
             scene.joints[j].update(position=place)
-
-    def _move_vertices(self, u: Array, start: Array, scene: Scene, share: float) -> None:
-        some, moved = np.zeros(u.shape, dtype=bool), np.zeros_like(u)
-        for dofs, motion in self.vertices:
-            some[dofs] |= motion.moving()
-            moved[dofs] += motion.at(share)
-        some &= scene.held
-        u[some] = start[some] + moved[some]
 
 
 def checked_movements(scene: Scene, move: Mapping[object, Move], steps: int) -> Movements:
@@ -212,7 +213,7 @@ def _check_above_floor(scene: Scene, vertices: list[tuple[Indices, Motion]], ste
         for k in range(steps):
             moved = np.zeros(len(places))
             for dofs, motion in vertices:
-                moved[dofs] += motion.sampled[k, :, 2]
+                moved[dofs] += motion.at((k + 1) / steps)[..., 2]
             heights = places[:, 2] + moved
             through = np.flatnonzero((moved < 0) & (heights < scene.floor_level))
             if len(through):
@@ -255,6 +256,9 @@ def _carried(
         travels[c, k] = travels[c, k] + motion.at(1.0)
     for j, motion in joints:
         travels[j] = travels[j] + motion.at(1.0)
+    for j, joint in enumerate(scene.joints):
+        if j in travels:  # where it is free it is carried
+            travels[j] = np.where(joint.held, travels[j], common)
     alike = np.all((least == -negative) | np.isinf(least))
     alike &= all(np.array_equal(travel, common) for travel in travels.values())
     return common if alike and scene.floor_level is None else np.zeros(3)

@@ -128,6 +128,21 @@ def test_functions_that_return_something_else_are_refused(comm):
     for words, move in bad.items():
         with pytest.raises(InputError, match=words):
             solver.advance(move={"boundary": move})
+    calls = []
+
+    def fails_later(x, t):
+        """In the middle of the second step, as on one rank alone."""
+        calls.append(t)
+        bad = len(calls) > 5 and comm.rank == comm.size - 1
+        return np.full_like(x, np.nan) if bad else 0.01 * t * x
+
+    with pytest.raises(InputError, match="must return finite displacements"):
+        solver.advance(move={"boundary": fails_later}, steps=3)
+    np.testing.assert_allclose(solver.scene.positions()[:, 2], 0.0, atol=1e-15)
+    done, solver = len(solver.steps), drum(comm)
+    assert done == 1
+    with pytest.raises(InputError, match="must begin"):
+        solver.advance(move={"boundary": lambda x, t: 1.0 + x})
     assert not solver.steps
     np.testing.assert_array_equal(solver.scene.u.x.array, u)
     for arguments, words in (
