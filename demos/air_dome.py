@@ -1,10 +1,15 @@
-"""A stadium's air-supported roof with a net of sliding cables, of any size, on any number of ranks.
+"""Stadium roof, in parallel
+=========================
+
+A stadium's air-supported roof with a net of sliding cables, of any size, on any number of ranks.
 
 A spherical cap of 200 m span and 28 m rise of glass-fibre fabric, held down by two families of 14
 steel cables 8.5 m apart that cross at right angles: a roof of the size of the Tokyo Dome's. The
 cables are laid along great circles, just taut, and held at their ends only; over the fabric and
 over each other they slide without friction. The roof is inflated, and then the pressure raised as
 for a storm. Units: m, kN.
+
+::
 
     ./run python demos/air_dome.py [UNKNOWNS] [--resume]
     ./run mpirun -n 2 python demos/air_dome.py 100000
@@ -26,6 +31,10 @@ RADIUS, HEIGHT = 100.0, 28.0
 SPACING, CABLES = 8.5, 14
 CALM, STORM = 0.3, 0.5  # kPa
 
+# %%
+# The roof
+# --------
+# Nothing in the script knows of processes: under ``mpirun`` the mesh is shared out among them.
 unknowns = float(next((word for word in sys.argv[1:] if word != "--resume"), 1e4))
 area = np.pi * (RADIUS**2 + HEIGHT**2)
 size = np.sqrt(2 / np.sqrt(3) * area * 3 / unknowns)  # of equilateral triangles
@@ -37,6 +46,9 @@ for angle in np.radians([45.0, -45.0]):
     for offset in SPACING * (np.arange(CABLES) - (CABLES - 1) / 2):
         scene.lay_cable(Cable(EA=600e3), path=meshes.great_circle(RADIUS, HEIGHT, angle, offset))
 
+# %%
+# Calm and storm
+# --------------
 LOOK = {
     "dpi": 110,
     "colour": "stress",
@@ -51,6 +63,10 @@ for name, pressure in (("calm", CALM), ("storm", STORM)):
     draw(solver, f"{RESULTS}/{name}.png", title=f"{name.title()}: {pressure} kPa inside", **LOOK)
     tensions[name] = np.array([cable.tension for cable in scene.cables])
 
+# %%
+# Balance
+# -------
+# What the air lifts, the supports and the cables' ends must hold.
 rim = solver.reactions("boundary").total[2]
 ends = sum(end.reaction[2] for cable in scene.cables for end in (cable.start, cable.end))
 lift = STORM * np.pi * RADIUS**2

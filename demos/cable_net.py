@@ -1,10 +1,15 @@
-"""An air dome with a net of sliding cables, inflated and then blown at by the wind.
+"""Cable net in the wind
+=====================
+
+An air dome with a net of sliding cables, inflated and then blown at by the wind.
 
 A spherical cap of 40 m span, 10 m high, of PVC-coated fabric; two families of 7 steel cables cross
 obliquely on it. They are laid along great circles, just taut, and held at their ends only: over the
 fabric and over each other they slide without friction. After inflation the wind comes from -x. It
 pushes the windward side in, where cables lose most of their tension and lift off (striped in the
 pictures), and sucks at the rest, where they become three times as tight. Units: m, kN.
+
+::
 
     ./run python demos/cable_net.py [SIZE] [--resume]
 
@@ -38,6 +43,10 @@ LOOK = {
 }
 
 
+# %%
+# Wind
+# ----
+# Pressure coefficients over the dome, and two measures of how far cables slide.
 def coefficient(points, normals):
     """Pressure coefficient of the wind at the current place."""
     return np.interp(points[0], list(COEFFICIENTS), list(COEFFICIENTS.values()))
@@ -63,6 +72,11 @@ def farthest(lines, others):
     return max(np.linalg.norm(there - p, axis=1).min() for line in lines for p in line.points)
 
 
+# %%
+# The net
+# -------
+# ``meshes.great_circle`` returns a route in space. Each cable gets the length that makes it just taut
+# on the smooth surface behind the facets of the mesh.
 size = float(next((word for word in sys.argv[1:] if word != "--resume"), 1.6))
 mesh = meshes.spherical_cap(MPI.COMM_WORLD, radius=RADIUS, height=HEIGHT, size=size)
 scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
@@ -72,17 +86,27 @@ for angle in np.radians([30.0, -30.0]):
     for offset in 4.5 * np.arange(-3, 4):
         scene.lay_cable(Cable(EA=30e3), path=meshes.great_circle(RADIUS, HEIGHT, angle, offset))
 
+# %%
+# Calm
+# ----
 solver.advance(pressure=PRESSURE, steps=2)
 draw(solver, f"{RESULTS}/calm.png", title="Inflated: 0.4 kPa", **LOOK)
 calm, path = np.array([cable.tension for cable in scene.cables]), on_fabric("calm")
 shape = scene.positions()
 
+# %%
+# Storm
+# -----
+# Wind acts along the normals of the surface, and follows them as the dome deforms.
 scene.put_wind(GUST, coefficient)
 solver.advance(load=1.0, steps=2)
 draw(solver, f"{RESULTS}/wind.png", title="Wind of 0.75 kPa along x", **LOOK)
 windy, moved = np.array([cable.tension for cable in scene.cables]), on_fabric("under the wind")
 draw_paths(scene, f"{RESULTS}/paths.png", path + moved, unit="m", title="The net on the fabric")
 
+# %%
+# The result
+# ----------
 way = scene.comm.allreduce(np.linalg.norm(scene.positions() - shape, axis=1).max(), MPI.MAX)
 slid = farthest(moved, path)
 lifted = sum(bool(cable.lifted.any()) for cable in scene.cables)

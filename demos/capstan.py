@@ -1,4 +1,7 @@
-"""A cable over an air hall that is tightened from one end, with friction along it.
+"""Friction along a cable
+======================
+
+A cable over an air hall that is tightened from one end, with friction along it.
 
 An air hall of 16 m width, 24 m depth and 8 m height: a half-cylinder with rounded ends. Two cables
 cross it from ground to ground, each bent by about half a turn. At its end on the right each has a
@@ -7,6 +10,8 @@ freely and has the same tension everywhere. The other does so with a coefficient
 where it slides all over, its tension falls from the winch to the far end by the capstan's law,
 exp(0.3 x angle). Let out, it slides back near the winch only, and stays tightest in its middle.
 Units: m, kN.
+
+::
 
     ./run python demos/capstan.py [SIZE] [--resume]
 
@@ -25,6 +30,9 @@ from crms_fenicsx.output import History, draw, draw_history, join_pictures
 RESULTS = "results/capstan"
 MU, EA = 0.3, 3000.0
 
+# %%
+# The hall
+# --------
 size = float(next((word for word in sys.argv[1:] if word != "--resume"), 1.2))
 mesh = meshes.air_hall(MPI.COMM_WORLD, width=16.0, depth=24.0, height=8.0, size=size)
 scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
@@ -37,6 +45,9 @@ rough = scene.lay_cable(
 )
 
 
+# %%
+# Two measures
+# ------------
 def wind(length, steps):
     """Take in, or let out, some length at the cables' ends."""
     solver.advance(L0={cable: cable.L0 - length for cable in (free, rough)}, steps=steps)
@@ -56,6 +67,9 @@ def profile(cable, places):
     return np.interp(places * size.sum(), middles, cable.tensions)
 
 
+# %%
+# Taking in and letting out
+# -------------------------
 look = {
     "view": (-78.0, 36.0), "unit": "m", "force": "kN", "width": 6.8, "dpi": 100,
     "box": ((-0.5, -0.5, 0.0), (16.5, 24.5, 9.0)), "line_limits": (2.0, 8.0),
@@ -90,6 +104,9 @@ if scene.comm.rank == 0:
         f"{RESULTS}/both.png", [f"{RESULTS}/taken_in.png", f"{RESULTS}/profile.png"], upright=True
     )
 
+# %%
+# Check
+# -----
 # The ratio is 0.999 to 1.000 of the law's at sizes 2.0, 1.6, 1.2, 0.9. Tensions come from strains
 # of a thousandth and are 5.57, 5.53, 5.11 and 4.75 kN in the free cable; gmsh may mesh it otherwise
 # elsewhere.

@@ -1,4 +1,7 @@
-"""A cable dragged sideways over an orthotropic fabric, with friction (the paper's model 3).
+"""Friction
+========
+
+A cable dragged sideways over an orthotropic fabric, with friction (the paper's model 3).
 
 The paper compares this with an experiment, whose drawing and measured curves are lost. The data of
 fabric, cable and friction are the paper's; the sheet is ours: 100 cm square, flat and stress-free,
@@ -10,6 +13,8 @@ Without friction the cable follows its ends at once. With mu = 0.7 it sticks, an
 along, from the ends inwards less and less, until the ends are some 4 cm aside; then all of it
 slides. `Friction(0.7, static=1.0)` would tell rest from motion; here, where the cable comes loose
 from its ends inwards, that changes little. Units: kgf, cm.
+
+::
 
     ./run python demos/friction_experiment.py [SIZE] [--resume]
 
@@ -26,6 +31,10 @@ from mpi4py import MPI
 from crms_fenicsx import Cable, OrthotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.output import draw, join_pictures
 
+# %%
+# Fabric and cable
+# ----------------
+# The fabric is ten times as stiff along its warp as along its weft, and hardly resists shear.
 RESULTS = "results/friction_experiment"
 SIZE = float(next((word for word in sys.argv[1:] if word != "--resume"), 5.0))
 THICKNESS = 0.1  # only the moduli times the thickness matter
@@ -37,6 +46,9 @@ RUNS = {"smooth": (0.0, "no friction"), "rough": (0.7, "µ = 0.7")}
 DOWN, SIDEWAYS, ALONG = 5, 10, np.linspace(0.0, 100.0, 101)
 
 
+# %%
+# The experiment
+# --------------
 def experiment(name):
     """Where the cable is after each step, along the sheet: y and z; its tensions; the solver."""
     mesh = meshes.rectangle(MPI.COMM_WORLD, width=100.0, depth=100.0, size=SIZE)
@@ -61,6 +73,9 @@ def experiment(name):
     return np.array(places), np.array(tensions), solver
 
 
+# %%
+# Curves
+# ------
 def draw_curves(results):
     """Displacements along the cable at a few steps, and tensions over all steps."""
     figure = Figure(figsize=(9.0, 6.0), layout="constrained")
@@ -92,6 +107,9 @@ def draw_curves(results):
     figure.savefig(f"{RESULTS}/curves.png", dpi=100)
 
 
+# %%
+# With and without friction
+# -------------------------
 results = {name: experiment(name) for name in RUNS}
 smooth, rough = (places[:, 0, 50] for places, _, _ in results.values())
 tensions = {name: values for name, (_, values, _) in results.items()}
@@ -106,6 +124,9 @@ if solver.scene.comm.rank == 0:
     draw_curves(results)
     join_pictures(f"{RESULTS}/both.png", [f"{RESULTS}/{name}.png" for name in RUNS])
 
+# %%
+# Check
+# -----
 # What the paper finds: friction changes the sideways displacement most, the vertical one little.
 lag = np.abs(smooth - rough)[DOWN:].max()
 sag = np.abs(results["smooth"][0] - results["rough"][0])[:, 1].max()

@@ -1,7 +1,12 @@
-"""An inflated square that bars tie down: a term of the energy that is not in the package.
+"""A term of one's own
+===================
+
+An inflated square that bars tie down: a term of the energy that is not in the package.
 
 Bars run from the vertices around the middle of the sheet to one anchor below it, each with the
 strain energy of a spring. A cable is then tightened beside them. Units: kgf, cm.
+
+::
 
     ./run python demos/own_term.py
 """
@@ -18,6 +23,11 @@ from crms_fenicsx.output import draw
 RESULTS = "results/own_term"
 
 
+# %%
+# The term
+# --------
+# A term has one method for its value and one for its gradient. The stiffness is optional; it makes
+# stiff terms converge fast.
 class Bars(EnergyTerm):
     """Strain energy ``EA/(2 L0) (l - L0)^2`` of bars from vertices to an anchor.
 
@@ -64,6 +74,10 @@ class Bars(EnergyTerm):
         self.pattern.add(A, self.unknowns)
 
 
+# %%
+# The scene
+# ---------
+# ``taylor_test`` tells whether the gradient belongs to the energy: the order must be 2.
 mesh = meshes.rectangle(MPI.COMM_WORLD, width=100.0, depth=100.0, size=5.0)
 scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
 scene.fix("boundary")
@@ -77,6 +91,9 @@ solver.advance(pressure=0.01)
 cable = scene.lay_cable(Cable(EA=32000.0), path=[(0.0, 20.0), (100.0, 30.0)])
 solver.advance(L0={cable: 0.99 * cable.L0})
 draw(solver, f"{RESULTS}/tied_down.png", unit="cm", force="kgf")
+# %%
+# Balance
+# -------
 bars_pull = scene.comm.allreduce(bars.tensions @ bars.directions)
 supports = solver.reactions("boundary").total + cable.start.reaction + cable.end.reaction
 

@@ -1,9 +1,14 @@
-"""One folded element and one cable (the paper's model 1).
+"""Single element
+==============
+
+One folded element and one cable (the paper's model 1).
 
 A cable lies across a single triangle whose corners are held. Its ends are moved normal to the
 triangle, once up and once down, so that it tightens and folds the triangle. Up it would lift off,
 were it not held by a sleeve. The only unknowns are the six coordinates of the two sliding nodes.
 Units: kgf, cm.
+
+::
 
     ./run python demos/single_element.py [--resume]
 """
@@ -21,6 +26,10 @@ PATH = [(-20.0, 30.0, 0.0), (90.0, 24.0, 0.0)]  # both ends are anchors beside t
 STEPS = 6
 RESULTS = "results/single_element"
 
+# %%
+# Up and down
+# -----------
+# The mesh is given by arrays: three points and one cell.
 tracks, cables, tensions = [], [], []
 for name, lift in (("up", 12.0), ("down", -12.0)):
     mesh = meshes.from_arrays(
@@ -44,6 +53,10 @@ for name, lift in (("up", 12.0), ("down", -12.0)):
         colour="stress", ghost=True, view=(-60.0, 20.0), unit="cm", force="kgf",
     )  # fmt: skip
 
+# %%
+# The sliding nodes
+# -----------------
+# As the cable tightens, they slide along the sides of the triangle.
 if MPI.COMM_WORLD.rank == 0:
     draw_path(
         f"{RESULTS}/sliding_nodes.png", tracks, lines=cables,
@@ -58,6 +71,9 @@ if MPI.COMM_WORLD.rank == 0:
         print(f"  node 2 at {np.round(node_2.points[-1], 4)}, node 3 at", end=" ")
         print(np.round(node_3.points[-1], 4))
 
+# %%
+# Check
+# -----
 # Measured by this program; the six unknowns have no mesh to refine.
 np.testing.assert_allclose(tensions, 102.3595, rtol=1e-6)
 np.testing.assert_allclose(tracks[0].points[-1], [11.8361, 28.4117, 8.3503], atol=1e-4)

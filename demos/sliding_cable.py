@@ -1,10 +1,15 @@
-"""A cable that slides sideways to where it is in equilibrium.
+"""Sliding cable
+=============
+
+A cable that slides sideways to where it is in equilibrium.
 
 The cable is laid over a flat square in an arc, up to 15 cm beside the straight line between its
 ends, with the length of that line. At once it slides there, over the edges of the mesh; then the
 square is inflated in 5 steps, bulges beside the cable, and pushes it towards the nearer side. Its
 path over the fabric (the material curve) is not its path in space, as the fabric moves too. Units:
 kgf, cm.
+
+::
 
     ./run python demos/sliding_cable.py [--resume]
 
@@ -21,6 +26,9 @@ from crms_fenicsx.output import Line, draw, draw_paths, join_pictures
 
 RESULTS = "results/sliding_cable"
 
+# %%
+# A cable beside its place
+# ------------------------
 mesh = meshes.rectangle(MPI.COMM_WORLD, width=100.0, depth=100.0, size=3.0)
 scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
 scene.fix("boundary")
@@ -31,6 +39,11 @@ start = Line(cable.line, name="as laid")
 solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)
 
 
+# %%
+# Inflation
+# ---------
+# In each load step the solver minimises the energy, pulls the cable's path taut on the shape that it
+# has found, and minimises again if the path has changed.
 def middle(points):
     """Where a curve passes x = 50."""
     points = points[np.isfinite(points[:, 0])]  # anchors are not on the fabric
@@ -48,6 +61,11 @@ for pressure in np.linspace(0.0, 0.01, 6):
         print(f"({took})")
 (_, y, z), (_, on_fabric, _) = ways[-1]
 
+# %%
+# Pictures
+# --------
+# ``cable.line`` is the cable in space, ``cable.reference_positions`` its place on the stress-free
+# fabric.
 fabric = cable.reference_positions[np.isfinite(cable.reference_positions[:, 0])]
 draw_paths(
     scene,
@@ -67,6 +85,9 @@ draw(
 if scene.comm.rank == 0:
     join_pictures(f"{RESULTS}/both.png", [f"{RESULTS}/paths.png", f"{RESULTS}/inflated.png"])
 
+# %%
+# Check
+# -----
 # The reference, made with a mesh whose lines follow the material curve and refined to the
 # continuum: T = 103.0532, the middle at y = 29.6063, z = 3.5132, on the fabric at y = 29.3913, and
 # W = -298.765. The tolerances are the errors of meshes of about this size: that of W, 0.53 here,

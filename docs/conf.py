@@ -1,0 +1,107 @@
+"""How Sphinx builds the documentation: `./run docs`."""
+
+import shutil
+from pathlib import Path
+
+from sphinx_gallery.scrapers import figure_rst
+from sphinx_gallery.sorting import ExplicitOrder
+
+import crms_fenicsx
+
+TUTORIALS = [
+    "inflated_square",
+    "single_element",
+    "sliding_cable",
+    "cable_net",
+    "friction_experiment",
+    "capstan",
+    "air_dome",
+    "own_term",
+]
+
+project = "crms_fenicsx"
+author = "the authors of crms_fenicsx"
+copyright = author
+release = crms_fenicsx.__version__
+
+extensions = [
+    "myst_parser",
+    "numpydoc",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.intersphinx",
+    "sphinx.ext.mathjax",
+    "sphinx.ext.viewcode",
+    "sphinx_copybutton",
+    "sphinx_design",
+    "sphinx_gallery.gen_gallery",
+]
+exclude_patterns = ["tutorials/**/*.ipynb", "tutorials/**/*.py", "tutorials/sg_execution_times.rst"]
+suppress_warnings = ["config.cache"]  # the scraper below is a function, which cannot be pickled
+nitpicky = False
+
+myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
+myst_heading_anchors = 3
+myst_dmath_double_inline = True
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"  # numpydoc's sections tell them
+autosummary_generate = True
+numpydoc_show_class_members = False
+numpydoc_class_members_toctree = False
+
+html_theme = "pydata_sphinx_theme"
+html_title = "crms_fenicsx"
+html_static_path = ["static"]
+html_css_files = ["site.css"]
+html_theme_options = {
+    "show_toc_level": 2,
+    "navigation_with_keys": False,
+    "header_links_before_dropdown": 7,
+    "use_edit_page_button": False,
+}
+html_sidebars = {"index": []}
+html_show_sourcelink = False
+copybutton_prompt_text = r">>> |\.\.\. |\$ "
+copybutton_prompt_is_regexp = True
+
+
+class Order(ExplicitOrder):
+    """The order of the tutorials: the simplest first."""
+
+    def __init__(self, folder):
+        super().__init__([f"{name}.py" for name in TUTORIALS])
+
+
+demos = Path(__file__).parents[1] / "demos"
+seen = {path: path.stat().st_mtime for path in demos.rglob("*.png")}
+
+
+def pictures(block, block_vars, gallery_conf):
+    """Show the pictures that a block of a demo has written, but for those joined of others."""
+    written = sorted(demos.rglob("*.png"), key=lambda path: path.stat().st_mtime)
+    new = [path for path in written if seen.get(path) != path.stat().st_mtime]
+    seen.update((path, path.stat().st_mtime) for path in new)
+    shown = []
+    for path in new:
+        if path.stem != "both":
+            shown.append(next(block_vars["image_path_iterator"]))
+            shutil.copy(path, shown[-1])
+    return figure_rst(shown, gallery_conf["src_dir"])
+
+
+sphinx_gallery_conf = {
+    "examples_dirs": "../demos",
+    "gallery_dirs": "tutorials",
+    "filename_pattern": r"\.py$",
+    "image_scrapers": (pictures,),
+    "within_subsection_order": Order,
+    "abort_on_example_error": True,
+    "capture_repr": (),
+    "download_all_examples": False,
+    "min_reported_time": 1e9,
+    "show_memory": False,
+    "show_signature": False,
+    "remove_config_comments": True,
+    "reset_modules": (),
+}
