@@ -2,7 +2,7 @@
 
 A ring just taut around an inflated sphere, a hoop around an inflated cylinder, both against an
 ordinary differential equation, and a great circle over the cap of `demos/cable_net.py`. Units: m,
-kN. What follows from the figures is in `docs/cable_accuracy.md`.
+kN. What follows from the figures is in `docs/benchmarks/cable_accuracy.md`.
 
     ./run python benchmarks/cable_convergence.py
 """

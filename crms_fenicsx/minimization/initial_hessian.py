@@ -44,7 +44,7 @@ to 0.7 times as long on one process; on two 0.9 times with 1e5 unknowns, 0.8 wit
 """
 DIRECT_WITH_CABLES = 10_000_000
 """The same with cables, an extrapolation: with 1e5 unknowns and 28 cables multigrid takes 65 times
-as long for a solve and 2.5 times for a new H0 (docs/parallel.md)."""
+as long for a solve and 2.5 times for a new H0 (docs/benchmarks/parallel.md)."""
 ACCURACY = 1e-2
 """Relative residual of H0's solves by conjugate gradients; with less, BLMVM takes more steps."""
 
