@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
+from dataclasses import replace
+
 from mpi4py import MPI
 
 from crms_fenicsx.energies.dead_load import (
@@ -13,6 +16,7 @@ from crms_fenicsx.energies.dead_load import (
     wind_load,
 )
 from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.model.stage import Stage
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, collective
 from crms_fenicsx.runtime.readonly import ReadOnly
@@ -78,7 +82,7 @@ class LoadedMembrane:
         """
         checks.same(self.comm, "put_load", force=force, name=name, per=per)
         self._check_new_load("put_load", name)
-        self._add_load(dead_load(self.membrane, force, name, per))
+        self.add_load(dead_load(self.membrane, force, name, per))
 
     @collective
     def put_wind(self, pressure: float, coefficient: Coefficient, *, name: str = "wind") -> None:
@@ -112,7 +116,7 @@ class LoadedMembrane:
         """
         checks.same(self.comm, "put_wind", pressure=pressure, coefficient=coefficient, name=name)
         self._check_new_load("put_wind", name)
-        self._add_load(wind_load(self.membrane, pressure, coefficient, name))
+        self.add_load(wind_load(self.membrane, pressure, coefficient, name))
 
     def _check_new_load(self, call: str, name: str) -> None:
         self.membrane.check_finite(call)
@@ -128,8 +132,13 @@ class LoadedMembrane:
                 f"away with scene.remove_load({name!r})."
             )
 
-    def _add_load(self, load: MembraneLoad) -> None:
-        self._loads = (*self._loads, load)
+    @abstractmethod
+    def stage(self) -> Stage:
+        """The current state, of which what is put on it now keeps a reference."""
+
+    def add_load(self, load: MembraneLoad) -> None:
+        """Internal: add a load that has been made on the current shape."""
+        self._loads = (*self._loads, replace(load, stage=self.stage()))
         self.changes += 1
 
     @collective

@@ -15,6 +15,7 @@ from crms_fenicsx.checkpoint.call_record import plain_loads
 from crms_fenicsx.checkpoint.codec import Plain
 from crms_fenicsx.checkpoint.journal import FOLDER, Journal, Progress
 from crms_fenicsx.contact.contact_force import ContactForces, contact_forces
+from crms_fenicsx.convergence.finer_meshes import FinerMeshes
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
@@ -32,7 +33,6 @@ from crms_fenicsx.runtime.progress import progress
 from crms_fenicsx.runtime.readonly import ReadOnly
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.steps.increment_solver import IncrementSolver
-from crms_fenicsx.steps.load_cases import LoadCases
 from crms_fenicsx.steps.load_step import Step
 from crms_fenicsx.steps.loading import checked_target
 from crms_fenicsx.steps.options import checked_options
@@ -44,7 +44,7 @@ ANOTHER = "make another Solver(scene, ...), which goes on from the scene as it i
 """What to do instead of assigning a solver's options."""
 
 
-class Solver(LoadCases):
+class Solver(FinerMeshes):
     """Brings a scene from one equilibrium to the next.
 
     Parameters

@@ -13,7 +13,7 @@ PACKAGE = Path(crms_fenicsx.__file__).parent
 FLOORS = (
     "runtime dofs meshes surface geodesics model energies energies.paper minimization cables "
     "contact friction paths loaded_membrane scene contributions equilibrium results verification "
-    "steps output output.figures checkpoint solver crms_fenicsx"
+    "steps output output.figures checkpoint convergence solver crms_fenicsx"
 ).split()
 """Ground first: a module imports from its own package and from those before it."""
 
@@ -21,7 +21,7 @@ DOORS = (
     "energies.membrane cables.deformed_surface paths.held_vertices paths.laying "
     "paths.vertex_trials scene contributions equilibrium.search equilibrium.friction_loop "
     "equilibrium.path_loop equilibrium.system minimization.minimizer verification.cable_checks "
-    "verification.verifier"
+    "verification.verifier convergence.finer_meshes"
 ).split()
 """Where functions may import modules of the package: kernels, friction, and what most runs do not
 need."""

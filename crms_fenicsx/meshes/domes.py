@@ -85,7 +85,6 @@ def spherical_cap(
     points = lifted(np.asarray(arrays.points))
     points[np.abs(points[:, 2]) < 1e-10 * diameter, 2] = 0.0
 
-
     def onto_sphere(points: Array, on_rim: Booleans) -> Array:
         below = (height**2 - radius**2) / (2 * height)  # where the sphere's centre is
         middle = np.array([[x], [y], [0.0]]) + np.where(on_rim, 0.0, [[0.0], [0.0], [below]])
@@ -206,7 +205,10 @@ def _onto_hall(
     for _ in range(8):  # Newton's method from nearby
         centre = [(c + side / 2) for c, side in zip(corner, sides, strict=True)]
         aside = [moved[i] - centre[i] for i in (0, 1)]
-        a, b = (np.maximum(np.abs(r) - s / 2 + end, 0.0) / end for r, s in zip(aside, sides))
+        a, b = (
+            np.maximum(np.abs(r) - s / 2 + end, 0.0) / end
+            for r, s in zip(aside, sides, strict=True)
+        )
         value = (1 - a**2) * (1 - b**2) - (moved[2] / height) ** 2
         slope = np.stack([
             -2 * a * (1 - b**2) * np.sign(aside[0]) / end,

@@ -27,7 +27,6 @@ from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint, SurfacePoint
 from crms_fenicsx.surface.smooth_surface import SmoothSurface
 
 
-
 @dataclass(frozen=True)
 class UniformRefinement:
     """A mesh and the finer one that has four cells for each of its own.
@@ -69,7 +68,8 @@ class UniformRefinement:
             On all ranks: points that leave cells without area.
         """
         surface, ranks = _gathered(mesh)
-        finer, edges = EMPTY, np.zeros((0, 2), dtype=np.int64)
+        finer = EMPTY
+        edges: Integers = np.zeros((0, 2), dtype=np.int64)
         onto = mesh.project if project is None else _checked(project)
         with raised_together(mesh.comm):
             if mesh.comm.rank == 0:
@@ -86,9 +86,9 @@ class UniformRefinement:
         ids: Integers,
         values: Array,
         finer_ids: Integers,
-        middles: Mapping[Edge, Array] | None = None,
+        bends: Mapping[Edge, Array] | None = None,
     ) -> Array:
-        """Values at vertices of the finer mesh, in the middle of edges the means of their ends.
+        """Values at vertices of the finer mesh, in the middles of edges means of their ends.
 
         Collective.
 
@@ -98,8 +98,8 @@ class UniformRefinement:
             Vertices of the coarse mesh that this rank owns, and the values there.
         finer_ids : (m,)
             The vertices of the finer mesh that this rank wants the values of.
-        middles
-            Values (k,) in the middle of edges that are no means, the same on all ranks.
+        bends
+            What is added to these means (k,) on some edges, the same on all ranks.
         """
         comm = self.finer.comm
         given = comm.gather((ids, values), root=0)
@@ -111,8 +111,8 @@ class UniformRefinement:
                 coarse[theirs] = some
             means = coarse[self.edges].mean(axis=1)
             keys = edge_keys(self.edges)
-            for edge, value in (middles or {}).items():
-                means[np.searchsorted(keys, edge_keys(np.array([edge]))[0])] = value
+            for edge, value in (bends or {}).items():
+                means[np.searchsorted(keys, edge_keys(np.array([edge]))[0])] += value
             fine = np.concatenate([coarse, means])
             answers = [fine[theirs] for theirs in wanted]
         found: Array = comm.scatter(answers, root=0)
