@@ -2,7 +2,8 @@
 
 A cable that was laid just taut, or with a tension, got its length from the mesh, and gets it from
 the finer one again, on the shape and by the route of then: the physical problem is "just taut", not
-a number that has the first mesh's error. What load steps have made of it since is a factor.
+a number that has the first mesh's error. A length that was given, at laying or in a load step, is
+kept.
 """
 
 from __future__ import annotations
@@ -95,8 +96,8 @@ def lay_again(
     for end in (0, -1):
         _set_end(was, end, places, cable.laying, first)
     L0 = state.L0
-    if cable.laying is not None and first is not None:
-        L0 = first.L0 * (state.L0 / cable.laying.length)
+    if cable.laying is not None and first is not None and L0 == cable.laying.length:
+        L0 = first.L0
     laid = _laid(cable, finer, places, L0, None, "facets")
     laid.update(path_is_geodesic=state.path_is_geodesic)
     if first is not None:
