@@ -14,18 +14,13 @@ from crms_fenicsx.checkpoint import Run
 from crms_fenicsx.checkpoint.call_record import plain_loads
 from crms_fenicsx.checkpoint.codec import Plain
 from crms_fenicsx.checkpoint.journal import FOLDER, Journal, Progress
-from crms_fenicsx.contact.contact_force import ContactForces, contact_forces
 from crms_fenicsx.convergence.finer_meshes import FinerMeshes
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
-from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.membrane import Marker
 from crms_fenicsx.output.history import History
 from crms_fenicsx.output.recorder import Recorder
-from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
-from crms_fenicsx.results.reactions import Reactions, reactions
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import ConvergenceError, InputError, collective
 from crms_fenicsx.runtime.interrupt import postponed, stop_together
@@ -76,6 +71,9 @@ class Solver(FinerMeshes):
     verify
         Whether to check each solved step independently of the gradient and the forms:
         ``step.verification``. A state that fails is treated as one that did not converge.
+    estimate
+        Whether the history has columns with the estimated error of each step's energy, see
+        `estimate_error`.
 
     Attributes
     ----------
@@ -111,17 +109,18 @@ class Solver(FinerMeshes):
         max_halvings: int = 8,
         slide: bool = True,
         verify: bool = True,
+        estimate: bool = False,
     ) -> None:
         if not isinstance(scene, Scene):
             raise InputError(f"Solver: scene is of type {type(scene).__name__}; give a Scene.")
         self._options = options = checked_options(
             scene.comm, results=results, resume=resume, prefix=prefix, rtol=rtol,
-            max_halvings=max_halvings, slide=slide, verify=verify,
+            max_halvings=max_halvings, slide=slide, verify=verify, estimate=estimate,
         )  # fmt: skip
         self._scene, self.comm = scene, scene.comm
         self._increments = IncrementSolver(scene, options)
         self.steps: list[Step] = []
-        self._recorder = Recorder(scene, options.results)
+        self._recorder = Recorder(scene, options.results, options.estimate)
         self._journal: Journal | None = None
         if options.resume is not None and options.results is not None:
             same = {"rtol": self.rtol, "max_halvings": self.max_halvings, "slide": self.slide}
@@ -141,64 +140,6 @@ class Solver(FinerMeshes):
     def history(self) -> History:
         """A row of numbers for each accepted step; `Recorder` says which."""
         return self._recorder.history
-
-    @collective
-    def results(self) -> MembraneResults:
-        """Stresses, strains and state of the membrane's cells in the current state. Collective.
-
-        Returns
-        -------
-        MembraneResults
-            Values in this rank's cells.
-        """
-        return membrane_results(self.system)
-
-    @collective
-    def reactions(self, where: str | Marker) -> Reactions:
-        """Forces that supports exert on the membrane, in the current state. Collective.
-
-        Those on a cable's ends are not among them: ``cable.start.reaction``.
-
-        Parameters
-        ----------
-        where
-            Held vertices, as for `Scene.vertices`.
-
-        Returns
-        -------
-        Reactions
-            Their sum, and the force on each of this rank's vertices.
-
-        Raises
-        ------
-        InputError
-            As `Scene.vertices`.
-        """
-        return reactions(self.system, where)
-
-    @collective
-    def contact_forces(self, cable: LaidCable) -> ContactForces:
-        """Forces of a cable on the membrane at its points, in the current state. Collective.
-
-        Parameters
-        ----------
-        cable
-            A cable of the scene.
-
-        Returns
-        -------
-        ContactForces
-            At the points of the cable's `line`; its ``line`` is the force per length of cable.
-
-        Raises
-        ------
-        InputError
-            It is no cable of this scene.
-        """
-        checks.same(self.comm, "contact_forces", cable=cable)
-        if not any(cable is own for own in self.scene.cables):
-            raise InputError(f"contact_forces: {cable!r} is not a cable of this scene.")
-        return contact_forces(cable, self.scene.net.strip_shape()).at(cable.line_nodes())
 
     @collective
     def advance(

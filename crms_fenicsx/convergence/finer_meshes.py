@@ -10,7 +10,7 @@ from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import collective
 from crms_fenicsx.scene import Scene
-from crms_fenicsx.steps.load_cases import LoadCases
+from crms_fenicsx.steps.evaluations import Evaluations
 from crms_fenicsx.steps.options import Options
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 Own = TypeVar("Own", bound="FinerMeshes")
 
 
-class FinerMeshes(LoadCases):
+class FinerMeshes(Evaluations):
     """The part of a solver that makes others on finer meshes."""
 
     _options: Options
@@ -163,5 +163,5 @@ def _cells(scene: Scene) -> int:
     return int(scene.mesh.mesh.topology.index_map(2).size_global)
 
 
-CARRIED = ("prefix", "rtol", "max_halvings", "slide", "verify")
+CARRIED = ("prefix", "rtol", "max_halvings", "slide", "verify", "estimate")
 """Options of a solver that those on finer meshes have, too."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,8 @@ class Quantity:
         Whether the order is one that the bar counts on; else the bar is as wide as levels scatter.
     remark
         What to know of it, in words.
+    size
+        Size of the numbers of its kind, as of the whole vector that it is a component of.
     """
 
     values: tuple[float, ...]
@@ -41,12 +43,14 @@ class Quantity:
     order: float
     regular: bool
     remark: str
+    size: float
 
     @classmethod
     def of(cls, values: tuple[float, ...], size: float) -> Quantity:
         """Extrapolate values; `size` as for `extrapolated`."""
         found: Extrapolated = extrapolated(values, size)
-        return cls(values, found.limit, found.bar, found.order, found.regular, found.remark)
+        size = max(size, abs(found.limit))
+        return cls(values, found.limit, found.bar, found.order, found.regular, found.remark, size)
 
     @property
     def error(self) -> float:
@@ -108,13 +112,22 @@ class Convergence:
     def __repr__(self) -> str:
         return self.table()
 
-    def draw(self, filename: str | Path, *, title: str = "", width: float = 8.0) -> None:
+    def draw(
+        self,
+        filename: str | Path,
+        names: Sequence[str] | None = None,
+        *,
+        title: str = "",
+        width: float = 8.0,
+    ) -> None:
         """Plot how far the levels are from the limits, over the cells' size. Collective.
 
         Parameters
         ----------
         filename
             Picture to write; its suffix (.png, .pdf, .svg ...) says the format.
+        names
+            Of the quantities; all by default.
         title
             Of the picture.
         width
@@ -123,9 +136,12 @@ class Convergence:
         Raises
         ------
         InputError
-            On all ranks: a file that cannot be written.
+            On all ranks: a file that cannot be written, or a quantity that does not exist.
         """
-        series = {name: (one.values, one.limit, one.bar) for name, one in self.quantities.items()}
+        series = {}
+        for name in self.quantities if names is None else names:
+            one = self[name]
+            series[name] = (one.values, one.limit, one.bar, one.size)
         draw_convergence(self.comm, filename, self.cells, series, title=title, width=width)
 
 

@@ -182,7 +182,7 @@ def membrane_results(system: System) -> MembraneResults:
     cells = cell_tensors(system)
     E, S, axes, images = cells.strains, cells.forces, cells.axes, cells.images
     n, before = len(E), cells.sides
-    normal = np.cross(images[:, 0], images[:, 1])
+    normal: Array = np.asarray(np.cross(images[:, 0], images[:, 1]), dtype=np.float64)
     normal /= np.linalg.norm(normal, axis=1)[:, None]
 
     # With U the root of C = F^T F, F S F^T = R (U S U) R^T: one symmetric problem in the plane.

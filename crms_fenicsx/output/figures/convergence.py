@@ -20,8 +20,8 @@ from crms_fenicsx.output.figures.axes3d import (
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import raised_together
 
-Series = tuple[Sequence[float], float, float]
-"""Values of a quantity on the levels, its limit, and how far that may be wrong."""
+Series = tuple[Sequence[float], float, float, float]
+"""Values of a quantity on the levels, its limit, how far that may be wrong, and its size."""
 
 
 def draw_convergence(
@@ -33,7 +33,7 @@ def draw_convergence(
     title: str = "",
     width: float = 8.0,
 ) -> None:
-    """Plot how far values are from their limits, in parts of these. Collective.
+    """Plot how far values are from their limits, in parts of their sizes. Collective.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def draw_convergence(
         Number of cells on each level.
     series
         By the quantities' names. The bar of a limit is that of each of its points; what is the
-        same on all levels, or has the limit 0, is left out.
+        same on all levels is left out.
     title, width
         Of the picture, the width in inches.
 
@@ -67,24 +67,26 @@ def _draw(
     axis = figure.subplots()
     size = np.sqrt(cells[0] / np.asarray(cells, dtype=float))
     largest, colours = 0.0, cycle(DISTINCT)
-    for name, (values, limit, bar) in series.items():
+    for name, (values, limit, bar, scale) in series.items():
         errors = np.abs(np.asarray(values) - limit)
-        if limit == 0.0 or errors.max() <= bar:
+        if errors.max() <= 0.0:
             continue
-        colour = next(colours)
-        low = np.maximum(errors - bar, 0.02 * errors)
-        low = np.where(errors > 0.0, low, np.nan) / abs(limit)
-        axis.plot(size, np.where(errors > 0, errors, np.nan) / abs(limit), "o-", color=colour,
-                  markersize=4, linewidth=1.4, label=name)  # fmt: skip
-        axis.fill_between(size, low, (errors + bar) / abs(limit), color=colour, alpha=0.15)
-        largest = max(largest, float(errors.max() / abs(limit)))
+        there = errors > 0.0
+        low = np.minimum(bar, 0.9 * errors)[there]  # a bar to 0 has no end on this scale
+        axis.errorbar(
+            size[there], errors[there] / scale, [low / scale, np.full_like(low, bar / scale)],
+            color=next(colours), marker="o", markersize=4, linewidth=1.4, capsize=3,
+            elinewidth=0.8, label=name,
+        )  # fmt: skip
+        largest = max(largest, float(errors.max() / scale))
     if largest > 0.0:
         axis.plot(size, largest * size**2, "--", color=INK, linewidth=0.9, label="order 2")
         axis.set_xscale("log", base=2)
         axis.set_yscale("log")
-        axis.legend(fontsize=8, frameon=False, labelcolor=INK)
+        axis.legend(fontsize=8, frameon=False, labelcolor=INK, loc="upper left",
+                    bbox_to_anchor=(1.0, 1.0))  # fmt: skip
     axis.set_xlabel("size of the cells, in parts of the first mesh's", fontsize=9, color=INK)
-    axis.set_ylabel("error, in parts of the limit", fontsize=9, color=INK)
+    axis.set_ylabel("distance from the limit, in parts of the size", fontsize=9, color=INK)
     style_axes(axis, 8)
     if title:
         figure.suptitle(title, fontsize=11, color=INK)

@@ -1,0 +1,98 @@
+"""The part of a solver that evaluates the current state."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+from crms_fenicsx.contact.contact_force import ContactForces, contact_forces
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.membrane import Marker
+from crms_fenicsx.results.error_estimate import ErrorEstimate, ErrorEstimator
+from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
+from crms_fenicsx.results.reactions import Reactions, reactions
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.errors import InputError, collective
+from crms_fenicsx.steps.load_cases import LoadCases
+
+
+class Evaluations(LoadCases):
+    """The part of a solver that evaluates the current state."""
+
+    comm: MPI.Intracomm
+
+    @collective
+    def results(self) -> MembraneResults:
+        """Stresses, strains and state of the membrane's cells in the current state. Collective.
+
+        Returns
+        -------
+        MembraneResults
+            Values in this rank's cells.
+        """
+        return membrane_results(self._increments.system)
+
+    @collective
+    def reactions(self, where: str | Marker) -> Reactions:
+        """Forces that supports exert on the membrane, in the current state. Collective.
+
+        Those on a cable's ends are not among them: ``cable.start.reaction``.
+
+        Parameters
+        ----------
+        where
+            Held vertices, as for `Scene.vertices`.
+
+        Returns
+        -------
+        Reactions
+            Their sum, and the force on each of this rank's vertices.
+
+        Raises
+        ------
+        InputError
+            As `Scene.vertices`.
+        """
+        return reactions(self._increments.system, where)
+
+    @collective
+    def contact_forces(self, cable: LaidCable) -> ContactForces:
+        """Forces of a cable on the membrane at its points, in the current state. Collective.
+
+        Parameters
+        ----------
+        cable
+            A cable of the scene.
+
+        Returns
+        -------
+        ContactForces
+            At the points of the cable's `line`; its ``line`` is the force per length of cable.
+
+        Raises
+        ------
+        InputError
+            It is no cable of this scene.
+        """
+        checks.same(self.comm, "contact_forces", cable=cable)
+        if not any(cable is own for own in self._scene.cables):
+            raise InputError(f"contact_forces: {cable!r} is not a cable of this scene.")
+        return contact_forces(cable, self._scene.net.strip_shape()).at(cable.line_nodes())
+
+    @collective
+    def estimate_error(self) -> ErrorEstimate:
+        """Estimate by how much the mesh makes the energy of the current state too high. Collective.
+
+        It costs about as much as `results`. On the cases with references it is 0.4 to 2.6 times
+        the true error (`tests/results/test_error_estimate.py`). What the sides of a polygon cut off
+        a curved boundary is not in it.
+
+        Returns
+        -------
+        ErrorEstimate
+            For the whole membrane, and the shares of this rank's cells.
+
+        Examples
+        --------
+        >>> solver.estimate_error().relative
+        """
+        return ErrorEstimator(self._scene).of(self._increments.system)
