@@ -50,12 +50,11 @@ def laid_first(cable: LaidCable, finer: Scene, refinement: UniformRefinement) ->
     if laying is None:
         return None
     asked = laying.L0, laying.tension, laying.measured_on
-    path = laying.path
-    places: list[Place] = [*refinement.along_edges(path.points)]
-    if path.start_anchor is not None:
-        places.insert(0, np.array(path.start_anchor))
-    if path.end_anchor is not None:
-        places.append(np.array(path.end_anchor))
+    places: list[Place] = [*refinement.along_edges(laying.path.points)]
+    if laying.ends[0] == "off":
+        places.insert(0, laying.anchors[0])
+    if laying.ends[1] == "off":
+        places.append(laying.anchors[1])
     try:  # by the route: the path has the detours around vertices that the coarse mesh makes
         if cable.in_edge:
             raise PathError("it lies on the edges of the coarse mesh")

@@ -76,8 +76,10 @@ class Laying:
         As given, in plan or in space (length).
     path
         The way over the mesh that it led to.
+    ends
+        How its ends were held.
     anchors : (2, 3)
-        Where its ends were (length).
+        Where they were (length).
     L0, tension, measured_on
         As given to `Scene.lay_cable`.
     length
@@ -88,6 +90,7 @@ class Laying:
 
     route: Array
     path: Path
+    ends: tuple[End, End]
     anchors: Array
     L0: float | None
     tension: float | None
