@@ -81,7 +81,8 @@ class Quantities:
     def of(self, solver: Any) -> dict[str, Value]:
         """Their values in the state of a solver, by their names. Collective."""
         scene: Scene = solver.scene
-        found: dict[str, Value] = {"energy": (scene.energy, 0.0)}
+        size = sum(map(abs, scene.energies.values()))
+        found: dict[str, Value] = {"energy": (scene.energy, size)}
         tensions = [cable.tension for cable in scene.cables]
         greatest = max(tensions, default=0.0)
         if len(tensions) > 1:

@@ -3,10 +3,10 @@
 Errors of this package's elements fall with the square of the cells' size where the mesh resolves
 what there is. Each halving then takes three quarters of the error away, and what is left is a
 third of the last difference d (L. F. Richardson, 1911). The order p that the last two differences
-show says whether it is so. The factors below have been set by 150 triples of levels with known
-limits (`benchmarks/error_bars.py`), so that bars hold the limit in 19 of 20 cases, and follow
-P. J. Roache, Perspective: a method for uniform reporting of grid refinement studies, 1994, in that
-what shows no order gets a bar that is as wide as the levels scatter.
+show says whether it is so. As P. J. Roache has it (Perspective: a method for uniform reporting of
+grid refinement studies, 1994), what shows no order gets a wider bar: as wide as the levels scatter.
+The factors below have been set by triples of levels with known limits, so that bars hold these in
+19 of 20 cases; `docs/cable_accuracy.md` says which, and how others fare.
 """
 
 from __future__ import annotations
@@ -19,8 +19,10 @@ from itertools import pairwise
 ORDER = 2.0
 REGULAR = (1.2, 3.0)
 """Orders found between which the levels are taken to converge with order 2."""
-LEAST, SPREAD = 0.15, 1.2
+LEAST, SPREAD = 0.5, 1.2
 """A regular bar, as parts of d/3: at least, and of how far order 2 and the order found disagree."""
+FAR = 0.3
+"""Differences, relative to the largest value, above which the first level shows no order."""
 SAME = 1e-7
 """Differences, relative to the largest value, that the solver's tolerance makes."""
 
@@ -79,6 +81,8 @@ def extrapolated(values: Sequence[float], size: float = 0.0) -> Extrapolated:
     if order > REGULAR[1]:
         bar = max(abs(before) / 8, least)
         return Extrapolated(limit, bar, order, False, "order too high: the coarsest is too coarse")
+    if abs(before) > FAR * scale:
+        return Extrapolated(limit, abs(d), order, False, "the coarsest is too coarse")
     apart = abs(d / (2**order - 1) - d / (2**ORDER - 1))
     bar = LEAST * abs(d) / 3 + SPREAD * apart
     return Extrapolated(limit, max(bar, least), order, True, "")
