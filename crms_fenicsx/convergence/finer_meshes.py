@@ -52,8 +52,9 @@ class FinerMeshes(Evaluations):
         Raises
         ------
         InputError
-            On all ranks and before anything is computed: something that cannot be carried over;
-            it names what.
+            On all ranks and before anything is computed: something that cannot be carried over, as
+            step-wise laws, friction along cables, added terms, and loads and cables of a
+            checkpoint, of which it is not known how they were given; it names what.
         PathError
             A cable has no such path on the finer mesh.
         ConvergenceError

@@ -147,6 +147,11 @@ def _refuse(scene: Scene) -> None:
                 "again."
             )
     for cable in scene.cables:
+        if cable.laying is None:
+            raise InputError(
+                f"refine: of the cable {cable.name!r}, which is from a checkpoint, only the length "
+                "on this mesh is known; take it away with scene.remove(...), and lay it again."
+            )
         friction = cable.cable.sideways
         if cable.cable.law == "step" or (friction is not None and friction.law == "step"):
             raise InputError(

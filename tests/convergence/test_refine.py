@@ -312,3 +312,13 @@ def test_load_from_a_checkpoint_is_refused_until_it_is_put_again(comm, tmp_path_
     loaded.load(folder)
     with pytest.raises(InputError, match="'snow', which is from a checkpoint"):
         loaded.refine()
+
+
+def test_cable_from_a_checkpoint_is_refused(comm, tmp_path_factory):
+    """Its length would be that of the first mesh, and lead to a wrong limit."""
+    folder = comm.bcast(str(tmp_path_factory.mktemp("run")))
+    model_2(comm, 4)[1].save(folder)
+    _, loaded = square(comm, 4)
+    loaded.load(folder)
+    with pytest.raises(InputError, match="'ridge', which is from a checkpoint"):
+        loaded.refine()
