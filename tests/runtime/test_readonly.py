@@ -65,7 +65,8 @@ def test_nothing_is_assigned(comm) -> None:
 def test_all_that_changes_of_a_cable_is_its_state(comm) -> None:
     """It is one frozen value, whose arrays cannot be written: a snapshot is a reference to it."""
     *_, cable = laid(comm)
-    assert vars(cable).keys() == {"_name", "_cable", "_sleeve", "_in_edge", "_layer", "state"}
+    given = {"_name", "_cable", "_sleeve", "_in_edge", "_layer", "laying"}
+    assert vars(cable).keys() == {*given, "state"}
     before = cable.state
     for field in fields(CableState):
         with pytest.raises(FrozenInstanceError):
