@@ -241,4 +241,4 @@ class BracedMembrane(LoadedMembrane):
             found[joint.name] = (x, y, z)
         size = sum(float(np.linalg.norm(force)) for force in found.values())
         none = np.zeros(self.membrane.held.shape)
-        self._add_load(MembraneLoad(name, none, size / self.membrane.size**2, joints=found))
+        self.add_load(MembraneLoad(name, none, size / self.membrane.size**2, joints=found))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping
+from dataclasses import replace
 
 from mpi4py import MPI
 
@@ -15,6 +17,7 @@ from crms_fenicsx.energies.dead_load import (
     wind_load,
 )
 from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.model.stage import Stage
 from crms_fenicsx.model.strengths import Strengths, checked_strengths
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, collective
@@ -81,7 +84,7 @@ class LoadedMembrane:
         """
         checks.same(self.comm, "put_load", force=force, name=name, per=per)
         self._check_new_load("put_load", name)
-        self._add_load(dead_load(self.membrane, force, name, per))
+        self.add_load(dead_load(self.membrane, force, name, per))
 
     @collective
     def put_wind(self, pressure: float, coefficient: Coefficient, *, name: str = "wind") -> None:
@@ -115,7 +118,7 @@ class LoadedMembrane:
         """
         checks.same(self.comm, "put_wind", pressure=pressure, coefficient=coefficient, name=name)
         self._check_new_load("put_wind", name)
-        self._add_load(wind_load(self.membrane, pressure, coefficient, name))
+        self.add_load(wind_load(self.membrane, pressure, coefficient, name))
 
     @collective
     def set_strengths(self, strengths: Strengths | Mapping[str, Strengths]) -> None:
@@ -156,8 +159,13 @@ class LoadedMembrane:
                 f"away with scene.remove_load({name!r})."
             )
 
-    def _add_load(self, load: MembraneLoad) -> None:
-        self._loads = (*self._loads, load)
+    @abstractmethod
+    def stage(self) -> Stage:
+        """The current state, of which what is put on it now keeps a reference."""
+
+    def add_load(self, load: MembraneLoad) -> None:
+        """Internal: add a load that has been made on the current shape."""
+        self._loads = (*self._loads, replace(load, stage=self.stage()))
         self.changes += 1
 
     @property

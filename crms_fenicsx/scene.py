@@ -23,6 +23,7 @@ from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.membrane import Marker, Membrane
 from crms_fenicsx.model.penalty import warn_of_penalty
+from crms_fenicsx.model.stage import Stage
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.runtime.errors import InputError, collective, raised_together
@@ -165,6 +166,12 @@ class Scene(FilledMembrane, BracedMembrane):
     def dissipated(self) -> float:
         """Energy that friction has dissipated in all load steps (force x length)."""
         return self.net.dissipated
+
+    def stage(self) -> Stage:
+        """Internal: the current state, of which what is put on it now keeps a reference."""
+        factors = {load.name: load.factor for load in self.loads}
+        cables = {cable.name: cable.state for cable in self.cables}
+        return Stage(self.commits, self.membrane.kept_shape(), self.pressure, factors, cables)
 
     @property
     def volume(self) -> float:
@@ -341,7 +348,7 @@ class Scene(FilledMembrane, BracedMembrane):
         self.membrane.check_finite("lay_cable")
         given["layer"] = checks.whole("lay_cable: layer", layer, 0)
         route, joints = self.frame.path_of(path)
-        laid = lay(self.net, cable, route, **given, joints=joints)
+        laid = lay(self.net, cable, route, **given, joints=joints, stage=self.stage())
         self.changes += 1
         return laid
 

@@ -14,6 +14,7 @@ from crms_fenicsx.checkpoint import Run
 from crms_fenicsx.checkpoint.call_record import plain_loads
 from crms_fenicsx.checkpoint.codec import Plain
 from crms_fenicsx.checkpoint.journal import FOLDER, Journal, Progress
+from crms_fenicsx.convergence.finer_meshes import FinerMeshes
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
@@ -22,7 +23,6 @@ from crms_fenicsx.model.fan_control import FanControl
 from crms_fenicsx.output.history import History
 from crms_fenicsx.output.recorder import Recorder
 from crms_fenicsx.output.report import Reporting
-from crms_fenicsx.results.solver_results import SolverResults
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import ConvergenceError, InputError, collective
 from crms_fenicsx.runtime.interrupt import postponed, stop_together
@@ -30,7 +30,6 @@ from crms_fenicsx.runtime.progress import progress
 from crms_fenicsx.runtime.readonly import ReadOnly
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.steps.increment_solver import IncrementSolver
-from crms_fenicsx.steps.load_cases import LoadCases
 from crms_fenicsx.steps.load_step import Step
 from crms_fenicsx.steps.loading import checked_target
 from crms_fenicsx.steps.motion import Move
@@ -48,7 +47,7 @@ ANOTHER = "make another Solver(scene, ...), which goes on from the scene as it i
 """What to do instead of assigning a solver's options."""
 
 
-class Solver(LoadCases, SolverResults, Reporting):
+class Solver(FinerMeshes, Reporting):
     """Brings a scene from one equilibrium to the next.
 
     Parameters
@@ -80,6 +79,9 @@ class Solver(LoadCases, SolverResults, Reporting):
     verify
         Whether to check each solved step independently of the gradient and the forms:
         ``step.verification``. A state that fails is treated as one that did not converge.
+    estimate
+        Whether the history has columns with the estimated error of each step's energy, see
+        `estimate_error`.
 
     Attributes
     ----------
@@ -115,17 +117,18 @@ class Solver(LoadCases, SolverResults, Reporting):
         max_halvings: int = 8,
         slide: bool = True,
         verify: bool = True,
+        estimate: bool = False,
     ) -> None:
         if not isinstance(scene, Scene):
             raise InputError(f"Solver: scene is of type {type(scene).__name__}; give a Scene.")
         self._options = options = checked_options(
             scene.comm, results=results, resume=resume, prefix=prefix, rtol=rtol,
-            max_halvings=max_halvings, slide=slide, verify=verify,
+            max_halvings=max_halvings, slide=slide, verify=verify, estimate=estimate,
         )  # fmt: skip
         self._scene, self.comm = scene, scene.comm
         self._increments = IncrementSolver(scene, options)
         self.steps: list[Step] = []
-        self._recorder = Recorder(scene, options.results)
+        self._recorder = Recorder(scene, options.results, options.estimate)
         self._journal: Journal | None = None
         if options.resume is not None and options.results is not None:
             same = {"rtol": self.rtol, "max_halvings": self.max_halvings, "slide": self.slide}

@@ -75,8 +75,8 @@ def farthest(lines, others):
 # %%
 # The net
 # -------
-# ``meshes.great_circle`` returns a route in space. Each cable gets the length that makes it just taut
-# on the smooth surface behind the facets of the mesh.
+# ``meshes.great_circle`` returns a route in space. Each cable gets the length that makes it just
+# taut on the smooth surface behind the facets of the mesh.
 size = float(next((word for word in sys.argv[1:] if word != "--resume"), 1.6))
 mesh = meshes.spherical_cap(MPI.COMM_WORLD, radius=RADIUS, height=HEIGHT, size=size)
 scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))

@@ -42,8 +42,8 @@ solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)
 # %%
 # Inflation
 # ---------
-# In each load step the solver minimises the energy, pulls the cable's path taut on the shape that it
-# has found, and minimises again if the path has changed.
+# In each load step the solver minimises the energy, pulls the cable's path taut on the shape that
+# it has found, and minimises again if the path has changed.
 def middle(points):
     """Where a curve passes x = 50."""
     points = points[np.isfinite(points[:, 0])]  # anchors are not on the fabric

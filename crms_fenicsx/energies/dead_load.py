@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Literal, get_args
 
 import numpy as np
@@ -19,6 +19,7 @@ from mpi4py import MPI
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.meshes.cell_geometry import area_vectors
 from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.model.stage import Stage
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, raised_together
@@ -55,6 +56,11 @@ class MembraneLoad:
         What the forces are multiplied by; load steps change it.
     joints
         Forces (force) on joints of bars, by their names.
+    again
+        Makes the load on the current shape of another membrane, of a finer mesh; None for one from
+        a checkpoint, of which the forces alone are known.
+    stage
+        What it has been put on.
     """
 
     name: str
@@ -63,6 +69,8 @@ class MembraneLoad:
     suction: Array | None = field(default=None, repr=False)
     factor: float = 0.0
     joints: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    again: Callable[[Membrane], MembraneLoad] | None = field(default=None, repr=False)
+    stage: Stage | None = field(default=None, repr=False)
 
     @property
     def blows(self) -> bool:
@@ -148,7 +156,10 @@ def dead_load(
         else:
             given = checks.vector("put_load: the force per area", given)[:, None]
         loads[:] = shape.counted(per, membrane)[:, None] * given.T
-    return MembraneLoad(name, shape.nodal(loads), _intensity(membrane, shape, loads))
+    return MembraneLoad(
+        name, shape.nodal(loads), _intensity(membrane, shape, loads),
+        again=partial(dead_load, traction=traction, name=name, per=per),
+    )  # fmt: skip
 
 
 def wind_load(
@@ -167,7 +178,10 @@ def wind_load(
     with raised_together(membrane.comm):
         suction[:] = -pressure * _coefficients(coefficient, membrane, shape)
     loads = suction[:, None] * shape.vectors
-    return MembraneLoad(name, shape.nodal(loads), _intensity(membrane, shape, loads), suction)
+    return MembraneLoad(
+        name, shape.nodal(loads), _intensity(membrane, shape, loads), suction,
+        again=partial(wind_load, pressure=pressure, coefficient=coefficient, name=name),
+    )  # fmt: skip
 
 
 def _coefficients(coefficient: Coefficient, membrane: Membrane, shape: _Shape) -> Array:

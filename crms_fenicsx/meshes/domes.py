@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -22,7 +23,7 @@ from crms_fenicsx.meshes.plane import (
 from crms_fenicsx.meshes.refinement import Refinement, TargetSize
 from crms_fenicsx.meshes.surface import SurfaceArrays
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.runtime.errors import InputError
 
 
@@ -83,7 +84,14 @@ def spherical_cap(
     arrays = ellipse_arrays(0.0, 0.0, rim, rim, flat_size)
     points = lifted(np.asarray(arrays.points))
     points[np.abs(points[:, 2]) < 1e-10 * diameter, 2] = 0.0
-    return SurfaceArrays(points, arrays.cells)
+
+    def onto_sphere(points: Array, on_rim: Booleans) -> Array:
+        below = (height**2 - radius**2) / (2 * height)  # where the sphere's centre is
+        middle = np.array([[x], [y], [0.0]]) + np.where(on_rim, 0.0, [[0.0], [0.0], [below]])
+        reach = np.where(on_rim, radius, diameter / 2)
+        return middle + reach * (points - middle) / np.linalg.norm(points - middle, axis=0)
+
+    return SurfaceArrays(points, arrays.cells, project=onto_sphere)
 
 
 def great_circle(radius: float, height: float, angle: float, offset: float) -> Array:
@@ -185,7 +193,32 @@ def air_hall(
     lines = {"left": (0, x), "right": (0, x + width), "front": (1, y), "back": (1, y + depth)}
     for name, (axis, value) in lines.items():
         points[np.unique(np.asarray(arrays.edges[name])), axis] = value
-    return SurfaceArrays(points, arrays.cells, arrays.edges, {}, arrays.point_groups)
+    project = functools.partial(_onto_hall, (x, y), (width, depth), height)
+    return SurfaceArrays(points, arrays.cells, arrays.edges, {}, arrays.point_groups, project)
+
+
+def _onto_hall(
+    corner: Sequence[float], sides: Sequence[float], height: float, points: Array, on_rim: Booleans
+) -> Array:
+    """Move points (3, n) to the hall, along gradients of ``f(u)^2 f(v)^2 - (z / height)^2``."""
+    end, moved = min(sides) / 2, points[:, ~on_rim]
+    for _ in range(8):  # Newton's method from nearby
+        centre = [(c + side / 2) for c, side in zip(corner, sides, strict=True)]
+        aside = [moved[i] - centre[i] for i in (0, 1)]
+        a, b = (
+            np.maximum(np.abs(r) - s / 2 + end, 0.0) / end
+            for r, s in zip(aside, sides, strict=True)
+        )
+        value = (1 - a**2) * (1 - b**2) - (moved[2] / height) ** 2
+        slope = np.stack([
+            -2 * a * (1 - b**2) * np.sign(aside[0]) / end,
+            -2 * b * (1 - a**2) * np.sign(aside[1]) / end,
+            -2 * moved[2] / height**2,
+        ])  # fmt: skip
+        moved = moved - slope * value / np.maximum((slope**2).sum(axis=0), 1e-300)
+    onto = points.copy()
+    onto[:, ~on_rim] = moved
+    return onto
 
 
 def _add_hall(gmsh: Any, x: float, y: float, width: float, depth: float, height: float) -> None:

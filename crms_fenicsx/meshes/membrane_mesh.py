@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from crms_fenicsx.meshes.edge_table import edge_keys
 from crms_fenicsx.meshes.orientation import UPWARD, Outside
 from crms_fenicsx.meshes.partition import Ranks, cell_ranks, checked_ranks
-from crms_fenicsx.meshes.surface import EMPTY, SurfaceArrays, checked_surface
+from crms_fenicsx.meshes.surface import EMPTY, Projection, Surface, SurfaceArrays, checked_surface
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Indices, Integers
 from crms_fenicsx.runtime.compat import create_mesh, geometry_dofmap, with_nodes
@@ -49,6 +49,9 @@ class MembraneMesh:
     hidden
         Cells of pieces that meet others at a seam from behind, such as a wall under a roof: cables
         do not lie on them.
+    project
+        On rank 0: what knows the surface that the cells stand for, for vertices of finer meshes;
+        None where nothing does.
     """
 
     mesh: dolfinx.mesh.Mesh
@@ -56,6 +59,7 @@ class MembraneMesh:
     parts: Mapping[str, Indices]
     points: Mapping[str, Indices]
     hidden: Indices
+    project: Projection | None = None
 
     @property
     def comm(self) -> MPI.Intracomm:
@@ -149,11 +153,19 @@ def distributed(
     `build` is called on rank 0 only and must not communicate; what it raises is raised on all
     ranks.
     """
-    surface, given = EMPTY, None
+    surface, given, project = EMPTY, None, None
     with raised_together(comm):
         if comm.rank == 0:
-            surface = checked_surface(build(), outside)
+            arrays = build()
+            surface, project = checked_surface(arrays, outside), arrays.project
             given = None if ranks is None else checked_ranks(surface, ranks, comm.size)
+    return shared_out(comm, surface, given, project)
+
+
+def shared_out(
+    comm: MPI.Intracomm, surface: Surface, given: Indices | None, project: Projection | None
+) -> MembraneMesh:
+    """Distribute a surface that is all on rank 0, its cells to the ranks given there, if any."""
     mesh = create_mesh(comm, surface.cells, surface.points, cell_ranks(comm, surface, given))
     topology = mesh.topology
     topology.create_entities(1)
@@ -167,6 +179,7 @@ def distributed(
         _local_groups(comm, topology.original_cell_index, surface.parts),
         _local_groups(comm, vertices, surface.point_groups),
         _local_groups(comm, topology.original_cell_index, {"hidden": surface.hidden})["hidden"],
+        project,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from mpi4py import MPI
@@ -15,7 +16,7 @@ from crms_fenicsx.meshes.outline import simple_outline
 from crms_fenicsx.meshes.partition import Ranks
 from crms_fenicsx.meshes.refinement import Refinement, TargetSize
 from crms_fenicsx.meshes.surface import SurfaceArrays
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.runtime.errors import InputError
 
 RECTANGLE_SIDES = ("front", "right", "back", "left")
@@ -217,7 +218,15 @@ def ellipse_arrays(
         geometry.addPlaneSurface([geometry.addCurveLoop(arcs)])
         geometry.synchronize()
         mesh_with_sizes(gmsh, target)
-        return read_model(gmsh)
+        arrays = read_model(gmsh)
+
+    def to_the_rim(points: Array, on_rim: Booleans) -> Array:
+        moved = points.copy()
+        offset = points[:2, on_rim] - [[x], [y]]
+        moved[:2, on_rim] = [[x], [y]] + offset / np.hypot(offset[0] / a, offset[1] / b)
+        return moved
+
+    return replace(arrays, project=to_the_rim)
 
 
 def rectangle_corners(x: float, y: float, width: float, depth: float) -> Array:

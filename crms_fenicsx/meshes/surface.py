@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,24 +12,31 @@ from numpy.typing import ArrayLike, NDArray
 from crms_fenicsx.meshes.edge_table import EdgeTable, edge_keys
 from crms_fenicsx.meshes.orientation import Outside, connected_labels, oriented
 from crms_fenicsx.meshes.seams import hidden_cells
-from crms_fenicsx.runtime.arrays import Array, Integers
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.runtime.errors import MeshError, as_text
 
 BOUNDARY = "boundary"
 """Reserved name of the group of all edges with one cell."""
+
+Projection = Callable[[Array, Booleans], Array]
+"""Moves points (3, n) near a surface, of which some (n,) are on its rim, onto it and its rim."""
 
 _DEGENERATE = 1e-10  # area / (longest edge)^2; a sliver of aspect ratio 1e4 has 5e-5
 
 
 @dataclass(frozen=True)
 class SurfaceArrays:
-    """What a generator or a reader hands over: arrays as `from_arrays` takes them."""
+    """What a generator or a reader hands over: arrays as `from_arrays` takes them.
+
+    `project` knows the surface that the cells stand for, where that is not made of them.
+    """
 
     points: ArrayLike
     cells: ArrayLike
     edges: Mapping[str, ArrayLike] = field(default_factory=dict)
     parts: Mapping[str, ArrayLike] = field(default_factory=dict)
     point_groups: Mapping[str, ArrayLike] = field(default_factory=dict)
+    project: Projection | None = None
 
 
 @dataclass(frozen=True)
@@ -83,7 +90,7 @@ def checked_surface(arrays: SurfaceArrays, outside: Outside) -> Surface:
     """
     points = _coordinates(arrays.points)
     cells = _cells(arrays.cells, points)
-    _check_shapes(points, cells)
+    check_shapes(points, cells)
     table = EdgeTable.of(cells)
     _check_fans(points, cells, table)
     parts = _index_groups(arrays.parts, "part", "cells", len(cells))
@@ -153,7 +160,7 @@ def _cells(given: ArrayLike, points: Array) -> Integers:
     return cells
 
 
-def _check_shapes(points: Array, cells: Integers) -> None:
+def check_shapes(points: Array, cells: Integers) -> None:
     """Refuse degenerate cells, duplicate cells and loose vertices."""
     corners = points[cells]
     sides = corners[:, [1, 2, 0]] - corners

@@ -53,6 +53,10 @@ class Membrane:
     strengths
         Of the parts in warp and weft (force per length), as `checked_strengths` returns them;
         none before they are given. They are data for results, and no part of the state.
+    pressure_on
+        As given.
+    supports
+        What has been held, each as `hold` was told: where, and in which directions.
 
     Raises
     ------
@@ -72,6 +76,9 @@ class Membrane:
         named = material if isinstance(material, Mapping) else {}
         self.parts = dict(enumerate(sorted(named, key=repr)))
         self.pressed = _pressed_cells(mesh, pressure_on)
+        self.pressure_on = pressure_on
+        self.supports: tuple[tuple[str | Marker, str], ...] = ()
+        self._kept_shape: Array | None = None
         self.V = fem.functionspace(mesh.mesh, ("Lagrange", 1, (3,)))
         self.u = fem.Function(self.V, name="displacement")
         self.held = np.zeros((len(self.u.x.array) // 3, 3), dtype=bool)
@@ -128,6 +135,15 @@ class Membrane:
     def positions(self) -> Array:
         """Current positions of the vertices by local degree of freedom, (n, 3), with ghosts."""
         return self.stress_free + self.u.x.array.reshape(-1, 3)
+
+    def kept_shape(self) -> Array:
+        """The current displacements of the vertices, (n, 3), to be kept; the same array for all
+        that is put on the same shape (length)."""
+        u = self.u.x.array.reshape(-1, 3)
+        if self._kept_shape is None or not np.array_equal(u, self._kept_shape):
+            self._kept_shape = u.copy()
+            self._kept_shape.flags.writeable = False
+        return self._kept_shape
 
     def check_finite(self, purpose: str) -> None:
         """Refuse to go on from a displacement that is not finite.
@@ -289,6 +305,7 @@ class Membrane:
         for letter in directions:
             self.held[dofs, COMPONENTS[letter]] = True
         self.held_edges[edges] = True
+        self.supports = (*self.supports, (where, directions))
 
 
 def _assign_materials(

@@ -15,6 +15,7 @@ from crms_fenicsx.output.data import Surface
 from crms_fenicsx.output.history import History, Value
 from crms_fenicsx.output.lock import FolderLock
 from crms_fenicsx.output.paraview import Series
+from crms_fenicsx.results.error_estimate import ErrorEstimator
 from crms_fenicsx.results.membrane_results import membrane_results
 from crms_fenicsx.runtime.arrays import Integers
 from crms_fenicsx.runtime.errors import InputError, raised_together
@@ -35,6 +36,8 @@ class Recorder:
     folder
         Where `history.csv` and the files of `Series` go, created where it is missing. The first
         step replaces those of an older run. None writes nothing and keeps the history in memory.
+    estimate
+        Whether to estimate the error of each step's energy.
 
     Attributes
     ----------
@@ -48,7 +51,9 @@ class Recorder:
         "bar L0" of each bar by its name,
         "blocked points" (fold points that have run into a vertex), and what the solve took:
         "iterations",
-        "evaluations", "factorizations", "solves", "flips", "residual" (force), "seconds".
+        "evaluations", "factorizations", "solves", "flips", "residual" (force), "seconds". With
+        `estimate` also "error of energy" (force x length) and "relative error", that in parts of
+        the membrane's strain energy.
 
     Raises
     ------
@@ -56,8 +61,9 @@ class Recorder:
         On all ranks, when the folder cannot be written.
     """
 
-    def __init__(self, scene: Scene, folder: str | Path | None) -> None:
+    def __init__(self, scene: Scene, folder: str | Path | None, estimate: bool = False) -> None:
         self.scene = scene
+        self._estimator = ErrorEstimator(scene) if estimate else None
         self.series: Series | None = None
         self._lock: FolderLock | None = None
         self.history = History(None if folder is None else Path(folder) / "history.csv", scene.comm)
@@ -90,6 +96,9 @@ class Recorder:
             On all ranks, when files cannot be written.
         """
         row = self._row(step)
+        if self._estimator is not None:
+            estimate = self._estimator.of(system)
+            row["error of energy"], row["relative error"] = estimate.total, estimate.relative
         if case:
             row["case"] = case
         self.history.append(row)

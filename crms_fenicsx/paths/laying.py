@@ -18,8 +18,9 @@ from crms_fenicsx.contact.lift_off import drape
 from crms_fenicsx.meshes.edge_table import EdgeTable, edge_keys
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.cable_state import CableNode, CableState, End, StepStart
-from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
+from crms_fenicsx.model.laid_cable import LaidCable, Laying, polyline_length
 from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.model.stage import Stage
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.paths.follow import unfolded
 from crms_fenicsx.paths.seam_checks import refuse_forks, refuse_places_behind
@@ -47,11 +48,15 @@ def lay(
     layer: int,
     name: str | None,
     measured_on: MeasuredOn,
+    stage: Stage,
+    places: Mapping[int, SurfacePoint] | None = None,
     joints: tuple[str | None, str | None] = (None, None),
 ) -> LaidCable:
     """Trace the path, decide what each of its points is, and add the cable to the net.
 
-    See `Scene.lay_cable`. Everything here is the same on all ranks.
+    See `Scene.lay_cable`. Everything here is the same on all ranks. Of points of a path in space
+    `places` gives the places on the mesh, by their numbers, where these are known. It is laid on
+    the scene as it is, the `stage`.
     """
     if not isinstance(cable, Cable):
         raise InputError(f"lay_cable: {cable!r} is no Cable; write Cable(EA=...).")
@@ -65,7 +70,8 @@ def lay(
         raise InputError(
             f"lay_cable: {name!r} with measured_on = {measured_on!r}; use 'surface' or 'facets'."
         )
-    route, known, folds = unfolded(net, _route(path))
+    given = _route(path)
+    route, known, folds = (given, places, []) if places else unfolded(net, given)
     refuse_places_behind(net.membrane, route, name)
     try:
         traced = _traced(net.membrane, route, known)
@@ -82,7 +88,7 @@ def lay(
     refuse_forks(traced, shape, name)
     nodes = nodes_of(traced.points, strip, _ends(net.membrane, strip, traced))
     positions = _positions(nodes, traced, shape)
-    in_fold = dict(zip(known.values(), folds, strict=True))
+    in_fold = dict(zip(known.values(), folds, strict=False))
     reach, folded = SAME_PLACE * net.membrane.size, set[SurfacePoint]()
     for k, node in enumerate(nodes):
         if node.point in in_fold:
@@ -100,7 +106,7 @@ def lay(
     length = polyline_length(laid.positions[laid.contacts()])
     if length == 0.0:
         raise PathError(f"lay_cable: the path of {name!r} has no length.")
-    smooth = length
+    smooth, asked = length, (L0, tension, measured_on)
     if L0 is None and measured_on == "surface" and cable.law == "total":
         smooth = _smooth_length(laid, shape, folded)
     L0 = smooth / (1 + (tension or 0.0) / cable.EA) if L0 is None else float(L0)
@@ -112,6 +118,8 @@ def lay(
         from crms_fenicsx.friction.axial import initial_state
 
         laid.update(axial=initial_state(laid, shape))
+    ends = np.array(laid.positions[[0, -1]])
+    laid.laying = Laying(given, laid.path, laid.ends, ends, *asked, length=L0, stage=stage)
     net.add(laid, strip)
     return laid
 

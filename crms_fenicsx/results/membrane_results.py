@@ -255,14 +255,35 @@ class MembraneResults:
         return PlaceResults(places.positions, places.stress_free, values)
 
 
-def membrane_results(system: System) -> MembraneResults:
-    """Evaluate the membrane at the scene's current state. Collective.
+@dataclass(frozen=True)
+class CellTensors:
+    """Tensors in the material axes of this rank's owned cells.
 
-    Parameters
+    Attributes
     ----------
-    system
-        The scene's potential; it is brought to the scene's state.
+    strains, forces : (n, 2, 2)
+        Green-Lagrange strains, second Piola-Kirchhoff section forces (force per length).
+    axes, images : (n, 2, 3)
+        The material axes, unit vectors, and what they have become.
+    sides : (n, 2, 3)
+        Two stress-free sides of each cell (length).
+    state : (n,)
+        2 taut, 1 wrinkled, 0 slack.
+    folded : (n,)
+        Whether a cable in tension folds the cell; its images are those of its three corners.
     """
+
+    strains: Array
+    forces: Array
+    axes: Array
+    images: Array
+    sides: Array
+    state: npt.NDArray[np.int8]
+    folded: Booleans
+
+
+def cell_tensors(system: System) -> CellTensors:
+    """Evaluate the cells at the scene's current state; see `membrane_results`. Collective."""
     system.update()
     scene, membrane = system.scene, system.membrane.energy
     values = membrane.cell_results()
@@ -283,7 +304,22 @@ def membrane_results(system: System) -> MembraneResults:
     # Columns of F are the current images of the material axes: edges = components x images.
     components = np.einsum("nki,nai->nka", before, axes)
     images = np.linalg.solve(components, after)
-    normal = np.cross(images[:, 0], images[:, 1])
+    state = np.rint(values[:, 6]).astype(np.int8)
+    return CellTensors(E, S, axes, images, before, state, folded)
+
+
+def membrane_results(system: System) -> MembraneResults:
+    """Evaluate the membrane at the scene's current state. Collective.
+
+    Parameters
+    ----------
+    system
+        The scene's potential; it is brought to the scene's state.
+    """
+    scene, cells = system.scene, cell_tensors(system)
+    E, S, axes, images = cells.strains, cells.forces, cells.axes, cells.images
+    n, before = len(E), cells.sides
+    normal: Array = np.asarray(np.cross(images[:, 0], images[:, 1]), dtype=np.float64)
     normal /= np.linalg.norm(normal, axis=1)[:, None]
 
     # With U the root of C = F^T F, F S F^T = R (U S U) R^T: one symmetric problem in the plane.
@@ -313,13 +349,13 @@ def membrane_results(system: System) -> MembraneResults:
         true_directions=np.stack([first, np.cross(normal, first)], axis=1),
         warp=warp,
         warp_weft=np.stack([along, across, (larger - smaller) * sin * cos], axis=1),
-        second_piola_warp_weft=values[:, 3:6].copy(),
-        state=np.rint(values[:, 6]).astype(np.int8),
+        second_piola_warp_weft=S[:, [0, 1, 0], [0, 1, 1]],
+        state=cells.state,
         normals=normal,
         areas=J * stress_free,
-        folded=folded,
+        folded=cells.folded,
         stress_free_areas=stress_free,
-        parts={name: cells[cells < n] for name, cells in scene.mesh.parts.items()},
+        parts={name: own[own < n] for name, own in scene.mesh.parts.items()},
         surface=current_surface(scene.net),
         membrane=scene.membrane,
     )

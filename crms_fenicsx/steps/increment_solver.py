@@ -52,12 +52,13 @@ class IncrementSolver:
     def system(self) -> System:
         """The potential of the scene and its minimiser; made when first needed."""
         if self._system is not None and self._system.is_outdated:
-            self._drop_system()  # another solver has advanced the scene
+            self.release()  # another solver has advanced the scene
         if self._system is None:
             self._system = System(self.scene, self._options.prefix, self._options.rtol)
         return self._system
 
-    def _drop_system(self) -> None:
+    def release(self) -> None:
+        """Give back the memory of the potential; it is made again when needed."""
         if self._system is not None:
             self._system.destroy()
         self._system = self._search = self._earlier = None
@@ -88,7 +89,7 @@ class IncrementSolver:
 
     def resume(self, tried: TriedPaths | None) -> None:
         """Go on from load steps whose state the scene has, and which have tried some paths."""
-        self._drop_system()
+        self.release()
         self._earlier, self._known = tried, self.scene.cables
 
     def restart_h0(self) -> None:

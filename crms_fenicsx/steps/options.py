@@ -22,6 +22,7 @@ class Options:
     max_halvings: int
     slide: bool
     verify: bool
+    estimate: bool
 
 
 def checked_options(
@@ -34,6 +35,7 @@ def checked_options(
     max_halvings: int,
     slide: bool,
     verify: bool,
+    estimate: bool,
 ) -> Options:
     """Check options that a user gives to a solver. Collective.
 
@@ -44,7 +46,7 @@ def checked_options(
     """
     checks.same(
         comm, "Solver", results=results, resume=resume, prefix=prefix, rtol=rtol,
-        max_halvings=max_halvings, slide=slide, verify=verify,
+        max_halvings=max_halvings, slide=slide, verify=verify, estimate=estimate,
     )  # fmt: skip
     if not 0 < checks.finite("Solver: rtol", rtol) < 1:
         raise InputError(f"Solver: rtol = {rtol} must lie between 0 and 1, as 1e-9 does.")
@@ -62,4 +64,5 @@ def checked_options(
             'as in results="results/dome".'
         )
     halvings = checks.whole("Solver: max_halvings", max_halvings, 0)
-    return Options(folder, resume, prefix, float(rtol), halvings, bool(slide), bool(verify))
+    flags = bool(slide), bool(verify), bool(estimate)
+    return Options(folder, resume, prefix, float(rtol), halvings, *flags)

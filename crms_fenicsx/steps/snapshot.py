@@ -11,6 +11,7 @@ from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.membrane import Marker
 from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.scene import Scene
@@ -41,6 +42,7 @@ class Snapshot:
     bars: tuple[PlacedBar, ...]
     held: Booleans
     held_edges: Booleans
+    supports: tuple[tuple[str | Marker, str], ...]
     floor: float | None
     terms: tuple[EnergyTerm, ...]
     step_history: StepHistory | None
@@ -61,6 +63,7 @@ class Snapshot:
             scene.bars,
             membrane.held.copy(),
             membrane.held_edges.copy(),
+            membrane.supports,
             scene.floor_level,
             scene.terms,
             scene.step_history,
@@ -85,6 +88,7 @@ class Snapshot:
         self.state.restore(scene)
         scene.membrane.held[:] = self.held
         scene.membrane.held_edges[:] = self.held_edges
+        scene.membrane.supports = self.supports
         scene._floor_level, scene._terms = self.floor, self.terms
         if scene.step_history is not self.step_history:  # the terms know it as well
             scene.step_history = self.step_history

@@ -1,0 +1,1 @@
+"""How right results are: finer meshes, orders of convergence and error bars."""

@@ -1,0 +1,169 @@
+"""The part of a solver that goes to finer meshes, to tell how right its results are."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from crms_fenicsx.results.solver_results import SolverResults
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.errors import collective
+from crms_fenicsx.scene import Scene
+from crms_fenicsx.steps.load_cases import LoadCases
+from crms_fenicsx.steps.options import Options
+
+if TYPE_CHECKING:
+    from crms_fenicsx.convergence.study import Convergence
+
+Own = TypeVar("Own", bound="FinerMeshes")
+
+
+class FinerMeshes(LoadCases, SolverResults):
+    """The part of a solver that makes others on finer meshes."""
+
+    _options: Options
+
+    @collective
+    def refine(self: Own, project: Callable[[Array], Array] | None = None) -> Own:
+        """Divide each cell into four, and find the equilibrium at the same loads there. Collective.
+
+        Supports, materials, parts and groups, pressure, named loads, floor and cables with all
+        their data are carried over. Cables and loads go through the states in which they were put
+        on the scene, so that their lengths and forces have no error of this mesh: a cable that was
+        laid just taut on the inflated membrane is so on the finer one. A cable with friction lies
+        where it does here, and friction holds it there anew. The new solver writes no results.
+
+        Parameters
+        ----------
+        project
+            Where new vertices belong: a function of points (3, n) near the stress-free surface that
+            returns points (3, n) in it. By default they go to the surface that the mesh's generator
+            knows (the circle, ellipse, spherical cap and air hall); on other meshes, of arrays and
+            files, to the smooth surface behind the facets, plane where they are, while edges of
+            the boundary, seams and ridges stay straight. Finer meshes of the finer one take the
+            same.
+
+        Returns
+        -------
+        Solver
+            Of a new scene, with this one's options.
+
+        Raises
+        ------
+        InputError
+            On all ranks and before anything is computed: something that cannot be carried over, as
+            step-wise laws, friction along cables, added terms, and loads and cables of a
+            checkpoint, of which it is not known how they were given; it names what.
+        PathError
+            A cable has no such path on the finer mesh.
+        ConvergenceError
+            The finer mesh has no equilibrium at one of the states.
+
+        Examples
+        --------
+        >>> finer = solver.refine()
+        >>> finer.scene.cable("ridge").tension - solver.scene.cable("ridge").tension
+        """
+        from crms_fenicsx.convergence.finer_scene import finer_scene
+
+        checks.same(self._scene.comm, "refine", project=project)
+
+        another: Any = type(self)
+        given = {name: getattr(self._options, name) for name in CARRIED}
+
+        def solve(scene: Scene) -> None:
+            solver = another(scene, **given)
+            solver.advance()
+            solver._increments.release()
+
+        finer: Own = another(finer_scene(self._scene, project, solve), **given)
+        finer.advance()
+        return finer
+
+    @collective
+    def convergence(
+        self,
+        levels: int = 3,
+        *,
+        points: Mapping[str, Sequence[float]] | None = None,
+        reactions: Sequence[str] = (),
+        stresses: Sequence[str] = (),
+        quantities: Mapping[str, Callable[[Any], float]] | None = None,
+        project: Callable[[Array], Array] | None = None,
+    ) -> Convergence:
+        """Say how right the current results are, by those on finer meshes. Collective.
+
+        Each level has four times the cells of the one before and takes that much longer at least;
+        the second one is enough for an estimate, and the third shows whether it can be trusted.
+        The energy and the cables' tensions are compared always. The error that is told is that of
+        the mesh: not that of the model, and not that of friction's memory, see `refine`.
+
+        Parameters
+        ----------
+        levels
+            Number of meshes, this one included.
+        points
+            Stress-free places (3,) by names, whose displacements are compared (length).
+        reactions
+            Groups of held vertices, of whose reactions the sums are compared.
+        stresses
+            Parts of the mesh, or "membrane" for all of it, of which the mean and the greatest true
+            section force are compared. At re-entrant corners and ends of supports greatest ones may
+            have no limit; then the table says that differences grow.
+        quantities
+            Other numbers, functions of a solver, by names.
+        project
+            As for `refine`.
+
+        Returns
+        -------
+        Convergence
+            With a table (``print`` it) and a plot.
+
+        Raises
+        ------
+        InputError
+            On all ranks and before anything is computed: as `refine`, or a point, group, part or
+            function that cannot be used.
+        PathError, ConvergenceError
+            As `refine`.
+
+        Examples
+        --------
+        >>> study = solver.convergence(points={"top": (0.0, 0.0, 10.0)})
+        >>> study
+        >>> study["tension ridge"].limit, study["tension ridge"].bar
+        """
+        from crms_fenicsx.convergence.quantities import Quantities
+        from crms_fenicsx.convergence.study import Convergence, Quantity, checked_levels
+
+        checks.same(
+            self._scene.comm, "convergence", levels=levels, points=points, reactions=reactions,
+            stresses=stresses, quantities=quantities, project=project,
+        )  # fmt: skip
+        levels = checked_levels(levels)
+        wanted = Quantities.checked(self._scene, points, reactions, stresses, quantities)
+        solver, rows, cells, seconds = self, [wanted.of(self)], [_cells(self._scene)], [0.0]
+        for _ in range(levels - 1):
+            began, last = time.perf_counter(), solver
+            solver = last.refine(project)
+            if last is not self:
+                last._increments.release()
+            rows.append(wanted.of(solver))
+            cells.append(_cells(solver._scene))
+            seconds.append(self._scene.comm.bcast(time.perf_counter() - began))
+        found = {
+            name: Quantity.of(tuple(row[name][0] for row in rows), rows[-1][name][1])
+            for name in rows[0]
+        }
+        return Convergence(tuple(cells), tuple(seconds), found, solver, self._scene.comm)
+
+
+def _cells(scene: Scene) -> int:
+    return int(scene.mesh.mesh.topology.index_map(2).size_global)
+
+
+CARRIED = ("prefix", "rtol", "max_halvings", "slide", "verify", "estimate")
+"""Options of a solver that those on finer meshes have, too."""

@@ -1,0 +1,134 @@
+"""Numbers of an equilibrium that are compared between meshes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.results.membrane_results import MembraneResults
+from crms_fenicsx.results.reactions import Reactions
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.scene import Scene
+from crms_fenicsx.surface.triangles import closest
+
+ALL = "membrane"
+"""What names the whole membrane among its parts."""
+
+Value = tuple[float, float]
+"""A number, and the size of those of its kind."""
+
+
+@dataclass(frozen=True)
+class Quantities:
+    """What is compared besides the energy and the tensions; see `FinerMeshes.convergence`."""
+
+    points: Mapping[str, Array] = field(default_factory=dict)
+    reactions: Sequence[str] = ()
+    stresses: Sequence[str] = ()
+    others: Mapping[str, Callable[[Any], float]] = field(default_factory=dict)
+
+    @classmethod
+    def checked(
+        cls,
+        scene: Scene,
+        points: Mapping[str, Sequence[float]] | None,
+        reactions: Sequence[str],
+        stresses: Sequence[str],
+        others: Mapping[str, Callable[[Any], float]] | None,
+    ) -> Quantities:
+        """Check what a user gives. Collective.
+
+        Raises
+        ------
+        InputError
+            On all ranks: a point that is none, a group or part that does not exist, or what is no
+            function.
+        """
+        for name, given in (("points", points), ("quantities", others)):
+            if given is not None and not isinstance(given, Mapping):
+                raise InputError(
+                    f'convergence: {name} = {given!r} has no names; write {name}={{"middle": ...}}.'
+                )
+        for name, groups in (("reactions", reactions), ("stresses", stresses)):
+            if isinstance(groups, str) or not isinstance(groups, Sequence):
+                raise InputError(
+                    f"convergence: {name} = {groups!r} is no list; write {name}=[{groups!r}]."
+                )
+        places = {
+            name: checks.vector(f"convergence: the point {name!r}", place)
+            for name, place in (points or {}).items()
+        }
+        for group in reactions:
+            scene.vertices(group)
+        known = {ALL: (), **scene.mesh.parts}
+        for part in stresses:
+            checks.named("part", known, part)
+        for name, function in (others or {}).items():
+            if not callable(function):
+                raise InputError(
+                    f"convergence: the quantity {name!r} is {function!r}; give a function of a "
+                    "solver that returns a number."
+                )
+        return cls(places, tuple(reactions), tuple(stresses), dict(others or {}))
+
+    def of(self, solver: Any) -> dict[str, Value]:
+        """Their values in the state of a solver, by their names. Collective."""
+        scene: Scene = solver.scene
+        size = sum(map(abs, scene.energies.values()))
+        found: dict[str, Value] = {"energy": (scene.energy, size)}
+        tensions = [cable.tension for cable in scene.cables]
+        greatest = max(tensions, default=0.0)
+        if len(tensions) > 1:
+            found["mean tension"] = (float(np.mean(tensions)), greatest)
+            found["greatest tension"] = (greatest, greatest)
+        for cable in scene.cables:
+            found[f"tension {cable.name}"] = (cable.tension, greatest)
+        for name, place in self.points.items():
+            found |= _components(f"displacement {name}", displacement(scene.membrane, place))
+        for group in self.reactions:
+            forces: Reactions = solver.reactions(group)
+            size = float(np.abs(forces.forces).sum()) if len(forces.forces) else 0.0
+            size = scene.comm.allreduce(size)
+            found |= _components(f"reaction {group}", forces.total, size)
+        if self.stresses:
+            found |= self._stresses(scene.comm, solver.results())
+        for name, function in self.others.items():
+            found[name] = (checks.finite(f"convergence: {name!r}", function(solver)), 0.0)
+        return found
+
+    def _stresses(self, comm: MPI.Intracomm, results: MembraneResults) -> dict[str, Value]:
+        found: dict[str, Value] = {}
+        for part in self.stresses:
+            cells = results.parts[part] if part != ALL else slice(None)
+            forces, areas = results.true_forces[cells, 0], results.areas[cells]
+            total, area = comm.allreduce(np.array([forces @ areas, areas.sum()]))
+            most = comm.allreduce(float(forces.max(initial=-np.inf)), op=MPI.MAX)
+            found[f"mean section force {part}"] = (float(total / area), 0.0)
+            found[f"greatest section force {part}"] = (most, 0.0)
+        return found
+
+
+def _components(name: str, vector: Array, size: float = 0.0) -> dict[str, Value]:
+    size = max(size, float(np.linalg.norm(vector)))
+    return {f"{name} {axis}": (float(x), size) for axis, x in zip("xyz", vector, strict=True)}
+
+
+def displacement(membrane: Membrane, place: Array) -> Array:
+    """Displacement of the stress-free membrane's place nearest to a point, (3,). Collective."""
+    own = membrane.mesh.mesh.topology.index_map(2).size_local
+    dofs, comm = membrane.V.dofmap.list[:own], membrane.comm
+    weights, _, gaps = closest(membrane.stress_free[dofs], place)
+    nearest = int(np.argmin(gaps)) if own else 0
+    gap = float(gaps[nearest]) if own else np.inf
+    u = membrane.u.x.array.reshape(-1, 3)
+    here = weights[nearest] @ u[dofs[nearest]] if own else np.zeros(3)
+    _, rank = comm.allreduce((gap, comm.rank), op=MPI.MINLOC)
+    found: Array = comm.bcast(here, root=rank)
+    return found

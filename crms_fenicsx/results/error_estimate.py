@@ -1,0 +1,167 @@
+"""How much energy the mesh costs, from one equilibrium on it.
+
+Strains, section forces and displacement gradients are constant in each cell. Averaged at the
+vertices and interpolated in between they come closer to the truth (O. C. Zienkiewicz and J. Z. Zhu,
+A simple error estimator and adaptive procedure for practical engineering analysis, 1987), and how
+far the cells are from these averages tells the error. By a second variation of the strain energy,
+
+    W_h - W  ~  1/2 int (S* - S):(E* - E) + S : (H* - H)^T (H* - H) dA,
+
+with the second Piola-Kirchhoff section forces S, the strains E and the displacement gradients H,
+of which the second term is that of taut surfaces which are not straight. Folds are no errors: a
+cell that a cable folds has a crease of its own, so no average is taken over folded cells. These
+have their own first term against the averages around, and the second one of the cells beside them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from dolfinx import fem, la
+
+from crms_fenicsx.equilibrium.system import System
+from crms_fenicsx.meshes.cell_geometry import area_vectors
+from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
+from crms_fenicsx.results.membrane_results import cell_tensors
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
+from crms_fenicsx.scene import Scene
+from crms_fenicsx.surface.points import VertexPoint
+from crms_fenicsx.surface.smooth_surface import CREASE
+
+WIDTH = 6 + 6 + 9 + 3 + 3
+"""Numbers that are averaged: E, S, H, unit normals; weight, material and its square."""
+UPPER = np.triu_indices(3)
+
+
+@dataclass(frozen=True)
+class ErrorEstimate:
+    """The estimated error of the energy.
+
+    Attributes
+    ----------
+    cells : (n,)
+        Shares of this rank's owned cells (force x length).
+    total
+        The energy's error, that of all ranks' cells (force x length).
+    relative
+        The same in parts of the membrane's strain energy; 0 where there is none.
+    """
+
+    cells: Array
+    total: float
+    relative: float
+
+
+class ErrorEstimator:
+    """Estimates the errors of a scene's equilibria.
+
+    Parameters
+    ----------
+    scene
+        The scene.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene, mesh = scene, scene.mesh.mesh
+        self._sums = fem.Function(fem.functionspace(mesh, ("Lagrange", 1, (WIDTH,))))
+        own = mesh.topology.index_map(2).size_local
+        self._dofs: Indices = self._sums.function_space.dofmap.list[:own]
+        vectors = area_vectors(mesh, slice(own))
+        self._areas: Array = np.linalg.norm(vectors, axis=1)
+        self._normals: Array = vectors / self._areas[:, None]
+        tags = scene.membrane.cell_tags
+        self._tags = np.zeros(own) if tags is None else tags.values[:own].astype(float)
+
+    def of(self, system: System) -> ErrorEstimate:
+        """The error of the state that a scene is in. Collective.
+
+        Parameters
+        ----------
+        system
+            The scene's potential; it is brought to the scene's state.
+        """
+        tensors = cell_tensors(system)
+        axes, images, folded = tensors.axes, tensors.images, tensors.folded
+        E = np.einsum("nab,nai,nbj->nij", tensors.strains, axes, axes)
+        S = np.einsum("nab,nai,nbj->nij", tensors.forces, axes, axes)
+        H = np.einsum("nai,naj->nij", images - axes, axes)
+        mean, good = self._averages(E, S, H, folded)
+        dE, dS = (
+            np.where(good[..., None, None], _full(mean[..., k : k + 6]) - own[:, None], 0.0)
+            for k, own in ((0, E), (6, S))
+        )
+        dH = mean[..., 12:21].reshape(*mean.shape[:2], 3, 3) - H[:, None]
+        tilt = np.einsum("nvij,naj->nvia", np.where(good[..., None, None], dH, 0.0), axes)
+        tangent = [np.einsum("nvij,nai,nbj->nvab", d, axes, axes) for d in (dE, dS)]
+        factor = np.einsum("nab,nvia->nvib", tensors.forces, tilt)
+        known = np.maximum(good.sum(axis=1), 1) / 3  # what corners without an average leave out
+        first = _integral(tangent[0], tangent[1]) * self._areas / known
+        second = _integral(factor, tilt) * self._areas / known
+        cells = np.maximum(first, 0.0) / 2 + np.maximum(self._spread(second, folded), 0.0) / 2
+        total = self._scene.comm.allreduce(float(cells.sum()))
+        strain_energy = abs(self._scene.energies.get("membrane", 0.0))
+        return ErrorEstimate(cells, total, total / strain_energy if strain_energy else 0.0)
+
+    def _averages(self, E: Array, S: Array, H: Array, folded: Booleans) -> tuple[Array, Booleans]:
+        """Averages at the cells' corners, (n, 3, WIDTH), and which of them are sound, (n, 3)."""
+        i, j = UPPER
+        n = len(E)
+        own = np.column_stack([
+            E[:, i, j], S[:, i, j], H.reshape(n, 9), self._normals, np.ones(n), self._tags,
+            self._tags**2,
+        ])  # fmt: skip
+        own *= np.where(folded, 0.0, self._areas)[:, None]
+        mean = self._gathered(own)
+        weight = mean[..., 24]
+        mean = mean / np.where(weight > 0, weight, 1.0)[..., None]
+        slope = np.einsum("nvi,ni->nv", mean[..., 21:24], self._normals)
+        size = np.linalg.norm(mean[..., 21:24], axis=-1)
+        one_material = mean[..., 26] - mean[..., 25] ** 2 < 1e-6
+        good = (weight > 0) & one_material & (slope > CREASE * size) & ~self._under_cables()
+        return mean, good
+
+    def _gathered(self, own: Array) -> Array:
+        """Sums of the cells' numbers (n, WIDTH) around each of their corners, (n, 3, WIDTH)."""
+        sums = self._sums.x.array.reshape(-1, WIDTH)
+        sums[:] = 0.0
+        for k in range(3):
+            np.add.at(sums, self._dofs[:, k], own)
+        self._sums.x.scatter_reverse(la.InsertMode.add)
+        self._sums.x.scatter_forward()
+        return sums[self._dofs].copy()
+
+    def _spread(self, values: Array, folded: Booleans) -> Array:
+        """Give folded cells (n,) what those beside them have per area."""
+        own = np.zeros((len(values), WIDTH))
+        own[~folded, 0], own[~folded, 1] = values[~folded], self._areas[~folded]
+        around = self._gathered(own)[folded].sum(axis=1)
+        found = values.copy()
+        found[folded] = around[:, 0] / np.maximum(around[:, 1], 1e-300) * self._areas[folded]
+        return found
+
+    def _under_cables(self) -> Booleans:
+        """Which corners lie under cables that follow lines of the mesh, (n, 3)."""
+        points = {
+            node.point.vertex
+            for cable in self._scene.cables
+            for node, lifted in zip(cable.nodes, cable.lifted, strict=True)
+            if cable.taut and not lifted and isinstance(node.point, VertexPoint)
+        }
+        ids = cell_vertex_ids(self._scene.mesh.mesh)[: len(self._areas)]
+        return np.isin(ids, np.array(sorted(points), dtype=np.int64))
+
+
+def _full(values: Array) -> Array:
+    """Symmetric matrices (..., 3, 3) from their upper halves (..., 6)."""
+    i, j = UPPER
+    full = np.empty((*values.shape[:-1], 3, 3))
+    full[..., i, j] = full[..., j, i] = values
+    return full
+
+
+def _integral(a: Array, b: Array) -> Array:
+    """Mean over triangles of products of fields that are linear between corners, (n, 3, ...)."""
+    a, b = a.reshape(*a.shape[:2], -1), b.reshape(*b.shape[:2], -1)
+    corners = np.einsum("nvi,nvi->n", a, b)
+    return np.asarray((corners + np.einsum("ni,ni->n", a.sum(axis=1), b.sum(axis=1))) / 12)

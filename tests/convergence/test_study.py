@@ -1,0 +1,125 @@
+"""Studies of convergence of cases with known limits."""
+
+import numpy as np
+import pytest
+
+from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.convergence.quantities import displacement
+
+pytestmark = pytest.mark.usefixtures("comm")
+
+SIDE = 100.0
+FABRIC = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)
+
+
+def square(comm, cells, **how):
+    mesh = meshes.rectangle(comm, SIDE, SIDE, SIDE / cells, structured=True, **how)
+    scene = Scene(mesh, FABRIC)
+    scene.fix("boundary")
+    solver = Solver(scene, rtol=1e-10)
+    solver.advance(pressure=0.01)
+    return scene, solver
+
+
+def test_square_of_which_the_energy_is_known(comm):
+    """W = -375.649 and w = 10.1845 of independent programs, from 4 to 16 cells a side."""
+    _, solver = square(comm, 4)
+    study = solver.convergence(points={"middle": (50.0, 50.0, 0.0)})
+    energy, w = study["energy"], study["displacement middle z"]
+    assert study.cells == (32, 128, 512)
+    assert energy.regular
+    assert energy.order == pytest.approx(2.0, abs=0.15)
+    for found, truth in ((energy, -375.64923), (w, 10.184544)):
+        assert abs(found.limit - truth) <= found.bar
+        assert found.bar < 0.07 * abs(found.values[0] - truth)
+        assert abs(found.limit - truth) < 0.2 * abs(found.values[-1] - truth)
+    assert energy.error >= abs(energy.values[0] + 375.64923)
+    assert abs(study["displacement middle x"].limit) < 1e-6
+    assert study.finest.scene.energy == energy.values[-1]
+    assert solver.scene.energy == energy.values[0]  # it is not touched
+    assert len(study.seconds) == 3
+
+
+def test_cable_of_which_the_tension_is_known(comm):
+    """The paper's model 2, T = 252.9913: lengths are measured anew on each level."""
+    scene, solver = square(comm, 5)
+    path = [(-80.0, 50.0, 0.0), (180.0, 50.0, 0.0)]
+    cable = scene.lay_cable(Cable(EA=32000.0), path, name="ridge")
+    solver.advance(move={cable: (0.0, 0.0, -15.0)})
+    study = solver.convergence(reactions=["boundary"], quantities={"L0": length})
+    tension = study["tension ridge"]
+    assert abs(tension.limit - 252.9913) <= tension.bar
+    assert tension.bar < 1.0
+    assert tension.remark == "low order"  # the first mesh is too coarse: the table says so
+    text = study.table()
+    assert text == repr(study)
+    for word in ("tension ridge", "reaction boundary z", "L0", "low order", "800 cells"):
+        assert word in text
+
+
+def length(solver):
+    return solver.scene.cable("ridge").L0
+
+
+def test_levels_do_not_depend_on_who_owns_what(comm):
+    def scattered(midpoints):
+        return np.random.default_rng(7).integers(0, comm.size, len(midpoints))
+
+    one, two = (
+        square(comm, 4, **how)[1].convergence(2, points={"p": (33.0, 41.0, 0.0)})
+        for how in ({}, {"ranks": scattered})
+    )
+    for name, quantity in one.quantities.items():
+        scale = abs(one["displacement p z"].limit)
+        assert np.allclose(two[name].values, quantity.values, rtol=1e-8, atol=1e-8 * scale)
+    assert two["energy"].remark == "two levels show no order: 2 assumed"
+
+
+def test_stresses_of_parts(comm):
+    _, solver = square(comm, 4)
+    study = solver.convergence(2, stresses=["membrane"])
+    forces, areas = solver.results().true_forces[:, 0], solver.results().areas
+    total, area = comm.allreduce(np.array([forces @ areas, areas.sum()]))
+    assert study["mean section force membrane"].values[0] == pytest.approx(total / area)
+    mean, most = (study[f"{kind} section force membrane"].limit for kind in ("mean", "greatest"))
+    assert most > mean > 0.0
+
+
+def test_displacement_between_vertices(comm):
+    """It is linear in the cells."""
+    scene, _ = square(comm, 4)
+    ends = [displacement(scene.membrane, np.array([x, 50.0, 0.0])) for x in (25.0, 50.0, 35.0)]
+    assert np.allclose(ends[2], 0.6 * ends[0] + 0.4 * ends[1])
+    assert np.linalg.norm(ends[1]) > 1.0
+
+
+def test_plot(comm, tmp_path_factory):
+    folder = comm.bcast(tmp_path_factory.mktemp("plots"))
+    _, solver = square(comm, 2)
+    study = solver.convergence(2, points={"middle": (50.0, 50.0, 0.0)})
+    study.draw(folder / "levels.png", ["energy", "displacement middle z"], title="Levels")
+    assert (folder / "levels.png").stat().st_size > 5000
+    with pytest.raises(InputError, match="there is no quantity 'energie'"):
+        study.draw(folder / "levels.png", ["energie"])
+
+
+REFUSED = {
+    "levels": ({"levels": 1}, "levels = 1 compares nothing"),
+    "whole": ({"levels": 2.5}, "must be a whole number"),
+    "points": ({"points": [(0, 0, 0)]}, "points = .* has no names"),
+    "point": ({"points": {"top": (0.0, 1.0)}}, "the point 'top' = .*three finite numbers"),
+    "reactions": ({"reactions": "boundary"}, r"write reactions=\['boundary'\]"),
+    "group": ({"reactions": ["rim"]}, "no group of edges or points 'rim'"),
+    "part": ({"stresses": ["roof"]}, "there is no part 'roof'"),
+    "function": ({"quantities": {"a": 3.0}}, "the quantity 'a' is 3.0; give a function"),
+    "value": ({"quantities": {"a": lambda solver: None}}, "convergence: 'a' = None is no number"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_bad_input_is_refused_before_anything_is_computed(comm, name):
+    _, solver = square(comm, 2)
+    given, message = REFUSED[name]
+    with pytest.raises(InputError, match=message):
+        solver.convergence(**given)
+    assert len(solver.steps) == 1
