@@ -61,15 +61,7 @@ def lay(
     if not isinstance(cable, Cable):
         raise InputError(f"lay_cable: {cable!r} is no Cable; write Cable(EA=...).")
     name = _checked_name(net, name)
-    if L0 is not None and tension is not None:
-        raise InputError(f"lay_cable: {name!r} got both L0 and tension; give one of them.")
-    for key, value in (("L0", L0), ("tension", tension)):
-        if value is not None:
-            checks.positive(f"lay_cable: {name!r} with {key}", value)
-    if measured_on not in ("surface", "facets"):
-        raise InputError(
-            f"lay_cable: {name!r} with measured_on = {measured_on!r}; use 'surface' or 'facets'."
-        )
+    _check_length(name, L0, tension, measured_on)
     given = _route(path)
     route, known, folds = (given, places, []) if places else unfolded(net, given)
     refuse_places_behind(net.membrane, route, name)
@@ -135,6 +127,21 @@ def _checked_name(net: CableNet, name: str | None) -> str:
     if name in taken:
         raise InputError(f"lay_cable: there is a cable {name!r} already; give another name.")
     return name
+
+
+def _check_length(
+    name: str, L0: float | None, tension: float | None, measured_on: MeasuredOn
+) -> None:
+    """Refuse what does not tell how long a new cable is."""
+    if L0 is not None and tension is not None:
+        raise InputError(f"lay_cable: {name!r} got both L0 and tension; give one of them.")
+    for key, value in (("L0", L0), ("tension", tension)):
+        if value is not None:
+            checks.positive(f"lay_cable: {name!r} with {key}", value)
+    if measured_on not in ("surface", "facets"):
+        raise InputError(
+            f"lay_cable: {name!r} with measured_on = {measured_on!r}; use 'surface' or 'facets'."
+        )
 
 
 def _follows_free_edge(path: Path, strip: Strip) -> bool:
