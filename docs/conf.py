@@ -13,6 +13,7 @@ TUTORIALS = [
     "single_element",
     "sliding_cable",
     "cable_net",
+    "load_combinations",
     "friction_experiment",
     "capstan",
     "air_dome",
@@ -36,7 +37,12 @@ extensions = [
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["tutorials/**/*.ipynb", "tutorials/**/*.py", "tutorials/sg_execution_times.rst"]
+exclude_patterns = [
+    "tutorials/**/*.ipynb",
+    "tutorials/**/*.py",
+    "tutorials/sg_execution_times.rst",
+    "sg_execution_times.rst",
+]
 suppress_warnings = ["config.cache"]  # the scraper below is a function, which cannot be pickled
 nitpicky = False
 
