@@ -85,5 +85,12 @@ class Verification:
         raise KeyError(name)
 
     def __str__(self) -> str:
-        head = "verified" if self.passed else "not verified"
-        return f"{head}: " + "; ".join(str(check) for check in self.failed or self.checks)
+        """A table of all checks, or in one line those that have failed."""
+        if self.failed:
+            return "not verified: " + "; ".join(map(str, self.failed))
+        rows = [
+            f"  {check.name:<32}{check.value:9.2g} {'<=' if check.passed else '> '} {check.limit:g}"
+            + (f"  ({check.where})" if check.where else "")
+            for check in self.checks
+        ]
+        return "\n".join(["verified", *rows])
