@@ -13,6 +13,8 @@ from crms_fenicsx import Cable, ConvergenceError, InputError, Solver, combine_in
 from crms_fenicsx.minimization.minimizer import Minimizer
 from crms_fenicsx.minimization.outcome import Outcome
 
+pytestmark = pytest.mark.usefixtures("comm")
+
 TABLE = {
     "snow": {"snow": 1.0},
     "drift": {"snow": 0.5, "pressure": 0.012},
