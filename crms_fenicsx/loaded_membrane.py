@@ -6,6 +6,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace
 
+from dolfinx import fem
 from mpi4py import MPI
 
 from crms_fenicsx.energies.dead_load import (
@@ -14,6 +15,7 @@ from crms_fenicsx.energies.dead_load import (
     MembraneLoad,
     Traction,
     dead_load,
+    nodal_load,
     wind_load,
 )
 from crms_fenicsx.model.membrane import Membrane
@@ -119,6 +121,37 @@ class LoadedMembrane:
         checks.same(self.comm, "put_wind", pressure=pressure, coefficient=coefficient, name=name)
         self._check_new_load("put_wind", name)
         self.add_load(wind_load(self.membrane, pressure, coefficient, name))
+
+    @collective
+    def put_forces(self, forces: fem.Function, *, name: str = "forces") -> None:
+        """Put forces on the membrane's vertices, as from another program. Collective.
+
+        They keep direction and size, and are copied: later changes of the function are not seen.
+
+        Parameters
+        ----------
+        forces
+            The force on each vertex (force), a function ``dolfinx.fem.Function(scene.V)``; values
+            of ghosts do not count.
+        name
+            What load steps and results know the load by.
+
+        Raises
+        ------
+        InputError
+            On all ranks: it is no function in the space `V`, a force is not finite, or the name is
+            taken.
+
+        Examples
+        --------
+        >>> forces = dolfinx.fem.Function(scene.V)
+        >>> forces.x.array[:] = fluid_forces
+        >>> scene.put_forces(forces, name="fluid")
+        >>> solver.advance(load={"fluid": 1.0})
+        """
+        checks.same(self.comm, "put_forces", name=name)
+        self._check_new_load("put_forces", name)
+        self.add_load(nodal_load(self.membrane, forces, name))
 
     @collective
     def set_strengths(self, strengths: Strengths | Mapping[str, Strengths]) -> None:

@@ -153,9 +153,9 @@ def _refuse(scene: Scene) -> None:
     for load in scene.loads:
         if load.again is None:
             raise InputError(
-                f"refine: of the load {load.name!r}, which is from a checkpoint, only the forces "
-                "on this mesh are known; take it away with scene.remove_load(...), and put it "
-                "again."
+                f"refine: of the load {load.name!r}, which is from a checkpoint or of forces on "
+                "vertices, only the forces on this mesh are known; take it away with "
+                "scene.remove_load(...), and put it again, as a force per area."
             )
     for cable in scene.cables:
         if cable.laying is None:

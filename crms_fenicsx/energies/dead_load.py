@@ -14,6 +14,7 @@ from functools import cached_property, partial
 from typing import Literal, get_args
 
 import numpy as np
+from dolfinx import fem
 from mpi4py import MPI
 
 from crms_fenicsx.energies.term import EnergyTerm
@@ -182,6 +183,34 @@ def wind_load(
         name, shape.nodal(loads), _intensity(membrane, shape, loads), suction,
         again=partial(wind_load, pressure=pressure, coefficient=coefficient, name=name),
     )  # fmt: skip
+
+
+def nodal_load(membrane: Membrane, forces: fem.Function, name: str = "forces") -> MembraneLoad:
+    """A dead load by its forces on the vertices. Collective.
+
+    Raises
+    ------
+    InputError
+        As `Scene.put_forces`.
+    """
+    nodal = np.zeros(membrane.held.shape)
+    with raised_together(membrane.comm):
+        if not isinstance(forces, fem.Function) or forces.function_space != membrane.V:
+            raise InputError(
+                f"put_forces: forces = {forces!r} is no function in the space of this scene's "
+                "displacements; make it by dolfinx.fem.Function(scene.V)."
+            )
+        own = membrane.V.dofmap.index_map.size_local
+        nodal[:own] = forces.x.array.reshape(-1, 3)[:own]
+        bad = ~np.isfinite(nodal).all(axis=1)
+        if bad.any():
+            first = int(np.argmax(bad))
+            raise InputError(
+                f"put_forces: the force on the vertex {membrane.stress_free[first]} is "
+                f"{nodal[first]}; forces must be finite."
+            )
+    total = membrane.comm.allreduce(float(norm(nodal).sum()))
+    return MembraneLoad(name, nodal, total / membrane.size**2)
 
 
 def _coefficients(coefficient: Coefficient, membrane: Membrane, shape: _Shape) -> Array:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from dolfinx import fem
 from taylor import OnMesh, gradient_order, noise
 from term_scene import (
     ISOTROPIC,
@@ -217,3 +218,36 @@ def test_bad_factors(comm):
     scene.put_load((0.0, 0.0, 1.0))
     with pytest.raises(InputError, match="load = nan is not finite"):
         Solver(scene).advance(load=np.nan)
+
+
+def test_forces_from_elsewhere(comm):
+    """Nodal forces of a dead load, given as a function, are that load; what is copied stays."""
+    found = []
+    for from_elsewhere in (False, True):
+        scene = lifted_scene(comm)
+        if from_elsewhere:
+            forces = fem.Function(scene.V)
+            own = owned_sum(scene, dead_load(scene.membrane, (0.01, 0.0, 0.02)).forces)
+            forces.x.array[:] = np.nan  # those of ghosts do not count
+            forces.x.array[: own.size] = own.ravel()
+            scene.put_forces(forces, name="push")
+            forces.x.array[:] = 0.0
+        else:
+            scene.put_load((0.01, 0.0, 0.02), name="push")
+        solver = Solver(scene)
+        step = solver.advance(pressure=0.01, load={"push": 0.5})
+        found.append((step.energy, *solver.reactions("boundary").total))
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-9, atol=1e-7)
+
+
+def test_forces_that_cannot_be_put(comm):
+    scene = lifted_scene(comm)
+    other = fem.Function(fem.functionspace(scene.mesh.mesh, ("Lagrange", 1)))
+    for forces in (other, None, np.zeros((4, 3))):
+        with pytest.raises(InputError, match="is no function in the space of this scene's"):
+            scene.put_forces(forces)
+    forces = fem.Function(scene.V)
+    forces.x.array[:] = np.inf
+    with pytest.raises(InputError, match=r"the force on the vertex .* is \[inf inf inf\]"):
+        scene.put_forces(forces)
+    assert not scene.loads
