@@ -34,7 +34,8 @@ class CableResults:
         Normal force on the membrane per length of cable (force per length): its mean over the
         length on the membrane, and its largest value; zero where it touches nothing.
     start, end
-        Forces with which the anchors hold its ends (force); None of an end tied to the membrane.
+        Forces with which the anchors hold its ends (force); None of an end that is tied to the
+        membrane or fixed to a joint.
     """
 
     name: str
@@ -95,7 +96,8 @@ def _contact(line: Array, sizes: Array) -> tuple[float, float]:
 
 def _reaction(cable: LaidCable, end: CableEnd) -> Force | None:
     """Force of the anchor of an end; None if it has none."""
-    if cable.nodes[cable.node_of(end.which)].kind != "anchor":
+    k = cable.node_of(end.which)
+    if cable.nodes[k].kind != "anchor" or cable.joints[min(k, 1)] is not None:
         return None
     x, y, z = floats(end.reaction)
     return x, y, z

@@ -11,7 +11,9 @@ from mpi4py import MPI
 
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.model.membrane import COMPONENTS, Membrane
+from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.model.strengths import ALL
+from crms_fenicsx.results.bar_results import BarResults, bar_results, joint_reactions
 from crms_fenicsx.results.cable_results import CableResults, cable_results
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.results.reactions import held_lengths, support_forces
@@ -87,7 +89,7 @@ class Summary:
     pressure
         Inner pressure (force per area).
     factors
-        Of the loads, by their names.
+        Of the loads and ponds, by their names.
     energy
         Total potential energy (force x length).
     displacement
@@ -101,6 +103,12 @@ class Summary:
     supports
         By the names of the groups, which may share vertices; under `ALL_SUPPORTS` all of them, and
         under `OTHER_SUPPORTS` those in no group that is held as a whole.
+    bars
+        By their names.
+    joints
+        Forces with which held joints, anchors of bars among them, are held (force), by their names.
+    ponds
+        By their names, with their levels and volumes.
     """
 
     pressure: float
@@ -112,6 +120,9 @@ class Summary:
     parts: Mapping[str, PartSummary]
     cables: Mapping[str, CableResults]
     supports: Mapping[str, SupportSummary]
+    bars: Mapping[str, BarResults]
+    joints: Mapping[str, Vector]
+    ponds: Mapping[str, Pond]
 
     @property
     def membrane(self) -> PartSummary:
@@ -120,9 +131,13 @@ class Summary:
 
     @property
     def reaction(self) -> Vector | None:
-        """Sum of the forces of all supports and anchors (force); None without anchors."""
+        """Sum of the forces of all supports, anchors and held joints (force).
+
+        None without anchors and held joints.
+        """
         cables = self.cables.values()
         ends = [end for one in cables for end in (one.start, one.end) if end is not None]
+        ends += self.joints.values()
         x, y, z = np.sum([self.supports[ALL_SUPPORTS].total, *ends], axis=0).tolist()
         return (x, y, z) if ends else None
 
@@ -147,7 +162,7 @@ def summary(system: System) -> Summary:
         parts |= {name: _part(results, name) for name in sorted(results.parts)}
     return Summary(
         scene.pressure,
-        {load.name: load.factor for load in scene.loads},
+        scene.factors,
         scene.energy,
         _extreme(scene.comm, np.linalg.norm(moved, axis=1), places, largest=True),
         _extreme(scene.comm, moved[:, 2], places, largest=False),
@@ -155,6 +170,9 @@ def summary(system: System) -> Summary:
         parts,
         cable_results(scene),
         _supports(system),
+        bar_results(scene),
+        joint_reactions(scene),
+        {pond.name: pond for pond in scene.ponds},
     )
 
 

@@ -198,8 +198,8 @@ def checked_pictures(scene: Scene, pictures: Sequence[str] | None) -> tuple[str,
     if pictures is None:
         woven = any(isinstance(x, OrthotropicMembrane) for x in scene.materials.values())
         forces = ("warp", "weft") if woven else ("stress",)
-        cables = (TENSION,) if scene.cables else ()
-        return (*cables, "displacement", *forces, *(("utilisation",) if has else ()))
+        lines = (TENSION,) if scene.cables or scene.bars else ()
+        return (*lines, "displacement", *forces, *(("utilisation",) if has else ()))
     if isinstance(pictures, str) or not isinstance(pictures, Sequence):
         raise InputError(f'report: pictures = {pictures!r}; write a list, as in ["stress"].')
     for colour in pictures:

@@ -45,7 +45,7 @@ class Case:
     verification
         What checks of it say; None if it was not verified in this run.
     low, high
-        Corners of the box around membrane and cables (length).
+        Corners of the box around membrane, cables and bars (length).
     pictures
         On the first rank.
     """
@@ -62,7 +62,8 @@ def case_of(solver: HasSystem, name: str, verification: Verification | None) -> 
     """Take down the current state of a solver's scene. Collective."""
     system = solver.system
     found, scene, comm = summary(system), system.scene, solver.comm
-    places = np.concatenate([scene.positions(), *(cable.line for cable in scene.cables)])
+    places = np.concatenate([scene.positions(), *(cable.line for cable in scene.cables),
+                             *(bar.points for bar in scene.bars)])  # fmt: skip
     high = [comm.allreduce(float(x.max(initial=-np.inf)), op=MPI.MAX) for x in places.T]
     low = [-comm.allreduce(float((-x).max(initial=-np.inf)), op=MPI.MAX) for x in places.T]
     return Case(name, found, verification, tuple(low), tuple(high))
@@ -126,18 +127,20 @@ def _reduced(path: Path) -> bytes:
 
 
 def _common(every: Sequence[Case]) -> tuple[tuple[Array, Array], tuple[float, float] | None]:
-    """Box and range of tensions that all cases share; no range where no cable has any."""
+    """Box and range of tensions that all cases share; no range where no cable or bar has any."""
     low = np.min([case.low for case in every], axis=0)
     high = np.max([case.high for case in every], axis=0)
     air = 0.03 * float((high - low).max())
     box = low - np.array([air, air, 0.0]), high + np.array([air, air, air / 2])
-    largest = [one.largest for case in every for one in case.summary.cables.values()]
-    most = max(largest, default=0.0)
-    return box, (0.0, most) if most > 0.0 else None
+    forces = [0.0]
+    for case in every:
+        forces += [one.largest for one in case.summary.cables.values()]
+        forces += [one.force for one in case.summary.bars.values()]
+    return box, (min(forces), max(forces)) if any(forces) else None
 
 
 TENSION = "tension"
-"""Name of the picture with plain fabric and the cables' tensions."""
+"""Name of the picture with plain fabric and the forces of cables and bars."""
 
 RANGES = {
     "stress": "true force 1", "stress 2": "true force 2", "strain": "strain 1", "warp": "warp",

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from crms_fenicsx.output.figures.scene import COLOURS
-from crms_fenicsx.output.report import model_tables, results_tables
+from crms_fenicsx.output.report import bar_tables, model_tables, results_tables
 from crms_fenicsx.output.report.case import TENSION, Case
 from crms_fenicsx.output.report.charts import bars
 from crms_fenicsx.output.report.model_data import ModelData
@@ -32,9 +32,9 @@ NOTES = (
     "Slack and wrinkled shares are parts of the stress-free area: a wrinkled triangle is in "
     "tension in one direction only, a slack one in none.",
     "Displacements are from the stress-free shape. Reactions are forces that supports exert on the "
-    "membrane, and anchors on cables. Per length they are nodal forces over the length of held "
-    "edges that belongs to each vertex; they contain what cables hand on there. Groups may share "
-    "vertices.",
+    "membrane, anchors on cables, and what holds joints on these. Per length they are nodal forces "
+    "over the length of held edges that belongs to each vertex; they contain what cables hand on "
+    "there. Groups may share vertices.",
     "Contact forces of cables are those along the membrane's normal, per length of cable, smoothed "
     "over a few triangles.",
     "Each equilibrium is checked independently of the solver: virtual work by differences of the "
@@ -48,7 +48,7 @@ PER_PICTURE = 1000
 
 def _shows(colour: str) -> str:
     """What a picture shows."""
-    return "tensions of the cables" if colour == TENSION else COLOURS[colour].label
+    return "axial forces of cables and bars" if colour == TENSION else COLOURS[colour].label
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,10 @@ class Report:
                 results_tables.cable_envelope(cases, units, self.cable_strengths),
                 results_tables.anchors(cases, units),
             ]
-        return found
+        if bar_tables.bar_names(cases):
+            found += [bar_tables.bars(cases, units), bar_tables.envelope(cases, units)]
+        more = [bar_tables.joints(cases, units), bar_tables.ponds(cases, units)]
+        return found + [table for table in more if table.rows]
 
     def _verdict(self) -> str:
         known = {case.name: case.verification for case in self.cases}
@@ -216,12 +219,16 @@ class Report:
         held = [model_tables.supports(model, units)]
         if model.cables:
             held.append(model_tables.cables(model, units))
+        if model.bars:
+            held.append(model_tables.bars(model, units))
+        if model.joints:
+            held.append(model_tables.joints(model, units))
         if model.loads:
             held.append(model_tables.loads(model, units))
         return [
             Section("Model", [*picture, model_tables.mesh(model, units)]),
             Section("Materials", membrane, 3),
-            Section("Supports, cables and loads", held, 3),
+            Section("Supports, cables, bars and loads", held, 3),
         ]
 
     def _combinations(self) -> list[str | Table]:
@@ -257,9 +264,13 @@ class Report:
             if len(cases) > 1 or self.cable_strengths:
                 tables.insert(0, results_tables.cable_envelope(cases, units, self.cable_strengths))
             found.append(Section("Cables", [self._tensions(), *tables]))
-        held = [results_tables.supports(cases, units)]
-        anchors = results_tables.anchors(cases, units)
-        if anchors.rows:
-            held.append(anchors)
+        if bar_tables.bar_names(cases):
+            tables = [bar_tables.envelope(cases, units)] if len(cases) > 1 else []
+            found.append(Section("Bars", [*tables, bar_tables.bars(cases, units)]))
+        ponds = bar_tables.ponds(cases, units)
+        if ponds.rows:
+            found.append(Section("Ponds", [ponds]))
+        more = [results_tables.anchors(cases, units), bar_tables.joints(cases, units)]
+        held = [results_tables.supports(cases, units), *(table for table in more if table.rows)]
         found.append(Section("Supports and anchors", held))
         return found

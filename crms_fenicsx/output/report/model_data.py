@@ -1,4 +1,4 @@
-"""What a report says about the model: mesh, materials, supports, cables, loads."""
+"""What a report says about the model: mesh, materials, supports, cables, bars, loads."""
 
 from __future__ import annotations
 
@@ -10,12 +10,14 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.meshes.cell_geometry import area_vectors, cell_sides
+from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.membrane import COMPONENTS
 from crms_fenicsx.model.strengths import ALL, Strengths
 from crms_fenicsx.results.reactions import held_lengths
 from crms_fenicsx.results.summary import held_groups
-from crms_fenicsx.runtime.arrays import Array, Integers
+from crms_fenicsx.runtime.arrays import Array, Integers, floats
 from crms_fenicsx.scene import Scene
 
 Row = tuple[str | int | float | None, ...]
@@ -43,10 +45,15 @@ class ModelData:
         Rows: group, directions, vertices, length of its edges.
     cables
         Rows: name, EA, unstressed length, friction, ends, how it lies.
+    bars
+        Rows: name, kind, EA, unstressed length, ends.
+    joints
+        Rows: name, directions in which it is held, place (length).
     loads
-        Rows: name, kind, mean size per area at the factor 1, components of the sum.
+        Rows: name, kind, mean size per area at the factor 1, components of the sum; of ponds no
+        sizes.
     other
-        Names and texts: pressure, laws, floor, terms of the user's own.
+        Names and texts: pressure, laws, sealed air, floor, terms of the user's own.
     """
 
     cells: int
@@ -60,6 +67,8 @@ class ModelData:
     strengths: Mapping[str, Strengths]
     supports: tuple[Row, ...]
     cables: tuple[Row, ...]
+    bars: tuple[Row, ...]
+    joints: tuple[Row, ...]
     loads: tuple[Row, ...]
     other: Mapping[str, str]
 
@@ -94,6 +103,8 @@ def model_data(scene: Scene) -> ModelData:
         dict(scene.membrane.strengths),
         _supports(scene),
         tuple(_cable(cable) for cable in scene.cables),
+        tuple(_bar(bar) for bar in scene.bars),
+        tuple(_joint(joint) for joint in scene.joints),
         _loads(scene),
         _other(scene),
     )
@@ -147,8 +158,23 @@ def _cable(cable: LaidCable) -> Row:
     data = _data(friction) if isinstance(friction, Friction) else f"mu = {friction:g}"
     free = cable.slides_freely and cable.cable.along == 0.0
     lies = "in the edge's sleeve" if cable.in_edge else "in a sleeve" if cable.sleeve else "loose"
-    ends = " / ".join("anchored" if end != "tied" else "tied" for end in cable.ends)
+    ends = " / ".join(
+        joint or ("anchored" if end != "tied" else "tied")
+        for end, joint in zip(cable.ends, cable.joints, strict=True)
+    )
     return cable.name, cable.cable.EA, cable.L0, "none" if free else data, ends, lies
+
+
+def _bar(bar: PlacedBar) -> Row:
+    kind = "guy, tension only" if bar.bar.tension_only else "tension and compression"
+    start, end = (one.name if isinstance(one, Joint) else f"vertex at {_text(one.place)}"
+                  for one in (bar.start, bar.end))  # fmt: skip
+    return bar.name, kind, bar.bar.EA, bar.L0, start, end
+
+
+def _joint(joint: Joint) -> Row:
+    directions = ", ".join(letter for letter, k in COMPONENTS.items() if joint.held[k])
+    return joint.name, directions, *floats(joint.position)
 
 
 def _loads(scene: Scene) -> tuple[Row, ...]:
@@ -156,7 +182,14 @@ def _loads(scene: Scene) -> tuple[Row, ...]:
     for load in scene.loads:
         total = scene.comm.allreduce(load.forces.sum(axis=0))
         kind = "dead load" if load.suction is None else "wind, follows the surface"
-        rows.append((load.name, kind, load.intensity, *total.tolist()))
+        if load.joints:
+            kind, total = "on joints", np.sum([*load.joints.values()], axis=0)
+        size = None if load.joints else load.intensity
+        rows.append((load.name, kind, size, *total.tolist()))
+    for pond in scene.ponds:
+        given = f"level z = {pond.level:g}" if pond.given == "level" else f"volume {pond.volume:g}"
+        kind = f"water of the weight {pond.weight:g} by volume, {given}"
+        rows.append((pond.name, kind, None, None, None, None))
     return tuple(rows)
 
 
@@ -172,6 +205,12 @@ def _other(scene: Scene) -> dict[str, str]:
     found["Strain"] = {
         "total": "Green-Lagrange, from the stress-free shape", "step": "step-wise",
     }[scene.strain_law]  # fmt: skip
+    if scene.air is not None:
+        found["Air"] = (
+            f"sealed at the pressure {scene.air.sealed_at:g} in the volume {scene.air.volume:g}, "
+            f"exponent {scene.air.exponent:g}; atmosphere {scene.air.atmosphere:g}, temperature "
+            f"{scene.air.temperature:g} of that at sealing"
+        )
     if scene.floor_level is not None:
         found["Rigid floor at z"] = f"{scene.floor_level:g}"
     if scene.terms:

@@ -58,6 +58,20 @@ def cables(model: ModelData, units: Units) -> Table:
     return Table("Cables", columns, model.cables)
 
 
+def bars(model: ModelData, units: Units) -> Table:
+    """The bars."""
+    columns = (
+        "Bar", "Kind", f"EA{units['force']}", f"Unstressed length{units['length']}", "Start", "End",
+    )  # fmt: skip
+    return Table("Bars", columns, model.bars)
+
+
+def joints(model: ModelData, units: Units) -> Table:
+    """The joints."""
+    at = (f"{x}{units['length']}" for x in "xyz")
+    return Table("Joints", ("Joint", "Held directions", *at), model.joints)
+
+
 def loads(model: ModelData, units: Units) -> Table:
     """The loads at the factor 1."""
     kN = units["force"]
@@ -66,8 +80,8 @@ def loads(model: ModelData, units: Units) -> Table:
     )  # fmt: skip
     rows = []
     for name, kind, intensity, *total in model.loads:
-        scale = max(abs(x) for x in total if isinstance(x, float))
-        parts = [x if isinstance(x, float) and abs(x) > 1e-9 * scale else 0.0 for x in total]
+        scale = max((abs(x) for x in total if isinstance(x, float)), default=0.0)
+        parts = [0.0 if isinstance(x, float) and abs(x) <= 1e-9 * scale else x for x in total]
         rows.append((name, kind, intensity, *parts))
     return Table("Loads at the factor 1", columns, rows)
 

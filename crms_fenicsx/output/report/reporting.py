@@ -65,10 +65,10 @@ class Reporting:
         """Write a report to attach to a calculation: one page of HTML, and CSV tables. Collective.
 
         The page has the model, combinations, pictures, section forces, utilisation and envelopes,
-        cables, reactions and the verification's verdicts; it loads nothing from elsewhere, is
-        smaller than 5 MB, and prints on A4. The tables lie beside it: ``tent.html`` has
-        ``tent_membrane.csv``, ``tent_cables.csv`` and so on, with all digits. Results are those of
-        the states that the combinations led to; the scene's own state is as before.
+        cables, bars, ponds, reactions and the verification's verdicts; it loads nothing from
+        elsewhere, is smaller than 5 MB, and prints on A4. The tables lie beside it: ``tent.html``
+        has ``tent_membrane.csv``, ``tent_cables.csv`` and so on, with all digits. Results are those
+        of the states that the combinations led to; the scene's own state is as before.
 
         Parameters
         ----------
@@ -87,9 +87,9 @@ class Reporting:
             are named get a utilisation. Those of the fabric are `Scene.set_strengths`'s.
         pictures
             What colours the membrane in a picture of each combination, as for `draw`, or "tension",
-            that of the cables; by default these, displacement, section forces (of fabrics with a
-            warp along warp and weft) and, with strengths, utilisation. Where the page would be too
-            large, the last ones are left out.
+            that of cables and bars; by default these, displacement, section forces (of fabrics with
+            a warp along warp and weft) and, with strengths, utilisation. Where the page would be
+            too large, the last ones are left out.
         view
             Where the viewer stands, as for `draw`.
 

@@ -12,7 +12,7 @@ from crms_fenicsx.results.quantities import QUANTITIES
 from crms_fenicsx.results.summary import SUMMED_UP, Extreme, PartSummary, SupportSummary
 
 WHOLE = "whole membrane"
-BOTH = "supports and anchors"
+BOTH = "supports, anchors and held joints"
 NOISE = 1e-6
 """Components of a force below this part of the largest one are rounding."""
 
@@ -35,7 +35,7 @@ class Units:
         m, kN = self.length, self.force
         known = {"length": m, "force": kN}
         if m:
-            known["area"] = f"{m}²"
+            known |= {"area": f"{m}²", "volume": f"{m}³"}
         if m and kN:
             known |= {"stress": f"{kN}/{m}", "pressure": f"{kN}/{m}²", "energy": f"{kN} {m}"}
         return f" [{known[kind]}]" if known.get(kind) else ""
@@ -208,7 +208,7 @@ def cable_names(cases: Sequence[Case]) -> list[str]:
 
 
 def supports(cases: Sequence[Case], units: Units) -> Table:
-    """Reactions of the supports."""
+    """Reactions of the supports, and their sum with those of anchors and joints."""
     rows: list[tuple[Cell, ...]] = []
     names = list(dict.fromkeys(name for case in cases for name in case.summary.supports))
     for name in names if len(names) > 2 else names[:1]:  # of one group that is the sum as well
@@ -227,7 +227,7 @@ def supports(cases: Sequence[Case], units: Units) -> Table:
         "Support", "Combination", *(f"R{x}{kN}" for x in "xyz"), f"Per length, mean{line}",
         f"Per length, largest{line}",
     )  # fmt: skip
-    return Table("Reactions: forces on the membrane", columns, rows, "supports", headings=2)
+    return Table("Reactions: forces of the supports", columns, rows, "supports", headings=2)
 
 
 def anchors(cases: Sequence[Case], units: Units) -> Table:

@@ -1,0 +1,51 @@
+"""Forces of bars, and of what holds their joints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from crms_fenicsx.runtime.arrays import floats
+from crms_fenicsx.scene import Scene
+
+Force = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class BarResults:
+    """A bar in an equilibrium, by plain numbers.
+
+    Attributes
+    ----------
+    name
+        Of the bar.
+    force
+        Axial force (force): tension is positive, compression negative.
+    slack
+        Whether it is a guy without tension.
+    length, L0
+        Current and unstressed length (length).
+    """
+
+    name: str
+    force: float
+    slack: bool
+    length: float
+    L0: float
+
+
+def bar_results(scene: Scene) -> dict[str, BarResults]:
+    """Forces of a scene's bars in its current state, by their names."""
+    return {
+        bar.name: BarResults(bar.name, bar.force, bar.slack, bar.length, bar.L0)
+        for bar in scene.bars
+    }
+
+
+def joint_reactions(scene: Scene) -> dict[str, Force]:
+    """Forces with which held joints are held (force), by their names."""
+    found = {}
+    for joint in scene.joints:
+        if joint.held.any():
+            x, y, z = floats(joint.reaction)
+            found[joint.name] = (x, y, z)
+    return found
