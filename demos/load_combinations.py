@@ -1,10 +1,15 @@
-"""An air dome under combinations of loads, with a report to attach to a calculation.
+"""Load combinations and a report
+==============================
+
+An air dome under combinations of loads, with a report to attach to a calculation.
 
 A spherical cap of 40 m span, 10 m high, of coated fabric, with warp and weft; two families of 3
 steel cables cross on it. Three combinations of weight, snow, wind and inner pressure are brought on
 from the inflated dome. The report has pictures, section forces, utilisations, envelopes, cable
 forces, reactions and the verification's verdicts of all of them, and CSV tables lie beside it.
 Loads, factors and strengths are ours, of no code. Units: m, kN.
+
+::
 
     ./run python demos/load_combinations.py [SIZE] [--resume]
 
