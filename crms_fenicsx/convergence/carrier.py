@@ -12,8 +12,8 @@ from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.model.cable_state import CableState
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
+from crms_fenicsx.surface.mesh_refinement import MeshRefinement
 from crms_fenicsx.surface.points import Edge, EdgePoint
-from crms_fenicsx.surface.uniform_refinement import UniformRefinement
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Carrier:
         The scenes.
     """
 
-    refinement: UniformRefinement
+    refinement: MeshRefinement
     coarse: Scene
     finer: Scene
 

@@ -22,14 +22,14 @@ from crms_fenicsx.paths.laying import MeasuredOn, lay
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.scene import Scene
+from crms_fenicsx.surface.mesh_refinement import MeshRefinement
 from crms_fenicsx.surface.points import SurfacePoint
-from crms_fenicsx.surface.uniform_refinement import UniformRefinement
 
 Place = SurfacePoint | Array
 """A place on the mesh, or an anchor (3,) off it (length)."""
 
 
-def laid_first(cable: LaidCable, finer: Scene, refinement: UniformRefinement) -> LaidCable | None:
+def laid_first(cable: LaidCable, finer: Scene, refinement: MeshRefinement) -> LaidCable | None:
     """Lay a cable as it was laid, to know its length and where its ends are. Collective.
 
     Parameters
@@ -73,7 +73,7 @@ def lay_again(
     state: CableState,
     first: LaidCable | None,
     finer: Scene,
-    refinement: UniformRefinement,
+    refinement: MeshRefinement,
 ) -> None:
     """Lay a cable on the finer mesh as it was in some state. Collective.
 

@@ -16,6 +16,8 @@ from crms_fenicsx.steps.options import Options
 
 if TYPE_CHECKING:
     from crms_fenicsx.convergence.study import Convergence
+    from crms_fenicsx.meshes.membrane_mesh import MembraneMesh
+    from crms_fenicsx.surface.mesh_refinement import MeshRefinement
 
 Own = TypeVar("Own", bound="FinerMeshes")
 
@@ -66,9 +68,61 @@ class FinerMeshes(LoadCases, SolverResults):
         >>> finer = solver.refine()
         >>> finer.scene.cable("ridge").tension - solver.scene.cable("ridge").tension
         """
-        from crms_fenicsx.convergence.finer_scene import finer_scene
+        from crms_fenicsx.surface.uniform_refinement import UniformRefinement
 
         checks.same(self._scene.comm, "refine", project=project)
+        return self._finer(lambda mesh: UniformRefinement.of(mesh, project))
+
+    @collective
+    def adapt(
+        self: Own, share: float = 0.5, project: Callable[[Array], Array] | None = None
+    ) -> Own:
+        """Divide the cells with most of the estimated error, and find the equilibrium. Collective.
+
+        Cells are marked in the order of their shares in `estimate_error` until the marked ones have
+        a given part of it (W. Doerfler, A convergent adaptive algorithm for Poisson's equation,
+        1996); cells with the same share are marked together. DOLFINx bisects them, and those beside
+        them so that the mesh fits together: no angle becomes less than half the least one that was
+        there, but for what moving new vertices to the surface changes. All else is as for `refine`.
+
+        Parameters
+        ----------
+        share
+            What part of the estimated error the marked cells have, more than 0 and up to 1. With 1
+            nearly all cells that have an error are divided.
+        project
+            As for `refine`.
+
+        Returns
+        -------
+        Solver
+            Of a new scene, with this one's options.
+
+        Raises
+        ------
+        InputError
+            On all ranks: as `refine`, another share, or an estimate of no error at all.
+        PathError, ConvergenceError
+            As `refine`.
+
+        Examples
+        --------
+        >>> for _ in range(4):
+        ...     solver = solver.adapt()
+        >>> solver.estimate_error().relative
+        """
+        from crms_fenicsx.convergence.marking import checked_share, marked_cells
+        from crms_fenicsx.surface.adaptive_refinement import AdaptiveRefinement
+
+        comm = self._scene.comm
+        checks.same(comm, "adapt", share=share, project=project)
+        share = checked_share(share)
+        cells = marked_cells(comm, self.estimate_error().cells, share)
+        return self._finer(lambda mesh: AdaptiveRefinement.of(mesh, cells, project))
+
+    def _finer(self: Own, divide: Callable[[MembraneMesh], MeshRefinement]) -> Own:
+        """A solver of the scene on a finer mesh, in equilibrium. Collective."""
+        from crms_fenicsx.convergence.finer_scene import finer_scene
 
         another: Any = type(self)
         given = {name: getattr(self._options, name) for name in CARRIED}
@@ -78,7 +132,7 @@ class FinerMeshes(LoadCases, SolverResults):
             solver.advance()
             solver._increments.release()
 
-        finer: Own = another(finer_scene(self._scene, project, solve), **given)
+        finer: Own = another(finer_scene(self._scene, divide, solve), **given)
         finer.advance()
         return finer
 

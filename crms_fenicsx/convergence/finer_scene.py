@@ -1,4 +1,4 @@
-"""A scene on a mesh that has four cells for each of its own, in the same state."""
+"""A scene on a finer mesh, in the same state."""
 
 from __future__ import annotations
 
@@ -10,19 +10,20 @@ from mpi4py import MPI
 
 from crms_fenicsx.convergence.carrier import Carrier
 from crms_fenicsx.convergence.finer_cables import laid_first, lay_again
+from crms_fenicsx.meshes.membrane_mesh import MembraneMesh
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import COMPONENTS, Membrane
 from crms_fenicsx.model.stage import Stage
-from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.scene import Scene
-from crms_fenicsx.surface.uniform_refinement import UniformRefinement
-
-Project = Callable[[Array], Array]
-"""A function of points (3, n) near a surface that returns points (3, n) in it."""
+from crms_fenicsx.surface.mesh_refinement import MeshRefinement
 
 
-def finer_scene(scene: Scene, project: Project | None, solve: Callable[[Scene], object]) -> Scene:
+def finer_scene(
+    scene: Scene,
+    divide: Callable[[MembraneMesh], MeshRefinement],
+    solve: Callable[[Scene], object],
+) -> Scene:
     """Make the scene on the finer mesh; see `FinerMeshes.refine`. Collective.
 
     Cables and loads are put on the shapes that they were put on, which are solved again: their
@@ -30,7 +31,7 @@ def finer_scene(scene: Scene, project: Project | None, solve: Callable[[Scene], 
 
     Parameters
     ----------
-    scene, project
+    scene, divide
         What is refined, and how.
     solve
         Finds the equilibrium of a scene at the loads that it has.
@@ -41,7 +42,7 @@ def finer_scene(scene: Scene, project: Project | None, solve: Callable[[Scene], 
         On all ranks: something of the scene cannot be carried over; it names what.
     """
     _refuse(scene)
-    refinement = UniformRefinement.of(scene.mesh, project)
+    refinement = divide(scene.mesh)
     membrane = scene.membrane
     materials = {part: membrane.materials[k] for k, part in membrane.parts.items()}
     finer = Scene(
