@@ -1,0 +1,166 @@
+"""Do meshes that are finer where the estimate says so pay?
+
+The same scenes on meshes of `Solver.refine` (each cell in four) and of `Solver.adapt`, from the
+same first mesh. Errors are in per cent; seconds are those of this process from the first mesh on,
+all levels before included; evaluations those of the level's last solve. The last columns say how
+many unknowns and seconds refined meshes need for the same error of the energy, over what the
+adapted one has, interpolated between their levels. Run it on one process.
+
+    ./run python benchmarks/adapted_meshes.py [CASE ...]
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from accuracy.cases import CASES, Laws
+from accuracy.references import reference
+from mpi4py import MPI
+
+from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+
+RIM, HEIGHT, PRESSURE = 20.0, 10.0, 0.4
+RTOL = 1e-8
+
+
+def dome(size: float, angles: tuple[float, ...], offsets: tuple[float, ...]) -> Solver:
+    """The dome of `demos/cable_net.py` with cables that are laid just taut, in the calm."""
+    mesh = meshes.spherical_cap(MPI.COMM_SELF, RIM, HEIGHT, size)
+    scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
+    scene.fix("boundary")
+    for angle in np.radians(angles):
+        for offset in offsets:
+            scene.lay_cable(Cable(EA=30e3), meshes.great_circle(RIM, HEIGHT, angle, offset))
+    solver = Solver(scene, rtol=RTOL)
+    solver.advance(pressure=PRESSURE)
+    return solver
+
+
+def of_accuracy(name: str, n: int) -> Solver:
+    """A case with independent references."""
+    spec = CASES[name]
+    return spec.run(spec.mesh(n), Laws(rtol=RTOL))[0]
+
+
+@dataclass(frozen=True)
+class Study:
+    """A scene, how often its mesh is refined and adapted, and what it comes to.
+
+    Attributes
+    ----------
+    first
+        Makes the solver on the first mesh.
+    refined, adapted
+        Numbers of levels after it.
+    W, T
+        The energy and the mean tension in the continuum; None for those of the last two refined
+        meshes, extrapolated with order 2.
+    """
+
+    first: Callable[[], Solver]
+    refined: int
+    adapted: int
+    W: float | None = None
+    T: float | None = None
+
+
+def known(name: str, quantity: str) -> float:
+    """A reference."""
+    return reference(name, quantity).value
+
+
+STUDIES = {
+    "one cable": Study(lambda: dome(4.0, (0.0,), (0.0,)), 4, 7, T=13.743),
+    "net": Study(lambda: dome(2.0, (30.0, -30.0), tuple(4.5 * np.arange(-3, 4))), 2, 4, T=10.47),
+    "cable on a plane": Study(
+        lambda: of_accuracy("cable anywhere", 9), 3, 6,
+        known("centre cable", "W"), known("centre cable", "T"),
+    ),
+    "square": Study(lambda: of_accuracy("square", 8), 4, 8, known("square", "W")),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Level:
+    """Results on one mesh."""
+
+    cells: int
+    unknowns: int
+    seconds: float
+    evaluations: int
+    W: float
+    T: float
+    estimate: float
+
+
+def level(solver: Solver, seconds: float) -> Level:
+    """The results of a solver."""
+    scene = solver.scene
+    topology = scene.mesh.mesh.topology
+    return Level(
+        topology.index_map(2).size_global,
+        3 * topology.index_map(0).size_global,
+        seconds,
+        solver.steps[-1].outcome.evaluations,
+        scene.energy,
+        float(np.mean([cable.tension for cable in scene.cables] or [np.nan])),
+        solver.estimate_error().total,
+    )
+
+
+def levels(study: Study, kind: str) -> list[Level]:
+    """The first mesh and those made of it."""
+    began = time.process_time()
+    solver = study.first()
+    found = [level(solver, time.process_time() - began)]
+    for _ in range(study.refined if kind == "refined" else study.adapted):
+        began = time.process_time()
+        solver = solver.refine() if kind == "refined" else solver.adapt()
+        found.append(level(solver, found[-1].seconds + time.process_time() - began))
+    return found
+
+
+def needed(refined: list[Level], truth: float, error: float, what: str) -> float:
+    """What refined meshes need for an error of the energy, interpolated in logarithms."""
+    errors = np.log([abs(one.W - truth) for one in refined])
+    amounts = np.log([getattr(one, what) for one in refined])
+    if not errors[-1] <= np.log(error) <= errors[0]:
+        return np.nan
+    return float(np.exp(np.interp(-np.log(error), -errors, amounts)))
+
+
+def show(name: str, study: Study) -> None:
+    """Print the tables of a case."""
+    refined, adapted = levels(study, "refined"), levels(study, "adapted")
+    (last, end) = refined[-2:]
+    W = end.W + (end.W - last.W) / 3 if study.W is None else study.W
+    T = end.T + (end.T - last.T) / 3 if study.T is None else study.T
+    print(f"\n{name}: W = {W:.8g}, T = {T:.6g}")
+    print(f"{'':10}{'cells':>8}{'unknowns':>10}{'seconds':>9}{'evals':>7}{'W %':>10}{'T %':>9}"
+          f"{'est. %':>9}{'unknowns':>10}{'seconds':>9}")  # fmt: skip
+    for kind, ones in (("refined", refined), ("adapted", adapted)):
+        for one in ones:
+            off = abs(one.W - W)
+            saved = [
+                needed(refined, W, off, what) / getattr(one, what)
+                for what in ("unknowns", "seconds")
+            ]
+            print(f"{kind:10}{one.cells:8}{one.unknowns:10}{one.seconds:9.1f}{one.evaluations:7}"
+                  f"{100 * (one.W - W) / abs(W):10.4f}{100 * (one.T - T) / T:9.3f}"
+                  f"{100 * one.estimate / abs(W):9.4f}"
+                  + ("".join(f"{x:9.1f}x" for x in saved) if kind == "adapted" else ""),
+                  flush=True)  # fmt: skip
+
+
+def main() -> None:
+    """Print all tables, or those of the cases named."""
+    for name in sys.argv[1:] or STUDIES:
+        show(name, STUDIES[name])
+
+
+if __name__ == "__main__":
+    main()
