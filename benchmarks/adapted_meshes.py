@@ -46,6 +46,23 @@ def of_accuracy(name: str, n: int) -> Solver:
     return spec.run(spec.mesh(n), Laws(rtol=RTOL))[0]
 
 
+def corner(n: int) -> Solver:
+    """An inflated sheet with a re-entrant corner: the square of `square` without a quarter."""
+    lines = np.linspace(0.0, 100.0, n + 1)
+    x = np.stack(np.meshgrid(lines, lines), axis=-1).reshape(-1, 2)
+    grid = np.arange(len(x)).reshape(n + 1, n + 1)
+    a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
+    cells = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
+    kept = cells[(x[cells].mean(axis=1) < 50.0).any(axis=1)]
+    used, numbers = np.unique(kept, return_inverse=True)
+    mesh = meshes.from_arrays(MPI.COMM_SELF, x[used], numbers.reshape(-1, 3))
+    scene = Scene(mesh, IsotropicMembrane(300.0, 0.25, 0.08))
+    scene.fix("boundary")
+    solver = Solver(scene, rtol=RTOL)
+    solver.advance(pressure=0.01)
+    return solver
+
+
 @dataclass(frozen=True)
 class Study:
     """A scene, how often its mesh is refined and adapted, and what it comes to.
@@ -58,7 +75,8 @@ class Study:
         Numbers of levels after it.
     W, T
         The energy and the mean tension in the continuum; None for those of the last two refined
-        meshes, extrapolated with order 2.
+        meshes, extrapolated with order 2. NaN for the energy of the last adapted mesh less its
+        estimated error, where order 2 is not to be had.
     """
 
     first: Callable[[], Solver]
@@ -77,10 +95,11 @@ STUDIES = {
     "one cable": Study(lambda: dome(4.0, (0.0,), (0.0,)), 4, 7, T=13.743),
     "net": Study(lambda: dome(2.0, (30.0, -30.0), tuple(4.5 * np.arange(-3, 4))), 2, 4, T=10.47),
     "cable on a plane": Study(
-        lambda: of_accuracy("cable anywhere", 9), 3, 6,
+        lambda: of_accuracy("cable anywhere", 9), 2, 4,
         known("centre cable", "W"), known("centre cable", "T"),
     ),
     "square": Study(lambda: of_accuracy("square", 8), 4, 8, known("square", "W")),
+    "corner": Study(lambda: corner(8), 4, 9, np.nan),
 }  # fmt: skip
 
 
@@ -135,9 +154,11 @@ def needed(refined: list[Level], truth: float, error: float, what: str) -> float
 
 def show(name: str, study: Study) -> None:
     """Print the tables of a case."""
+    study.first().refine()  # compiles what will be needed
     refined, adapted = levels(study, "refined"), levels(study, "adapted")
     (last, end) = refined[-2:]
     W = end.W + (end.W - last.W) / 3 if study.W is None else study.W
+    W = adapted[-1].W - adapted[-1].estimate if np.isnan(W) else W
     T = end.T + (end.T - last.T) / 3 if study.T is None else study.T
     print(f"\n{name}: W = {W:.8g}, T = {T:.6g}")
     print(f"{'':10}{'cells':>8}{'unknowns':>10}{'seconds':>9}{'evals':>7}{'W %':>10}{'T %':>9}"
