@@ -161,7 +161,6 @@ def _full(values: Array) -> Array:
 
 
 def _integral(a: Array, b: Array) -> Array:
-    """Mean over triangles of products of fields that are linear between corners, (n, 3, ...)."""
-    a, b = a.reshape(*a.shape[:2], -1), b.reshape(*b.shape[:2], -1)
-    corners = np.einsum("nvi,nvi->n", a, b)
-    return np.asarray((corners + np.einsum("ni,ni->n", a.sum(axis=1), b.sum(axis=1))) / 12)
+    """Mean over triangles of products of fields (n, 3, i, j) that are linear between corners."""
+    corners = np.einsum("nvij,nvij->n", a, b)
+    return np.asarray((corners + np.einsum("nij,nij->n", a.sum(axis=1), b.sum(axis=1))) / 12)
