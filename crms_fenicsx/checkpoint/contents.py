@@ -9,7 +9,8 @@ from typing import Annotated
 
 from crms_fenicsx.checkpoint.codec import Plain
 from crms_fenicsx.energies.paper.step_history import StepHistory
-from crms_fenicsx.model.bar import Bar, BarState, JointState, MeshVertex
+from crms_fenicsx.model.bar import Bar, MeshVertex
+from crms_fenicsx.model.bar_state import BarState, JointState
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.cable_state import CableState
 from crms_fenicsx.model.crossing import Crossing

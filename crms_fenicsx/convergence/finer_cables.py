@@ -9,6 +9,7 @@ kept.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -29,43 +30,39 @@ Place = SurfacePoint | Array
 """A place on the mesh, or an anchor (3,) off it (length)."""
 
 
-def laid_first(cable: LaidCable, finer: Scene, refinement: UniformRefinement) -> LaidCable | None:
-    """Lay a cable as it was laid, to know its length and where its ends are. Collective.
+def laid_first(cable: LaidCable, finer: Scene, refinement: UniformRefinement) -> LaidCable:
+    """Lay a cable as it was laid; so its length and where its ends are get known. Collective.
 
     Parameters
     ----------
     cable
         A cable of the coarse scene.
     finer
-        The finer scene in the state in which it was laid. The cable is taken away again.
+        The finer scene in the state in which it was laid.
     refinement
         How the meshes belong together.
 
     Returns
     -------
     LaidCable
-        None for one from a checkpoint, of which this is not known.
+        The cable on the finer scene.
     """
     laying = cable.laying
-    if laying is None:
-        return None
+    assert laying is not None, "refused before"
     asked = laying.L0, laying.tension, laying.measured_on
     places: list[Place] = [*refinement.along_edges(laying.path.points)]
     if laying.ends[0] == "off":
-        places.insert(0, laying.anchors[0])
+        places.insert(0, _anchor(cable, 0, finer, laying.anchors[0]))
     if laying.ends[1] == "off":
-        places.append(laying.anchors[1])
+        places.append(_anchor(cable, -1, finer, laying.anchors[1]))
     try:  # by the route: the path has the detours around vertices that the coarse mesh makes
         if cable.in_edge:
             raise PathError("it lies on the edges of the coarse mesh")
         if laying.route.shape[1] == 2:
-            first = _lay(cable, finer, laying.route, {}, *asked)
-        else:
-            first = _laid(cable, finer, [places[0], *laying.route[1:-1], places[-1]], *asked)
+            return _lay(cable, finer, laying.route, {}, *asked)
+        return _laid(cable, finer, [places[0], *laying.route[1:-1], places[-1]], *asked)
     except PathError:  # a route in space may follow facets that are not there
-        first = _laid(cable, finer, places, *asked)
-    finer.remove(first)
-    return first
+        return _laid(cable, finer, places, *asked)
 
 
 def lay_again(
@@ -90,15 +87,21 @@ def lay_again(
     refinement
         How the meshes belong together.
     """
-    was = LaidCable(cable.name, cable.cable, state, cable.sleeve, cable.layer, cable.in_edge)
+    was = LaidCable(
+        cable.name, cable.cable, state, cable.sleeve, cable.layer, cable.in_edge, cable.joints
+    )
     places: list[Place] = [*refinement.along_edges(was.path.points)]
     for end in (0, -1):
-        _set_end(was, end, places, cable.laying, first)
+        _set_end(was, end, places, cable.laying, first, finer)
     L0 = state.L0
     if cable.laying is not None and first is not None and L0 == cable.laying.length:
         L0 = first.L0
     laid = _laid(cable, finer, places, L0, None, "facets")
     laid.update(path_is_geodesic=state.path_is_geodesic)
+    if laid.axial is not None and state.axial is not None:
+        was_long = state.L0 + state.excess
+        rest = state.axial.rest * (L0 / was_long)
+        laid.update(axial=replace(laid.axial, curve=state.axial.curve, rest=rest))
     if first is not None:
         laid.laying = first.laying
 
@@ -109,6 +112,7 @@ def _set_end(
     places: list[Place],
     laying: Laying | None,
     first: LaidCable | None,
+    finer: Scene,
 ) -> None:
     """Put an end (0, -1) of a cable's places where it is on the finer mesh.
 
@@ -123,7 +127,14 @@ def _set_end(
         if kind == "tied" or (kind == "held" and not moved):
             places[end] = first.path.points[end]
     if kind == "off":
+        anchor = _anchor(cable, end, finer, anchor)
         places.insert(0 if end == 0 else len(places), anchor)
+
+
+def _anchor(cable: LaidCable, end: int, finer: Scene, place: Array) -> Array:
+    """Where an end off the membrane is: at the place, or at its joint where that is."""
+    name = cable.joints[end]
+    return next((joint.position for joint in finer.joints if joint.name == name), place)
 
 
 def _laid(
@@ -163,5 +174,5 @@ def _lay(
     return lay(
         finer.net, cable.cable, route, L0=L0, tension=tension, sleeve=cable.sleeve,
         layer=cable.layer, name=cable.name, measured_on=measured_on, places=known,
-        stage=finer.stage(),
+        stage=finer.stage(), joints=cable.joints,
     )  # fmt: skip

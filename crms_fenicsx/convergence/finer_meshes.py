@@ -15,6 +15,7 @@ from crms_fenicsx.steps.load_cases import LoadCases
 from crms_fenicsx.steps.options import Options
 
 if TYPE_CHECKING:
+    from crms_fenicsx.convergence.finer_scene import Terms
     from crms_fenicsx.convergence.study import Convergence
 
 Own = TypeVar("Own", bound="FinerMeshes")
@@ -26,7 +27,12 @@ class FinerMeshes(LoadCases, SolverResults):
     _options: Options
 
     @collective
-    def refine(self: Own, project: Callable[[Array], Array] | None = None) -> Own:
+    def refine(
+        self: Own,
+        project: Callable[[Array], Array] | None = None,
+        *,
+        terms: Terms | None = None,
+    ) -> Own:
         """Divide each cell into four, and find the equilibrium at the same loads there. Collective.
 
         Supports, materials, parts and groups, pressure, named loads, floor and cables with all
@@ -68,19 +74,19 @@ class FinerMeshes(LoadCases, SolverResults):
         """
         from crms_fenicsx.convergence.finer_scene import finer_scene
 
-        checks.same(self._scene.comm, "refine", project=project)
-
+        checks.same(self._scene.comm, "refine", project=project, terms=terms)
         another: Any = type(self)
         given = {name: getattr(self._options, name) for name in CARRIED}
+        made: list[Own] = []
 
         def solve(scene: Scene) -> None:
-            solver = another(scene, **given)
-            solver.advance()
-            solver._increments.release()
+            for earlier in made:
+                earlier._increments.release()
+            made[:] = [another(scene, **given)]
+            made[0].advance()
 
-        finer: Own = another(finer_scene(self._scene, project, solve), **given)
-        finer.advance()
-        return finer
+        finer_scene(self._scene, project, solve, terms)
+        return made[0]
 
     @collective
     def convergence(
@@ -92,6 +98,7 @@ class FinerMeshes(LoadCases, SolverResults):
         stresses: Sequence[str] = (),
         quantities: Mapping[str, Callable[[Any], float]] | None = None,
         project: Callable[[Array], Array] | None = None,
+        terms: Terms | None = None,
     ) -> Convergence:
         """Say how right the current results are, by those on finer meshes. Collective.
 
@@ -114,7 +121,7 @@ class FinerMeshes(LoadCases, SolverResults):
             have no limit; then the table says that differences grow.
         quantities
             Other numbers, functions of a solver, by names.
-        project
+        project, terms
             As for `refine`.
 
         Returns
@@ -141,14 +148,14 @@ class FinerMeshes(LoadCases, SolverResults):
 
         checks.same(
             self._scene.comm, "convergence", levels=levels, points=points, reactions=reactions,
-            stresses=stresses, quantities=quantities, project=project,
+            stresses=stresses, quantities=quantities, project=project, terms=terms,
         )  # fmt: skip
         levels = checked_levels(levels)
         wanted = Quantities.checked(self._scene, points, reactions, stresses, quantities)
         solver, rows, cells, seconds = self, [wanted.of(self)], [_cells(self._scene)], [0.0]
         for _ in range(levels - 1):
             began, last = time.perf_counter(), solver
-            solver = last.refine(project)
+            solver = last.refine(project, terms=terms)
             if last is not self:
                 last._increments.release()
             rows.append(wanted.of(solver))

@@ -284,10 +284,6 @@ def refused_support(comm):
 REFUSED = {
     "strain": (refused_step, 'strain="step"'),
     "law": (lambda comm: refused_cable(comm, law="step"), 'tie. has law="step"'),
-    "along": (
-        lambda comm: refused_cable(comm, friction=Friction(0.1, along=0.2)),
-        "'tie' has friction along = 0.2",
-    ),
     "term": (refused_term, "the term 'springs' of your own"),
     "support": (refused_support, "otherwise than scene.fix"),
 }
