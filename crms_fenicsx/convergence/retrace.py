@@ -51,7 +51,7 @@ class Retrace:
         self._carrier, self._solve = carrier, solve
         self._coarse, self._finer = carrier.coarse, carrier.finer
         self._terms = {term.name: term for term in terms}
-        self._cables: dict[str, LaidCable | None] = {}
+        self._cables: dict[str, LaidCable] = {}
         self._frame = FinerFrame(self._coarse, self._finer)
         self._sealed: list[tuple[Stage, tuple[float, Stage]]] = []
         self.stages = _stages(self._coarse)
@@ -177,10 +177,12 @@ class Retrace:
             finer._loads = tuple(replace(load, factor=0.0) for load in finer.loads)
         else:
             self._go_to(earlier[-1])
-        bars = dict(whole.bars) | ({} if was is None else dict(was.bars))
-        there = {joint.name: joint.state for joint in finer.joints}
-        new = {j.name: JointState(j.first.copy(), np.zeros(3)) for j in self._coarse.joints}
-        self._frame.take(new | there, bars)
+        bars = {b.name: b.placing.first for b in self._coarse.bars if b.placing is not None}
+        joints = {j.name: JointState(j.first.copy(), np.zeros(3)) for j in self._coarse.joints}
+        if was is not None:
+            joints |= {joint.name: joint.state for joint in finer.joints}
+            bars |= was.bars
+        self._frame.take(joints, bars)
         finer._ponds = tuple(
             replace(pond, factor=finer.factors.get(pond.name, 0.0)) for pond in whole.ponds
         )
@@ -194,7 +196,9 @@ class Retrace:
                 state = was.cables[cable.name]
                 lay_again(cable, state, first, finer, self._carrier.refinement)
             elif cable.name in whole.cables:
-                laid_first(cable, finer, self._carrier.refinement)
+                laid, known = laid_first(cable, finer, self._carrier.refinement), self._cables
+                laid.laying = known[cable.name].laying
+                laid.update(L0=known[cable.name].L0)  # on the same shape: but for rounding it is
         finer.changes += 1
         return Loading.of(finer)
 
