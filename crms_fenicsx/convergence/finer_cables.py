@@ -16,15 +16,18 @@ import numpy as np
 
 from crms_fenicsx.cables.strip_gather import cells_at
 from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.model.cable_state import CableState
+from crms_fenicsx.model.cable_state import CableState, End
 from crms_fenicsx.model.laid_cable import LaidCable, Laying
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.paths.laying import MeasuredOn, lay
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.scene import Scene
-from crms_fenicsx.surface.points import SurfacePoint
+from crms_fenicsx.surface.points import EdgePoint, SurfacePoint, VertexPoint
 from crms_fenicsx.surface.uniform_refinement import UniformRefinement
+
+CLOSE = 0.03
+"""Distance from a vertex, relative to its edge, at which a cable goes through it."""
 
 Place = SurfacePoint | Array
 """A place on the mesh, or an anchor (3,) off it (length)."""
@@ -90,7 +93,10 @@ def lay_again(
     was = LaidCable(
         cable.name, cable.cable, state, cable.sleeve, cable.layer, cable.in_edge, cable.joints
     )
-    places: list[Place] = [*refinement.along_edges(was.path.points)]
+    points = was.path.points
+    if was.slides_freely and not was.in_edge:
+        points = through_vertices(points, was.ends)
+    places: list[Place] = [*refinement.along_edges(points)]
     for end in (0, -1):
         _set_end(was, end, places, cable.laying, first, finer)
     L0 = state.L0
@@ -104,6 +110,23 @@ def lay_again(
         laid.update(axial=replace(laid.axial, curve=state.axial.curve, rest=rest))
     if first is not None:
         laid.laying = first.laying
+
+
+def through_vertices(points: Sequence[SurfacePoint], ends: tuple[End, End]) -> list[SurfacePoint]:
+    """A path that goes through the vertices that it has passed close by; held ends stay.
+
+    On which side it passes them is the coarse mesh's matter. On the finer one a cable that is laid
+    on the wrong side gets caught between edges; from the vertex it finds its side.
+    """
+    fixed = {k for k, end in ((0, ends[0]), (len(points) - 1, ends[1])) if end != "off"}
+    found: list[SurfacePoint] = []
+    for k, point in enumerate(points):
+        if isinstance(point, EdgePoint) and k not in fixed:
+            if min(point.fraction, 1.0 - point.fraction) < CLOSE:
+                point = VertexPoint(point.edge[round(point.fraction)])
+        if not found or point != found[-1]:
+            found.append(point)
+    return found
 
 
 def _set_end(

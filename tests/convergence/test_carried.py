@@ -23,7 +23,9 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
+from crms_fenicsx.convergence.finer_cables import through_vertices
 from crms_fenicsx.convergence.finer_scene import finer_scene
+from crms_fenicsx.surface.points import EdgePoint, VertexPoint
 
 pytestmark = pytest.mark.usefixtures("comm")
 
@@ -217,6 +219,50 @@ def test_without_equilibrium_from_the_stress_free_shape(comm):
     expected = solver.refine().scene
     assert finer.energy == pytest.approx(expected.energy, rel=1e-7)
     assert np.allclose(finer.u.x.array, expected.u.x.array, atol=1e-4)
+
+
+def model_2(comm, cells):
+    """A cable over a line of vertices, just taut on the inflated square, that anchors pull down."""
+    scene, solver = square(comm, cells)
+    solver.advance(pressure=0.01)
+    cable = scene.lay_cable(Cable(EA=32000.0), [(-80.0, 50.0, 0.0), (180.0, 50.0, 0.0)])
+    solver.advance(move={cable: (0.0, 0.0, -15.0)})
+    return scene, solver
+
+
+def test_cable_that_was_laid_by_increments_is_measured_on_each_mesh(comm):
+    """Its length stays one that follows from the mesh, not one that a load step has given."""
+    scene, _ = model_2(comm, 2)
+    failed = []
+
+    def solve(finer):
+        if finer.cables and not failed:
+            failed.append(finer)
+            raise ConvergenceError("no equilibrium here.")
+        Solver(finer, rtol=1e-10).advance()
+
+    by_increments = finer_scene(scene, None, solve)
+    levels = [finer_scene(finer, None, solve) for finer in (by_increments, model_2(comm, 4)[0])]
+    cables = [finer.cables[0] for finer in levels]
+    assert cables[0].L0 == pytest.approx(cables[1].L0, rel=1e-9)
+    assert cables[0].tension == pytest.approx(cables[1].tension, rel=1e-6)
+    assert abs(cables[0].L0 / by_increments.cables[0].L0 - 1) > 1e-5
+
+
+def test_cable_that_passes_close_by_vertices_goes_through_them(comm):
+    """On the sides of the second mesh's equilibrium the third one's catches it between edges."""
+    _, solver = model_2(comm, 4)
+    with_caught = solver.refine().refine().scene.cables[0]
+    assert with_caught.tension == pytest.approx(253.39934, rel=1e-6)  # as laid on this mesh
+
+
+def test_path_through_close_vertices():
+    path = [EdgePoint((0, 1), 0.01), EdgePoint((1, 2), 0.98), EdgePoint((2, 3), 0.01),
+            EdgePoint((3, 4), 0.5), VertexPoint(5), EdgePoint((6, 7), 0.99)]  # fmt: skip
+    middle = [VertexPoint(2), *path[3:5]]
+    assert through_vertices(path, ("held", "tied")) == [path[0], *middle, path[5]]
+    assert through_vertices(path, ("off", "tied")) == [VertexPoint(0), *middle, path[5]]
+    assert through_vertices(path, ("held", "off")) == [path[0], *middle, VertexPoint(7)]
 
 
 def rough(comm, cells):
