@@ -8,13 +8,10 @@ from crms_fenicsx.convergence.carrier import Carrier
 from crms_fenicsx.convergence.refusals import refuse
 from crms_fenicsx.convergence.retrace import Retrace
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.meshes.membrane_mesh import MembraneMesh
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.surface.uniform_refinement import UniformRefinement
-
-Project = Callable[[Array], Array]
-"""A function of points (3, n) near a surface that returns points (3, n) in it."""
 
 Terms = Callable[[Scene], EnergyTerm | Sequence[EnergyTerm]]
 """Makes the terms of the energy that were added to a scene for another one."""
@@ -22,7 +19,7 @@ Terms = Callable[[Scene], EnergyTerm | Sequence[EnergyTerm]]
 
 def finer_scene(
     scene: Scene,
-    project: Project | None,
+    divide: Callable[[MembraneMesh], UniformRefinement],
     solve: Callable[[Scene], object],
     terms: Terms | None = None,
 ) -> Scene:
@@ -33,10 +30,12 @@ def finer_scene(
 
     Parameters
     ----------
-    scene, project, terms
+    scene, divide
         What is refined, and how.
     solve
         Finds the equilibrium of a scene at the loads that it has.
+    terms
+        Makes the added terms for the finer scene.
 
     Returns
     -------
@@ -48,7 +47,7 @@ def finer_scene(
         On all ranks: something of the scene cannot be carried over; it names what.
     """
     refuse(scene, terms)
-    refinement = UniformRefinement.of(scene.mesh, project)
+    refinement = divide(scene.mesh)
     membrane = scene.membrane
     materials = {part: membrane.materials[k] for k, part in membrane.parts.items()}
     finer = Scene(

@@ -26,6 +26,7 @@ from crms_fenicsx import (
 from crms_fenicsx.convergence.finer_cables import through_vertices
 from crms_fenicsx.convergence.finer_scene import finer_scene
 from crms_fenicsx.surface.points import EdgePoint, VertexPoint
+from crms_fenicsx.surface.uniform_refinement import UniformRefinement
 
 pytestmark = pytest.mark.usefixtures("comm")
 
@@ -197,7 +198,7 @@ def test_without_equilibrium_at_once_it_goes_there_by_increments(comm, failures,
         Solver(scene).advance()
 
     with caplog.at_level("WARNING", logger="crms_fenicsx"):
-        finer = finer_scene(solver.scene, None, solve, Anchored)
+        finer = finer_scene(solver.scene, UniformRefinement.of, solve, Anchored)
     assert [int(r.message.split()[-2]) for r in caplog.records] == [4, 16][:failures]
     agree(numbers(finer), expected, 1e-5)
 
@@ -215,7 +216,7 @@ def test_without_equilibrium_from_the_stress_free_shape(comm):
             raise ConvergenceError("no equilibrium here.")
         Solver(finer).advance()
 
-    finer = finer_scene(scene, None, solve)
+    finer = finer_scene(scene, UniformRefinement.of, solve)
     expected = solver.refine().scene
     assert finer.energy == pytest.approx(expected.energy, rel=1e-7)
     assert np.allclose(finer.u.x.array, expected.u.x.array, atol=1e-4)
@@ -241,8 +242,11 @@ def test_cable_that_was_laid_by_increments_is_measured_on_each_mesh(comm):
             raise ConvergenceError("no equilibrium here.")
         Solver(finer, rtol=1e-10).advance()
 
-    by_increments = finer_scene(scene, None, solve)
-    levels = [finer_scene(finer, None, solve) for finer in (by_increments, model_2(comm, 4)[0])]
+    by_increments = finer_scene(scene, UniformRefinement.of, solve)
+    levels = [
+        finer_scene(finer, UniformRefinement.of, solve)
+        for finer in (by_increments, model_2(comm, 4)[0])
+    ]
     cables = [finer.cables[0] for finer in levels]
     assert cables[0].L0 == pytest.approx(cables[1].L0, rel=1e-9)
     assert cables[0].tension == pytest.approx(cables[1].tension, rel=1e-6)
