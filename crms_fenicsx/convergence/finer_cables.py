@@ -93,7 +93,7 @@ def lay_again(
     was = LaidCable(
         cable.name, cable.cable, state, cable.sleeve, cable.layer, cable.in_edge, cable.joints
     )
-    points = was.path.points
+    points: Sequence[SurfacePoint] = was.path.points
     if was.slides_freely and not was.in_edge:
         points = through_vertices(points, was.ends)
     places: list[Place] = [*refinement.along_edges(points)]
