@@ -175,9 +175,10 @@ def summary(rows: Sequence[Row]) -> str:
 def _gains(rows: Sequence[Row]) -> list[str]:
     """What extrapolation gains and costs, beside a run on a mesh as fine as its finest."""
     lines = [
-        "", "| error of the mesh n, of the limit | n | of | mesh | limit | ratio | time | evaluations |",
+        "",
+        "| case, errors of | n | of | mesh n | limit | ratio | time, relative | evaluations |",
         "|---" * 8 + "|",
-    ]  # fmt: skip
+    ]
     runs = {(r.case, r.method, r.n): r for r in rows if r.converged}
     for (name, method, n), limit in runs.items():
         mesh = runs.get((name, "default", n))
