@@ -35,35 +35,19 @@ def refuse(scene: Scene, terms: object) -> None:
         )
     if terms is not None and not scene.terms:
         raise InputError("refine: terms is given, but no term has been added to the scene.")
-    if scene.air is not None and scene._sealed_on is None:
-        raise InputError(
-            "refine: of the sealed air, which is from a checkpoint, only the volume on this mesh "
-            "is known; call scene.unseal() and scene.seal(...) again."
-        )
     for load in scene.loads:
         if load.again is None:
             raise InputError(
-                f"refine: of the load {load.name!r}, which is from a checkpoint or of forces on "
-                "vertices, only the forces on this mesh are known; take it away with "
-                "scene.remove_load(...), and put it again, as a force per area."
+                f"refine: of the load {load.name!r}, a function or forces on vertices, only the "
+                "forces on this mesh are known; put it again with scene.put_load, as a force per "
+                "area (after loading a checkpoint: with the same function, before)."
             )
     for cable in scene.cables:
-        if cable.laying is None:
-            raise InputError(
-                f"refine: of the cable {cable.name!r}, which is from a checkpoint, only the length "
-                "on this mesh is known; take it away with scene.remove(...), and lay it again."
-            )
         friction = cable.cable.sideways
         if cable.cable.law == "step" or (friction is not None and friction.law == "step"):
             raise InputError(
                 f'refine: the cable {cable.name!r} has law="step", whose state depends on the '
                 "steps taken; use the other law, or run the script with a finer mesh."
-            )
-    for bar in scene.bars:
-        if bar.placing is None:
-            raise InputError(
-                f"refine: of {bar!r}, which is from a checkpoint, only the length on this mesh is "
-                "known; take it away with scene.remove_bar(...), and add it again."
             )
     _check_supports(scene.membrane)
 

@@ -185,6 +185,18 @@ def test_all_together_is_as_on_the_finer_mesh(comm):
     assert abs(finer.bar("tie").L0 / scene.bar("tie").L0 - 1) > 1e-4
 
 
+def test_all_together_from_a_checkpoint(comm, tmp_path_factory):
+    """It knows the states in which bars were placed, the cable was laid and the air sealed."""
+    folder = comm.bcast(str(tmp_path_factory.mktemp("run")))
+    _, solver = furnished(comm, 4)
+    solver.save(folder)
+    scene, loaded = square(comm, 4)
+    scene.add_term(Anchored(scene))
+    loaded.load(folder)
+    expected = numbers(solver.refine(terms=Anchored).scene)
+    agree(numbers(loaded.refine(terms=Anchored).scene), expected, 1e-7)
+
+
 @pytest.mark.parametrize("failures", [1, 2])
 def test_without_equilibrium_at_once_it_goes_there_by_increments(comm, failures, caplog):
     """From the state before, with all that there is; the equilibrium is the same."""
