@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
-from crms_fenicsx.energies.dead_load import MembraneLoad
+from crms_fenicsx.energies.dead_load import joint_load
 from crms_fenicsx.loaded_membrane import LoadedMembrane
-from crms_fenicsx.model.bar import Bar, BarEnd, Joint, MeshVertex, PlacedBar
+from crms_fenicsx.model.bar import Bar, BarEnd, Joint, MeshVertex, PlacedBar, Placing
 from crms_fenicsx.model.frame import Frame
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime import checks
@@ -134,7 +132,9 @@ class BracedMembrane(LoadedMembrane):
         if L0 is not None:
             L0 = checks.positive(f"add_bar: L0 of {found!r}", L0)
         ends = self._bar_end(found, "start", start), self._bar_end(found, "end", end)
+        stage = self.stage()
         placed = self.frame.add_bar(bar, ends, L0, found)
+        placed.placing = Placing(L0, placed.state, stage)
         self.changes += 1
         return placed
 
@@ -239,6 +239,4 @@ class BracedMembrane(LoadedMembrane):
                 )
             x, y, z = map(float, checks.vector(f"put_joint_load: force on {joint!r}", force))
             found[joint.name] = (x, y, z)
-        size = sum(float(np.linalg.norm(force)) for force in found.values())
-        none = np.zeros(self.membrane.held.shape)
-        self.add_load(MembraneLoad(name, none, size / self.membrane.size**2, joints=found))
+        self.add_load(joint_load(self.membrane, found, name))

@@ -169,9 +169,15 @@ class Scene(FilledMembrane, BracedMembrane):
 
     def stage(self) -> Stage:
         """Internal: the current state, of which what is put on it now keeps a reference."""
-        factors = {load.name: load.factor for load in self.loads}
-        cables = {cable.name: cable.state for cable in self.cables}
-        return Stage(self.commits, self.membrane.kept_shape(), self.pressure, factors, cables)
+        cables, joints, bars = self.cables, self.joints, self.bars
+        return Stage(
+            self.commits, self.membrane.kept_shape(), self.pressure,
+            {load.name: load.factor for load in self.loads},
+            {cable.name: cable.state for cable in cables},
+            {joint.name: joint.state for joint in joints}, {bar.name: bar.state for bar in bars},
+            self.ponds, self.air, self._sealed_on, self.floor_level,
+            tuple(term.name for term in self.terms),
+        )  # fmt: skip
 
     @property
     def volume(self) -> float:

@@ -91,6 +91,22 @@ class Case:
     quantities: tuple[str, str] = field(default=("W", "T"))
 
 
+QUANTITIES: dict[str, Callable[[Solver], float]] = {
+    "W": lambda solver: solver.scene.energy,
+    "w": lambda solver: top(solver.scene),
+    "V": lambda solver: solver.scene.volume,
+    "T": lambda solver: float(np.mean([cable.tension for cable in solver.scene.cables] or [0.0])),
+    "z": lambda solver: float(middle(solver.scene.cables[0])[2]),
+    "y": lambda solver: float(middle(solver.scene.cables[0])[1]) - 50.0,
+}
+"""What references are of: energy, height of the top, volume, mean tension, place of the cable."""
+
+
+def top(scene: Scene) -> float:
+    """Height of the highest vertex."""
+    return float(scene.positions()[:, 2].max())
+
+
 def square(n: int) -> MembraneMesh:
     """Structured mesh of the square; y = 50 is a mesh line where n is even."""
     return meshes.rectangle(COMM, 100.0, 100.0, 100.0 / n, structured=True)
@@ -119,8 +135,7 @@ def inflated(mesh: MembraneMesh, laws: Laws) -> tuple[Solver, dict[str, float]]:
     scene = clamped(mesh, laws)
     solver = Solver(scene, rtol=laws.rtol)
     solver.advance(pressure=PRESSURE, steps=laws.steps or 1)
-    top = float(scene.positions()[:, 2].max())
-    return solver, {"W": scene.energy, "w": top, "V": scene.volume}
+    return solver, {"W": scene.energy, "w": top(scene), "V": scene.volume}
 
 
 def with_cable(height: float, steps: int = 1) -> Run:

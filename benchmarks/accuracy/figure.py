@@ -15,6 +15,7 @@ from accuracy.report import Row, references
 
 LOOKS = {
     "default": ("#0b5394", "o"),
+    "extrapolated": ("#00a0a0", "*"),
     "newton": ("#e69138", "s"),
     "blmvm": ("#6a329f", "^"),
     "scipy": ("#888888", "v"),

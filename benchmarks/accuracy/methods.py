@@ -31,6 +31,8 @@ class Method:
         "package", or the "other program" Kratos.
     rtol
         Tolerance.
+    levels
+        Meshes, each with half the cells' size of the one before, whose results are extrapolated.
     """
 
     title: str
@@ -38,10 +40,12 @@ class Method:
     stepwise: bool = False
     kind: Literal["package", "other program"] = "package"
     rtol: float = 1e-9
+    levels: int = 1
 
 
 METHODS: dict[str, Method] = {
     "default": Method("crms_fenicsx"),
+    "extrapolated": Method("crms_fenicsx, extrapolated", levels=3),
     "newton": Method("TAO Newton, exact Hessian", "Newton"),
     "blmvm": Method("BLMVM without H0", "WithoutH0", rtol=EASY),
     "scipy": Method("SciPy L-BFGS", "ScipyLBFGS", rtol=EASY),
@@ -60,4 +64,14 @@ def runs(case: Case, method: Method, quick: bool) -> list[tuple[int, Laws]]:
             return []
         n = case.quick[-1] if quick else case.stepwise
         return [(n, Laws(True, steps)) for steps in (STEPS[:1] if quick else STEPS)]
+    if method.levels > 1:
+        return [(n, Laws(rtol=method.rtol)) for n in finest(case, quick)]
+    if method == METHODS["default"]:
+        sizes = tuple(sorted({*sizes, *finest(case, quick)}))
     return [(n, Laws(rtol=method.rtol)) for n in sizes]
+
+
+def finest(case: Case, quick: bool) -> list[int]:
+    """The finest meshes of studies of convergence that begin with a case's first meshes."""
+    found = [4 * n for n in case.sizes if 2 * n <= case.sizes[-1]]
+    return found[: 1 if quick else 2]

@@ -169,4 +169,27 @@ def summary(rows: Sequence[Row]) -> str:
             work = (own.iterations, own.evaluations, own.factorizations) if own else ()
             cells.append(", ".join(map(str, work)))
         lines.append(f"| {CASES[name].title} | {n} | " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, *_gains(rows)]) + "\n"
+
+
+def _gains(rows: Sequence[Row]) -> list[str]:
+    """What extrapolation gains and costs, beside a run on a mesh as fine as its finest."""
+    lines = [
+        "",
+        "| case, errors of | n | of | mesh n | limit | ratio | time, relative | evaluations |",
+        "|---" * 8 + "|",
+    ]
+    runs = {(r.case, r.method, r.n): r for r in rows if r.converged}
+    for (name, method, n), limit in runs.items():
+        mesh = runs.get((name, "default", n))
+        if method != "extrapolated" or mesh is None:
+            continue
+        spent = limit.seconds / mesh.seconds, limit.evaluations / mesh.evaluations
+        errors = zip(("first_error", "second_error"), CASES[name].quantities, strict=True)
+        for error, quantity in errors:
+            of_mesh, of_limit = getattr(mesh, error), getattr(limit, error)
+            lines.append(
+                f"| {CASES[name].title} | {n} | {quantity} | {of_mesh:.1e} | {of_limit:.1e} | "
+                f"{of_mesh / of_limit:.3g} | {spent[0]:.2f} | {spent[1]:.2f} |"
+            )
+    return lines

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from accuracy.cases import CASES, Laws
+from accuracy.cases import CASES, QUANTITIES, Laws
 from accuracy.methods import METHODS
 from crms_fenicsx import ConvergenceError, FrictionWarning
 from crms_fenicsx.equilibrium import system
@@ -31,16 +31,18 @@ class OutOfTimeError(Exception):
 class Watch:
     """When a run began to solve, and what can be told if it did not end: evaluations, last energy.
 
-    It begins to solve with its first evaluation of the energy, after all that is done once.
+    It begins to solve with its first evaluation of the energy, after all that is done once. `work`
+    counts evaluations times unknowns.
     """
 
     def __init__(self) -> None:
-        self.evaluations, self.energy = 0, float("nan")
+        self.evaluations, self.work, self.energy = 0, 0, float("nan")
         self.first: float | None = None
         evaluate, sum_up = Potential.evaluate, Potential.sum_up
 
         def watched(potential: Potential) -> float:
             self.evaluations += 1
+            self.work += 3 * potential.unknowns.n_global
             self.energy = evaluate(potential)
             return self.energy
 
@@ -93,8 +95,9 @@ def work(case_name: str, method_name: str, n: int, steps: int | None, limit: flo
         while not spent or (
             len(spent) < RUNS and sum(times[0] for times in spent) < ENOUGH * limit
         ):
-            watch.evaluations, watch.first, began = 0, None, time.process_time()
-            times, solver, found = _timed(case_name, n, laws, limit)
+            watch.evaluations, watch.work, watch.first = 0, 0, None
+            began = time.process_time()
+            times, solver, found = _timed(case_name, n, laws, limit, method.levels)
             solving = time.process_time() - (watch.first or began)
             spent.append((*times, solving))
         outcomes = [step.outcome for step in solver.steps]
@@ -106,6 +109,8 @@ def work(case_name: str, method_name: str, n: int, steps: int | None, limit: flo
             "factorizations": sum(o.factorizations for o in outcomes),
             "unknowns": 3 * solver.system.unknowns.n_global,
         }
+        if method.levels > 1:  # all meshes, in evaluations on the finest one
+            figures["evaluations"] = round(watch.work / figures["unknowns"])
     except (OutOfTimeError, ConvergenceError) as error:
         late = isinstance(error, OutOfTimeError)
         figures |= {
@@ -119,14 +124,22 @@ def work(case_name: str, method_name: str, n: int, steps: int | None, limit: flo
                       "memory": _peak(), "base": base}  # fmt: skip
 
 
-def _timed(case_name: str, n: int, laws: Laws, limit: float) -> tuple[Any, Any, dict]:
-    """Processor and wall time, solver and results of a run; the mesh is made before."""
+def _timed(
+    case_name: str, n: int, laws: Laws, limit: float, levels: int = 1
+) -> tuple[Any, Any, dict]:
+    """Processor and wall time, solver and results of a run; the first mesh is made before.
+
+    Of several levels these are the limits, and the time is that of all of them.
+    """
     case = CASES[case_name]
-    mesh = case.mesh(n)
+    mesh = case.mesh(n >> (levels - 1))
     signal.setitimer(signal.ITIMER_PROF, limit)
     began = np.array([time.process_time(), time.perf_counter()])
     try:
         solver, found = case.run(mesh, laws)
+        if levels > 1:
+            study = solver.convergence(levels, quantities={q: QUANTITIES[q] for q in found})
+            solver, found = study.finest, {q: study[q].limit for q in found}
         times = np.array([time.process_time(), time.perf_counter()]) - began
         return tuple(times.tolist()), solver, found
     finally:

@@ -8,6 +8,7 @@
     positions.npy       where the vertices are when stress-free, to tell other meshes
     forces_1.npy, ...   nodal forces of the loads on the membrane, in their order
     suction_1.npy, ...  force per area of the cells, of loads that follow the surface
+    stage_1.npy, ...    displacements of states in which cables, loads or bars were put on the scene
     cells.npy           state of the cells at the step's start, with the paper's incremental strain
 
 The first rank has one whole field at a time. Numbers survive to the last digit, and nothing that is

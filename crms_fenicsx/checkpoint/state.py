@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,9 +27,16 @@ from crms_fenicsx.checkpoint.contents import (
 from crms_fenicsx.checkpoint.fields import Fields, cell_ids, read_fields, write_fields
 from crms_fenicsx.checkpoint.fingerprint import check_same, fingerprint
 from crms_fenicsx.checkpoint.folder import complete, replaced_folder
+from crms_fenicsx.checkpoint.stages import (
+    Stages,
+    read_stages,
+    recipe,
+    with_recipe,
+)
 from crms_fenicsx.energies.dead_load import MembraneLoad
-from crms_fenicsx.model.bar import BarEnd, Joint, MeshVertex, PlacedBar
+from crms_fenicsx.model.bar import BarEnd, Joint, MeshVertex, PlacedBar, Placing
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.stage import Stage
 from crms_fenicsx.output.npy import read_rows, write_rows
 from crms_fenicsx.runtime.checks import LONGEST
 from crms_fenicsx.runtime.errors import InputError, raised_together
@@ -37,7 +44,7 @@ from crms_fenicsx.runtime.files import explained, read_text, readable
 from crms_fenicsx.scene import Scene
 
 STATE, CELLS = "state.json", "cells.npy"
-FORMAT = "crms_fenicsx checkpoint 6"
+FORMAT = "crms_fenicsx checkpoint 7"
 """What a checkpoint says it is; the number grows when its content changes."""
 
 
@@ -55,11 +62,13 @@ def save(folder: str | Path, scene: Scene, run: Run, call: Plain | None = None) 
     """
     with replaced_folder(Path(folder).resolve(), scene.comm, STATE) as partial:
         edges, digests = write_fields(partial, scene)
+        stages = Stages(scene)
+        digests |= stages.write(partial, scene)
         if run.step_history is not None and run.step_history.cells is not None:
             ids, total = cell_ids(scene)
             cells = run.step_history.cells
             digests["cells"] = write_rows(partial / CELLS, scene.comm, ids, cells, total)
-        data = encode(_contents(scene, run, edges, digests, call))
+        data = encode(_contents(scene, run, edges, digests, call, stages))
         with raised_together(scene.comm), explained(partial / STATE):
             if scene.comm.rank == 0:
                 (partial / STATE).write_text(signed(data), encoding="utf-8")
@@ -161,14 +170,20 @@ def restore(saved: Saved, scene: Scene) -> Run:
         ids, total = cell_ids(scene)
         due, shape = digests.get("cells", ""), (total, 6)
         run = run.with_cells(read_rows(place / CELLS, comm, ids, np.float64, shape, due))
-    _restore(scene, fields, saved)
+    stages = read_stages(place, scene, contents.stages, digests)
+    _restore(scene, fields, saved, stages)
     scene.step_history = run.step_history
-    scene.commits += 1
+    scene.commits = max(scene.commits, contents.commits) + 1
     return run
 
 
 def _contents(
-    scene: Scene, run: Run, edges: int, digests: dict[str, str], call: Plain | None
+    scene: Scene,
+    run: Run,
+    edges: int,
+    digests: dict[str, str],
+    call: Plain | None,
+    stages: Stages,
 ) -> Contents:
     """What is kept of a scene and its run besides the fields, with how many edges are held."""
     steps = [replace(step, verification=None) for step in run.steps]
@@ -179,26 +194,50 @@ def _contents(
         digests=digests,
         pressure=scene.pressure,
         air=scene.air,
+        stages=stages.saved(),
+        sealed_on=stages.number(scene._sealed_on),
+        commits=scene.commits,
         floor=scene.floor_level,
         laid=scene.net.laid,
         dissipated=scene.net.removed_dissipation,
         energies=scene.energies,
         loads=tuple(
             SavedLoad(
-                load.name, load.intensity, load.suction is not None, load.factor, dict(load.joints)
+                load.name,
+                load.intensity,
+                load.suction is not None,
+                load.factor,
+                dict(load.joints),
+                recipe(load),
+                stages.number(load.stage),
             )
             for load in scene.loads
         ),
         ponds=scene.ponds,
         strip=() if strip is None else tuple(sorted(strip.complete)),
         cables=tuple(
-            SavedCable(c.name, c.cable, c.sleeve, c.layer, c.in_edge, c.joints, c.state)
+            SavedCable(
+                c.name,
+                c.cable,
+                c.sleeve,
+                c.layer,
+                c.in_edge,
+                c.joints,
+                c.state,
+                stages.laying(c),
+            )
             for c in scene.cables
         ),
         crossings=scene.net.crossings,
         joints=tuple(SavedJoint(j.name, j.first, j.held, j.state) for j in scene.joints),
         bars=tuple(
-            SavedBar(b.name, b.bar, (_saved_end(scene, b.start), _saved_end(scene, b.end)), b.state)
+            SavedBar(
+                b.name,
+                b.bar,
+                (_saved_end(scene, b.start), _saved_end(scene, b.end)),
+                b.state,
+                stages.placing(b),
+            )
             for b in scene.bars
         ),
         run=replace(run.with_cells(None), steps=steps),
@@ -211,7 +250,7 @@ def _saved_end(scene: Scene, end: BarEnd) -> int | MeshVertex:
     return scene.frame.number(end) if isinstance(end, Joint) else end
 
 
-def _restore_frame(scene: Scene, contents: Contents) -> None:
+def _restore_frame(scene: Scene, contents: Contents, stages: Sequence[Stage]) -> None:
     """Bring joints and bars to a state that has been read, or make them."""
     frame = scene.frame
     for own, saved in zip(frame.joints, contents.joints, strict=False):
@@ -224,9 +263,12 @@ def _restore_frame(scene: Scene, contents: Contents) -> None:
     for b in contents.bars[len(frame.bars) :]:
         start, end = (frame.joints[end] if isinstance(end, int) else end for end in b.ends)
         frame.bars += (PlacedBar(b.name, b.bar, start, end, b.state),)
+    for bar, saved_bar in zip(frame.bars, contents.bars, strict=True):
+        was = saved_bar.placing
+        bar.placing = None if was is None else Placing(was.L0, was.first, stages[was.stage])
 
 
-def _restore(scene: Scene, fields: Fields, saved: Saved) -> None:
+def _restore(scene: Scene, fields: Fields, saved: Saved, stages: Sequence[Stage]) -> None:
     """Bring the scene to a state that has been read."""
     contents = saved.contents
     held_edges = scene.membrane.held_edges.copy()
@@ -240,26 +282,36 @@ def _restore(scene: Scene, fields: Fields, saved: Saved) -> None:
                 "checkpoint"
             )
         scene.net.strip = strip
+    own = {load.name: load for load in scene.loads}
+    scene._loads = tuple(
+        with_recipe(
+            MembraneLoad(
+                load.name, forces, load.intensity, suction, load.factor, load.joints,
+                stage=None if load.stage is None else stages[load.stage],
+            ),
+            load.given, own.get(load.name), scene,
+        )
+        for load, forces, suction in zip(
+            contents.loads, fields.forces, fields.suctions, strict=True
+        )
+    )  # fmt: skip
+    scene._sealed_on = None if contents.sealed_on is None else stages[contents.sealed_on]
     scene.u.x.array[:] = fields.u.ravel()
     scene.held[:] = fields.held
     scene._floor_level, scene._air = contents.floor, contents.air
     scene._pressure, scene._ponds = contents.pressure, contents.ponds
     scene.energies, net = contents.energies, scene.net
     net.laid, net.removed_dissipation = contents.laid, contents.dissipated
-    scene._loads = tuple(
-        MembraneLoad(load.name, forces, load.intensity, suction, load.factor, load.joints)
-        for load, forces, suction in zip(
-            contents.loads, fields.forces, fields.suctions, strict=True
-        )
-    )
-    for own, cable in zip(scene.cables, contents.cables, strict=False):
-        own.state = cable.state
+    for laid, cable in zip(scene.cables, contents.cables, strict=False):
+        laid.state = cable.state
     net.cables = net.cables or tuple(
         LaidCable(c.name, c.cable, c.state, c.sleeve, c.layer, c.in_edge, c.joints)
         for c in contents.cables
     )
+    for laid, cable in zip(net.cables, contents.cables, strict=True):
+        laid.laying = None if cable.laying is None else cable.laying.laying(stages)
     net.crossings = contents.crossings
-    _restore_frame(scene, contents)
+    _restore_frame(scene, contents, stages)
     scene.changes += 1
 
 

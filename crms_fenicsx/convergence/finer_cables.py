@@ -9,13 +9,14 @@ kept.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
 from crms_fenicsx.cables.strip_gather import cells_at
 from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.model.cable_state import CableState
+from crms_fenicsx.model.cable_state import CableState, End
 from crms_fenicsx.model.laid_cable import LaidCable, Laying
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.paths.laying import MeasuredOn, lay
@@ -23,49 +24,48 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.surface.mesh_refinement import MeshRefinement
-from crms_fenicsx.surface.points import SurfacePoint
+from crms_fenicsx.surface.points import EdgePoint, SurfacePoint, VertexPoint
+
+CLOSE = 0.03
+"""Distance from a vertex, relative to its edge, at which a cable goes through it."""
 
 Place = SurfacePoint | Array
 """A place on the mesh, or an anchor (3,) off it (length)."""
 
 
-def laid_first(cable: LaidCable, finer: Scene, refinement: MeshRefinement) -> LaidCable | None:
-    """Lay a cable as it was laid, to know its length and where its ends are. Collective.
+def laid_first(cable: LaidCable, finer: Scene, refinement: MeshRefinement) -> LaidCable:
+    """Lay a cable as it was laid; so its length and where its ends are get known. Collective.
 
     Parameters
     ----------
     cable
         A cable of the coarse scene.
     finer
-        The finer scene in the state in which it was laid. The cable is taken away again.
+        The finer scene in the state in which it was laid.
     refinement
         How the meshes belong together.
 
     Returns
     -------
     LaidCable
-        None for one from a checkpoint, of which this is not known.
+        The cable on the finer scene.
     """
     laying = cable.laying
-    if laying is None:
-        return None
+    assert laying is not None, "refused before"
     asked = laying.L0, laying.tension, laying.measured_on
     places: list[Place] = [*refinement.along_edges(laying.path.points)]
     if laying.ends[0] == "off":
-        places.insert(0, laying.anchors[0])
+        places.insert(0, _anchor(cable, 0, finer, laying.anchors[0]))
     if laying.ends[1] == "off":
-        places.append(laying.anchors[1])
+        places.append(_anchor(cable, -1, finer, laying.anchors[1]))
     try:  # by the route: the path has the detours around vertices that the coarse mesh makes
         if cable.in_edge:
             raise PathError("it lies on the edges of the coarse mesh")
         if laying.route.shape[1] == 2:
-            first = _lay(cable, finer, laying.route, {}, *asked)
-        else:
-            first = _laid(cable, finer, [places[0], *laying.route[1:-1], places[-1]], *asked)
+            return _lay(cable, finer, laying.route, {}, *asked)
+        return _laid(cable, finer, [places[0], *laying.route[1:-1], places[-1]], *asked)
     except PathError:  # a route in space may follow facets that are not there
-        first = _laid(cable, finer, places, *asked)
-    finer.remove(first)
-    return first
+        return _laid(cable, finer, places, *asked)
 
 
 def lay_again(
@@ -90,17 +90,43 @@ def lay_again(
     refinement
         How the meshes belong together.
     """
-    was = LaidCable(cable.name, cable.cable, state, cable.sleeve, cable.layer, cable.in_edge)
-    places: list[Place] = [*refinement.along_edges(was.path.points)]
+    was = LaidCable(
+        cable.name, cable.cable, state, cable.sleeve, cable.layer, cable.in_edge, cable.joints
+    )
+    points: Sequence[SurfacePoint] = was.path.points
+    if was.slides_freely and not was.in_edge:
+        points = through_vertices(points, was.ends)
+    places: list[Place] = [*refinement.along_edges(points)]
     for end in (0, -1):
-        _set_end(was, end, places, cable.laying, first)
+        _set_end(was, end, places, cable.laying, first, finer)
     L0 = state.L0
     if cable.laying is not None and first is not None and L0 == cable.laying.length:
         L0 = first.L0
     laid = _laid(cable, finer, places, L0, None, "facets")
     laid.update(path_is_geodesic=state.path_is_geodesic)
+    if laid.axial is not None and state.axial is not None:
+        was_long = state.L0 + state.excess
+        rest = state.axial.rest * (L0 / was_long)
+        laid.update(axial=replace(laid.axial, curve=state.axial.curve, rest=rest))
     if first is not None:
         laid.laying = first.laying
+
+
+def through_vertices(points: Sequence[SurfacePoint], ends: tuple[End, End]) -> list[SurfacePoint]:
+    """A path that goes through the vertices that it has passed close by; held ends stay.
+
+    On which side it passes them is the coarse mesh's matter. On the finer one a cable that is laid
+    on the wrong side gets caught between edges; from the vertex it finds its side.
+    """
+    fixed = {k for k, end in ((0, ends[0]), (len(points) - 1, ends[1])) if end != "off"}
+    found: list[SurfacePoint] = []
+    for k, point in enumerate(points):
+        if isinstance(point, EdgePoint) and k not in fixed:
+            if min(point.fraction, 1.0 - point.fraction) < CLOSE:
+                point = VertexPoint(point.edge[round(point.fraction)])
+        if not found or point != found[-1]:
+            found.append(point)
+    return found
 
 
 def _set_end(
@@ -109,6 +135,7 @@ def _set_end(
     places: list[Place],
     laying: Laying | None,
     first: LaidCable | None,
+    finer: Scene,
 ) -> None:
     """Put an end (0, -1) of a cable's places where it is on the finer mesh.
 
@@ -123,7 +150,14 @@ def _set_end(
         if kind == "tied" or (kind == "held" and not moved):
             places[end] = first.path.points[end]
     if kind == "off":
+        anchor = _anchor(cable, end, finer, anchor)
         places.insert(0 if end == 0 else len(places), anchor)
+
+
+def _anchor(cable: LaidCable, end: int, finer: Scene, place: Array) -> Array:
+    """Where an end off the membrane is: at the place, or at its joint where that is."""
+    name = cable.joints[end]
+    return next((joint.position for joint in finer.joints if joint.name == name), place)
 
 
 def _laid(
@@ -163,5 +197,5 @@ def _lay(
     return lay(
         finer.net, cable.cable, route, L0=L0, tension=tension, sleeve=cable.sleeve,
         layer=cable.layer, name=cable.name, measured_on=measured_on, places=known,
-        stage=finer.stage(),
+        stage=finer.stage(), joints=cable.joints,
     )  # fmt: skip

@@ -15,6 +15,7 @@ from crms_fenicsx.steps.load_cases import LoadCases
 from crms_fenicsx.steps.options import Options
 
 if TYPE_CHECKING:
+    from crms_fenicsx.convergence.finer_scene import Terms
     from crms_fenicsx.convergence.study import Convergence
     from crms_fenicsx.meshes.membrane_mesh import MembraneMesh
     from crms_fenicsx.surface.mesh_refinement import MeshRefinement
@@ -28,14 +29,23 @@ class FinerMeshes(LoadCases, SolverResults):
     _options: Options
 
     @collective
-    def refine(self: Own, project: Callable[[Array], Array] | None = None) -> Own:
+    def refine(
+        self: Own,
+        project: Callable[[Array], Array] | None = None,
+        *,
+        terms: Terms | None = None,
+    ) -> Own:
         """Divide each cell into four, and find the equilibrium at the same loads there. Collective.
 
-        Supports, materials, parts and groups, pressure, named loads, floor and cables with all
-        their data are carried over. Cables and loads go through the states in which they were put
-        on the scene, so that their lengths and forces have no error of this mesh: a cable that was
-        laid just taut on the inflated membrane is so on the finer one. A cable with friction lies
-        where it does here, and friction holds it there anew. The new solver writes no results.
+        Everything of the scene is carried over: supports, materials and strengths, parts and
+        groups, pressure, named loads, floor, cables, bars and joints, ponds and sealed air. What
+        got its size from this mesh gets it from the finer one again, in the state in which it was
+        put on the scene: a cable that was laid just taut on the inflated membrane is so on the
+        finer one, as is a bar that was placed without a length, and the gas law counts from the
+        volume that the finer mesh has at sealing. Friction along a cable goes on from where the
+        cable rested on the membrane; friction sideways holds it anew where it lies here. Where the
+        loads lead to no equilibrium at once they are brought on again from the state before, in 4
+        or 16 increments, which is logged as a warning. The new solver writes no results.
 
         Parameters
         ----------
@@ -46,6 +56,9 @@ class FinerMeshes(LoadCases, SolverResults):
             files, to the smooth surface behind the facets, plane where they are, while edges of
             the boundary, seams and ridges stay straight. Finer meshes of the finer one take the
             same.
+        terms
+            Makes the terms that `Scene.add_term` has added for another scene: a function of that
+            scene, of which only mesh and supports are there, that returns them in their order.
 
         Returns
         -------
@@ -55,27 +68,33 @@ class FinerMeshes(LoadCases, SolverResults):
         Raises
         ------
         InputError
-            On all ranks and before anything is computed: something that cannot be carried over, as
-            step-wise laws, friction along cables, added terms, and loads and cables of a
-            checkpoint, of which it is not known how they were given; it names what.
+            On all ranks and before anything is computed: something that cannot be carried over; it
+            names what. That is what depends on the steps taken, the paper's step-wise laws (but for
+            its pressure where edges are free); added terms without `terms`; and loads of which the
+            forces on this mesh alone are known, as by `Scene.put_forces`.
         PathError
             A cable has no such path on the finer mesh.
         ConvergenceError
-            The finer mesh has no equilibrium at one of the states.
+            No equilibrium was found on the finer mesh at one of the states, by increments neither.
 
         Examples
         --------
         >>> finer = solver.refine()
         >>> finer.scene.cable("ridge").tension - solver.scene.cable("ridge").tension
+        >>> solver.refine(terms=lambda scene: Springs(scene, stiffness=2.0))
         """
         from crms_fenicsx.surface.uniform_refinement import UniformRefinement
 
-        checks.same(self._scene.comm, "refine", project=project)
-        return self._finer(lambda mesh: UniformRefinement.of(mesh, project))
+        checks.same(self._scene.comm, "refine", project=project, terms=terms)
+        return self._finer(lambda mesh: UniformRefinement.of(mesh, project), terms)
 
     @collective
     def adapt(
-        self: Own, share: float = 0.5, project: Callable[[Array], Array] | None = None
+        self: Own,
+        share: float = 0.5,
+        project: Callable[[Array], Array] | None = None,
+        *,
+        terms: Terms | None = None,
     ) -> Own:
         """Divide the cells with most of the estimated error, and find the equilibrium. Collective.
 
@@ -90,7 +109,7 @@ class FinerMeshes(LoadCases, SolverResults):
         share
             What part of the estimated error the marked cells have, more than 0 and up to 1. With 1
             nearly all cells that have an error are divided.
-        project
+        project, terms
             As for `refine`.
 
         Returns
@@ -115,26 +134,29 @@ class FinerMeshes(LoadCases, SolverResults):
         from crms_fenicsx.surface.adaptive_refinement import AdaptiveRefinement
 
         comm = self._scene.comm
-        checks.same(comm, "adapt", share=share, project=project)
+        checks.same(comm, "adapt", share=share, project=project, terms=terms)
         share = checked_share(share)
         cells = marked_cells(comm, self.estimate_error().cells, share)
-        return self._finer(lambda mesh: AdaptiveRefinement.of(mesh, cells, project))
+        return self._finer(lambda mesh: AdaptiveRefinement.of(mesh, cells, project), terms)
 
-    def _finer(self: Own, divide: Callable[[MembraneMesh], MeshRefinement]) -> Own:
+    def _finer(
+        self: Own, divide: Callable[[MembraneMesh], MeshRefinement], terms: Terms | None = None
+    ) -> Own:
         """A solver of the scene on a finer mesh, in equilibrium. Collective."""
         from crms_fenicsx.convergence.finer_scene import finer_scene
 
         another: Any = type(self)
         given = {name: getattr(self._options, name) for name in CARRIED}
+        made: list[Own] = []
 
         def solve(scene: Scene) -> None:
-            solver = another(scene, **given)
-            solver.advance()
-            solver._increments.release()
+            for earlier in made:
+                earlier._increments.release()
+            made[:] = [another(scene, **given)]
+            made[0].advance()
 
-        finer: Own = another(finer_scene(self._scene, divide, solve), **given)
-        finer.advance()
-        return finer
+        finer_scene(self._scene, divide, solve, terms)
+        return made[0]
 
     @collective
     def convergence(
@@ -146,6 +168,7 @@ class FinerMeshes(LoadCases, SolverResults):
         stresses: Sequence[str] = (),
         quantities: Mapping[str, Callable[[Any], float]] | None = None,
         project: Callable[[Array], Array] | None = None,
+        terms: Terms | None = None,
     ) -> Convergence:
         """Say how right the current results are, by those on finer meshes. Collective.
 
@@ -168,7 +191,7 @@ class FinerMeshes(LoadCases, SolverResults):
             have no limit; then the table says that differences grow.
         quantities
             Other numbers, functions of a solver, by names.
-        project
+        project, terms
             As for `refine`.
 
         Returns
@@ -195,14 +218,14 @@ class FinerMeshes(LoadCases, SolverResults):
 
         checks.same(
             self._scene.comm, "convergence", levels=levels, points=points, reactions=reactions,
-            stresses=stresses, quantities=quantities, project=project,
+            stresses=stresses, quantities=quantities, project=project, terms=terms,
         )  # fmt: skip
         levels = checked_levels(levels)
         wanted = Quantities.checked(self._scene, points, reactions, stresses, quantities)
         solver, rows, cells, seconds = self, [wanted.of(self)], [_cells(self._scene)], [0.0]
         for _ in range(levels - 1):
             began, last = time.perf_counter(), solver
-            solver = last.refine(project)
+            solver = last.refine(project, terms=terms)
             if last is not self:
                 last._increments.release()
             rows.append(wanted.of(solver))

@@ -58,8 +58,8 @@ class MembraneLoad:
     joints
         Forces (force) on joints of bars, by their names.
     again
-        Makes the load on the current shape of another membrane, of a finer mesh; None for one from
-        a checkpoint, of which the forces alone are known.
+        Makes the load on the current shape of another membrane, of a finer mesh; None where that is
+        not known, as of forces on vertices.
     stage
         What it has been put on.
     """
@@ -211,6 +211,17 @@ def nodal_load(membrane: Membrane, forces: fem.Function, name: str = "forces") -
             )
     total = membrane.comm.allreduce(float(norm(nodal).sum()))
     return MembraneLoad(name, nodal, total / membrane.size**2)
+
+
+def joint_load(
+    membrane: Membrane, joints: Mapping[str, tuple[float, float, float]], name: str = "joint load"
+) -> MembraneLoad:
+    """A dead load by its forces on joints of bars, by their names. Collective."""
+    size = sum(float(norm(np.array([force]))[0]) for force in joints.values())
+    return MembraneLoad(
+        name, np.zeros(membrane.held.shape), size / membrane.size**2, joints=joints,
+        again=partial(joint_load, joints=joints, name=name),
+    )  # fmt: skip
 
 
 def _coefficients(coefficient: Coefficient, membrane: Membrane, shape: _Shape) -> Array:

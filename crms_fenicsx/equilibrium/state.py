@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from crms_fenicsx.energies.dead_load import MembraneLoad
-from crms_fenicsx.model.bar import BarState, JointState
+from crms_fenicsx.model.bar_state import BarState, JointState
 from crms_fenicsx.model.cable_state import CableNode, CableState
 from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.model.sealed_air import SealedAir
+from crms_fenicsx.model.stage import Stage
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
 
@@ -22,6 +23,7 @@ class State:
     u: Array
     pressure: float
     air: SealedAir | None
+    sealed_on: Stage | None
     loads: tuple[MembraneLoad, ...]
     ponds: tuple[Pond, ...]
     energies: dict[str, float]
@@ -37,6 +39,7 @@ class State:
             scene.u.x.array.copy(),
             scene.pressure,
             scene.air,
+            scene._sealed_on,
             scene.loads,
             scene.ponds,
             dict(scene.energies),
@@ -68,7 +71,7 @@ class State:
     def restore(self, scene: Scene) -> None:
         """Bring the scene back to this state."""
         scene.u.x.array[:] = self.u
-        scene._pressure, scene._air = self.pressure, self.air
+        scene._pressure, scene._air, scene._sealed_on = self.pressure, self.air, self.sealed_on
         scene._loads, scene._ponds = self.loads, self.ponds
         scene.energies = dict(self.energies)
         self._restore_frame(scene)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
+from crms_fenicsx.model.bar_state import BarState, JointState
+from crms_fenicsx.model.stage import Stage
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.runtime.errors import InputError
@@ -43,26 +45,6 @@ class Bar:
             raise InputError(
                 f"Bar: tension_only = {self.tension_only!r} must be True (a guy) or False."
             )
-
-
-@dataclass(frozen=True)
-class JointState:
-    """What load steps change of a joint.
-
-    Attributes
-    ----------
-    position : (3,)
-        Where it is (length).
-    reaction : (3,)
-        Force with which what holds it acts on it (force); zero in directions in which it is free.
-    """
-
-    position: Annotated[Array, 3]
-    reaction: Annotated[Array, 3]
-
-    def __post_init__(self) -> None:
-        for value in vars(self).values():
-            value.flags.writeable = False
 
 
 class Joint:
@@ -116,22 +98,22 @@ BarEnd = Joint | MeshVertex
 
 
 @dataclass(frozen=True)
-class BarState:
-    """What load steps change of a bar.
+class Placing:
+    """How a bar was placed, for another one on a finer mesh.
 
     Attributes
     ----------
     L0
-        Unstressed length (length).
-    points : (2, 3)
-        Where its ends are (length).
+        As given to `Scene.add_bar` (length).
+    first
+        Its state then.
+    stage
+        What it was placed on.
     """
 
-    L0: float
-    points: Annotated[Array, 2, 3]
-
-    def __post_init__(self) -> None:
-        self.points.flags.writeable = False
+    L0: float | None
+    first: BarState
+    stage: Stage
 
 
 class PlacedBar:
@@ -149,6 +131,8 @@ class PlacedBar:
         Unstressed length (length).
     points : (2, 3)
         Where its ends are (length).
+    placing
+        Internal: how it was placed; None where that is not known.
     """
 
     L0: ReadOnly[float] = ReadOnly("state.L0", "call solver.advance(L0={bar: ...})")
@@ -156,6 +140,7 @@ class PlacedBar:
 
     def __init__(self, name: str, bar: Bar, start: BarEnd, end: BarEnd, state: BarState) -> None:
         self.name, self.bar, self.start, self.end, self.state = name, bar, start, end, state
+        self.placing: Placing | None = None
 
     def update(self, **changes: Any) -> None:
         """Replace parts of its state; for the package alone."""

@@ -163,7 +163,7 @@ class LaidCable:
         Internal: by how much the smoothed lengths of its segments were longer than these in the
         last equilibrium (length).
     laying
-        Internal: how it was laid; None for one from a checkpoint.
+        Internal: how it was laid.
     """
 
     name: ReadOnly[str] = ReadOnly("_name", "scene.lay_cable(..., name=...) gives a name")

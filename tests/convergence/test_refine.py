@@ -284,10 +284,6 @@ def refused_support(comm):
 REFUSED = {
     "strain": (refused_step, 'strain="step"'),
     "law": (lambda comm: refused_cable(comm, law="step"), 'tie. has law="step"'),
-    "along": (
-        lambda comm: refused_cable(comm, friction=Friction(0.1, along=0.2)),
-        "'tie' has friction along = 0.2",
-    ),
     "term": (refused_term, "the term 'springs' of your own"),
     "support": (refused_support, "otherwise than scene.fix"),
 }
@@ -301,24 +297,44 @@ def test_what_cannot_be_carried_over_is_refused(comm, name):
         solver.refine()
 
 
-def test_load_from_a_checkpoint_is_refused_until_it_is_put_again(comm, tmp_path_factory):
+@pytest.mark.parametrize("factor", [1.0, 2.0, None])
+def test_load_by_a_function_from_a_checkpoint(comm, tmp_path_factory, factor):
+    """The script gives the function again; another one, or none, is refused."""
+
+    def snow(factor):
+        return lambda x, n: np.stack([0 * x[0], 0 * x[0], -1e-5 * factor * x[0]])
+
     folder = comm.bcast(str(tmp_path_factory.mktemp("run")))
     scene, solver = square(comm, 2)
-    scene.put_load((0.0, 0.0, -0.002), name="snow")
-    solver.advance(pressure=0.01, load=1.0)
+    solver.advance(pressure=0.01)
+    scene.put_load(snow(1.0), name="snow")
+    solver.advance(load=1.0)
     solver.save(folder)
     again, loaded = square(comm, 2)
-    again.put_load((0.0, 0.0, -0.002), name="snow")
+    if factor is not None:
+        again.put_load(snow(factor), name="snow")
     loaded.load(folder)
-    with pytest.raises(InputError, match="'snow', which is from a checkpoint"):
+    if factor == 1.0:
+        agree(numbers(loaded.refine()), numbers(solver.refine()), 1e-8)
+        return
+    with pytest.raises(InputError, match="'snow', a function or forces on vertices"):
         loaded.refine()
 
 
-def test_cable_from_a_checkpoint_is_refused(comm, tmp_path_factory):
-    """Its length would be that of the first mesh, and lead to a wrong limit."""
+def test_cable_from_a_checkpoint_is_laid_as_it_was_laid(comm, tmp_path_factory):
+    """On the inflated square, whose shape the checkpoint has; and loads are put there."""
     folder = comm.bcast(str(tmp_path_factory.mktemp("run")))
-    model_2(comm, 4)[1].save(folder)
+    scene, solver = model_2(comm, 4)
+    scene.put_load((0.0, 0.0, -0.001), name="weight", per="material")
+    scene.put_wind(0.004, -0.5)
+    solver.advance(load={"weight": 1.0, "wind": 0.5})
+    solver.save(folder)
     _, loaded = square(comm, 4)
     loaded.load(folder)
-    with pytest.raises(InputError, match="'ridge', which is from a checkpoint"):
-        loaded.refine()
+    again = comm.bcast(str(tmp_path_factory.mktemp("again")))
+    loaded.save(again)
+    _, twice = square(comm, 4)
+    twice.load(again)
+    expected = numbers(solver.refine())
+    agree(numbers(loaded.refine()), expected, 1e-8)
+    agree(numbers(twice.refine()), expected, 1e-8)

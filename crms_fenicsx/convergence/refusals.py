@@ -1,0 +1,70 @@
+"""What of a scene cannot be carried over to a finer mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx.model.membrane import COMPONENTS, Membrane
+from crms_fenicsx.runtime.errors import InputError, raised_together
+from crms_fenicsx.scene import Scene
+from crms_fenicsx.steps.loading import has_free_rim
+
+
+def refuse(scene: Scene, terms: object) -> None:
+    """Refuse a scene of which something cannot be carried over. Collective."""
+    if scene.strain_law != "total":
+        raise InputError(
+            'refine: the scene has strain="step", whose state depends on the steps taken; use '
+            'Scene(..., strain="total"), or run the script with a finer mesh.'
+        )
+    if scene.pressure_law != "total" and scene.pressure != 0.0 and not has_free_rim(scene):
+        raise InputError(
+            'refine: the scene has pressure="step" and no free edges, so that its state depends on '
+            'the steps taken; use pressure="total", or run the script with a finer mesh.'
+        )
+    if scene.terms and terms is None:
+        raise InputError(
+            f"refine: the term {scene.terms[0].name!r} of your own is made for this mesh; give a "
+            "function that makes it for another scene, terms=lambda scene: ..."
+        )
+    if terms is not None and not callable(terms):
+        raise InputError(
+            f"refine: terms = {terms!r}; give a function of a scene that returns the added terms "
+            "made for it, terms=lambda scene: ..."
+        )
+    if terms is not None and not scene.terms:
+        raise InputError("refine: terms is given, but no term has been added to the scene.")
+    for load in scene.loads:
+        if load.again is None:
+            raise InputError(
+                f"refine: of the load {load.name!r}, a function or forces on vertices, only the "
+                "forces on this mesh are known; put it again with scene.put_load, as a force per "
+                "area (after loading a checkpoint: with the same function, before)."
+            )
+    for cable in scene.cables:
+        friction = cable.cable.sideways
+        if cable.cable.law == "step" or (friction is not None and friction.law == "step"):
+            raise InputError(
+                f'refine: the cable {cable.name!r} has law="step", whose state depends on the '
+                "steps taken; use the other law, or run the script with a finer mesh."
+            )
+    _check_supports(scene.membrane)
+
+
+def _check_supports(membrane: Membrane) -> None:
+    """Refuse held vertices that `Scene.fix` does not know of. Collective."""
+    held = np.zeros_like(membrane.held)
+    for where, directions in membrane.supports:
+        dofs = membrane.vertices(where)
+        for letter in directions:
+            held[dofs, COMPONENTS[letter]] = True
+    differ = (held != membrane.held).any(axis=1)
+    if membrane.comm.allreduce(bool(differ.any()), op=MPI.LOR):
+        with raised_together(membrane.comm):
+            if differ.any():
+                raise InputError(
+                    f"refine: the vertex {membrane.stress_free[np.argmax(differ)]} is held, or "
+                    "free, otherwise than scene.fix(...) was told, as after loading a checkpoint; "
+                    "call scene.fix(...) for all supports."
+                )
