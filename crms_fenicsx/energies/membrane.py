@@ -59,6 +59,7 @@ class MembraneEnergy(EnergyTerm):
     """
 
     name = "membrane"
+    exact_hessian = True
     integral: Integral
     stiffening: Stiffening
 

@@ -30,6 +30,11 @@ from crms_fenicsx.minimization.membrane_multigrid import (
     tell_rigid_motions,
 )
 from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.minimization.stiffness_matrix import (
+    add_empty_diagonal,
+    empty_matrix,
+    stiffen_across_rails,
+)
 from crms_fenicsx.runtime.arrays import Array
 
 QUIET = {"mat_cholmod_print": "0"}
@@ -84,15 +89,7 @@ class InitialHessian:
     def __init__(self, potential: Potential, prefix: str) -> None:
         self.potential = potential
         unknowns = potential.unknowns
-        self.matrix = PETSc.Mat().create(unknowns.comm)
-        self.matrix.setSizes(((3 * unknowns.n_owned, 3 * unknowns.n_global),) * 2)
-        self.matrix.setBlockSize(3)
-        self.matrix.setType(PETSc.Mat.Type.AIJ)
-        lgmap = unknowns.lgmap()
-        self.matrix.setLGMap(lgmap, lgmap)
-        lgmap.destroy()
-        potential.count_stiffness().allocate(self.matrix)
-        self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        self.matrix = empty_matrix(potential)
         self.pc = PETSc.PC().create(unknowns.comm)
         self.pc.setOptionsPrefix(prefix)
         self.pc.setOperators(self.matrix)
@@ -185,11 +182,8 @@ class InitialHessian:
             held |= at_bounds(self.potential)
         self._held = held
         A.zeroEntries()
-        if self._new:  # every diagonal entry must exist, also of points that no term touches
-            blocks = unknowns.matrix_numbers[: unknowns.n_owned, None]
-            A.setValuesBlockedLocalRCV(
-                blocks, blocks, np.zeros((unknowns.n_owned, 9)), PETSc.InsertMode.ADD
-            )
+        if self._new:
+            add_empty_diagonal(A, unknowns)
             self._new = False
         self.potential.add_stiffness(A, exact)
         A.assemble()
@@ -199,21 +193,11 @@ class InitialHessian:
         largest = float(sizes[0]) if sizes[0] > 0 else 1.0
         shift_diagonal(A, traces)
         if sizes[1]:
-            self._stiffen_across_rails(largest)
+            stiffen_across_rails(A, unknowns, largest)
         rows = np.flatnonzero(held) + 3 * unknowns.start
         A.zeroRowsColumns(rows.astype(PETSc.IntType), diag=largest)
         A.setOption(PETSc.Mat.Option.SPD, True)
         return held
-
-    def _stiffen_across_rails(self, value: float) -> None:
-        """Give the components across the rails, which have no stiffness, this one."""
-        A, unknowns = self.matrix, self.potential.unknowns
-        own = unknowns.rails < unknowns.n_owned
-        d = unknowns.directions[own]
-        across = value * (np.eye(3) - d[:, :, None] * d[:, None, :])
-        blocks = unknowns.matrix_numbers[unknowns.rails[own], None]
-        A.setValuesBlockedLocalRCV(blocks, blocks, across.reshape(-1, 9), PETSc.InsertMode.ADD)
-        A.assemble()
 
     def _add_dyads(self, held: npt.NDArray[np.bool_]) -> None:
         """This rank's rows of G and of Z = K^-1 G, and (C^-1 + G^T Z)^-1."""

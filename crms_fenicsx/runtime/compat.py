@@ -61,10 +61,11 @@ def with_nodes(mesh: dolfinx.mesh.Mesh, nodes: Array) -> dolfinx.mesh.Mesh:
         Coordinates of the local geometry nodes, shape (n, 3), in units of length.
     """
     old: Any = mesh._cpp_object
-    geometry = type(old.geometry)(
-        old.geometry.index_map(), geometry_dofmap(mesh), old.geometry.cmap, nodes,
-        old.geometry.input_global_indices,
-    )  # fmt: skip
+    given = old.geometry
+    cmap = given.cmaps[0] if hasattr(given, "cmaps") else given.cmap  # several since 0.11
+    geometry = type(given)(
+        given.index_map(), geometry_dofmap(mesh), cmap, nodes, given.input_global_indices
+    )
     element = basix.ufl.element("Lagrange", "triangle", 1, shape=(3,), dtype=np.float64)
     return dolfinx.mesh.Mesh(type(old)(mesh.comm, old.topology, geometry), ufl.Mesh(element))
 
