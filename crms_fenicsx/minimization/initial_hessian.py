@@ -63,6 +63,14 @@ def at_bounds(potential: Potential) -> npt.NDArray[np.bool_]:
     return pressed
 
 
+def direct_solver(comm: MPI.Comm) -> str:
+    """What factorises K unless options say otherwise: the fastest that this PETSc has."""
+    has = PETSc.Sys.hasExternalPackage
+    if comm.size == 1 and (has("cholmod") or has("suitesparse")):
+        return "cholmod"
+    return "mumps" if has("mumps") else "petsc"
+
+
 class InitialHessian:
     """H0 of a potential, positive definite; held components and those across rails are decoupled.
 
@@ -72,13 +80,14 @@ class InitialHessian:
         Its terms' stiffness is assembled.
     prefix
         Prefix of the options of K's preconditioner, `crms_h0_` for a `Solver`. By default it is
-        factorised, by CHOLMOD on one process and MUMPS on several. ``-crms_h0_pc_type gamg``,
-        default beyond `DIRECT` unknowns without cables, is a cycle of PETSc's multigrid with the
-        rigid-body motions as near-null space; ``-crms_h0_pc_type fieldsplit``, default beyond
-        `DIRECT_WITH_CABLES` with cables, eliminates their points and uses multigrid for the
-        membrane. How either is solved is told by ``-crms_h0_fieldsplit_points_pc_type`` and
-        ``-crms_h0_fieldsplit_vertices_pc_type``, both symmetric and positive definite; without
-        points it is `gamg`. ``-crms_h0_ksp_rtol`` is the accuracy of conjugate gradients.
+        factorised, by CHOLMOD on one process and MUMPS on several, as far as PETSc has these.
+        ``-crms_h0_pc_type gamg``, default beyond `DIRECT` unknowns without cables, is a cycle of
+        PETSc's multigrid with the rigid-body motions as near-null space;
+        ``-crms_h0_pc_type fieldsplit``, default beyond `DIRECT_WITH_CABLES` with cables, eliminates
+        their points and uses multigrid for the membrane. How either is solved is told by
+        ``-crms_h0_fieldsplit_points_pc_type`` and ``-crms_h0_fieldsplit_vertices_pc_type``, both
+        symmetric and positive definite; without points it is `gamg`. ``-crms_h0_ksp_rtol`` is the
+        accuracy of conjugate gradients.
 
     Attributes
     ----------
@@ -96,7 +105,7 @@ class InitialHessian:
         cables = any(term.of_cables for term in potential.terms)
         if 3 * unknowns.n_global <= (DIRECT_WITH_CABLES if cables else DIRECT):
             self.pc.setType(PETSc.PC.Type.CHOLESKY)
-            self.pc.setFactorSolverType("cholmod" if unknowns.comm.size == 1 else "mumps")
+            self.pc.setFactorSolverType(direct_solver(unknowns.comm))
         else:
             self.pc.setType(PETSc.PC.Type.FIELDSPLIT if cables else PETSc.PC.Type.GAMG)
         self.pc.setFromOptions()
