@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import Annotated
+from typing import Annotated, Any
 
 from crms_fenicsx.checkpoint.codec import Plain
 from crms_fenicsx.energies.paper.step_history import StepHistory
@@ -136,6 +136,7 @@ class Contents:
     laid: int
     dissipated: float
     energies: dict[str, float]
+    materials: tuple[dict[str, Any], ...]
     loads: tuple[SavedLoad, ...]
     ponds: tuple[Pond, ...]
     strip: tuple[int, ...]

@@ -29,6 +29,7 @@ from crms_fenicsx.checkpoint.fingerprint import check_same, fingerprint
 from crms_fenicsx.checkpoint.folder import complete, replaced_folder
 from crms_fenicsx.energies.dead_load import MembraneLoad
 from crms_fenicsx.model.bar import BarEnd, Joint, MeshVertex, PlacedBar
+from crms_fenicsx.model.changed_materials import numbers, with_numbers
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.output.npy import read_rows, write_rows
 from crms_fenicsx.runtime.checks import LONGEST
@@ -37,7 +38,7 @@ from crms_fenicsx.runtime.files import explained, read_text, readable
 from crms_fenicsx.scene import Scene
 
 STATE, CELLS = "state.json", "cells.npy"
-FORMAT = "crms_fenicsx checkpoint 6"
+FORMAT = "crms_fenicsx checkpoint 7"
 """What a checkpoint says it is; the number grows when its content changes."""
 
 
@@ -155,6 +156,9 @@ def restore(saved: Saved, scene: Scene) -> Run:
             if ours and [one.name for one in ours] != [one.name for one in theirs]:
                 raise ValueError(f"its {kind} are {[one.name for one in theirs]}, not {ours}")
     check_same(contents.scene, scene)
+    with reading(saved.file):
+        pairs = zip(scene.materials.items(), contents.materials, strict=True)
+        materials = {k: with_numbers(material, kept) for (k, material), kept in pairs}
     follows = [load.follows for load in contents.loads]
     fields = read_fields(place, scene, contents.held_edges, digests, follows)
     if run.step_history is not None and scene.strain_law == "step":
@@ -162,6 +166,7 @@ def restore(saved: Saved, scene: Scene) -> Run:
         due, shape = digests.get("cells", ""), (total, 6)
         run = run.with_cells(read_rows(place / CELLS, comm, ids, np.float64, shape, due))
     _restore(scene, fields, saved)
+    scene.materials.update(materials)
     scene.step_history = run.step_history
     scene.commits += 1
     return run
@@ -183,6 +188,7 @@ def _contents(
         laid=scene.net.laid,
         dissipated=scene.net.removed_dissipation,
         energies=scene.energies,
+        materials=tuple(numbers(material) for material in scene.materials.values()),
         loads=tuple(
             SavedLoad(
                 load.name, load.intensity, load.suction is not None, load.factor, dict(load.joints)

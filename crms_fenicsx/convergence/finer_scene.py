@@ -150,6 +150,7 @@ def _refuse(scene: Scene) -> None:
             f"refine: the term {scene.terms[0].name!r} of your own is made for this mesh; run the "
             "script with a finer mesh."
         )
+    _refuse_changes(scene)
     for load in scene.loads:
         if load.again is None:
             raise InputError(
@@ -176,6 +177,24 @@ def _refuse(scene: Scene) -> None:
                 "mesh."
             )
     _check_supports(scene.membrane)
+
+
+def _refuse_changes(scene: Scene) -> None:
+    """Refuse what was put on a scene before its materials or cables became others."""
+    changed = [cable.name for cable in scene.cables if cable.laying is not None
+               and cable.laying.EA != cable.cable.EA]  # fmt: skip
+    membrane = scene.membrane
+    if membrane.materials != membrane.first_materials and (scene.loads or scene.cables):
+        what, call = "the membrane's material", "set_material"
+    elif changed:
+        what, call = f"the stiffness of the cable {changed[0]!r}", "set_stiffness"
+    else:
+        return
+    raise InputError(
+        f"refine: {what} has been changed by scene.{call}(...), and the states in which loads and "
+        "cables were put on the scene were found before; make another scene with it from the "
+        "beginning."
+    )
 
 
 def _check_supports(membrane: Membrane) -> None:

@@ -161,6 +161,10 @@ class PlacedBar:
         """Replace parts of its state; for the package alone."""
         self.state = replace(self.state, **changes)
 
+    def set_stiffness(self, EA: float) -> None:
+        """Take another axial stiffness (force); for the package alone."""
+        self.bar = replace(self.bar, EA=EA)
+
     @property
     def length(self) -> float:
         """Current length (length)."""

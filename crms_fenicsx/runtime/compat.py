@@ -14,8 +14,10 @@ import ufl
 from dolfinx.cpp.graph import AdjacencyList_int32
 from mpi4py import MPI
 from numpy.typing import NDArray
+from petsc4py import PETSc
 
 from crms_fenicsx.runtime.arrays import Array, Indices, Integers
+from crms_fenicsx.runtime.errors import InputError
 
 
 def create_mesh(
@@ -116,3 +118,21 @@ def interpolation_points(element: Any) -> NDArray[np.floating]:
     points: Any = element.interpolation_points
     points = points() if callable(points) else points
     return np.asarray(points)
+
+
+def require_real() -> None:
+    """Refuse a DOLFINx whose PETSc does not have real numbers of 64 bits.
+
+    Raises
+    ------
+    InputError
+        It has others, such as complex ones, of which an energy has no minimum.
+    """
+    kind = np.dtype(PETSc.ScalarType)
+    if kind != np.float64:
+        raise InputError(
+            f"DOLFINx and PETSc work with numbers of type {kind} here (petsc4py.PETSc.ScalarType), "
+            "and crms_fenicsx needs float64; take a build with real numbers: petsc=*=real* of "
+            "conda-forge, `source dolfinx-real-mode` in the Docker image dolfinx/dolfinx, "
+            "python3-dolfinx-real of Debian and Ubuntu."
+        )
