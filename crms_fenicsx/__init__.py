@@ -32,7 +32,7 @@ from crms_fenicsx.solver import Solver
 from crms_fenicsx.steps.load_step import Step
 from crms_fenicsx.steps.motion import Rotation
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = [
     "Bar",
     "Cable",

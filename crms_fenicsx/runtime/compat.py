@@ -64,7 +64,7 @@ def with_nodes(mesh: dolfinx.mesh.Mesh, nodes: Array) -> dolfinx.mesh.Mesh:
     """
     old: Any = mesh._cpp_object
     given = old.geometry
-    cmap = given.cmaps[0] if hasattr(given, "cmaps") else given.cmap  # several since 0.11
+    cmap = given.cmap if hasattr(given, "cmap") else given.cmaps[0]  # several since 0.11
     geometry = type(given)(
         given.index_map(), geometry_dofmap(mesh), cmap, nodes, given.input_global_indices
     )
