@@ -5,6 +5,8 @@ A load step runs through the packages in one direction: `solver` and `steps` (th
 `minimization` (its minimum) -> `verification`, `results`, `output` and `checkpoint`.
 """
 
+from mpi4py import MPI as _MPI  # noqa: F401  # before DOLFINx: wheels of PyPI count on its library
+
 from crms_fenicsx import meshes
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.groups import combine_in_groups
