@@ -5,6 +5,8 @@ A load step runs through the packages in one direction: `solver` and `steps` (th
 `minimization` (its minimum) -> `verification`, `results`, `output` and `checkpoint`.
 """
 
+from mpi4py import MPI as _MPI  # noqa: F401  # before DOLFINx: wheels of PyPI count on its library
+
 from crms_fenicsx import meshes
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.groups import combine_in_groups
@@ -32,7 +34,7 @@ from crms_fenicsx.solver import Solver
 from crms_fenicsx.steps.load_step import Step
 from crms_fenicsx.steps.motion import Rotation
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = [
     "Bar",
     "Cable",

@@ -8,6 +8,7 @@ from crms_fenicsx.energies.dead_load import joint_load
 from crms_fenicsx.loaded_membrane import LoadedMembrane
 from crms_fenicsx.model.bar import Bar, BarEnd, Joint, MeshVertex, PlacedBar, Placing
 from crms_fenicsx.model.frame import Frame
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
@@ -134,7 +135,7 @@ class BracedMembrane(LoadedMembrane):
         ends = self._bar_end(found, "start", start), self._bar_end(found, "end", end)
         stage = self.stage()
         placed = self.frame.add_bar(bar, ends, L0, found)
-        placed.placing = Placing(L0, placed.state, stage)
+        placed.placing = Placing(L0, placed.state, placed.bar.EA, stage)
         self.changes += 1
         return placed
 
@@ -240,3 +241,43 @@ class BracedMembrane(LoadedMembrane):
             x, y, z = map(float, checks.vector(f"put_joint_load: force on {joint!r}", force))
             found[joint.name] = (x, y, z)
         self.add_load(joint_load(self.membrane, found, name))
+
+    @collective
+    def set_stiffness(self, EA: Mapping[LaidCable | PlacedBar, float]) -> None:
+        """Give cables and bars another axial stiffness, for studies of parameters. Collective.
+
+        They keep their unstressed lengths; the next load step goes to the equilibrium with it.
+
+        Parameters
+        ----------
+        EA
+            Axial stiffness (force) by cables and bars of this scene.
+
+        Raises
+        ------
+        InputError
+            On all ranks: what is no cable or bar of this scene, or a stiffness that is not
+            positive.
+
+        Examples
+        --------
+        >>> scene.set_stiffness({ridge: 2 * ridge.cable.EA})
+        >>> solver.advance()
+        """
+        checks.same(self.comm, "set_stiffness", EA=EA)
+        if not isinstance(EA, Mapping) or not EA:
+            raise InputError(f"set_stiffness: EA = {EA!r}; write {{cable: EA, ...}}.")
+        for one, stiffness in EA.items():
+            if not any(one is own for own in self._stretched()):
+                raise InputError(
+                    f"set_stiffness: {one!r} is no cable or bar of this scene; give what "
+                    "scene.lay_cable(...) or scene.add_bar(...) has returned."
+                )
+            checks.positive(f"set_stiffness: EA of {one.name!r}", stiffness)
+        for one, stiffness in EA.items():
+            one.set_stiffness(float(stiffness))
+        self.changes += 1
+
+    def _stretched(self) -> tuple[LaidCable | PlacedBar, ...]:
+        """What has an axial stiffness."""
+        return self.bars

@@ -18,6 +18,8 @@ from crms_fenicsx.energies.dead_load import (
     nodal_load,
     wind_load,
 )
+from crms_fenicsx.model.changed_materials import checked_materials
+from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.stage import Stage
 from crms_fenicsx.model.strengths import Strengths, checked_strengths
@@ -152,6 +154,39 @@ class LoadedMembrane:
         checks.same(self.comm, "put_forces", name=name)
         self._check_new_load("put_forces", name)
         self.add_load(nodal_load(self.membrane, forces, name))
+
+    @collective
+    def set_material(self, material: MembraneMaterial | Mapping[str, MembraneMaterial]) -> None:
+        """Give the membrane's materials other numbers, for studies of parameters. Collective.
+
+        The next load step goes to the equilibrium with them. No form is compiled anew.
+
+        Parameters
+        ----------
+        material
+            One for all, or some of those that `Scene` was given, by their parts. Each is of the
+            same class as before, with the same warp and wrinkling.
+
+        Raises
+        ------
+        InputError
+            On all ranks: a part that does not exist, a material that differs by more than numbers,
+            or a scene with the paper's step-wise strain, whose stresses are those of the steps.
+
+        Examples
+        --------
+        >>> for E in (300.0, 450.0, 600.0):
+        ...     scene.set_material({"roof": IsotropicMembrane(E=E, nu=0.3, thickness=1.0)})
+        ...     solver.advance()
+        """
+        checks.same(self.comm, "set_material", material=material)
+        self._check_strain_law()
+        self.membrane.materials.update(checked_materials(self.membrane, material))
+        self.changes += 1
+
+    @abstractmethod
+    def _check_strain_law(self) -> None:
+        """Refuse to change materials under a law that knows of the steps before."""
 
     @collective
     def set_strengths(self, strengths: Strengths | Mapping[str, Strengths]) -> None:

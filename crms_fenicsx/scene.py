@@ -17,7 +17,7 @@ from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.filled_membrane import FilledMembrane
 from crms_fenicsx.loaded_membrane import ANOTHER
 from crms_fenicsx.meshes import MembraneMesh
-from crms_fenicsx.model.bar import Joint
+from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import MembraneMaterial
@@ -90,7 +90,9 @@ class Scene(FilledMembrane, BracedMembrane):
     """Displacement of the vertices from the stress-free shape (length)."""
     held: ReadOnly[Booleans] = ReadOnly("membrane.held", "call scene.fix(...)")
     """Held components of the vertices, by local degree of freedom."""
-    materials: ReadOnly[dict[int, MembraneMaterial]] = ReadOnly("membrane.materials", ANOTHER)
+    materials: ReadOnly[dict[int, MembraneMaterial]] = ReadOnly(
+        "membrane.materials", "call scene.set_material(...)"
+    )
     pressure: ReadOnly[float] = ReadOnly("_pressure", "call solver.advance(pressure=...)")
     """Current pressure (force per area)."""
     cables: ReadOnly[Cables] = ReadOnly("_cables", "call scene.lay_cable(...) or scene.remove(...)")
@@ -357,6 +359,16 @@ class Scene(FilledMembrane, BracedMembrane):
         laid = lay(self.net, cable, route, **given, joints=joints, stage=self.stage())
         self.changes += 1
         return laid
+
+    def _check_strain_law(self) -> None:
+        if self.strain_law == "step":
+            raise InputError(
+                'set_material: strain="step" goes on from the stresses of the steps before, which '
+                'are those of the material before; use strain="total", or make another Scene(...).'
+            )
+
+    def _stretched(self) -> tuple[LaidCable | PlacedBar, ...]:
+        return *self.cables, *super()._stretched()
 
     def _used_joints(self) -> set[str | None]:
         """Names of the joints that loads and cables need."""

@@ -14,6 +14,7 @@ TUTORIALS = [
     "sliding_cable",
     "cable_net",
     "load_combinations",
+    "wind_coupling",
     "friction_experiment",
     "capstan",
     "air_dome",

@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.checkpoint.codec import Plain, encode
 from crms_fenicsx.checkpoint.fields import edge_vertices
-from crms_fenicsx.checkpoint.fingerprint import fingerprint, mixed
+from crms_fenicsx.checkpoint.fingerprint import described, fingerprint, mixed
 from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.fan_control import FanControl
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
@@ -68,6 +68,7 @@ def scene_record(scene: Scene) -> Plain:
     u = scene.u.x.array.reshape(-1, 3)
     largest = scene.comm.allreduce(float(np.abs(u).max(initial=0.0)), op=MPI.MAX)
     return fingerprint(scene) | {
+        "materials now": [described(material) for material in scene.materials.values()],
         "pressure_on (cells, mixed to one number)": mixed(scene, np.hstack([numbers, pressed])),
         "held vertices (mixed to one number)": mixed(scene, held),
         "held edges (mixed to one number)": mixed(

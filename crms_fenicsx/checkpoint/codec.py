@@ -78,6 +78,8 @@ def _hints(kind: type) -> dict[str, Any]:
 
 def _decode(hint: Any, data: Any, sizes: dict[str, int]) -> Any:
     origin, args = get_origin(hint), get_args(hint)
+    if hasattr(origin, "__value__"):  # NumPy's NDArray is an alias by name since 2.5
+        return _decode(origin.__value__[args], data, sizes)
     if is_dataclass(hint):
         return decode(hint, data)  # type: ignore[arg-type]
     if origin is Annotated:

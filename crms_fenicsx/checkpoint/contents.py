@@ -153,6 +153,7 @@ class Contents:
     laid: int
     dissipated: float
     energies: dict[str, float]
+    materials: tuple[dict[str, Any], ...]
     loads: tuple[SavedLoad, ...]
     ponds: tuple[Pond, ...]
     strip: tuple[int, ...]

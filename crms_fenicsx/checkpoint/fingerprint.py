@@ -39,7 +39,7 @@ def fingerprint(scene: Scene) -> dict[str, Any]:
         "number of vertices": mesh.topology.index_map(0).size_global,
         "number of cells": mesh.topology.index_map(2).size_global,
         "cells (their vertices, mixed to one number)": mixed(scene, cells),
-        "materials": [_described(material) for material in scene.materials.values()],
+        "materials": [described(one) for one in scene.membrane.first_materials.values()],
         "cells of the materials (mixed to one number)": mixed(scene, np.hstack([cells, tags])),
         "strain": scene.strain_law,
         "pressure": scene.pressure_law,
@@ -91,7 +91,8 @@ def _same(a: object, b: object) -> bool:
     return a == b
 
 
-def _described(material: MembraneMaterial) -> list[Any]:
+def described(material: MembraneMaterial) -> list[Any]:
+    """A material in numbers and texts."""
     warp = material.warp
     direction = "a function" if callable(warp) else warp if warp is None else [*map(float, warp)]
     values = [float(value) for value in material.parameters]

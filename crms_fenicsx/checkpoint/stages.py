@@ -15,7 +15,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.energies.dead_load import MembraneLoad, dead_load, joint_load, wind_load
-from crms_fenicsx.model.bar import PlacedBar
+from crms_fenicsx.model.bar import PlacedBar, Placing
 from crms_fenicsx.model.bar_state import BarState, JointState
 from crms_fenicsx.model.cable_state import CableState, End
 from crms_fenicsx.model.laid_cable import LaidCable, Laying
@@ -74,6 +74,7 @@ class SavedLaying:
     tension: float | None
     measured_on: Literal["surface", "facets"]
     length: float
+    EA: float
     stage: int
 
     def laying(self, stages: Sequence[Stage]) -> Laying:
@@ -87,7 +88,12 @@ class SavedPlacing:
 
     L0: float | None
     first: BarState
+    EA: float
     stage: int
+
+    def placing(self, stages: Sequence[Stage]) -> Placing:
+        """It, on its stage."""
+        return Placing(**{**vars(self), "stage": stages[self.stage]})
 
 
 class Stages:

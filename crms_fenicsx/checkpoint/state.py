@@ -34,7 +34,8 @@ from crms_fenicsx.checkpoint.stages import (
     with_recipe,
 )
 from crms_fenicsx.energies.dead_load import MembraneLoad
-from crms_fenicsx.model.bar import BarEnd, Joint, MeshVertex, PlacedBar, Placing
+from crms_fenicsx.model.bar import BarEnd, Joint, MeshVertex, PlacedBar
+from crms_fenicsx.model.changed_materials import numbers, with_numbers
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.stage import Stage
 from crms_fenicsx.output.npy import read_rows, write_rows
@@ -164,6 +165,9 @@ def restore(saved: Saved, scene: Scene) -> Run:
             if ours and [one.name for one in ours] != [one.name for one in theirs]:
                 raise ValueError(f"its {kind} are {[one.name for one in theirs]}, not {ours}")
     check_same(contents.scene, scene)
+    with reading(saved.file):
+        pairs = zip(scene.materials.items(), contents.materials, strict=True)
+        materials = {k: with_numbers(material, kept) for (k, material), kept in pairs}
     follows = [load.follows for load in contents.loads]
     fields = read_fields(place, scene, contents.held_edges, digests, follows)
     if run.step_history is not None and scene.strain_law == "step":
@@ -172,6 +176,7 @@ def restore(saved: Saved, scene: Scene) -> Run:
         run = run.with_cells(read_rows(place / CELLS, comm, ids, np.float64, shape, due))
     stages = read_stages(place, scene, contents.stages, digests)
     _restore(scene, fields, saved, stages)
+    scene.materials.update(materials)
     scene.step_history = run.step_history
     scene.commits = max(scene.commits, contents.commits) + 1
     return run
@@ -201,6 +206,7 @@ def _contents(
         laid=scene.net.laid,
         dissipated=scene.net.removed_dissipation,
         energies=scene.energies,
+        materials=tuple(numbers(material) for material in scene.materials.values()),
         loads=tuple(
             SavedLoad(
                 load.name,
@@ -265,7 +271,7 @@ def _restore_frame(scene: Scene, contents: Contents, stages: Sequence[Stage]) ->
         frame.bars += (PlacedBar(b.name, b.bar, start, end, b.state),)
     for bar, saved_bar in zip(frame.bars, contents.bars, strict=True):
         was = saved_bar.placing
-        bar.placing = None if was is None else Placing(was.L0, was.first, stages[was.stage])
+        bar.placing = None if was is None else was.placing(stages)
 
 
 def _restore(scene: Scene, fields: Fields, saved: Saved, stages: Sequence[Stage]) -> None:

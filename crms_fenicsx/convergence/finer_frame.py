@@ -65,7 +65,7 @@ class FinerFrame:
             first = was.first.points
             points = np.array([self._place(now.start, first[0]), self._place(now.end, first[1])])
             L0 = was.L0 or float(np.linalg.norm(points[1] - points[0]))
-            now.placing = Placing(was.L0, BarState(L0, points), self._stage())
+            now.placing = Placing(was.L0, BarState(L0, points), was.EA, self._stage())
 
     def _place(self, end: BarEnd, place: Array) -> Array:
         """Where an end is; a joint that has been in no load step is where it was in the coarse."""

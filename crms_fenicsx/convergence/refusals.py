@@ -49,7 +49,29 @@ def refuse(scene: Scene, terms: object) -> None:
                 f'refine: the cable {cable.name!r} has law="step", whose state depends on the '
                 "steps taken; use the other law, or run the script with a finer mesh."
             )
+    _refuse_changes(scene)
     _check_supports(scene.membrane)
+
+
+def _refuse_changes(scene: Scene) -> None:
+    """Refuse what was put on a scene before its materials, cables or bars became others."""
+    changed = [cable.name for cable in scene.cables if cable.laying is not None
+               and cable.laying.EA != cable.cable.EA]  # fmt: skip
+    changed += [bar.name for bar in scene.bars if bar.placing is not None
+                and bar.placing.EA != bar.bar.EA]  # fmt: skip
+    membrane = scene.membrane
+    if membrane.materials != membrane.first_materials and (
+        scene.loads or scene.cables or scene.bars or scene.air is not None
+    ):
+        what, call = "the membrane's material", "set_material"
+    elif changed:
+        what, call = f"the stiffness of {changed[0]!r}", "set_stiffness"
+    else:
+        return
+    raise InputError(
+        f"refine: {what} has been changed by scene.{call}(...), and the states in which things "
+        "were put on the scene were found before; make another scene with it from the beginning."
+    )
 
 
 def _check_supports(membrane: Membrane) -> None:

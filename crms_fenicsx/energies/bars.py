@@ -74,6 +74,7 @@ class BarEnergy(EnergyTerm):
     """
 
     name = "bars"
+    exact_hessian = True
 
     def __init__(self, table: BarTable) -> None:
         self.table = table
@@ -187,6 +188,7 @@ class JointLoads(EnergyTerm):
     """
 
     name = "dead load"
+    exact_hessian = True
 
     def __init__(self, blocks: Indices) -> None:
         self._blocks, self.forces = blocks, np.zeros((len(blocks), 3))

@@ -74,6 +74,7 @@ class CableTension(EnergyTerm):
     """
 
     name = "cables"
+    exact_hessian = True
     of_cables = True
     starts: Sequence[StepStart | None] = ()
     """States at the step's start of cables that have the step-wise law."""

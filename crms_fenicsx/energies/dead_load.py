@@ -295,6 +295,7 @@ class DeadLoad(EnergyTerm):
     """
 
     name = "dead load"
+    exact_hessian = True
 
     def __init__(self, n: int) -> None:
         self.forces, self._u, self._minus = np.zeros((3, n, 3))

@@ -212,6 +212,7 @@ class FoldPenalty(EnergyTerm):
     """
 
     name = "penalty"
+    exact_hessian = True
     of_cables = True
 
     def __init__(self, table: FoldAngles) -> None:

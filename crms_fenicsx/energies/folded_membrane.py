@@ -229,6 +229,7 @@ class FoldedMembraneEnergy(EnergyTerm):
     """
 
     name = "membrane"
+    exact_hessian = True
     of_cables = True
     stiffening: Stiffening
 

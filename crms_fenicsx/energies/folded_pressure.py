@@ -110,6 +110,7 @@ class FoldedFollowerPressure(EnergyTerm):
     """Potential ``-p (V - V0)`` of the folded cells, as `FollowerPressure`."""
 
     name = "pressure"
+    exact_hessian = True
     of_cables = True
 
     def __init__(self, table: Facets, pressure: fem.Constant, origin: Array) -> None:

@@ -59,6 +59,7 @@ class MembraneEnergy(EnergyTerm):
     """
 
     name = "membrane"
+    exact_hessian = True
     integral: Integral
     stiffening: Stiffening
 
@@ -84,13 +85,11 @@ class MembraneEnergy(EnergyTerm):
         self.tension_field = self._tension_field(cells)
         areas = np.linalg.norm(area_vectors(mesh)[: len(cells)], axis=1)
         self._area = float(areas.sum())
-        moduli = [material.reference_modulus for material in materials.values()]
-        prestress = [float(np.abs(m.prestress_vector).max()) for m in materials.values()]
-        self._modulus, self._prestress = max(moduli), max(prestress)
+        self._parameters: dict[int, fem.Constant] = {}
         self.terms: dict[int, tuple[LawTerms, Kinematics]] = {}
         for tag, material in materials.items():
             kinematics = Kinematics(u, tangent_basis(mesh, self.warps[tag]))
-            parameters = fem.Constant(mesh, material.parameters)
+            parameters = self._parameters[tag] = fem.Constant(mesh, material.parameters)
             if material.law == ORTHOTROPIC_TENSION_FIELD:
                 assert self.tension_field is not None
                 law = self.tension_field.terms(parameters)
@@ -99,12 +98,29 @@ class MembraneEnergy(EnergyTerm):
             else:
                 law = law_terms(material.law, kinematics.strain(), parameters)
             self.terms[tag] = (law, kinematics)
+        self.renew_materials()
         v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
         dx = one_point(mesh, subdomain_data=cell_tags)
         self.stiffness_form = fem.form(self._stiffness(v, du, dx))
         prepare = None if self.tension_field is None else self.tension_field.update
         self.integral = Integral(V, self._variation, prepare, cell_tags)
         self._cell_values: dict[int, fem.Expression] = {}
+
+    def renew_materials(self) -> None:
+        """Take the numbers that `materials` have now; laws and warps are as before."""
+        materials = self.materials.values()
+        self._modulus = max(material.reference_modulus for material in materials)
+        self._prestress = max(float(np.abs(m.prestress_vector).max()) for m in materials)
+        for tag, parameters in self._parameters.items():
+            parameters.value[:] = self.materials[tag].parameters
+        if self.tension_field is not None:
+            self.tension_field.parameters[:] = self._of_tension_field()
+
+    def _of_tension_field(self) -> Array:
+        """Parameters of the materials that wrinkle and are orthotropic, in the tags' order."""
+        own = sorted(self.materials.items())
+        wrinkle = [m.parameters for _, m in own if m.law == ORTHOTROPIC_TENSION_FIELD]
+        return np.array(wrinkle)
 
     def _on(self, tag: int, dx: ufl.Measure) -> ufl.Measure:
         """The measure on one part."""
@@ -150,7 +166,7 @@ class MembraneEnergy(EnergyTerm):
 
         tags = self.material_tags(cells)
         own = np.isin(tags, wanted)
-        parameters = np.array([self.materials[tag].parameters for tag in wanted])
+        parameters = self._of_tension_field()
         row = np.searchsorted(wanted, tags[own]).astype(np.int32)
         return TensionField(self.u, cells[own], self.material_axes(cells[own]), parameters, row)
 

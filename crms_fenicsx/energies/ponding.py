@@ -191,6 +191,7 @@ class Ponding(EnergyTerm):
     """
 
     name = "pond"
+    exact_hessian = True
     n_sums = 3
 
     def __init__(self, pond: Pond, table: Facets, datum: float) -> None:

@@ -41,6 +41,7 @@ class FollowerPressure(EnergyTerm):
     """
 
     name = "pressure"
+    exact_hessian = True
     integral: Integral
 
     def __init__(

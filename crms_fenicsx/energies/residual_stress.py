@@ -31,6 +31,7 @@ class ResidualStress(EnergyTerm):
     """
 
     name = "residual stress"
+    exact_hessian = True
     integral: Integral
 
     def __init__(self, u: fem.Function, forces: Array) -> None:

@@ -64,6 +64,11 @@ class SealedPressure(EnergyTerm):
         """The parts' volumes."""
         return len(self.parts)
 
+    @property
+    def exact_hessian(self) -> bool:  # type: ignore[override]
+        """Whether those of the parts are."""
+        return all(part.exact_hessian for part in self.parts)
+
     def attach(self, unknowns: Unknowns) -> None:
         """Use this layout."""
         super().attach(unknowns)

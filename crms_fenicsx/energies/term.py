@@ -73,6 +73,9 @@ class EnergyTerm(ABC):
     has_history
         Whether `begin_step` and `commit` do anything. Each solve then begins where the load step
         began. Checkpoints do not keep the history of a term of your own, and refuse it.
+    exact_hessian
+        Whether `add_hessian` and the dyads are all of its energy's second derivatives, and its
+        forces nothing but the energy's slope; `Solver.tangent` names the terms of which it is not.
     links : (n, 2)
         Pairs of cable points that it couples most; points are relaxed together with those that
         they are linked to.
@@ -108,6 +111,7 @@ class EnergyTerm(ABC):
     stiffening: Stiffening | None = None
     of_cables: bool = False
     has_history: bool = False
+    exact_hessian: bool = False
     links: Indices | None = None
     twin: Twin | None = None
     unknowns: Unknowns

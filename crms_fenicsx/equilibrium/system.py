@@ -89,6 +89,7 @@ class System:
         self.destroy()
         scene, damping = self.scene, None
         self.membrane.unfold()
+        self.membrane.energy.renew_materials()
         self.contributions: list[Contribution] = list(self._lasting)
         self.bars = self._bar_contribution()
         if scene.cables:

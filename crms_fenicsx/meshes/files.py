@@ -11,7 +11,13 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from crms_fenicsx.meshes.gmsh_model import own_model, read_model, renumbered, surface_of_model
+from crms_fenicsx.meshes.gmsh_model import (
+    imported,
+    own_model,
+    read_model,
+    renumbered,
+    surface_of_model,
+)
 from crms_fenicsx.meshes.isolated_reader import read_isolated
 from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, distributed
 from crms_fenicsx.meshes.orientation import UPWARD, Outside
@@ -56,8 +62,7 @@ def from_gmsh(
     """
 
     def build() -> SurfaceArrays:
-        import gmsh
-
+        gmsh = imported("gmsh")
         if not gmsh.isInitialized():
             raise MeshError(
                 "gmsh is not initialised on rank 0: build and mesh a model there before"

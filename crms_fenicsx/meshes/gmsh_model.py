@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,24 @@ _OPTIONS = {
 }
 
 
+def imported(package: str) -> Any:
+    """A package that makes or reads meshes, and need not be there.
+
+    Raises
+    ------
+    MeshError
+        It is not there, or cannot be loaded.
+    """
+    try:
+        return import_module(package)
+    except (ImportError, OSError) as error:  # OSError: without libraries that gmsh stands on
+        raise MeshError(
+            f"this mesh needs {package}, which cannot be imported ({error}); install it: "
+            "pip install 'crms_fenicsx[mesh]', conda install python-gmsh meshio, or "
+            "apt install python3-gmsh python3-meshio."
+        ) from error
+
+
 @contextmanager
 def own_model(*, quiet_only: bool = False) -> Iterator[Any]:
     """Enter a new, empty gmsh model and yield the gmsh module.
@@ -40,8 +59,7 @@ def own_model(*, quiet_only: bool = False) -> Iterator[Any]:
     quiet_only
         Leave gmsh's meshing options as they are: a script may count on its defaults.
     """
-    import gmsh
-
+    gmsh = imported("gmsh")
     started = not gmsh.isInitialized()
     if started:
         # not interruptible: that would replace Python's handler of Ctrl-C

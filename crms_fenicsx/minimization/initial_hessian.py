@@ -30,6 +30,11 @@ from crms_fenicsx.minimization.membrane_multigrid import (
     tell_rigid_motions,
 )
 from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.minimization.stiffness_matrix import (
+    add_empty_diagonal,
+    empty_matrix,
+    stiffen_across_rails,
+)
 from crms_fenicsx.runtime.arrays import Array
 
 QUIET = {"mat_cholmod_print": "0"}
@@ -58,6 +63,14 @@ def at_bounds(potential: Potential) -> npt.NDArray[np.bool_]:
     return pressed
 
 
+def direct_solver(comm: MPI.Comm) -> str:
+    """What factorises K unless options say otherwise: the fastest that this PETSc has."""
+    has = PETSc.Sys.hasExternalPackage
+    if comm.size == 1 and (has("cholmod") or has("suitesparse")):
+        return "cholmod"
+    return "mumps" if has("mumps") else "petsc"
+
+
 class InitialHessian:
     """H0 of a potential, positive definite; held components and those across rails are decoupled.
 
@@ -67,13 +80,14 @@ class InitialHessian:
         Its terms' stiffness is assembled.
     prefix
         Prefix of the options of K's preconditioner, `crms_h0_` for a `Solver`. By default it is
-        factorised, by CHOLMOD on one process and MUMPS on several. ``-crms_h0_pc_type gamg``,
-        default beyond `DIRECT` unknowns without cables, is a cycle of PETSc's multigrid with the
-        rigid-body motions as near-null space; ``-crms_h0_pc_type fieldsplit``, default beyond
-        `DIRECT_WITH_CABLES` with cables, eliminates their points and uses multigrid for the
-        membrane. How either is solved is told by ``-crms_h0_fieldsplit_points_pc_type`` and
-        ``-crms_h0_fieldsplit_vertices_pc_type``, both symmetric and positive definite; without
-        points it is `gamg`. ``-crms_h0_ksp_rtol`` is the accuracy of conjugate gradients.
+        factorised, by CHOLMOD on one process and MUMPS on several, as far as PETSc has these.
+        ``-crms_h0_pc_type gamg``, default beyond `DIRECT` unknowns without cables, is a cycle of
+        PETSc's multigrid with the rigid-body motions as near-null space;
+        ``-crms_h0_pc_type fieldsplit``, default beyond `DIRECT_WITH_CABLES` with cables, eliminates
+        their points and uses multigrid for the membrane. How either is solved is told by
+        ``-crms_h0_fieldsplit_points_pc_type`` and ``-crms_h0_fieldsplit_vertices_pc_type``, both
+        symmetric and positive definite; without points it is `gamg`. ``-crms_h0_ksp_rtol`` is the
+        accuracy of conjugate gradients.
 
     Attributes
     ----------
@@ -84,22 +98,14 @@ class InitialHessian:
     def __init__(self, potential: Potential, prefix: str) -> None:
         self.potential = potential
         unknowns = potential.unknowns
-        self.matrix = PETSc.Mat().create(unknowns.comm)
-        self.matrix.setSizes(((3 * unknowns.n_owned, 3 * unknowns.n_global),) * 2)
-        self.matrix.setBlockSize(3)
-        self.matrix.setType(PETSc.Mat.Type.AIJ)
-        lgmap = unknowns.lgmap()
-        self.matrix.setLGMap(lgmap, lgmap)
-        lgmap.destroy()
-        potential.count_stiffness().allocate(self.matrix)
-        self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        self.matrix = empty_matrix(potential)
         self.pc = PETSc.PC().create(unknowns.comm)
         self.pc.setOptionsPrefix(prefix)
         self.pc.setOperators(self.matrix)
         cables = any(term.of_cables for term in potential.terms)
         if 3 * unknowns.n_global <= (DIRECT_WITH_CABLES if cables else DIRECT):
             self.pc.setType(PETSc.PC.Type.CHOLESKY)
-            self.pc.setFactorSolverType("cholmod" if unknowns.comm.size == 1 else "mumps")
+            self.pc.setFactorSolverType(direct_solver(unknowns.comm))
         else:
             self.pc.setType(PETSc.PC.Type.FIELDSPLIT if cables else PETSc.PC.Type.GAMG)
         self.pc.setFromOptions()
@@ -185,11 +191,8 @@ class InitialHessian:
             held |= at_bounds(self.potential)
         self._held = held
         A.zeroEntries()
-        if self._new:  # every diagonal entry must exist, also of points that no term touches
-            blocks = unknowns.matrix_numbers[: unknowns.n_owned, None]
-            A.setValuesBlockedLocalRCV(
-                blocks, blocks, np.zeros((unknowns.n_owned, 9)), PETSc.InsertMode.ADD
-            )
+        if self._new:
+            add_empty_diagonal(A, unknowns)
             self._new = False
         self.potential.add_stiffness(A, exact)
         A.assemble()
@@ -199,21 +202,11 @@ class InitialHessian:
         largest = float(sizes[0]) if sizes[0] > 0 else 1.0
         shift_diagonal(A, traces)
         if sizes[1]:
-            self._stiffen_across_rails(largest)
+            stiffen_across_rails(A, unknowns, largest)
         rows = np.flatnonzero(held) + 3 * unknowns.start
         A.zeroRowsColumns(rows.astype(PETSc.IntType), diag=largest)
         A.setOption(PETSc.Mat.Option.SPD, True)
         return held
-
-    def _stiffen_across_rails(self, value: float) -> None:
-        """Give the components across the rails, which have no stiffness, this one."""
-        A, unknowns = self.matrix, self.potential.unknowns
-        own = unknowns.rails < unknowns.n_owned
-        d = unknowns.directions[own]
-        across = value * (np.eye(3) - d[:, :, None] * d[:, None, :])
-        blocks = unknowns.matrix_numbers[unknowns.rails[own], None]
-        A.setValuesBlockedLocalRCV(blocks, blocks, across.reshape(-1, 9), PETSc.InsertMode.ADD)
-        A.assemble()
 
     def _add_dyads(self, held: npt.NDArray[np.bool_]) -> None:
         """This rank's rows of G and of Z = K^-1 G, and (C^-1 + G^T Z)^-1."""

@@ -107,12 +107,15 @@ class Placing:
         As given to `Scene.add_bar` (length).
     first
         Its state then.
+    EA
+        Its axial stiffness then (force).
     stage
         What it was placed on.
     """
 
     L0: float | None
     first: BarState
+    EA: float
     stage: Stage
 
 
@@ -145,6 +148,10 @@ class PlacedBar:
     def update(self, **changes: Any) -> None:
         """Replace parts of its state; for the package alone."""
         self.state = replace(self.state, **changes)
+
+    def set_stiffness(self, EA: float) -> None:
+        """Take another axial stiffness (force); for the package alone."""
+        self.bar = replace(self.bar, EA=EA)
 
     @property
     def length(self) -> float:

@@ -84,6 +84,8 @@ class Laying:
         As given to `Scene.lay_cable`.
     length
         The unstressed length that it got (length).
+    EA
+        Its axial stiffness (force).
     stage
         What it was laid on.
     """
@@ -96,6 +98,7 @@ class Laying:
     tension: float | None
     measured_on: Literal["surface", "facets"]
     length: float
+    EA: float
     stage: Stage
 
 
@@ -167,7 +170,7 @@ class LaidCable:
     """
 
     name: ReadOnly[str] = ReadOnly("_name", "scene.lay_cable(..., name=...) gives a name")
-    cable: ReadOnly[Cable] = ReadOnly("_cable", RELAY)
+    cable: ReadOnly[Cable] = ReadOnly("_cable", "call scene.set_stiffness(...) or lay another one")
     sleeve: ReadOnly[bool] = ReadOnly("_sleeve", RELAY)
     in_edge: ReadOnly[bool] = ReadOnly("_in_edge", RELAY)
     layer: ReadOnly[int] = ReadOnly("_layer", RELAY)
@@ -207,6 +210,10 @@ class LaidCable:
     def update(self, **changes: Any) -> None:
         """Replace parts of its state, by name; arrays among them become read-only."""
         self.state = replace(self.state, **changes)
+
+    def set_stiffness(self, EA: float) -> None:
+        """Take another axial stiffness (force); for the package alone."""
+        self._cable = replace(self._cable, EA=EA)
 
     @property
     def slides_freely(self) -> bool:

@@ -17,6 +17,7 @@ from crms_fenicsx.model.materials import LINEAR, UFL_LAW, MembraneMaterial
 from crms_fenicsx.model.strengths import Strengths
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
+from crms_fenicsx.runtime.compat import require_real
 from crms_fenicsx.runtime.errors import InputError, PathError, collective, raised_together
 
 Marker = Callable[[Array], Booleans]
@@ -48,6 +49,8 @@ class Membrane:
         Whether pressure acts on each local cell.
     materials, cell_tags
         Materials by number, and the number of each cell's; no tags if there is one for all.
+    first_materials
+        The materials as they were given, before `Scene.set_material`.
     parts
         Names of the parts with a material of their own, by its number.
     strengths
@@ -62,7 +65,7 @@ class Membrane:
     ------
     InputError
         A material for a part that does not exist, cells without a material or with several, or
-        pressure on a part that does not exist.
+        pressure on a part that does not exist; or a DOLFINx whose numbers are not real.
     """
 
     def __init__(
@@ -71,8 +74,10 @@ class Membrane:
         material: MembraneMaterial | Mapping[str, MembraneMaterial],
         pressure_on: Sequence[str] | None = None,
     ) -> None:
+        require_real()
         self.mesh, self.comm = mesh, mesh.comm
         self.cell_tags, self.materials = _assign_materials(mesh, material)
+        self.first_materials = dict(self.materials)
         named = material if isinstance(material, Mapping) else {}
         self.parts = dict(enumerate(sorted(named, key=repr)))
         self.pressed = _pressed_cells(mesh, pressure_on)

@@ -111,7 +111,9 @@ def lay(
 
         laid.update(axial=initial_state(laid, shape))
     ends = np.array(laid.positions[[0, -1]])
-    laid.laying = Laying(given, laid.path, laid.ends, ends, *asked, length=L0, stage=stage)
+    laid.laying = Laying(
+        given, laid.path, laid.ends, ends, *asked, length=L0, EA=cable.EA, stage=stage
+    )
     net.add(laid, strip)
     return laid
 

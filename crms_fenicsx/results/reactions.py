@@ -73,6 +73,26 @@ def support_forces(system: System) -> Array:
     system
         The scene's potential; it is brought to the scene's state.
     """
+    g = nodal_forces(system)
+    n = system.unknowns.n_vertices
+    forces: Array = np.where(system.scene.held[:n], g[:n], 0.0)
+    return forces
+
+
+def nodal_forces(system: System) -> Array:
+    """What the structure's own forces and the loads leave at this rank's blocks. Collective.
+
+    Parameters
+    ----------
+    system
+        The scene's potential; it is brought to the scene's state.
+
+    Returns
+    -------
+    (n_owned, 3)
+        The energy's slope (force): zero in equilibrium but where something else holds the
+        structure, and there the force of that.
+    """
     system.update()
     potential, unknowns = system.potential, system.unknowns
     potential.sum_up()
@@ -89,10 +109,8 @@ def support_forces(system: System) -> Array:
     _leave_ends_to_anchors(system, g)
     _hand_on_rails(system, g)
     unknowns.gather_forces(vector, g)
-    n = unknowns.n_vertices
-    forces: Array = np.where(system.scene.held[:n], g[:n], 0.0)
     vector.destroy()
-    return forces
+    return g[: unknowns.n_owned]
 
 
 def held_lengths(membrane: Membrane, group: str | None = None) -> Array:

@@ -14,6 +14,7 @@ from crms_fenicsx.results.cable_results import CableResults, cable_results
 from crms_fenicsx.results.error_estimate import ErrorEstimate, ErrorEstimator
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.results.reactions import Reactions, reactions
+from crms_fenicsx.results.residual import Residual, Tangent, residual, tangent
 from crms_fenicsx.results.summary import Summary, summary
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, collective
@@ -134,3 +135,49 @@ class SolverResults:
         >>> solver.estimate_error().relative
         """
         return ErrorEstimator(self._scene).of(self.system)
+
+    @collective
+    def residual(self) -> Residual:
+        """Forces that are not balanced in the current state, to be destroyed. Collective.
+
+        They are the slope of the potential energy: in equilibrium zero but at supports, where they
+        are the supports' forces, and where a floor presses.
+
+        Returns
+        -------
+        Residual
+            As a function on `Scene.V`, of the joints, and as a vector of all unknowns.
+
+        Examples
+        --------
+        >>> residual = solver.residual()
+        >>> residual.vector.norm()  # without what is held
+        >>> residual.destroy()
+        """
+        return residual(self.system)
+
+    @collective
+    def tangent(self) -> Tangent:
+        """Second derivatives of the potential energy, to be destroyed. Collective.
+
+        They are exact but for the terms that ``inexact`` names.
+
+        Returns
+        -------
+        Tangent
+            A matrix of PETSc for vectors as that of `residual`.
+
+        Examples
+        --------
+        A step of Newton's method, of a membrane without cables:
+
+        >>> residual, tangent = solver.residual(), solver.tangent()
+        >>> ksp = PETSc.KSP().create(scene.comm)
+        >>> ksp.setOperators(tangent.matrix, tangent.sparse)
+        >>> step = residual.vector.duplicate()
+        >>> ksp.solve(residual.vector, step)
+        >>> owned = 3 * scene.V.dofmap.index_map.size_local
+        >>> scene.u.x.array[:owned] -= step.array[:owned]
+        >>> scene.u.x.scatter_forward()
+        """
+        return tangent(self.system)

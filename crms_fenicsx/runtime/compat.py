@@ -14,8 +14,10 @@ import ufl
 from dolfinx.cpp.graph import AdjacencyList_int32
 from mpi4py import MPI
 from numpy.typing import NDArray
+from petsc4py import PETSc
 
 from crms_fenicsx.runtime.arrays import Array, Indices, Integers
+from crms_fenicsx.runtime.errors import InputError
 
 
 def create_mesh(
@@ -61,10 +63,11 @@ def with_nodes(mesh: dolfinx.mesh.Mesh, nodes: Array) -> dolfinx.mesh.Mesh:
         Coordinates of the local geometry nodes, shape (n, 3), in units of length.
     """
     old: Any = mesh._cpp_object
-    geometry = type(old.geometry)(
-        old.geometry.index_map(), geometry_dofmap(mesh), old.geometry.cmap, nodes,
-        old.geometry.input_global_indices,
-    )  # fmt: skip
+    given = old.geometry
+    cmap = given.cmap if hasattr(given, "cmap") else given.cmaps[0]  # several since 0.11
+    geometry = type(given)(
+        given.index_map(), geometry_dofmap(mesh), cmap, nodes, given.input_global_indices
+    )
     element = basix.ufl.element("Lagrange", "triangle", 1, shape=(3,), dtype=np.float64)
     return dolfinx.mesh.Mesh(type(old)(mesh.comm, old.topology, geometry), ufl.Mesh(element))
 
@@ -115,3 +118,21 @@ def interpolation_points(element: Any) -> NDArray[np.floating]:
     points: Any = element.interpolation_points
     points = points() if callable(points) else points
     return np.asarray(points)
+
+
+def require_real() -> None:
+    """Refuse a DOLFINx whose PETSc does not have real numbers of 64 bits.
+
+    Raises
+    ------
+    InputError
+        It has others, such as complex ones, of which an energy has no minimum.
+    """
+    kind = np.dtype(PETSc.ScalarType)
+    if kind != np.float64:
+        raise InputError(
+            f"DOLFINx and PETSc work with numbers of type {kind} here (petsc4py.PETSc.ScalarType), "
+            "and crms_fenicsx needs float64; take a build with real numbers: petsc=*=real* of "
+            "conda-forge, `source dolfinx-real-mode` in the Docker image dolfinx/dolfinx, "
+            "python3-dolfinx-real of Debian and Ubuntu."
+        )

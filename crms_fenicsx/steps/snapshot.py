@@ -11,6 +11,7 @@ from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.membrane import Marker
 from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.runtime.arrays import Array, Booleans
@@ -40,6 +41,8 @@ class Snapshot:
     removed_dissipation: float
     joints: tuple[Joint, ...]
     bars: tuple[PlacedBar, ...]
+    stiffnesses: tuple[float, ...]
+    materials: dict[int, MembraneMaterial]
     held: Booleans
     held_edges: Booleans
     supports: tuple[tuple[str | Marker, str], ...]
@@ -61,6 +64,8 @@ class Snapshot:
             net.removed_dissipation,
             scene.joints,
             scene.bars,
+            (*(c.cable.EA for c in net.cables), *(bar.bar.EA for bar in scene.bars)),
+            dict(membrane.materials),
             membrane.held.copy(),
             membrane.held_edges.copy(),
             membrane.supports,
@@ -85,7 +90,11 @@ class Snapshot:
         net.cables, net.strip = self.cables, self.strip
         net.removed_dissipation = self.removed_dissipation
         scene.frame.joints, scene.frame.bars = self.joints, self.bars
+        stretched: tuple[LaidCable | PlacedBar, ...] = (*self.cables, *self.bars)
+        for one, EA in zip(stretched, self.stiffnesses, strict=True):
+            one.set_stiffness(EA)
         self.state.restore(scene)
+        scene.membrane.materials.update(self.materials)
         scene.membrane.held[:] = self.held
         scene.membrane.held_edges[:] = self.held_edges
         scene.membrane.supports = self.supports

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import typing
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
@@ -109,3 +111,17 @@ def test_what_is_no_number_is_not_written() -> None:
         through_json(replace(WHOLE, number=np.nan))
     with pytest.raises((TypeError, ValueError)):
         through_json(replace(WHOLE, rest={"what": object()}))
+
+
+@pytest.mark.skipif(not hasattr(typing, "TypeAliasType"), reason="aliases by name need Python 3.12")
+def test_arrays_by_a_named_alias() -> None:
+    """As NumPy's NDArray is one since 2.5."""
+    scalar = typing.TypeVar("scalar", bound=np.generic)
+    alias = typing.TypeAliasType(  # type: ignore[attr-defined,unused-ignore]
+        "NDArray", np.ndarray[Any, np.dtype[scalar]], type_params=(scalar,)
+    )
+    made = dataclasses.make_dataclass("Made", [("places", Annotated[alias[np.float64], "n", 2])])
+    found = decode(made, {"places": [[1.0, 2.0], [3.0, None]]})
+    assert np.array_equal(found.places, [[1.0, 2.0], [3.0, np.nan]], equal_nan=True)
+    with pytest.raises(ValueError, match="where"):
+        decode(made, {"places": [[1.0, 2.0, 3.0]]})

@@ -21,7 +21,7 @@ from scipy.special import ellipe
 from crms_fenicsx import meshes
 from crms_fenicsx.meshes import Refinement
 from crms_fenicsx.meshes.refinement import TargetSize
-from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.runtime.errors import InputError, MeshError
 
 
 def order_of(errors, factor=2.0):
@@ -306,3 +306,19 @@ def test_refinement_refines_near_its_line_only(comm, shape):
 def test_bad_arguments(comm, make, message):
     with pytest.raises(InputError, match=message):
         make(comm)
+
+
+@pytest.mark.parametrize("why", [None, "libGLU.so.1"])
+def test_without_gmsh_it_says_what_to_install(comm, monkeypatch, why) -> None:
+    """Where it is not there, or cannot be loaded; structured rectangles do without."""
+    from crms_fenicsx.meshes import gmsh_model
+
+    def missing(name: str) -> None:
+        raise ModuleNotFoundError(f"No module named {name!r}") if why is None else OSError(why)
+
+    monkeypatch.setattr(gmsh_model, "import_module", missing)
+    with pytest.raises(MeshError, match=r"needs gmsh.*(No module|libGLU).*crms_fenicsx\[mesh\]"):
+        meshes.rectangle(comm, 1.0, 1.0, 0.5)
+    with pytest.raises(MeshError, match=r"crms_fenicsx\[mesh\]"):
+        meshes.from_gmsh(comm)
+    meshes.rectangle(comm, 1.0, 1.0, 0.5, structured=True)

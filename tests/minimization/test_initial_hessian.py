@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from cable_edits import put
@@ -14,7 +16,7 @@ from term_scene import cable_square, displaced
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.cables.node_positions import NodePositions
 from crms_fenicsx.minimization import minimizer
-from crms_fenicsx.minimization.initial_hessian import WORKSPACE, InitialHessian
+from crms_fenicsx.minimization.initial_hessian import WORKSPACE, InitialHessian, direct_solver
 from crms_fenicsx.minimization.membrane_multigrid import SHIFT
 from crms_fenicsx.model.laid_cable import polyline_length
 
@@ -205,3 +207,36 @@ def cabled(comm):
         for path in (OBLIQUE, [(20.0, 0.0), (31.0, 100.0)])
     ]
     return Solver(scene), cables
+
+
+@pytest.mark.parametrize(
+    "packages, solver",
+    [
+        ({"cholmod", "mumps"}, "cholmod"),
+        ({"suitesparse", "mumps"}, "cholmod"),
+        ({"mumps"}, "mumps"),
+        (set(), "petsc"),
+    ],
+)
+def test_factorised_by_what_petsc_has(
+    packages: set[str], solver: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As wheels of DOLFINx from PyPI have no CHOLMOD."""
+    system = SimpleNamespace(hasExternalPackage=packages.__contains__)
+    monkeypatch.setattr(PETSc, "Sys", system)
+    assert direct_solver(MPI.COMM_SELF) == solver
+
+
+def test_petscs_own_factorisation_leads_to_the_same_equilibrium(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    energies = []
+    for solver in ("cholmod", "mumps", "petsc"):
+        monkeypatch.setattr(
+            "crms_fenicsx.minimization.initial_hessian.direct_solver", lambda _, own=solver: own
+        )
+        mesh = meshes.rectangle(MPI.COMM_SELF, 100.0, 100.0, 25.0)
+        scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
+        scene.fix("boundary")
+        energies.append(Solver(scene).advance(pressure=0.01).energy)
+    np.testing.assert_allclose(energies, energies[0], rtol=1e-10)

@@ -78,7 +78,8 @@ def snapshot(scene: Scene) -> list[Any]:
         scene.energies,
         scene.changes,
         [(joint.name, joint.position.tolist()) for joint in scene.joints],
-        [(bar.name, bar.L0, bar.points.tolist()) for bar in scene.bars],
+        [(bar.name, bar.L0, bar.bar, bar.points.tolist()) for bar in scene.bars],
+        ([cable.cable for cable in scene.cables], dict(scene.materials)),
     ]
 
 
@@ -280,6 +281,23 @@ def scenes(scene: Scene, other: Scene, solver: Solver, cable: LaidCable) -> list
             {
                 "forces": (None, 3, "x", {}, {top: (1.0, 2.0)}, {"top": UP}, [top]),
                 "name": no_names,
+            },
+        ),
+        Call(
+            "set_material",
+            scene.set_material,
+            {"material": next(iter(scene.materials.values()))},
+            {"material": (*material, Cable, True, NAN)},
+        ),
+        Call(
+            "set_stiffness",
+            scene.set_stiffness,
+            {"EA": {cable: 9.0}},
+            {
+                "EA": (
+                    None, 3, "x", {}, [cable], {"left": 1.0}, {None: 1.0},
+                    *({cable: v} for v in (*NOT_POSITIVE, None)),
+                )
             },
         ),
         Call(

@@ -26,6 +26,7 @@ class StepCableTension(CableTension):
     """
 
     has_history = True
+    exact_hessian = False
 
     def __init__(
         self,

@@ -97,6 +97,7 @@ class StepFoldedMembraneEnergy(FoldedMembraneEnergy):
     """
 
     has_history = True
+    exact_hessian = False
 
     def __init__(
         self,

@@ -123,6 +123,7 @@ class StepMembraneEnergy(MembraneEnergy):
     """
 
     has_history = True
+    exact_hessian = False
 
     def __init__(
         self, u: fem.Function, materials: Mapping[int, MembraneMaterial], cell_tags: Any = None

@@ -1,0 +1,102 @@
+"""Other numbers of a scene's materials, for studies of parameters: no form is compiled anew."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from crms_fenicsx.model.materials import Direction, MembraneMaterial
+from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.model.ufl_material import UflMembrane
+from crms_fenicsx.runtime.errors import InputError
+
+BUILT_IN = ("psi", "warp")
+"""Fields that are built into forms and fields on the mesh: they cannot change."""
+
+
+def numbers(material: MembraneMaterial) -> dict[str, Any]:
+    """The fields of a material that may change, by name."""
+    own = {field.name: getattr(material, field.name) for field in fields(material)}  # type: ignore[arg-type]
+    return {name: value for name, value in own.items() if name not in BUILT_IN}
+
+
+def with_numbers(material: MembraneMaterial, saved: Mapping[str, Any]) -> MembraneMaterial:
+    """The material with fields that `numbers` has told and a file has kept.
+
+    Raises
+    ------
+    TypeError, ValueError
+        They are not this material's.
+    """
+    own = {name: tuple(one) if isinstance(one, list) else one for name, one in saved.items()}
+    if own == numbers(material):
+        return material
+    changed: MembraneMaterial = replace(material, **own)  # type: ignore[type-var]
+    if set(own) != set(numbers(material)) or changed.law != material.law:
+        raise ValueError(f"a material of {own} where {material} is")
+    return changed
+
+
+def checked_materials(
+    membrane: Membrane, material: MembraneMaterial | Mapping[str, MembraneMaterial]
+) -> dict[int, MembraneMaterial]:
+    """New materials of a membrane, by their numbers.
+
+    Parameters
+    ----------
+    membrane
+        What has them.
+    material
+        One for all, or some by their parts.
+
+    Raises
+    ------
+    InputError
+        A part that is not known, or a material that differs by more than numbers.
+    """
+    number = {part: k for k, part in membrane.parts.items()}
+    if not isinstance(material, Mapping):
+        found = dict.fromkeys(membrane.materials, material)
+    elif not material:
+        raise InputError(
+            "set_material: material = {} names no part; give materials by parts, or one for all."
+        )
+    else:
+        for part in material:
+            if part not in number:
+                known = ", ".join(map(repr, number)) or "one material for all of the mesh"
+                raise InputError(
+                    f"set_material: there is no material of a part {part!r}; the scene has {known}."
+                )
+        found = {number[part]: one for part, one in material.items()}
+    for k, new in found.items():
+        _check_alike(membrane.owner_of_material(k), membrane.materials[k], new)
+    return found
+
+
+def _check_alike(owner: str, old: MembraneMaterial, new: MembraneMaterial) -> None:
+    """Refuse what is more than other numbers."""
+    if new is old:
+        return
+    reason = ""
+    if type(new) is not type(old):
+        reason = f"is none of the same class, {type(old).__name__}"
+    elif isinstance(old, UflMembrane):
+        reason = "has a density of your own, whose numbers are compiled into its forms"
+    elif new.law != old.law:
+        reason = f"has wrinkling={not getattr(old, 'wrinkling', True)}, as it had not before"
+    elif not _same_warp(new.warp, old.warp):
+        reason = f"has the warp {new.warp!r} in place of {old.warp!r}"
+    if reason:
+        raise InputError(
+            f"set_material: the material {new!r} of {owner} {reason}; give one with other numbers "
+            "only, or make another Scene(...)."
+        )
+
+
+def _same_warp(a: Direction | None, b: Direction | None) -> bool:
+    """Whether two directions are the same; of functions only the same object is."""
+    return a is b or (not (callable(a) or callable(b)) and np.array_equal(a, b))  # type: ignore[arg-type]

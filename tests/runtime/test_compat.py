@@ -1,0 +1,29 @@
+"""What a DOLFINx must be to be used."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from crms_fenicsx import InputError, IsotropicMembrane, Scene, meshes
+from crms_fenicsx.form_finding import find_form
+
+
+@pytest.mark.parametrize("kind", [np.complex128, np.float32])
+def test_numbers_that_are_not_real_are_refused(
+    comm: MPI.Intracomm, kind: type, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At the first scene or form, with the builds that have real ones."""
+    mesh = meshes.rectangle(comm, 1.0, 1.0, 0.5)
+    material = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)
+    with monkeypatch.context() as patch:
+        patch.setattr(PETSc, "ScalarType", kind)
+        for call in (
+            lambda: Scene(mesh, material),
+            lambda: find_form(mesh, 1.0, fixed=["boundary"]),
+        ):
+            with pytest.raises(InputError, match=rf"type {kind.__name__} here .* petsc=\*=real\*"):
+                call()
+    Scene(mesh, material)
