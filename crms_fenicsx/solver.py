@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Mapping
 from pathlib import Path as FilePath
+from weakref import WeakMethod
 
 import numpy as np
 
@@ -127,6 +128,7 @@ class Solver(FinerMeshes, Reporting):
         )  # fmt: skip
         self._scene, self.comm = scene, scene.comm
         self._increments = IncrementSolver(scene, options)
+        scene.fields = WeakMethod(self.fields)
         self.steps: list[Step] = []
         self._recorder = Recorder(scene, options.results, options.estimate)
         self._journal: Journal | None = None

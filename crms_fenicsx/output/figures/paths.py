@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from crms_fenicsx.output.data import Line, Surface
 from crms_fenicsx.output.figures.axes3d import (
     DISTINCT,
     INK,
@@ -24,6 +23,7 @@ from crms_fenicsx.output.figures.axes3d import (
 from crms_fenicsx.output.figures.camera import Camera
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.views.data import Line, Surface
 
 _CLOSEUP = 2.3  # inches: a close-up with its labels
 _LABELS = 0.75  # inches of these

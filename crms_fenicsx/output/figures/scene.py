@@ -13,8 +13,6 @@ from mpi4py import MPI
 
 from crms_fenicsx.cables.deformed_surface import CurrentSurface, current_surface
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.output.cable_lines import bar_lines, cable_lines
-from crms_fenicsx.output.data import Line
 from crms_fenicsx.output.figures.axes3d import with_unit
 from crms_fenicsx.output.figures.history import units_of_results
 from crms_fenicsx.output.figures.paths import draw_path
@@ -25,6 +23,8 @@ from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.errors import InputError, PictureWarning, collective, raised_together
 from crms_fenicsx.scene import Scene
+from crms_fenicsx.views.data import Line
+from crms_fenicsx.views.lines import bar_lines, cable_lines
 
 MOST_CELLS = 500_000
 """Most cells of a mesh that is drawn. The first process gathers and draws all of them, which takes
@@ -156,7 +156,7 @@ def draw(
         options.setdefault("line_label", with_unit("tension", force))
     if any(cable.lifted.any() for cable in scene.cables):
         options.setdefault("loose", "lifted")
-    lines = [*cable_lines(scene), *bar_lines(scene)]
+    lines = [*cable_lines(scene.net), *bar_lines(scene.bars)]
     parts = scene.comm.gather((surface, values, _own_cells(scene) if ghost else None))
     with raised_together(scene.comm):
         if parts is not None:

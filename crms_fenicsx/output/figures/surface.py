@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from crms_fenicsx.output.data import Line, Surface, checked_points
 from crms_fenicsx.output.figures.axes3d import (
     INK,
     Axes3D,
@@ -23,6 +22,7 @@ from crms_fenicsx.output.figures.lines import CABLE, line_style, paint_lines
 from crms_fenicsx.output.figures.scales import NO_VALUE, colouring
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.views.data import Line, Surface, checked_points
 
 _FABRIC = (0.80, 0.86, 0.93)
 _ON_SURFACE = 0.006  # of the size: triangles that come unfolded pass over their cable
