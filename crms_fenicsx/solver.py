@@ -21,6 +21,7 @@ from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.model.fan_control import FanControl
+from crms_fenicsx.output.drawing import Drawing
 from crms_fenicsx.output.history import History
 from crms_fenicsx.output.recorder import Recorder
 from crms_fenicsx.output.report import Reporting
@@ -48,7 +49,7 @@ ANOTHER = "make another Solver(scene, ...), which goes on from the scene as it i
 """What to do instead of assigning a solver's options."""
 
 
-class Solver(FinerMeshes, Reporting):
+class Solver(FinerMeshes, Reporting, Drawing):
     """Brings a scene from one equilibrium to the next.
 
     Parameters

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.usefixtures("comm")
 COMM = MPI.COMM_WORLD
 
 
-@pytest.fixture(scope="module", autouse=True)
+@pytest.fixture(scope="module")
 def pyvista() -> Any:
     return pytest.importorskip("pyvista")
 
@@ -52,7 +52,7 @@ def same(block: Any, of: str, file: VtuFile) -> None:
             np.testing.assert_allclose(has[name], values, rtol=1e-12, atol=1e-12, err_msg=name)
 
 
-def test_blocks_have_what_paraview_gets(tmp_path: Path) -> None:
+def test_blocks_have_what_paraview_gets(pyvista: Any, tmp_path: Path) -> None:
     folder = Path(COMM.bcast(str(tmp_path)))
     solver = crossed(folder)
     blocks = solver.scene.to_pyvista(radius=0.0)
@@ -70,7 +70,7 @@ def test_blocks_have_what_paraview_gets(tmp_path: Path) -> None:
     assert np.isin(supports.points[:, :2], (0.0, 100.0)).any(axis=1).all()
 
 
-def test_tubes_are_around_the_lines() -> None:
+def test_tubes_are_around_the_lines(pyvista: Any) -> None:
     scene = crossed().scene
     lines, tubes = scene.to_pyvista(radius=0.0), scene.to_pyvista(radius=0.5)
     if lines is None:
@@ -89,7 +89,7 @@ def test_tubes_are_around_the_lines() -> None:
     np.testing.assert_allclose(np.abs(away - 0.5).min(axis=1), 0.0, atol=1e-4)
 
 
-def test_a_scene_without_a_solver_has_its_shape_and_bars() -> None:
+def test_a_scene_without_a_solver_has_its_shape_and_bars(pyvista: Any) -> None:
     scene = sheet(COMM, 2)
     top = scene.add_joint((50.0, 50.0, 20.0), name="top")
     scene.add_bar(Bar(1e3), (50.0, 50.0, 60.0), top, name="hanger")
@@ -110,7 +110,7 @@ def test_a_scene_without_a_solver_has_its_shape_and_bars() -> None:
     assert held == {(50.0, 50.0, 20.0): (0, 0, 0), (50.0, 50.0, 60.0): (1, 1, 1)}
 
 
-def test_a_solver_that_is_gone_leaves_the_shape() -> None:
+def test_a_solver_that_is_gone_leaves_the_shape(pyvista: Any) -> None:
     solver = crossed()
     scene: Scene = solver.scene
     del solver

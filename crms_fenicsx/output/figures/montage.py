@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from crms_fenicsx.output.figures.axes3d import checked_filename
+from crms_fenicsx.output.figures.picture import checked_filename
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.runtime.files import replaced
 
