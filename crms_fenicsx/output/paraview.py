@@ -170,7 +170,7 @@ class Series:
                 for tag in ElementTree.fromstring(read_text(path)).iter("DataSet")
             ]
         except (OSError, LookupError, ValueError, ElementTree.ParseError) as error:
-            raise InputError(f"{path} cannot be read ({error}); give another folder") from error
+            raise InputError(f"{path} cannot be read ({error}); give another folder") from None
         return [_entry(time, name) for time, name in found if time in times]
 
     def _begin(self, steps: Path) -> None:

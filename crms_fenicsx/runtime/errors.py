@@ -126,6 +126,7 @@ def collective(method: Method) -> Method:
 
     @functools.wraps(method)
     def guarded(*args: Any, **kwargs: Any) -> Any:
+        __tracebackhide__ = True  # IPython and pytest leave this call out of tracebacks
         try:
             return method(*args, **kwargs)
         except BaseException as error:

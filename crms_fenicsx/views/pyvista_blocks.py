@@ -69,7 +69,7 @@ def _pyvista() -> Any:
         raise ImportError(
             f"to_pyvista needs pyvista ({error}); install it: pip install pyvista, or apt install "
             "python3-pyvista"
-        ) from error
+        ) from None
     return pyvista
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 from weakref import WeakMethod
 
@@ -14,6 +14,7 @@ from crms_fenicsx.cables.deformed_surface import current_surface
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.runtime.errors import InputError, collective, raised_together
+from crms_fenicsx.runtime.text import counted, span
 from crms_fenicsx.views.lines import bar_lines, cable_lines
 from crms_fenicsx.views.pyvista_blocks import blocks_of
 from crms_fenicsx.views.surface import surface_piece, whole_surface
@@ -96,13 +97,15 @@ class SceneViews(BracedMembrane):
         mesh, cables = self.membrane.mesh.mesh, self.net.cables
         loads = {"pressure": self._pressure, **self.factors}
         words = [
-            f"{mesh.topology.index_map(2).size_global} cells",
+            counted(mesh.topology.index_map(2).size_global, "cell"),
             ", ".join(f"{name} {factor:.6g}" for name, factor in loads.items()),
         ]
         if cables:
-            words.append(_range("cable", "tension", [cable.tension for cable in cables]))
+            tensions = span([cable.tension for cable in cables])
+            words.append(f"{counted(len(cables), 'cable')}, tension {tensions}")
         if self.bars:
-            words.append(_range("bar", "force", [bar.force for bar in self.bars]))
+            forces = span([bar.force for bar in self.bars])
+            words.append(f"{counted(len(self.bars), 'bar')}, force {forces}")
         return f"Scene({'; '.join(words)})"
 
     def _supported(self) -> tuple[Array, Booleans]:
@@ -112,10 +115,3 @@ class SceneViews(BracedMembrane):
         parts = self.comm.gather((self.membrane.positions()[rows], held[rows]))
         places, directions = zip(*parts or [(np.empty((0, 3)), held[:0])], strict=True)
         return np.concatenate(places), np.concatenate(directions)
-
-
-def _range(kind: str, what: str, values: Sequence[float]) -> str:
-    """How many there are, and from which value to which."""
-    if len(values) == 1:
-        return f"1 {kind}, {what} {values[0]:.4g}"
-    return f"{len(values)} {kind}s, {what}s {min(values):.4g} to {max(values):.4g}"

@@ -80,8 +80,9 @@ def _draw(
             continue
         there = errors > 0.0
         low = np.minimum(bar, 0.9 * errors)[there]  # a bar to 0 has no end on this scale
+        bars = np.stack([low, np.full_like(low, bar)]) / scale
         axis.errorbar(
-            size[there], errors[there] / scale, (np.stack([low, np.full_like(low, bar)]) / scale).tolist(),
+            size[there], errors[there] / scale, bars.tolist(),
             color=next(colours), marker="o", markersize=4, linewidth=1.4, capsize=3,
             elinewidth=0.8, label=name,
         )  # fmt: skip
