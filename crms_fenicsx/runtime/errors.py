@@ -94,7 +94,7 @@ def raised_together(comm: MPI.Intracomm) -> Iterator[None]:
                 passed_on = kind(text)
             except TypeError:  # made of more than a text, as errors of codecs are
                 passed_on = RuntimeError(f"{kind.__name__}: {text}")
-            raise passed_on
+            raise passed_on from None  # its own, if it has one, is most often the same
     if error is not None:
         raise error
 
