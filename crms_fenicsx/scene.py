@@ -8,7 +8,6 @@ from weakref import proxy
 
 from dolfinx import fem
 
-from crms_fenicsx.braced_membrane import BracedMembrane
 from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.enclosed_volume import gained_volume
 from crms_fenicsx.energies.checked_term import checked_energy
@@ -28,6 +27,7 @@ from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.runtime.errors import InputError, collective, raised_together
 from crms_fenicsx.runtime.readonly import ReadOnly
+from crms_fenicsx.views.scene_views import SceneViews
 
 Law = Literal["total", "step"]
 
@@ -42,7 +42,7 @@ class Cables(tuple[LaidCable, ...]):
         self._scene.remove(cable)
 
 
-class Scene(FilledMembrane, BracedMembrane):
+class Scene(FilledMembrane, SceneViews):
     """A cable-reinforced membrane structure and its current state.
 
     Units are the user's: any consistent set of length and force.

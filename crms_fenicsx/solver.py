@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Mapping
 from pathlib import Path as FilePath
+from weakref import WeakMethod
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.model.fan_control import FanControl
+from crms_fenicsx.output.figures.drawing import Drawing
 from crms_fenicsx.output.history import History
 from crms_fenicsx.output.recorder import Recorder
 from crms_fenicsx.output.report import Reporting
@@ -28,6 +30,7 @@ from crms_fenicsx.runtime.errors import ConvergenceError, InputError, collective
 from crms_fenicsx.runtime.interrupt import postponed, stop_together
 from crms_fenicsx.runtime.progress import progress
 from crms_fenicsx.runtime.readonly import ReadOnly
+from crms_fenicsx.runtime.text import counted
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.steps.increment_solver import IncrementSolver
 from crms_fenicsx.steps.load_step import Step
@@ -47,7 +50,7 @@ ANOTHER = "make another Solver(scene, ...), which goes on from the scene as it i
 """What to do instead of assigning a solver's options."""
 
 
-class Solver(FinerMeshes, Reporting):
+class Solver(FinerMeshes, Reporting, Drawing):
     """Brings a scene from one equilibrium to the next.
 
     Parameters
@@ -127,12 +130,17 @@ class Solver(FinerMeshes, Reporting):
         )  # fmt: skip
         self._scene, self.comm = scene, scene.comm
         self._increments = IncrementSolver(scene, options)
+        scene.fields = WeakMethod(self.fields)
         self.steps: list[Step] = []
         self._recorder = Recorder(scene, options.results, options.estimate)
         self._journal: Journal | None = None
         if options.resume is not None and options.results is not None:
             same = {"rtol": self.rtol, "max_halvings": self.max_halvings, "slide": self.slide}
             self._journal = Journal(options.results / FOLDER, scene.comm, same, options.resume)
+
+    def __repr__(self) -> str:
+        """In a line; not collective."""
+        return f"Solver({counted(len(self.steps), 'load step')}; {self.scene!r})"
 
     @property
     def system(self) -> System:

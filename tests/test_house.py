@@ -12,9 +12,9 @@ import crms_fenicsx
 PACKAGE = Path(crms_fenicsx.__file__).parent
 FLOORS = (
     "runtime dofs meshes surface geodesics model energies energies.paper minimization cables "
-    "contact friction paths loaded_membrane filled_membrane braced_membrane scene form_finding "
-    "contributions equilibrium results verification steps output output.figures output.report "
-    "checkpoint convergence solver groups crms_fenicsx"
+    "contact friction paths loaded_membrane filled_membrane braced_membrane views scene "
+    "form_finding contributions equilibrium results verification steps output output.figures "
+    "output.report checkpoint convergence solver groups crms_fenicsx"
 ).split()
 """Ground first: a module imports from its own package and from those before it."""
 

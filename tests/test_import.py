@@ -85,7 +85,7 @@ def test_importing_the_package_has_no_side_effects(tmp_path: Path) -> None:
 def test_importing_all_modules_has_no_side_effects(tmp_path: Path) -> None:
     """The modules of the kernels load numba's decorators, but compile nothing."""
     code = WATCH.format(
-        packages="dolfinx.fem.petsc, ufl, numba",
+        packages="dolfinx.fem.petsc, ufl, numba, scipy.sparse",
         module=", ".join(MODULES),
         optional=[name for name in OPTIONAL if name not in KERNELS],
     )

@@ -23,6 +23,7 @@ from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.line_load import smooth_line_load
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import EPSILON, Array, Integers
+from crms_fenicsx.runtime.text import counted, span
 from crms_fenicsx.surface.points import EdgePoint, VertexPoint
 from crms_fenicsx.surface.triangles import cross, dot, norm
 
@@ -30,7 +31,7 @@ ACROSS = 0.05
 """Sine of the least angle between a cable and an edge at which the two span a plane."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ContactForces:
     """What a cable in tension does to the membrane at its nodes; zero where it does not touch it.
 
@@ -49,6 +50,11 @@ class ContactForces:
     lateral: Array
     bearing: Array
     line: Array
+
+    def __repr__(self) -> str:
+        """In a line."""
+        points = counted(len(self.normal), "point")
+        return f"ContactForces({points}, {span(self.line)} per length)"
 
     def at(self, nodes: Sequence[int]) -> ContactForces:
         """Those at some of the nodes."""

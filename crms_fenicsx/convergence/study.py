@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
 
@@ -14,6 +14,9 @@ from crms_fenicsx.convergence.richardson import Extrapolated, extrapolated
 from crms_fenicsx.output.figures.convergence import draw_convergence
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -114,24 +117,29 @@ class Convergence:
 
     def draw(
         self,
-        filename: str | Path,
+        filename: str | Path | None = None,
         names: Sequence[str] | None = None,
         *,
         title: str = "",
         width: float = 8.0,
-    ) -> None:
+    ) -> Figure | None:
         """Plot how far the levels are from the limits, over the cells' size. Collective.
 
         Parameters
         ----------
         filename
-            Picture to write; its suffix (.png, .pdf, .svg ...) says the format.
+            Picture to write; its suffix (.png, .pdf, .svg ...) says the format. None returns it.
         names
             Of the quantities; all by default.
         title
             Of the picture.
         width
             In inches.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            On the first rank, without a file; a notebook shows it. Else None.
 
         Raises
         ------
@@ -142,7 +150,7 @@ class Convergence:
         for name in self.quantities if names is None else names:
             one = self[name]
             series[name] = (one.values, one.limit, one.bar, one.size)
-        draw_convergence(self.comm, filename, self.cells, series, title=title, width=width)
+        return draw_convergence(self.comm, filename, self.cells, series, title=title, width=width)
 
 
 def _digits(limit: float, bar: float) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, collective
+from crms_fenicsx.runtime.text import counted, span
 from crms_fenicsx.scene import Scene
 
 ROUNDING = 1e-10
@@ -41,7 +42,7 @@ class FormCableFound:
     name: str
     tension: float
     length: float
-    path: Array
+    path: Array = field(repr=False)
 
     @property
     def force_density(self) -> float:
@@ -49,7 +50,7 @@ class FormCableFound:
         return self.tension / self.length
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FoundForm:
     """A form in equilibrium.
 
@@ -87,6 +88,16 @@ class FoundForm:
     volume: float | None
     pressure: float
     iterations: int
+
+    def __repr__(self) -> str:
+        """In a line; not collective."""
+        words = [f"area {self.area:.6g}"]
+        words += [] if self.volume is None else [f"volume {self.volume:.6g}"]
+        if self.cables:
+            tensions = span(list(self.tensions.values()))
+            words.append(f"{counted(len(self.cables), 'cable')}, tension {tensions}")
+        words.append(f"deviation {self.deviation:.2g}")
+        return f"FoundForm({'; '.join(words)})"
 
     @property
     def comm(self) -> MPI.Intracomm:

@@ -139,7 +139,7 @@ def _read_script(file: Path) -> SurfaceArrays:
                 gmsh.model.mesh.generate(2)
             errors = [line for line in gmsh.logger.get() if line.startswith("Error")]
         except Exception as error:  # gmsh raises nothing more special
-            raise MeshError(f"gmsh cannot read '{file}': {error}") from error
+            raise MeshError(f"gmsh cannot read '{file}': {error}") from None
         finally:
             gmsh.logger.stop()
         if errors:
@@ -169,7 +169,7 @@ def _named(file: Path, read: Callable[[], SurfaceArrays]) -> SurfaceArrays:
     try:
         return read()
     except MeshError as error:
-        raise MeshError(f"'{file}': {error}") from error
+        raise MeshError(f"'{file}': {error}") from None
 
 
 def _surface_of(content: dict[str, Any]) -> SurfaceArrays:

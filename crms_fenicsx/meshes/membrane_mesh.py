@@ -27,7 +27,7 @@ from crms_fenicsx.runtime.errors import raised_together
 P = ParamSpec("P")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class MembraneMesh:
     """A triangulated membrane in its stress-free shape.
 
@@ -60,6 +60,19 @@ class MembraneMesh:
     points: Mapping[str, Indices]
     hidden: Indices
     project: Projection | None = None
+
+    def __repr__(self) -> str:
+        """In a line; not collective."""
+        cells, vertices = (self.mesh.topology.index_map(dim).size_global for dim in (2, 0))
+        words = [f"{cells} cells, {vertices} vertices"]
+        words += [
+            f"{kind} {', '.join(groups)}"
+            for kind, groups in (
+                ("edges", self.edges), ("parts", self.parts), ("points", self.points)
+            )
+            if groups
+        ]  # fmt: skip
+        return f"MembraneMesh({'; '.join(words)})"
 
     @property
     def comm(self) -> MPI.Intracomm:

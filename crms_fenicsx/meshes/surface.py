@@ -118,7 +118,7 @@ def _coordinates(given: ArrayLike) -> Array:
     try:
         points = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        raise MeshError(f"the points are no array of numbers ({error})") from error
+        raise MeshError(f"the points are no array of numbers ({error})") from None
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise MeshError(f"the points have shape {points.shape}: give (n, 3) or (n, 2) coordinates")
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
@@ -136,7 +136,7 @@ def _integers(given: ArrayLike, what: str) -> Integers:
     try:
         array: NDArray[Any] = np.asarray(given)
     except ValueError as error:  # rows of different lengths
-        raise MeshError(f"{what} are no array ({error})") from error
+        raise MeshError(f"{what} are no array ({error})") from None
     if array.size and array.dtype.kind not in "iu":
         raise MeshError(f"{what} have the type {array.dtype}: give integer indices, from 0")
     return array.astype(np.int64)

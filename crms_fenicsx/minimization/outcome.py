@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from crms_fenicsx.runtime.text import counted
+
 SEARCH_FAILED, OUT_OF_RANGE = -6, 63
 """TAO's reason, and PETSc's error code, for a line search that has led nowhere."""
 
@@ -22,7 +24,7 @@ DROWNED = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Outcome:
     """What a minimisation came to.
 
@@ -65,6 +67,14 @@ class Outcome:
     passes: int = 0
     unsettled: float = 0.0
     scale: float = 0.0
+
+    def __repr__(self) -> str:
+        """In a line."""
+        return (
+            f"Outcome({self.reason}, residual {self.residual:.2g} for {self.tolerance:.2g}, "
+            f"{counted(self.iterations, 'iteration')}, {counted(self.evaluations, 'evaluation')}, "
+            f"{counted(self.factorizations, 'factorisation')})"
+        )
 
     def __add__(self, other: Outcome) -> Outcome:
         """The outcome of `other`, after the work of both."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable, Iterator, Mapping
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,12 @@ from numpy.typing import NDArray
 
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import absolute, make_writable, read_text, readable, replaced
+from crms_fenicsx.runtime.text import counted
 
 Value = int | float | str
+
+MOST_SHOWN = 20
+"""Rows that a notebook shows, the last ones."""
 
 
 class History:
@@ -53,6 +58,19 @@ class History:
     def columns(self) -> tuple[str, ...]:
         """Names of the columns, in the order of their first appearance."""
         return tuple(self._columns)
+
+    def __repr__(self) -> str:
+        """In a line."""
+        return f"History({counted(len(self), 'row')}; {', '.join(self.columns)})"
+
+    def _repr_html_(self) -> str:
+        """The last rows as a table, for notebooks."""
+        heads = "".join(f"<th>{escape(name)}</th>" for name in self.columns)
+        rows = [f"<tr>{heads}</tr>"]
+        for row in self._rows[-MOST_SHOWN:]:
+            cells = "".join(f"<td>{_short(row.get(name))}</td>" for name in self.columns)
+            rows.append(f"<tr>{cells}</tr>")
+        return f"<table>{''.join(rows)}</table>"
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -157,7 +175,7 @@ class History:
             raise InputError(
                 f"the history {path} is no table ({error}); give the CSV file that a run has "
                 "written"
-            ) from error
+            ) from None
         if not cells:
             raise InputError(f"the history {path} is empty; a run writes at least its header")
         columns, *rows = cells
@@ -182,6 +200,13 @@ def _name(column: object) -> str:
     if not isinstance(column, str) or not column or column != column.strip():
         raise InputError(f"{column!r} is no name for a column; give text without blanks around it")
     return column
+
+
+def _short(value: Value | None) -> str:
+    """A value as a table in a notebook shows it; nothing where there is none."""
+    if value is None:
+        return ""
+    return f"{value:.5g}" if isinstance(value, float) else escape(str(value))
 
 
 def _plain(column: str, value: object) -> Value:

@@ -6,18 +6,17 @@ import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from mpi4py import MPI
-from numpy.typing import NDArray
 
-from crms_fenicsx.output.data import Line, Surface
 from crms_fenicsx.output.vtu import write_vtu
-from crms_fenicsx.runtime.arrays import Array, Integers
+from crms_fenicsx.runtime.arrays import Integers
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import PARTIAL, absolute, make_writable, read_text, replaced
+from crms_fenicsx.views.data import Line, Surface
+from crms_fenicsx.views.lines import joined
 
 _OURS = re.compile(rf"(?:{re.escape(PARTIAL)})?(?:surface|cables)_\d{{6,}}\.vtu")
 
@@ -70,9 +69,9 @@ class Series:
             that belongs to another rank (`Surface.homes`) is written by that one, so that it is
             in the file once.
         lines : sequence of Line
-            All lines, on rank 0; those of other ranks are not looked at. Their data become
-            arrays with NaN where a line has none; the array "line" counts the lines from 0. Where
-            there are none any more the step has an empty file.
+            All lines, on rank 0; those of other ranks are not looked at. In the file they are
+            as of `crms_fenicsx.views.lines.joined`. Where there are none any more the step has an
+            empty file.
 
         Raises
         ------
@@ -108,7 +107,7 @@ class Series:
                 # without a file for no lines the last ones would stay in the picture
                 some = lines or self._entries["cables"]
                 if some:
-                    write_vtu(steps / f"cables_{step:06d}.vtu", MPI.COMM_SELF, *_joined(lines))
+                    write_vtu(steps / f"cables_{step:06d}.vtu", MPI.COMM_SELF, *joined(lines))
                 self._list("surface", time, f"surface_{step:06d}.vtu")
                 if some:
                     self._list("cables", time, f"cables_{step:06d}.vtu")
@@ -171,7 +170,7 @@ class Series:
                 for tag in ElementTree.fromstring(read_text(path)).iter("DataSet")
             ]
         except (OSError, LookupError, ValueError, ElementTree.ParseError) as error:
-            raise InputError(f"{path} cannot be read ({error}); give another folder") from error
+            raise InputError(f"{path} cannot be read ({error}); give another folder") from None
         return [_entry(time, name) for time, name in found if time in times]
 
     def _begin(self, steps: Path) -> None:
@@ -205,30 +204,3 @@ class Series:
 def _entry(time: float, name: str) -> str:
     file = quoteattr(f"steps/{name}")
     return f'    <DataSet timestep="{float(time)!r}" part="0" file={file}/>\n'
-
-
-Joined = tuple[Array, Integers, dict[str, NDArray[Any]], dict[str, NDArray[Any]]]
-"""Points, cells, and data on both."""
-
-
-def _joined(lines: Sequence[Line]) -> Joined:
-    """Return the lines as one mesh of two-point segments."""
-    counts = np.array([len(line.points) for line in lines], dtype=np.int64)  # type: ignore[arg-type]
-    starts = np.concatenate([[0], np.cumsum(counts)])
-    last = np.zeros(starts[-1], dtype=bool)
-    last[starts[1:] - 1] = True
-    first = np.flatnonzero(~last)
-    on_points: dict[str, NDArray[Any]] = {}
-    on_segments: dict[str, NDArray[Any]] = {"line": np.repeat(np.arange(len(lines)), counts - 1)}
-    for index, line in enumerate(lines):
-        for name, values in line.data.items():
-            array = np.asarray(values)
-            per_point = array.shape == (counts[index],)
-            target = on_points if per_point else on_segments
-            start = starts[index] if per_point else starts[index] - index
-            whole = target.setdefault(
-                name, np.full(starts[-1] if per_point else len(first), np.nan)
-            )
-            whole[start : start + counts[index] - (not per_point)] = array
-    points: Array = np.concatenate([np.empty((0, 3)), *(a.points for a in lines)])
-    return points, np.column_stack([first, first + 1]), on_points, on_segments

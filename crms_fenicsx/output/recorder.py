@@ -8,22 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from crms_fenicsx.cables.enclosed_volume import gained_volume
-from crms_fenicsx.dofs.layout import vertex_starts
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.output.cable_lines import bar_lines, cable_lines
-from crms_fenicsx.output.data import Surface
 from crms_fenicsx.output.history import History, Value
 from crms_fenicsx.output.lock import FolderLock
 from crms_fenicsx.output.paraview import Series
 from crms_fenicsx.results.error_estimate import ErrorEstimator
 from crms_fenicsx.results.membrane_results import membrane_results
-from crms_fenicsx.runtime.arrays import Integers
+from crms_fenicsx.results.quantities import fields_of
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.steps.load_step import Step
-
-IN_FILES = ("true force 1", "true force 2", "warp", "weft", "shear", "utilisation")
-"""What ParaView files have of `crms_fenicsx.results.quantities`, beside directions and states."""
+from crms_fenicsx.views.lines import bar_lines, cable_lines
+from crms_fenicsx.views.surface import surface_piece
 
 
 class Recorder:
@@ -103,8 +99,10 @@ class Recorder:
             row["case"] = case
         self.history.append(row)
         if self.series is not None:
-            lines = [*cable_lines(self.scene), *bar_lines(self.scene)]
-            self.series.write(step.number, self._surface(system), lines)
+            scene, results = self.scene, membrane_results(system)
+            surface = surface_piece(scene.membrane, results.surface, fields_of(results))
+            lines = [*cable_lines(scene.net), *bar_lines(scene.bars)]
+            self.series.write(step.number, surface, lines)
 
     def resume(self, rows: Sequence[Mapping[str, Value]]) -> None:
         """Go on after the steps of an earlier run. Collective.
@@ -183,22 +181,6 @@ class Recorder:
             return -scene.energies["pressure"] / scene.pressure
         return gained_volume(scene.net)
 
-    def _surface(self, system: System) -> Surface:
-        results = membrane_results(system)
-        surface = results.surface
-        names = [name for name in IN_FILES if name in results.names]
-        return Surface(
-            surface.points,
-            surface.triangles,
-            {"displacement": surface.points - surface.stress_free},
-            {
-                **{name: results.values(name)[surface.parents] for name in names},
-                "direction 1": results.true_directions[surface.parents, 0],
-                "state": results.state[surface.parents],
-            },
-            _homes(self.scene, len(surface.points)),
-        )
-
 
 def _begins(path: Path, history: History) -> bool:
     """Whether a table begins with the rows of a history."""
@@ -211,20 +193,3 @@ def _begins(path: Path, history: History) -> bool:
         column in there.columns and np.array_equal(there[column][:n], history[column])
         for column in ("step", "energy")
     )
-
-
-def _homes(scene: Scene, points: int) -> Integers:
-    """Rank and number there of the points of the current surface, (points, 2). Collective.
-
-    Vertices belong to their owners. After them come the points of cables on folded cells: each
-    rank has its own, and writes them, so that those on the border of two ranks are there twice.
-    """
-    vertices = scene.V.dofmap.index_map
-    own, known = vertices.size_local, vertices.size_local + vertices.num_ghosts
-    starts = vertex_starts(scene.V)
-    homes = np.full((points, 2), scene.comm.rank, dtype=np.int64)
-    homes[:own, 1] = np.arange(own)
-    homes[own:known, 0] = vertices.owners
-    homes[own:known, 1] = vertices.ghosts - starts[vertices.owners]
-    homes[known:, 1] = own + np.arange(points - known)
-    return homes

@@ -9,13 +9,14 @@ import numpy as np
 from crms_fenicsx.contact.contact_force import contact_forces
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
 from crms_fenicsx.runtime.arrays import Array, floats
+from crms_fenicsx.runtime.text import span
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.surface.triangles import norm
 
 Force = tuple[float, float, float]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CableResults:
     """A cable in an equilibrium, by plain numbers.
 
@@ -50,6 +51,14 @@ class CableResults:
     contact_largest: float
     start: Force | None
     end: Force | None
+
+    def __repr__(self) -> str:
+        """In a line."""
+        tension = "slack" if self.slack else f"tension {span([self.least, self.largest])}"
+        return (
+            f"CableResults({self.name!r}, {tension}, length {self.length:.6g}, "
+            f"contact up to {self.contact_largest:.4g} per length)"
+        )
 
 
 def cable_results(scene: Scene) -> dict[str, CableResults]:

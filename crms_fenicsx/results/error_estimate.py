@@ -34,7 +34,7 @@ WIDTH = 6 + 6 + 9 + 3 + 3
 UPPER = np.triu_indices(3)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ErrorEstimate:
     """The estimated error of the energy.
 
@@ -51,6 +51,10 @@ class ErrorEstimate:
     cells: Array
     total: float
     relative: float
+
+    def __repr__(self) -> str:
+        """In a line."""
+        return f"ErrorEstimate(total {self.total:.3g}, relative {self.relative:.3g})"
 
 
 class ErrorEstimator:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -23,13 +23,14 @@ from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.runtime.errors import InputError, collective
+from crms_fenicsx.runtime.text import counted, span
 from crms_fenicsx.scene import Scene
 
 FLAT = 1e-12
 """Smallest squared stretch that a cell is taken to have, so that a collapsed one has directions."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class MembraneResults:
     """Values in this rank's owned cells, by local cell number.
 
@@ -87,8 +88,18 @@ class MembraneResults:
     folded: Booleans
     stress_free_areas: Array
     parts: Mapping[str, Indices]
-    surface: CurrentSurface = field(repr=False)
-    membrane: Membrane = field(repr=False)
+    surface: CurrentSurface
+    membrane: Membrane
+
+    def __repr__(self) -> str:
+        """In a line, of this rank's cells; not collective."""
+        words = [counted(len(self.state), "cell")]
+        words += [f"{name} {span(self.values(name))}" for name in ("warp", "weft", "shear")]
+        words += [
+            f"{np.count_nonzero(self.state == k)} {word}"
+            for k, word in enumerate(("slack", "wrinkled", "taut"))
+        ]
+        return f"MembraneResults({', '.join(words)})"
 
     def utilisation(self, strengths: Strengths | Mapping[str, Strengths] | None = None) -> Array:
         """True section forces over strengths, the larger ratio of warp and weft.

@@ -15,6 +15,7 @@ from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.runtime.errors import InputError, as_text
+from crms_fenicsx.runtime.text import counted, span
 from crms_fenicsx.surface.closest_point import ON_SURFACE, RIM
 from crms_fenicsx.surface.feet import nearest_pairs
 from crms_fenicsx.surface.triangles import (
@@ -32,7 +33,7 @@ HELD = 1e-9
 """Distance in plan, relative to a facet's size, at which the facet still has a place."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PlaceResults:
     """Results at places of the surface, the same on all ranks.
 
@@ -47,6 +48,11 @@ class PlaceResults:
     positions: Array
     stress_free: Array
     values: dict[str, Array]
+
+    def __repr__(self) -> str:
+        """In a line."""
+        values = ", ".join(f"{name} {span(self[name])}" for name in ("warp", "weft", "shear"))
+        return f"PlaceResults({counted(len(self.positions), 'place')}: {values} ...)"
 
     @property
     def displacement(self) -> Array:

@@ -10,10 +10,11 @@ from dolfinx import fem, la
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.model.membrane import Marker, Membrane
 from crms_fenicsx.runtime.arrays import Array, Integers
+from crms_fenicsx.runtime.errors import as_text
 from crms_fenicsx.scene import Scene
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Reactions:
     """Forces with which supports hold the membrane.
 
@@ -34,6 +35,10 @@ class Reactions:
     positions: Array
     forces: Array
     per_length: Array
+
+    def __repr__(self) -> str:
+        """In a line."""
+        return f"Reactions(total {as_text(self.total)}, vertices of this rank: {len(self.forces)})"
 
 
 def reactions(system: System, where: str | Marker) -> Reactions:

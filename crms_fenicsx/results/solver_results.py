@@ -13,10 +13,12 @@ from crms_fenicsx.model.membrane import Marker
 from crms_fenicsx.results.cable_results import CableResults, cable_results
 from crms_fenicsx.results.error_estimate import ErrorEstimate, ErrorEstimator
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
+from crms_fenicsx.results.quantities import fields_of
 from crms_fenicsx.results.reactions import Reactions, reactions
 from crms_fenicsx.results.residual import Residual, Tangent, residual, tangent
 from crms_fenicsx.results.summary import Summary, summary
 from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, collective
 from crms_fenicsx.scene import Scene
 
@@ -42,6 +44,10 @@ class SolverResults:
             Values in this rank's cells.
         """
         return membrane_results(self.system)
+
+    def fields(self) -> dict[str, Array]:
+        """Internal: what `Scene.to_pyvista` shows of this rank's owned cells. Collective."""
+        return fields_of(membrane_results(self.system))
 
     @collective
     def reactions(self, where: str | Marker) -> Reactions:

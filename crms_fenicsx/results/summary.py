@@ -18,6 +18,8 @@ from crms_fenicsx.results.cable_results import CableResults, cable_results
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.results.reactions import held_lengths, support_forces
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
+from crms_fenicsx.runtime.errors import as_text
+from crms_fenicsx.runtime.text import span
 
 Vector = tuple[float, float, float]
 
@@ -27,12 +29,15 @@ SUMMED_UP = (
 """Which of `crms_fenicsx.results.quantities` a summary has, where they are known."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Extreme:
     """A largest or least value, and where it is now (length)."""
 
     value: float
     at: Vector
+
+    def __repr__(self) -> str:
+        return f"{self.value:.4g} at ({', '.join(f'{x:.4g}' for x in self.at)})"
 
 
 @dataclass(frozen=True)
@@ -80,9 +85,9 @@ class SupportSummary:
     largest: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Summary:
-    """An equilibrium by its extremes.
+    """An equilibrium by its extremes; ``print`` shows the most important ones.
 
     Attributes
     ----------
@@ -123,6 +128,30 @@ class Summary:
     bars: Mapping[str, BarResults]
     joints: Mapping[str, Vector]
     ponds: Mapping[str, Pond]
+
+    def __repr__(self) -> str:
+        """A table: a row for each load, part, cable, bar and support."""
+        rows = [
+            *(("load", name, f"{factor:.4g}") for name, factor in self.factors.items()),
+            ("pressure", "", f"{self.pressure:.4g}"),
+            ("energy", "", f"{self.energy:.6g}"),
+            ("displacement", "", repr(self.displacement)),
+        ]
+        for name, part in self.parts.items():
+            shown = [one for one in ("warp", "weft", "utilisation") if one in part.least]
+            values = [
+                f"{one} {span([part.least[one].value, part.largest[one].value])}" for one in shown
+            ]
+            shares = f"{part.slack:.1%} slack, {part.wrinkled:.1%} wrinkled"
+            rows.append(("part" if name else "membrane", name, ", ".join([*values, shares])))
+        for name, cable in self.cables.items():
+            tension = "slack" if cable.slack else f"tension {span([cable.least, cable.largest])}"
+            rows.append(("cable", name, f"{tension}, length {cable.length:.6g}"))
+        rows += [("bar", name, f"force {bar.force:.4g}") for name, bar in self.bars.items()]
+        for name, support in self.supports.items():
+            rows.append(("support", name, f"total {as_text(support.total)}"))
+        wide = max(len(name) for _, name, _ in rows)
+        return "\n".join(f"{kind:<14}{name:<{wide}}  {text}" for kind, name, text in rows)
 
     @property
     def membrane(self) -> PartSummary:

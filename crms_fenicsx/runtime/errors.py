@@ -94,7 +94,7 @@ def raised_together(comm: MPI.Intracomm) -> Iterator[None]:
                 passed_on = kind(text)
             except TypeError:  # made of more than a text, as errors of codecs are
                 passed_on = RuntimeError(f"{kind.__name__}: {text}")
-            raise passed_on
+            raise passed_on from None  # its own, if it has one, is most often the same
     if error is not None:
         raise error
 
@@ -126,6 +126,7 @@ def collective(method: Method) -> Method:
 
     @functools.wraps(method)
     def guarded(*args: Any, **kwargs: Any) -> Any:
+        __tracebackhide__ = True  # IPython and pytest leave this call out of tracebacks
         try:
             return method(*args, **kwargs)
         except BaseException as error:

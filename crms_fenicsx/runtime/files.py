@@ -50,7 +50,7 @@ def explained(path: Path) -> Iterator[None]:
             else "free some space or give another folder"
         )
         why = error.strerror or error
-        raise InputError(f"{path} cannot be written ({why}): {remedy}") from error
+        raise InputError(f"{path} cannot be written ({why}): {remedy}") from None
 
 
 @contextmanager
@@ -72,7 +72,7 @@ def readable(what: object, remedy: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InputError(f"{what} cannot be read ({error.strerror or error}); {remedy}") from error
+        raise InputError(f"{what} cannot be read ({error.strerror or error}); {remedy}") from None
 
 
 LARGEST_TEXT = 2**30
@@ -163,7 +163,7 @@ def make_writable(folder: Path) -> None:
         raise InputError(
             f"the folder {folder} cannot be written ({error.strerror or error}): "
             "give another one, or the right to write there"
-        ) from error
+        ) from None
 
 
 def forget(partial: Path) -> None:

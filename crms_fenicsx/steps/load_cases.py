@@ -176,7 +176,7 @@ class LoadCases:
                 try:
                     step = self.advance(load=factors, steps=steps, **air)
                 except ConvergenceError as error:
-                    raise ConvergenceError(f"combination {name!r}: {error}") from error
+                    raise ConvergenceError(f"combination {name!r}: {error}") from None
                 found[name] = Combination(name, step, self.snapshot())
         return found
 
@@ -205,7 +205,7 @@ class LoadCases:
             try:
                 checked_target(self._scene, load=factors, **air)
             except InputError as error:
-                raise InputError(f"combine: {name!r}: {error}") from error
+                raise InputError(f"combine: {name!r}: {error}") from None
 
 
 def _loads(given: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, float] | None]:

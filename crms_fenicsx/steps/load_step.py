@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from crms_fenicsx.minimization.outcome import Outcome
+from crms_fenicsx.runtime.text import counted
 from crms_fenicsx.verification.report import Verification
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Step:
     """An accepted load step.
 
@@ -40,3 +41,12 @@ class Step:
     def energy(self) -> float:
         """Total potential energy (force x length)."""
         return sum(self.energies.values())
+
+    def __repr__(self) -> str:
+        """In a line."""
+        words = [f"energy {self.energy:.6g}", counted(self.outcome.iterations, "iteration")]
+        words += [f"{self.seconds:.2g} s"]
+        words += [counted(self.halvings, "halving")] if self.halvings else []
+        if self.verification is not None:
+            words += ["verified" if self.verification.passed else "not verified"]
+        return f"Step({self.number}: {', '.join(words)})"

@@ -15,10 +15,11 @@ from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.membrane import Marker
 from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.runtime.arrays import Array, Booleans
+from crms_fenicsx.runtime.text import counted, span
 from crms_fenicsx.scene import Scene
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Snapshot:
     """A state of a scene, with all that load steps, supports, loads and cables can change in it.
 
@@ -75,6 +76,14 @@ class Snapshot:
             deepcopy(tried),
             {cable.name: cable.tension for cable in net.cables},
         )
+
+    def __repr__(self) -> str:
+        """In a line."""
+        words = [f"energy {sum(self.energies.values()):.6g}"]
+        if self.cables:
+            tensions = span(list(self.tensions.values()))
+            words.append(f"{counted(len(self.cables), 'cable')}, tension {tensions}")
+        return f"Snapshot({'; '.join(words)})"
 
     @property
     def u(self) -> Array:

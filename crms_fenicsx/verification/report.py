@@ -41,7 +41,7 @@ class Check:
         return f"{self.name}{of} {self.value:.2g} {sign} {self.limit:.2g}"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Verification:
     """What came of the checks of a load step.
 
@@ -84,7 +84,7 @@ class Verification:
                 return check
         raise KeyError(name)
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         """A table of all checks, or in one line those that have failed."""
         if self.failed:
             return "not verified: " + "; ".join(map(str, self.failed))

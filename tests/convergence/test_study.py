@@ -99,6 +99,7 @@ def test_plot(comm, tmp_path_factory):
     study = solver.convergence(2, points={"middle": (50.0, 50.0, 0.0)})
     study.draw(folder / "levels.png", ["energy", "displacement middle z"], title="Levels")
     assert (folder / "levels.png").stat().st_size > 5000
+    assert (study.draw() is None) == (comm.rank > 0)
     with pytest.raises(InputError, match="there is no quantity 'energie'"):
         study.draw(folder / "levels.png", ["energie"])
 

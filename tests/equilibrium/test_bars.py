@@ -18,8 +18,8 @@ from crms_fenicsx import (
     meshes,
 )
 from crms_fenicsx.output import draw
-from crms_fenicsx.output.cable_lines import bar_lines
 from crms_fenicsx.verification.verifier import Verifier
+from crms_fenicsx.views.lines import bar_lines
 
 FOIL = IsotropicMembrane(E=3000.0, nu=0.3, thickness=0.1, prestress=1.0)
 A, H, EA = 4.0, 1.0, 1000.0
@@ -315,7 +315,7 @@ def test_what_is_written_has_the_bars(comm, tmp_path):
     solver.advance(load=1.0)
     assert solver.history["force west"][-1] == scene.bar("west").force
     assert solver.history["bar L0 mast"][-1] == 6.0
-    lines = bar_lines(scene)
+    lines = bar_lines(scene.bars)
     assert [line.name for line in lines] == ["mast", "west", "east"]
     draw(solver, folder / "mast.png")
     comm.Barrier()

@@ -266,9 +266,9 @@ def test_cables_with_and_without_in_one_scene(comm) -> None:
     assert np.ptp(plain.tensions) == 0.0
     assert rough.tensions[-1] > 1.1 * rough.tensions[0]
     assert rough.tension == pytest.approx(plain.tension, rel=1e-2)
-    from crms_fenicsx.output.cable_lines import cable_lines
+    from crms_fenicsx.views.lines import cable_lines
 
-    of_plain, of_rough = (np.asarray(line.data["tension"]) for line in cable_lines(scene))
+    of_plain, of_rough = (np.asarray(line.data["tension"]) for line in cable_lines(scene.net))
     assert of_plain.shape == ()
     assert of_rough.shape == (len(rough.line) - 1,)
     assert (of_rough[0], of_rough[-1]) == (rough.tensions[0], rough.tensions[-1])

@@ -399,7 +399,7 @@ def scenes(scene: Scene, other: Scene, solver: Solver, cable: LaidCable) -> list
             partial(draw, solver),
             {"filename": "/nowhere/a.png"},
             {
-                "filename": ("/nowhere/a.xyz", 3, None, "", NAN, "/"), "unknown": (1,),
+                "filename": ("/nowhere/a.xyz", 3, "", NAN, "/"), "unknown": (1,),
                 "colour": ("red", 3, NAN, [1.0], {}), "view": (3, "nowhere", NAN, [1.0]),
             },
         ),

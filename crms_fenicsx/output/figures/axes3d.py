@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from crms_fenicsx.output.figures.camera import Camera
+from crms_fenicsx.output.figures.picture import finished, new_figure
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
-from crms_fenicsx.runtime.files import make_writable, replaced
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,28 +32,6 @@ DISTINCT = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 """Colours that everybody can tell apart."""
 _SMALL = 8.5
 _POINTS_PER_INCH = 72.0
-
-
-def new_figure(width: float, height: float) -> Figure:
-    """Return a white figure of a size in inches, without pyplot and its global state."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), facecolor="white")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def checked_filename(filename: str | Path) -> Path:
-    """Return the path of a picture that can be written, or raise `InputError`."""
-    path = Path(filename)
-    kinds = new_figure(1.0, 1.0).canvas.get_supported_filetypes()
-    if path.suffix[1:].lower() not in kinds:
-        raise InputError(
-            f"the picture {path} has the suffix {path.suffix!r}; use one of {', '.join(kinds)}"
-        )
-    make_writable(path.parent)
-    return path
 
 
 def check_colours(*names: str) -> None:
@@ -91,12 +69,6 @@ def check_view(view: tuple[float, float]) -> None:
     """Raise `InputError` for a view that is no pair of finite angles."""
     if np.shape(view) != (2,) or not np.all(np.isfinite(view)):
         raise InputError(f"view {view!r}; give (azimuth, elevation) in degrees")
-
-
-def save(figure: Figure, path: Path, dpi: int, region: Bbox | str = "tight") -> None:
-    """Write a figure, or a region of it in inches, in place of a picture that was there."""
-    with replaced(path) as partial:
-        figure.savefig(partial, dpi=dpi, bbox_inches=region, pad_inches=0.1)
 
 
 class Axes3D:
@@ -170,8 +142,8 @@ class Axes3D:
         seen = self._flat(_corners(self.low, self.high))
         return Bbox([seen.min(axis=0), seen.max(axis=0)])
 
-    def save(self, path: Path, dpi: int) -> None:
-        """Write what was drawn, without the white around it."""
+    def finished(self, path: Path | None, dpi: int) -> Figure | None:
+        """As `picture.finished` of what was drawn, without the white around it."""
         from matplotlib.transforms import Bbox
 
         # the axes fill the figure, so that "tight" would find nothing to cut off
@@ -183,7 +155,7 @@ class Axes3D:
             drawn += [extent] if extent is not None else []
         drawn.append(self.axes.transData.transform_bbox(self.frame()))
         region = Bbox.union(drawn).transformed(self.figure.dpi_scale_trans.inverted())
-        save(self.figure, path, dpi, region.padded(0.1))
+        return finished(self.figure, path, dpi, region.padded(0.1))
 
     def draw_box(self, unit: str) -> None:
         """Draw the box's three far faces with a grid, and tick labels along its near edges."""

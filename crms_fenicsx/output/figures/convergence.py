@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from itertools import cycle
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from mpi4py import MPI
@@ -12,13 +13,13 @@ from mpi4py import MPI
 from crms_fenicsx.output.figures.axes3d import (
     DISTINCT,
     INK,
-    checked_filename,
-    new_figure,
-    save,
     style_axes,
 )
-from crms_fenicsx.runtime import checks
+from crms_fenicsx.output.figures.picture import checked_filename, finished, given_file, new_figure
 from crms_fenicsx.runtime.errors import raised_together
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Series = tuple[Sequence[float], float, float, float]
 """Values of a quantity on the levels, its limit, how far that may be wrong, and its size."""
@@ -26,13 +27,13 @@ Series = tuple[Sequence[float], float, float, float]
 
 def draw_convergence(
     comm: MPI.Intracomm,
-    filename: str | Path,
+    filename: str | Path | None,
     cells: Sequence[int],
     series: Mapping[str, Series],
     *,
     title: str = "",
     width: float = 8.0,
-) -> None:
+) -> Figure | None:
     """Plot how far values are from their limits, in parts of their sizes. Collective.
 
     Parameters
@@ -40,7 +41,7 @@ def draw_convergence(
     comm
         Ranks that come here.
     filename
-        Picture to write.
+        Picture to write; None returns it, on the first rank.
     cells
         Number of cells on each level.
     series
@@ -54,15 +55,21 @@ def draw_convergence(
     InputError
         On all ranks: a file that cannot be written.
     """
-    path = checks.file("draw: filename", filename)
+    file = given_file("draw", filename)
     with raised_together(comm):
         if comm.rank == 0:
-            _draw(checked_filename(path), cells, series, title, width)
+            path = None if file is None else checked_filename(file)
+            return _draw(path, cells, series, title, width)
+    return None
 
 
 def _draw(
-    path: Path, cells: Sequence[int], series: Mapping[str, Series], title: str, width: float
-) -> None:
+    path: Path | None,
+    cells: Sequence[int],
+    series: Mapping[str, Series],
+    title: str,
+    width: float,
+) -> Figure | None:
     figure = new_figure(width, 0.62 * width)
     axis = figure.subplots()
     size = np.sqrt(cells[0] / np.asarray(cells, dtype=float))
@@ -73,8 +80,9 @@ def _draw(
             continue
         there = errors > 0.0
         low = np.minimum(bar, 0.9 * errors)[there]  # a bar to 0 has no end on this scale
+        bars = np.stack([low, np.full_like(low, bar)]) / scale
         axis.errorbar(
-            size[there], errors[there] / scale, [low / scale, np.full_like(low, bar / scale)],
+            size[there], errors[there] / scale, bars.tolist(),
             color=next(colours), marker="o", markersize=4, linewidth=1.4, capsize=3,
             elinewidth=0.8, label=name,
         )  # fmt: skip
@@ -91,4 +99,4 @@ def _draw(
     if title:
         figure.suptitle(title, fontsize=11, color=INK)
     figure.tight_layout()
-    save(figure, path, 160)
+    return finished(figure, path, 160)

@@ -6,23 +6,24 @@ import re
 from collections.abc import Mapping, Sequence
 from itertools import cycle
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from crms_fenicsx.output.figures.axes3d import (
     DISTINCT,
     INK,
-    checked_filename,
-    new_figure,
-    save,
     style_axes,
     with_unit,
 )
+from crms_fenicsx.output.figures.picture import checked_filename, finished, given_file, new_figure
 from crms_fenicsx.output.history import History
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, collective, raised_together
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _SEEN = 0.01
 """Share of a panel's largest value from which on a column is seen in it."""
@@ -31,7 +32,7 @@ _SEEN = 0.01
 @collective
 def draw_history(
     history: History,
-    filename: str | Path,
+    filename: str | Path | None = None,
     x: str = "step",
     panels: Sequence[Sequence[str]] | None = None,
     *,
@@ -41,7 +42,7 @@ def draw_history(
     title: str = "",
     width: float = 8.0,
     dpi: int = 160,
-) -> None:
+) -> Figure | None:
     """Plot columns of a history, in panels. Collective on the history's ranks.
 
     Parameters
@@ -49,7 +50,7 @@ def draw_history(
     history
         Such as ``solver.history``.
     filename
-        Picture to write; its suffix (.png, .pdf, .svg ...) says the format.
+        Picture to write; its suffix (.png, .pdf, .svg ...) says the format. None returns it.
     x
         Column of the horizontal axis.
     panels
@@ -65,6 +66,11 @@ def draw_history(
     width, dpi
         Width in inches; pixels per inch.
 
+    Returns
+    -------
+    matplotlib.figure.Figure
+        On the first rank, without a file; a notebook shows it. Else None.
+
     Raises
     ------
     InputError
@@ -79,7 +85,7 @@ def draw_history(
         history.comm, "draw_history", filename=filename, x=x, panels=panels, unit=unit, force=force,
         units=units, title=title, width=width, dpi=dpi,
     )  # fmt: skip
-    filename = checks.file("draw_history: filename", filename)
+    filename = given_file("draw_history", filename)
     if len(history) == 0:
         raise InputError("the history is empty; draw it after the first step")
     if panels is None:
@@ -92,19 +98,21 @@ def draw_history(
     named = units_of_results(unit, force) | dict(units or {})
     with raised_together(history.comm):
         if history.comm.rank == 0:
-            _draw_panels(history, checked_filename(filename), x, panels, named, title, width, dpi)
+            path = None if filename is None else checked_filename(filename)
+            return _draw_panels(history, path, x, panels, named, title, width, dpi)
+    return None
 
 
 def _draw_panels(
     history: History,
-    path: Path,
+    path: Path | None,
     x: str,
     panels: Sequence[Sequence[str]],
     units: Mapping[str, str],
     title: str,
     width: float,
     dpi: int,
-) -> None:
+) -> Figure | None:
     across = 1 if len(panels) == 1 else 2
     down = -(-len(panels) // across)
     figure = new_figure(width, 2.5 * down + (0.4 if title else 0.0))
@@ -116,7 +124,7 @@ def _draw_panels(
     if title:
         figure.suptitle(title, fontsize=11, color=INK)
     figure.tight_layout(w_pad=2.0, h_pad=1.2)
-    save(figure, path, dpi)
+    return finished(figure, path, dpi)
 
 
 def units_of_results(length: str, force: str) -> dict[str, str]:

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from crms_fenicsx.output.data import Line
 from crms_fenicsx.output.figures.axes3d import RIM, STRIPES, Axes3D, annotate
 from crms_fenicsx.output.figures.camera import offsets_within, visible
 from crms_fenicsx.output.figures.scales import colouring
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.views.data import Line
 
 if TYPE_CHECKING:
     from matplotlib.cm import ScalarMappable

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from crms_fenicsx.output.figures.axes3d import checked_filename
+from crms_fenicsx.output.figures.picture import checked_filename
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.runtime.files import replaced
 
@@ -41,7 +41,7 @@ def join_pictures(
     try:
         images = [imread(picture)[..., :3] for picture in pictures]
     except (OSError, SyntaxError) as error:  # the latter is what a damaged file gives
-        raise InputError(f"a picture to join cannot be read: {error}") from error
+        raise InputError(f"a picture to join cannot be read: {error}") from None
     path = checked_filename(filename)
     across = 0 if upright else 1
     size = np.max([image.shape for image in images], axis=0)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from crms_fenicsx.output.data import Line, Surface
 from crms_fenicsx.output.figures.axes3d import (
     DISTINCT,
     INK,
@@ -17,13 +16,17 @@ from crms_fenicsx.output.figures.axes3d import (
     annotate,
     bounds,
     check_view,
-    checked_filename,
     style_axes,
     with_unit,
 )
 from crms_fenicsx.output.figures.camera import Camera
+from crms_fenicsx.output.figures.picture import checked_filename
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.views.data import Line, Surface
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _CLOSEUP = 2.3  # inches: a close-up with its labels
 _LABELS = 0.75  # inches of these
@@ -31,7 +34,7 @@ _CABLE = "#8a8f98"
 
 
 def draw_path(
-    filename: str | Path,
+    filename: str | Path | None,
     paths: Sequence[Line],
     *,
     points: ArrayLike | None = None,
@@ -43,15 +46,15 @@ def draw_path(
     title: str = "",
     width: float = 6.5,
     dpi: int = 180,
-) -> None:
+) -> Figure | None:
     """Draw the ways that points have gone, with a marker and a number for each step, and cables.
 
     Made for models of a few triangles: nothing hides anything. Not collective.
 
     Parameters
     ----------
-    filename : str or Path
-        Picture to write; its suffix says the format.
+    filename : str, Path or None
+        Picture to write; its suffix says the format. None returns it.
     paths : sequence of Line
         The positions of a point, step 0 first; the lines' names go into a legend. It may be empty
         if there are `lines`.
@@ -69,6 +72,11 @@ def draw_path(
     title : str
     width, dpi : float, int
         Width in inches; pixels per inch.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Without a file, which a notebook shows; else None.
 
     Raises
     ------
@@ -88,7 +96,7 @@ def draw_path(
         corners = np.asarray(surface.points)[np.asarray(surface.triangles)]
     _check_closeups(closeups or {}, len(paths))
     check_view(view)
-    file = checked_filename(filename)
+    file = None if filename is None else checked_filename(filename)
 
     low, high = bounds([corners, *ways, *cables])
     size = float(np.linalg.norm(high - low))
@@ -121,7 +129,7 @@ def draw_path(
     if closeups:
         below = [cable[:, :2] for cable in cables], [colours[line.name] for line in lines]
         _add_closeups(axes3d, ways, closeups, corners[..., :2], below, unit)
-    axes3d.save(file, dpi)
+    return axes3d.finished(file, dpi)
 
 
 def _check_closeups(closeups: Mapping[str, Sequence[int]], count: int) -> None:

@@ -6,18 +6,17 @@ import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.cables.deformed_surface import CurrentSurface, current_surface
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.output.cable_lines import bar_lines, cable_lines
-from crms_fenicsx.output.data import Line
 from crms_fenicsx.output.figures.axes3d import with_unit
 from crms_fenicsx.output.figures.history import units_of_results
 from crms_fenicsx.output.figures.paths import draw_path
+from crms_fenicsx.output.figures.picture import given_file
 from crms_fenicsx.output.figures.surface import draw_shape
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.results.quantities import QUANTITIES
@@ -25,6 +24,11 @@ from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.errors import InputError, PictureWarning, collective, raised_together
 from crms_fenicsx.scene import Scene
+from crms_fenicsx.views.data import Line
+from crms_fenicsx.views.lines import bar_lines, cable_lines
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MOST_CELLS = 500_000
 """Most cells of a mesh that is drawn. The first process gathers and draws all of them, which takes
@@ -81,7 +85,7 @@ class HasSystem(Protocol):
 @collective
 def draw(
     solver: HasSystem,
-    filename: str | Path,
+    filename: str | Path | None = None,
     *,
     colour: str | None = None,
     unit: str = "",
@@ -89,7 +93,7 @@ def draw(
     ghost: bool = False,
     tensions: bool = True,
     **options: Any,
-) -> None:
+) -> Figure | None:
     """Draw a solver's scene in its current state, with the tensions of cables and bars. Collective.
 
     Cables are striped where they are off the membrane; the compression of bars is negative.
@@ -99,7 +103,7 @@ def draw(
     solver
         A `Solver`; its scene is drawn.
     filename
-        Picture to write; its suffix (.png, .pdf, .svg ...) says the format.
+        Picture to write; its suffix (.png, .pdf, .svg ...) says the format. None returns it.
     colour
         What colours the membrane: "height" (z), "displacement", "stress" and "stress 2" (larger
         and smaller principal true section force), "warp", "weft" and "shear" (true section
@@ -113,6 +117,11 @@ def draw(
         Whether to colour the cables by their tensions, which takes a colour bar of its own.
     **options
         As for `draw_shape`: ``view``, ``box``, ``title``, ``limits`` ...
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        On the first rank, without a file; a notebook shows it. Else None.
 
     Raises
     ------
@@ -130,7 +139,7 @@ def draw(
         solver.comm, "draw", filename=filename, colour=colour, unit=unit, force=force, ghost=ghost,
         tensions=tensions, **options,
     )  # fmt: skip
-    filename = checks.file("draw: filename", filename)
+    filename = given_file("draw", filename)
     if colour is not None and colour not in list(COLOURS):
         raise InputError(
             f"draw: colour = {colour!r} is not known; use one of {list(COLOURS)} or None."
@@ -140,8 +149,8 @@ def draw(
         raise InputError(f"draw: {taken} come from the scene; use draw_shape to draw arrays.")
     system = solver.system
     scene = system.scene
-    if _too_large(scene, f"{filename} is not drawn"):
-        return
+    if _too_large(scene, f"{filename or 'the scene'} is not drawn"):
+        return None
     surface = current_surface(scene.net)
     values: Array = np.empty(0)
     if colour is not None:
@@ -156,7 +165,7 @@ def draw(
         options.setdefault("line_label", with_unit("tension", force))
     if any(cable.lifted.any() for cable in scene.cables):
         options.setdefault("loose", "lifted")
-    lines = [*cable_lines(scene), *bar_lines(scene)]
+    lines = [*cable_lines(scene.net), *bar_lines(scene.bars)]
     parts = scene.comm.gather((surface, values, _own_cells(scene) if ghost else None))
     with raised_together(scene.comm):
         if parts is not None:
@@ -165,7 +174,7 @@ def draw(
             if ghost:
                 free = np.concatenate([piece.stress_free for piece in pieces])
                 options |= {"ghost": (free, _renumbered(cells, counts))}
-            draw_shape(
+            return draw_shape(
                 filename,
                 np.concatenate([piece.points for piece in pieces]),
                 _renumbered([piece.triangles for piece in pieces], counts),
@@ -175,16 +184,17 @@ def draw(
                 unit=unit,
                 **options,
             )
+    return None
 
 
 @collective
 def draw_paths(
     scene: Scene,
-    filename: str | Path,
+    filename: str | Path | None = None,
     lines: Sequence[Line] = (),
     paths: Sequence[Line] = (),
     **options: Any,
-) -> None:
+) -> Figure | None:
     """Draw paths of cables and ways of points over the stress-free mesh, in plan. Collective.
 
     Parameters
@@ -192,13 +202,18 @@ def draw_paths(
     scene
         Its mesh is drawn.
     filename
-        Picture to write; its suffix says the format.
+        Picture to write; its suffix says the format. None returns it.
     lines
         Paths of cables, such as ``Line(cable.line, name="now")``; those of the first rank count.
     paths
         Ways of points, step by step; those of the first rank count.
     **options
         As for `draw_path`: ``unit``, ``closeups``, ``title`` ...
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        On the first rank, without a file; a notebook shows it. Else None.
 
     Raises
     ------
@@ -213,12 +228,12 @@ def draw_paths(
     if not isinstance(scene, Scene):
         raise InputError(f"draw_paths: scene is of type {type(scene).__name__}; give a Scene.")
     checks.same(scene.comm, "draw_paths", filename=filename, **options)
-    filename = checks.file("draw_paths: filename", filename)
+    filename = given_file("draw_paths", filename)
     taken = sorted({"points", "triangles"} & set(options))
     if taken:
         raise InputError(f"draw_paths: {taken} come from the scene; use draw_path to draw arrays.")
     parts = None
-    if not _too_large(scene, f"{filename} is drawn without the mesh"):
+    if not _too_large(scene, f"{filename or 'the picture'} is drawn without the mesh"):
         parts = scene.comm.gather((scene.membrane.stress_free, _own_cells(scene)))
     with raised_together(scene.comm):
         if parts is not None:
@@ -226,7 +241,8 @@ def draw_paths(
             options["points"] = np.concatenate(points)
             options["triangles"] = _renumbered(cells, [len(part) for part in points])
         if scene.comm.rank == 0:
-            draw_path(filename, paths, lines=lines, **options)
+            return draw_path(filename, paths, lines=lines, **options)
+    return None
 
 
 def _too_large(scene: Scene, happens: str) -> bool:

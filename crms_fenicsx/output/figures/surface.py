@@ -4,25 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from crms_fenicsx.output.data import Line, Surface, checked_points
 from crms_fenicsx.output.figures.axes3d import (
     INK,
     Axes3D,
     bounds,
     check_colours,
     check_view,
-    checked_filename,
 )
 from crms_fenicsx.output.figures.camera import Camera, brightness, visible
 from crms_fenicsx.output.figures.lines import CABLE, line_style, paint_lines
+from crms_fenicsx.output.figures.picture import checked_filename
 from crms_fenicsx.output.figures.scales import NO_VALUE, colouring
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.views.data import Line, Surface, checked_points
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _FABRIC = (0.80, 0.86, 0.93)
 _ON_SURFACE = 0.006  # of the size: triangles that come unfolded pass over their cable
@@ -30,7 +33,7 @@ _GHOST = (0.20, 0.33, 0.60)
 
 
 def draw_shape(
-    filename: str | Path,
+    filename: str | Path | None,
     points: ArrayLike,
     triangles: ArrayLike,
     lines: Sequence[Line] = (),
@@ -55,7 +58,7 @@ def draw_shape(
     box: bool | tuple[ArrayLike, ArrayLike] = True,
     width: float = 8.0,
     dpi: int = 200,
-) -> None:
+) -> Figure | None:
     """Draw a surface and the cables on it, in a box from which its size can be read.
 
     Cables are seen where no part of the surface is in front of them. Not collective: call it on
@@ -63,8 +66,8 @@ def draw_shape(
 
     Parameters
     ----------
-    filename : str or Path
-        Picture to write; its suffix (.png, .pdf, .svg ...) says the format.
+    filename : str, Path or None
+        Picture to write; its suffix (.png, .pdf, .svg ...) says the format. None returns it.
     points, triangles : (n, 3) array of length, (m, 3) array of int
         The surface.
     lines : sequence of Line
@@ -108,7 +111,12 @@ def draw_shape(
     width : float
         The picture's, in inches; its height follows from the shape's.
     dpi : int
-        Pixels per inch.
+        Pixels per inch, of a file.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Without a file, which a notebook shows; else None.
 
     Raises
     ------
@@ -128,7 +136,7 @@ def draw_shape(
     check_view(view)
     corners = None if isinstance(box, bool) else _checked_box(box)
     inner = _checked_hidden(hidden, surface)
-    path = checked_filename(filename)
+    path = None if filename is None else checked_filename(filename)
 
     spatial, ghostly = _corners(surface), None if faint is None else _corners(faint)
     shapes = [spatial, *(np.asarray(line.points) for line in lines)]
@@ -162,7 +170,7 @@ def draw_shape(
         _paint_outline(axes3d, faint, flat[:0], tolerance, (*_GHOST, 0.6))
     clip = None if corners is None else (low - 1e-6 * size, high + 1e-6 * size)
     paint_lines(axes3d, lines, style, flat, tolerance, clip, show_names)
-    axes3d.save(path, dpi)
+    return axes3d.finished(path, dpi)
 
 
 def _corners(surface: Surface) -> Array:
