@@ -166,7 +166,7 @@ class FoundForm:
 
     def _released(self, bars: Sequence[FormBar]) -> set[str]:
         """The supports that bars replace."""
-        if isinstance(bars, str) or not isinstance(bars, Sequence):
+        if not isinstance(bars, list | tuple):
             raise InputError(f"FoundForm.scene: bars = {bars!r}; give a list of FormBars.")
         for bar in bars:
             if not isinstance(bar, FormBar):
