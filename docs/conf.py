@@ -13,6 +13,7 @@ TUTORIALS = [
     "single_element",
     "sliding_cable",
     "cable_net",
+    "tent",
     "load_combinations",
     "wind_coupling",
     "friction_experiment",

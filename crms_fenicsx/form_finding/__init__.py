@@ -1,7 +1,8 @@
 """Form finding: the shape that belongs to section forces, cables, supports and inner pressure."""
 
+from crms_fenicsx.form_finding.bars import FormBar
 from crms_fenicsx.form_finding.cables import FormCable
 from crms_fenicsx.form_finding.find_form import find_form
 from crms_fenicsx.form_finding.found_form import FormCableFound, FoundForm
 
-__all__ = ["FormCable", "FormCableFound", "FoundForm", "find_form"]
+__all__ = ["FormBar", "FormCable", "FormCableFound", "FoundForm", "find_form"]

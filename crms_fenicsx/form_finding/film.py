@@ -97,7 +97,7 @@ class Film:
         held: Any = sum(S[i, j] * ufl.dot(dw[i], dv[j]) for i, j in pairs) * dx
         x = ufl.SpatialCoordinate(domain) + self.u - fem.Constant(domain, origin)
         volume: Any = ufl.dot(x, ufl.cross(*F)) / 3 * dx
-        growth = ufl.derivative(volume, self.u, v)
+        growth: Any = ufl.dot(v, ufl.cross(*F)) * dx  # the volume's derivative inside the rim
         self._forms = {"force": force, "volume": volume, "growth": growth, "area": J * dx}
         self._forms = {name: fem.form(form) for name, form in self._forms.items()}
         exact = ufl.derivative(force - self._pressure * growth, self.u, w)
@@ -128,7 +128,10 @@ class Film:
         return self._vector("force")
 
     def growth(self) -> Array:
-        """Derivatives of the volume by the places of this rank's vertices, (n, 3). Collective."""
+        """Forces of a pressure of 1 on this rank's vertices, (n, 3) (length squared). Collective.
+
+        Inside the rim these are the derivatives of the volume by the vertices' places.
+        """
         return self._vector("growth")
 
     def _vector(self, name: str) -> Array:

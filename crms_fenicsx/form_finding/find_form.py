@@ -14,7 +14,14 @@ from crms_fenicsx.form_finding.found_form import FormCableFound, FoundForm, larg
 from crms_fenicsx.form_finding.inflation import Inflation
 from crms_fenicsx.form_finding.search import NO_FORM, FormSearch
 from crms_fenicsx.form_finding.stresses import Direction, PrescribedStress, Stress
-from crms_fenicsx.form_finding.supports import Lift, check_free_edges, hold, lifts, rim_centre
+from crms_fenicsx.form_finding.supports import (
+    Lift,
+    check_free_edges,
+    group_sums,
+    hold,
+    lifts,
+    rim_centre,
+)
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.meshes.membrane_mesh import moved
 from crms_fenicsx.model.materials import IsotropicMembrane
@@ -127,8 +134,10 @@ def find_form(
         FormCableFound(line.cable.group, line.tension, length, places_of(membrane, line.ids))
         for line, length in zip(lines, search.lengths, strict=True)
     )
+    reactions = group_sums(membrane, supports, search.support_forces)
     return FoundForm(
-        shape, prescribed, residual, deviation, supports, found, film.area(),
+        shape, prescribed, residual, deviation, supports, reactions, found,
+        film.area(),
         film.volume() if inflated else None, inflation.pressure, search.iterations,
     )  # fmt: skip
 

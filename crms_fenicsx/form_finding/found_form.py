@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.energies.residual_stress import ResidualStress
+from crms_fenicsx.form_finding.bars import FormBar, add_bars
 from crms_fenicsx.form_finding.stresses import Materials, PrescribedStress
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.model.cable import Cable
@@ -68,6 +69,9 @@ class FoundForm:
         Largest of them relative to the largest prescribed one.
     supports
         Directions in which groups are held, by their names.
+    reactions
+        Forces (3,) with which these groups are held, by their names (force): what masts and guys
+        at a point are to bear. A vertex of several groups counts in each.
     cables
         The cables with tensions, lengths and places.
     area, volume
@@ -83,6 +87,7 @@ class FoundForm:
     residual_stress: Array
     deviation: float
     supports: Mapping[str, str]
+    reactions: Mapping[str, Array]
     cables: tuple[FormCableFound, ...]
     area: float
     volume: float | None
@@ -114,13 +119,15 @@ class FoundForm:
         self,
         material: Materials,
         cables: Cable | Mapping[str, Cable] | None = None,
+        bars: Sequence[FormBar] = (),
         **options: Any,
     ) -> Scene:
         """Make a scene that is in equilibrium as it is. Collective.
 
-        Its supports hold, its cables are laid in sleeves, with the tensions found, and its pressure
-        is that of the form. Where there is `residual_stress` it is a term of the energy: results
-        show the materials' section forces without it.
+        Its supports hold, but for those that bars replace with the forces that balance the form.
+        Its cables are laid in sleeves, with the tensions found, and its pressure is that of the
+        form. Where there is `residual_stress` it is a term of the energy: results show the
+        materials' section forces without it.
 
         Parameters
         ----------
@@ -129,19 +136,35 @@ class FoundForm:
             forces of the form, and where these differ along warp and weft its warp direction.
         cables
             What the cables are made of, one for all or each by name.
+        bars
+            Masts and guys that hold points in place of their supports.
         **options
             For `Scene`.
 
         Raises
         ------
         InputError
-            On all ranks: materials that do not fit, a cable that is missing or not known.
+            On all ranks: materials that do not fit, a cable that is missing or not known, or bars
+            that do not balance the form.
+
+        Examples
+        --------
+        >>> found.reactions["high point"]
+        >>> mast, guy = Bar(EA=5e5), Bar(EA=3e4, tension_only=True)
+        >>> scene = found.scene(fabric, steel, bars=[
+        ...     FormBar("high point", mast, foot=(-1.0, 0.0, 0.0)),
+        ...     FormBar("high point", guy, foot=(-5.0, -3.0, 0.0)),
+        ...     FormBar("high point", guy, foot=(-5.0, 3.0, 0.0)),
+        ... ])
         """
-        checks.same(self.comm, "FoundForm.scene", material=material, cables=cables)
+        checks.same(self.comm, "FoundForm.scene", material=material, cables=cables, bars=bars)
         kinds = self._kinds(cables)
+        released = self._released(bars)
         scene = Scene(self.mesh, self.stress.materials(material), **options)
         for group, directions in self.supports.items():
-            scene.fix(group, directions)
+            if group not in released:
+                scene.fix(group, directions)
+        add_bars(scene, self.reactions, bars)
         if self.deviation > ROUNDING:
             scene.add_term(ResidualStress(scene.u, self.residual_stress))
         for cable in self.cables:
@@ -151,6 +174,23 @@ class FoundForm:
             )  # fmt: skip
         scene._pressure = self.pressure
         return scene
+
+    def _released(self, bars: Sequence[FormBar]) -> set[str]:
+        """The supports that bars replace."""
+        if not isinstance(bars, list | tuple):
+            raise InputError(f"FoundForm.scene: bars = {bars!r}; give a list of FormBars.")
+        for bar in bars:
+            if not isinstance(bar, FormBar):
+                raise InputError(
+                    f"FoundForm.scene: {bar!r} is no FormBar; write FormBar(group, bar, foot)."
+                )
+            if self.supports.get(bar.group) != "xyz":
+                full = [group for group, held in self.supports.items() if held == "xyz"]
+                raise InputError(
+                    f"FoundForm.scene: {bar.label} holds {bar.group!r}, which is no support in all "
+                    f"directions; these are {', '.join(map(repr, full)) or 'none'}."
+                )
+        return {bar.group for bar in bars}
 
     def _kinds(self, cables: Cable | Mapping[str, Cable] | None) -> dict[str, Cable]:
         """The kind of each cable."""

@@ -86,6 +86,8 @@ class FormSearch:
         self.iterations = 0
         self.holding = False
         """Whether the elasticity that holds vertices is part of the equilibrium found."""
+        self.support_forces: Array = np.zeros((0, 3))
+        """Forces of the supports on this rank's vertices (force), (n, 3)."""
 
     def _begin(self, line: EdgeLine) -> None:
         """Give a cable a tension to begin with: what is not known for an arc of its length."""
@@ -196,6 +198,7 @@ class FormSearch:
         if self.inflation.acts:
             self.inflation.measure(x)
             forces -= self.inflation.pressure * self.inflation.growth
+        self.support_forces = np.where(self.held, forces, 0.0)
         forces[self.held] = 0.0
         gaps, sizes = [], []
         for line, length in zip(self.lines, self.lengths, strict=True):

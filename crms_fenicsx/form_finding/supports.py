@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 from mpi4py import MPI
@@ -37,6 +37,15 @@ def hold(membrane: Membrane, fixed: Sequence[str] | Mapping[str, str]) -> dict[s
             f"find_form: fixed = {fixed!r} holds nothing along {free}; hold a group there too."
         )
     return supports
+
+
+def group_sums(membrane: Membrane, groups: Iterable[str], forces: Array) -> dict[str, Array]:
+    """Sums (3,) of the forces (n, 3) on this rank's owned vertices over each group. Collective."""
+    sums = {}
+    for group in groups:
+        dofs = membrane.vertices(group)
+        sums[group] = membrane.comm.allreduce(forces[dofs[dofs < len(forces)]].sum(axis=0))
+    return sums
 
 
 def lifts(membrane: Membrane, lifted: Mapping[str, Lift]) -> Array:

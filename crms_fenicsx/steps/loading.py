@@ -91,7 +91,8 @@ def checked_target(
         A load that cannot be applied, on all ranks.
     """
     scene.membrane.check_finite("advance")
-    if not scene.comm.allreduce(int(scene.held.any())):
+    braced = scene.frame.vertices and any(joint.held.any() for joint in scene.joints)
+    if not braced and not scene.comm.allreduce(int(scene.held.any())):
         raise InputError(
             "advance: nothing of the membrane is held; hold its boundary with "
             'scene.fix("boundary").'

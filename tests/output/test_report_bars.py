@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from mpi4py import MPI
 from report_page import Page, read_csv
 
 from crms_fenicsx import Bar, Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx.output.report.bar_tables import families
 from crms_fenicsx.output.report.case import case_of
 
 SNOW, LAMP, WATER = 0.2, 0.5, 10.0
@@ -112,3 +114,33 @@ def test_pictures_have_room_for_bars(comm: MPI.Intracomm) -> None:
     assert case.low[1] == pytest.approx(-5.0)
     assert case.low[2] == pytest.approx(-2.0)
     assert case.high[2] == pytest.approx(solver.scene.joint("top").position[2])
+
+
+def test_many_bars_share_rows_of_a_page(comm: MPI.Intracomm, tmp_path: Path) -> None:
+    """Those of a belt by the one with the largest force; tables in files have all."""
+    folder = Path(comm.bcast(str(tmp_path)))
+    mesh = meshes.rectangle(comm, 10.0, 4.0, 1.0, structured=True)
+    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0, prestress=2.0))
+    scene.fix("boundary")
+    row = [scene.vertex_at((float(x), 2.0, 0.0)) for x in range(11)]
+    for k, (one, other) in enumerate(pairwise(row), 1):
+        scene.add_bar(Bar(EA=50.0 * k), one, other, name=f"belt {k}")
+    scene.add_bar(Bar(EA=1e3), row[5], (5.0, 2.0, -1.0), name="strut 1")
+    scene.put_load((0.0, 0.0, -0.5), name="snow", per="plan")
+    solver = Solver(scene)
+    found = solver.combine({"calm": {"snow": 0.1}, "snow": {"snow": 1.0}})
+    solver.report(folder / "belt.html", found, pictures=[])
+    comm.barrier()
+    page = Page((folder / "belt.html").read_text(encoding="utf-8"))
+    belt = "belt 1 ... belt 10"
+    forces = {}
+    for name, one in found.items():
+        solver.restore(one.snapshot)
+        forces[name] = [bar.force for bar in scene.bars[:10]]
+    every = read_csv(folder / "belt_bars.csv")
+    assert {row["Bar"] for row in every} == {bar.name for bar in scene.bars}
+    envelope = next(row for row in page.tables["Envelope of the bars' forces"] if row[0] == belt)
+    assert float(envelope[1]) == pytest.approx(min(forces["calm"]), rel=1e-3)
+    assert float(envelope[3]) == pytest.approx(max(forces["snow"]), rel=1e-3)
+    assert envelope[4] == "snow" and max(forces["snow"]) > 2.0 * min(forces["snow"])
+    assert families(["guy 1", "guy 2", "mast"]) == {n: [n] for n in ("guy 1", "guy 2", "mast")}

@@ -26,6 +26,7 @@ PROMISED = {
     "own_term": (["tied_down"], {".": 2}, []),
     "single_element": (["up", "down", "sliding_nodes"], {"up": 6, "down": 6}, []),
     "sliding_cable": (["paths", "inflated", "both"], {".": 6}, []),
+    "tent": (["form", "snow", "uplift"], {".": 9}, ["0.84"]),
     "wind_coupling": (["roof"], {}, []),
 }
 """By demo: its pictures, the folders of its runs with their numbers of steps, and arguments that

@@ -34,6 +34,9 @@ MOST_CELLS = 500_000
 """Most cells of a mesh that is drawn. The first process gathers and draws all of them, which takes
 20 s and 0.7 GB for a million; and in a picture of a million points nobody would see so many."""
 
+SIGNED = "RdYlBu_r"
+"""Colours of tensions and compressions."""
+
 
 @dataclass(frozen=True)
 class Colour:
@@ -96,7 +99,8 @@ def draw(
 ) -> Figure | None:
     """Draw a solver's scene in its current state, with the tensions of cables and bars. Collective.
 
-    Cables are striped where they are off the membrane; the compression of bars is negative.
+    Cables are striped where they are off the membrane; the compression of bars is negative, and
+    blue.
 
     Parameters
     ----------
@@ -163,9 +167,10 @@ def draw(
     if tensions and (scene.bars or any(cable.taut for cable in scene.cables)):
         options |= {"line_values": "tension"}
         options.setdefault("line_label", with_unit("tension", force))
+        options = {**_signed_colours(scene), **options}
     if any(cable.lifted.any() for cable in scene.cables):
         options.setdefault("loose", "lifted")
-    lines = [*cable_lines(scene.net), *bar_lines(scene.bars)]
+    lines = [*bar_lines(scene.bars), *cable_lines(scene.net)]
     parts = scene.comm.gather((surface, values, _own_cells(scene) if ghost else None))
     with raised_together(scene.comm):
         if parts is not None:
@@ -185,6 +190,15 @@ def draw(
                 **options,
             )
     return None
+
+
+def _signed_colours(scene: Scene) -> dict[str, Any]:
+    """Colours of tensions from blue compression to red tension, where there is compression."""
+    forces = [bar.force for bar in scene.bars]
+    if min(forces, default=0.0) >= 0.0:
+        return {}
+    most = max(map(abs, [*forces, *(cable.tension for cable in scene.cables)]))
+    return {"line_limits": (-most, most), "line_colours": SIGNED}
 
 
 @collective

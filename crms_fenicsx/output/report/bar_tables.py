@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 from crms_fenicsx.output.report.case import Case
 from crms_fenicsx.output.report.results_tables import Units, clean
 from crms_fenicsx.output.report.tables import Cell, Table
+
+FAMILY = 10
+"""So many bars or more whose names differ in a number at their end share rows of a page."""
 
 
 def bar_names(cases: Sequence[Case]) -> list[str]:
@@ -14,15 +18,29 @@ def bar_names(cases: Sequence[Case]) -> list[str]:
     return list(dict.fromkeys(name for case in cases for name in case.summary.bars))
 
 
-def bars(cases: Sequence[Case], units: Units) -> Table:
-    """Forces and lengths of all bars in all cases."""
+def families(names: Sequence[str]) -> dict[str, list[str]]:
+    """Names by what a page calls them: their own, or "belt 1 ... belt 26" of many."""
+    found: dict[str, list[str]] = {}
+    for name in names:
+        found.setdefault(re.sub(r"\d+$", "", name), []).append(name)
+    shared: dict[str, list[str]] = {}
+    for own in found.values():
+        many = len(own) >= FAMILY
+        shared |= {f"{own[0]} ... {own[-1]}": own} if many else {name: [name] for name in own}
+    return shared
+
+
+def bars(cases: Sequence[Case], units: Units, *, every: bool = True) -> Table:
+    """Forces and lengths in all cases of all bars, or of each family's with the largest force."""
+    names = bar_names(cases)
     rows: list[tuple[Cell, ...]] = []
-    for name in bar_names(cases):
+    for label, own in ({name: [name] for name in names} if every else families(names)).items():
         for case in cases:
-            one = case.summary.bars.get(name)
-            if one is not None:
+            found = [case.summary.bars[name] for name in own if name in case.summary.bars]
+            if found:
+                one = max(found, key=lambda bar: abs(bar.force))
                 state = "slack" if one.slack else "tension" if one.force > 0.0 else "compression"
-                rows.append((name, case.name, one.force, state, one.length, one.L0))
+                rows.append((label, case.name, one.force, state, one.length, one.L0))
     m = units["length"]
     columns = (
         "Bar", "Combination", f"Force{units['force']}", "State", f"Length{m}", f"Unstressed{m}",
@@ -30,13 +48,17 @@ def bars(cases: Sequence[Case], units: Units) -> Table:
     return Table("Bars", columns, rows, "bars", headings=2)
 
 
-def envelope(cases: Sequence[Case], units: Units) -> Table:
-    """Least and largest force of each bar over all cases."""
+def envelope(cases: Sequence[Case], units: Units, *, every: bool = True) -> Table:
+    """Least and largest force of each bar, or family of bars, over all cases."""
+    names = bar_names(cases)
     rows: list[tuple[Cell, ...]] = []
-    for name in bar_names(cases):
-        force = {c.name: c.summary.bars[name].force for c in cases if name in c.summary.bars}
-        low, high = min(force, key=lambda one: force[one]), max(force, key=lambda one: force[one])
-        rows.append((name, force[low], low, force[high], high))
+    for label, own in ({name: [name] for name in names} if every else families(names)).items():
+        force = [
+            (case.summary.bars[name].force, case.name)
+            for case in cases for name in own if name in case.summary.bars
+        ]  # fmt: skip
+        (low, least), (high, largest) = (take(force, key=lambda one: one[0]) for take in (min, max))
+        rows.append((label, low, least, high, largest))
     kN = units["force"]
     columns = (
         "Bar", f"Least force{kN}", "Governs least", f"Largest force{kN}", "Governs largest",

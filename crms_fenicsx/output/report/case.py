@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.output.figures.scene import HasSystem, draw
+from crms_fenicsx.output.figures.scene import SIGNED, HasSystem, draw
 from crms_fenicsx.results.summary import Summary, summary
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.verification.report import Verification
@@ -87,6 +87,8 @@ def with_pictures(
     """
     common = _common(every)
     options = {"box": common[0], "line_limits": common[1], **look}
+    if common[1] is not None and common[1][0] < 0.0:
+        options.setdefault("line_colours", SIGNED)
     dpi = sharpness(len(every) * len(colours))
     pictures = []
     for colour in colours:  # one colour bar each, or the shape would be small beside them
@@ -136,7 +138,10 @@ def _common(every: Sequence[Case]) -> tuple[tuple[Array, Array], tuple[float, fl
     for case in every:
         forces += [one.largest for one in case.summary.cables.values()]
         forces += [one.force for one in case.summary.bars.values()]
-    return box, (min(forces), max(forces)) if any(forces) else None
+    low, high = min(forces), max(forces)
+    if low < 0.0:  # as colours of compression and tension are
+        low, high = min(low, -high), max(-low, high)
+    return box, (low, high) if any(forces) else None
 
 
 TENSION = "tension"

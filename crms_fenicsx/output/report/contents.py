@@ -265,8 +265,9 @@ class Report:
                 tables.insert(0, results_tables.cable_envelope(cases, units, self.cable_strengths))
             found.append(Section("Cables", [self._tensions(), *tables]))
         if bar_tables.bar_names(cases):
-            tables = [bar_tables.envelope(cases, units)] if len(cases) > 1 else []
-            found.append(Section("Bars", [*tables, bar_tables.bars(cases, units)]))
+            tables = [bar_tables.envelope(cases, units, every=False)] if len(cases) > 1 else []
+            tables.append(bar_tables.bars(cases, units, every=False))
+            found.append(Section("Bars", tables))
         ponds = bar_tables.ponds(cases, units)
         if ponds.rows:
             found.append(Section("Ponds", [ponds]))

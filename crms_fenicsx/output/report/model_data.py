@@ -23,6 +23,10 @@ from crms_fenicsx.scene import Scene
 Row = tuple[str | int | float | None, ...]
 
 
+RESIDUAL = "residual stress"
+"""Name of the term of a form's residual section forces."""
+
+
 @dataclass(frozen=True)
 class ModelData:
     """A scene by plain numbers and texts, the same on all ranks.
@@ -213,6 +217,13 @@ def _other(scene: Scene) -> dict[str, str]:
         )
     if scene.floor_level is not None:
         found["Rigid floor at z"] = f"{scene.floor_level:g}"
-    if scene.terms:
-        found["Terms of the energy added by the user"] = ", ".join(t.name for t in scene.terms)
+    added = [term.name for term in scene.terms]
+    if RESIDUAL in added:
+        added.remove(RESIDUAL)
+        found["Residual section forces"] = (
+            "those of the form beside its prestress, where facets resolve its curvature coarsely; "
+            "not in the section forces below"
+        )
+    if added:
+        found["Terms of the energy added by the user"] = ", ".join(added)
     return found

@@ -10,6 +10,7 @@ import dolfinx
 import numpy as np
 from petsc4py import PETSc
 
+from crms_fenicsx.output.report.bar_tables import families
 from crms_fenicsx.output.report.model_data import ModelData
 from crms_fenicsx.output.report.results_tables import Units, part_name
 from crms_fenicsx.output.report.tables import Cell, Table, number, shown
@@ -59,11 +60,16 @@ def cables(model: ModelData, units: Units) -> Table:
 
 
 def bars(model: ModelData, units: Units) -> Table:
-    """The bars."""
+    """The bars; of a family the first one's data, from its start to the last one's end."""
+    by_name = {str(row[0]): row for row in model.bars}
+    rows: list[tuple[Cell, ...]] = []
+    for label, own in families(list(by_name)).items():
+        _, kind, EA, L0, start, _ = by_name[own[0]]
+        rows.append((label, kind, EA, L0, start, by_name[own[-1]][-1]))
     columns = (
         "Bar", "Kind", f"EA{units['force']}", f"Unstressed length{units['length']}", "Start", "End",
     )  # fmt: skip
-    return Table("Bars", columns, model.bars)
+    return Table("Bars", columns, rows)
 
 
 def joints(model: ModelData, units: Units) -> Table:

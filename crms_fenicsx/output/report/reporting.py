@@ -23,7 +23,7 @@ from crms_fenicsx.steps.snapshot import Snapshot
 from crms_fenicsx.verification.report import Verification
 
 MOST_NAMES = 12
-"""Up to so many cables have their names in the picture of the model."""
+"""Up to so many cables and bars have their names in the picture of the model."""
 NOW = "Current state"
 """Name of the case of a report without combinations."""
 
@@ -68,7 +68,9 @@ class Reporting:
         cables, bars, ponds, reactions and the verification's verdicts; it loads nothing from
         elsewhere, is smaller than 5 MB, and prints on A4. The tables lie beside it: ``tent.html``
         has ``tent_membrane.csv``, ``tent_cables.csv`` and so on, with all digits. Results are those
-        of the states that the combinations led to; the scene's own state is as before.
+        of the states that the combinations led to; the scene's own state is as before. Bars whose
+        names differ in a number at their end, as those of a belt, share rows on the page if they
+        are ten or more.
 
         Parameters
         ----------
@@ -146,7 +148,7 @@ class Reporting:
     def write_report(self, plan: Plan, cases: Sequence[Case]) -> None:
         """Internal: write the report of all cases, with the model as it is now. Collective."""
         scene = self._scene
-        model, names = model_data(scene), len(scene.cables) <= MOST_NAMES
+        model, names = model_data(scene), len(scene.cables) + len(scene.bars) <= MOST_NAMES
         picture = draw_png(self, dpi=SHARPEST, show_names=names, **plan.look)
         with raised_together(self.comm):
             if self.comm.rank == 0:
