@@ -110,16 +110,30 @@ class Retrace:
             (joint.position != joint.first).any() for joint in finer.joints
         )
         there = [cable for cable in coarse.cables if cable.name in whole.cables]
-        complete = len(there) == len(whole.cables) and len(finer.bars) == len(whole.bars)
-        if not last and not (moved and stage.number and complete):
+        if not last and not (moved and stage.number):
+            return False
+        if gone := self._gone(whole):
+            logger.warning(
+                "refine: %s has been taken away since other things were put on the scene; these "
+                "are put on the shape of the coarse mesh.", ", ".join(gone),
+            )  # fmt: skip
             return False
         for name in whole.terms:
-            if name in self._terms:
-                finer.add_term(self._terms[name])
+            finer.add_term(self._terms[name])
         for cable in there:
             first = self._cables.get(cable.name)
             lay_again(cable, whole.cables[cable.name], first, finer, self._carrier.refinement)
         return True
+
+    def _gone(self, stage: Stage) -> list[str]:
+        """Names of what there was at a state, and is not any more."""
+        finer, cables = self._finer, [cable.name for cable in self._coarse.cables]
+        loads, bars = [load.name for load in finer.loads], [bar.name for bar in finer.bars]
+        acting = [name for name, factor in stage.factors.items() if factor != 0.0]
+        gone = [name for name in acting if name not in loads]
+        gone += [name for name in stage.cables if name not in cables]
+        gone += [name for name in stage.bars if name not in bars]
+        return gone + [name for name in stage.terms if name not in self._terms]
 
     def _take_loads(self, stage: Stage) -> None:
         """Give the finer scene the loads of a state, air, water and floor; no terms yet."""

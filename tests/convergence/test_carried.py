@@ -282,6 +282,21 @@ def test_path_through_close_vertices():
     assert through_vertices(path, ("held", "off")) == [path[0], *middle, VertexPoint(7)]
 
 
+def test_what_has_been_taken_away_since(comm, caplog):
+    """Its state has no equilibrium any more: the cable is laid on the coarse mesh's shape."""
+    scene, solver = square(comm, 4)
+    scene.put_load((0.0, 0.0, 0.04), name="lift")
+    solver.advance(pressure=0.01, load=1.0)
+    scene.lay_cable(Cable(EA=3e3), [(0.0, 40.0), (SIDE, 40.0)])
+    scene.remove_load("lift")
+    solver.advance()
+    with caplog.at_level("WARNING", logger="crms_fenicsx"):
+        finer = solver.refine().scene
+    assert "lift has been taken away since" in caplog.text
+    assert finer.cables[0].L0 == pytest.approx(scene.cables[0].L0, rel=0.02)
+    assert finer.cables[0].L0 > 1.03 * SIDE  # not as under the pressure alone
+
+
 def rough(comm, cells):
     """A cable over the inflated square, drawn in at one end against friction along it."""
     scene, solver = square(comm, cells)
