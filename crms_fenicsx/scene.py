@@ -283,6 +283,7 @@ class Scene(FilledMembrane, BracedMembrane):
         *,
         L0: float | None = None,
         tension: float | None = None,
+        shortest: bool = False,
         sleeve: bool = False,
         layer: int = 0,
         name: str | None = None,
@@ -312,6 +313,9 @@ class Scene(FilledMembrane, BracedMembrane):
             Unstressed length (length).
         tension
             Tension at laying (force), from which the unstressed length follows.
+        shortest
+            Whether it takes the shortest way on the membrane that there is near `path` between its
+            ends, where a cable without friction lies, instead of the path itself.
         sleeve
             Whether a sleeve holds the cable to the membrane: it slides, but cannot lift off. One
             along edges of the membrane that are not held has a sleeve always, and stays there.
@@ -341,8 +345,8 @@ class Scene(FilledMembrane, BracedMembrane):
         from crms_fenicsx.paths.laying import lay
 
         given: dict[str, Any] = {
-            "L0": L0, "tension": tension, "sleeve": sleeve, "layer": layer, "name": name,
-            "measured_on": measured_on,
+            "L0": L0, "tension": tension, "shortest": shortest, "sleeve": sleeve, "layer": layer,
+            "name": name, "measured_on": measured_on,
         }  # fmt: skip
         checks.same(self.comm, "lay_cable", cable=cable, path=path, **given)
         self.membrane.check_finite("lay_cable")

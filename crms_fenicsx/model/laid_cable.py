@@ -86,6 +86,8 @@ class Laying:
         The unstressed length that it got (length).
     stage
         What it was laid on.
+    shortest
+        As given to `Scene.lay_cable`.
     """
 
     route: Array
@@ -97,6 +99,7 @@ class Laying:
     measured_on: Literal["surface", "facets"]
     length: float
     stage: Stage
+    shortest: bool = False
 
 
 class LaidCable:
