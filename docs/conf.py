@@ -13,7 +13,7 @@ TUTORIALS = [
     "single_element",
     "sliding_cable",
     "cable_net",
-    "load_combinations",
+    "air_hall",
     "friction_experiment",
     "capstan",
     "air_dome",

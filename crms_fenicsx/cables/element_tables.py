@@ -190,7 +190,7 @@ class _FoldedCellsOf:
         sides, forward = simplices.sides[rows].ravel(), simplices.forward[rows].ravel()
         folded = np.flatnonzero(numbering.points.counts[sides])
         lines, blocks = numbering.lines(sides[folded])
-        walls, parts = fan_facets(lines, blocks)
+        walls, parts = fan_facets(lines, blocks.astype(np.int64))
         side = folded[fan_owners(lines)]
         corners = np.concatenate([top, below, walls])
         signs = np.where(forward[side], -1.0, 1.0)  # from the edge back over the points

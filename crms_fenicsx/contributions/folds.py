@@ -83,8 +83,9 @@ class FoldContribution(Contribution):
 
     def read_scene(self, potential: Potential) -> None:
         if self.wind is not None:
-            winds = [load for load in self.scene.loads if load.suction is not None]
-            self.wind.take(sum(load.factor * load.suction for load in winds))
+            loads = self.scene.loads
+            winds = [load.factor * load.suction for load in loads if load.suction is not None]
+            self.wind.take(np.sum(winds, axis=0))
 
     def _make_twins(self, unknowns: Unknowns) -> None:
         """Let plain cells be relaxed with the folded ones where their laws are compiled."""
