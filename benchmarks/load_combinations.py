@@ -111,8 +111,9 @@ def shared(size: float) -> None:
     began, start = time.perf_counter(), time.process_time()
     found = combine_in_groups(build, COMBINATIONS, groups=comm.size)
     clock = time.perf_counter() - began
-    most = comm.reduce(np.array([spent, base + spent]), op=MPI.MAX)
-    if comm.rank == 0:
+    times = comm.gather((spent, base + spent))
+    if times is not None:
+        most = np.max(times, axis=0)
         tension = max(cable.largest for c in found.values() for cable in c.summary.cables.values())
         print(json.dumps([*most, clock, tension]))
 
