@@ -291,6 +291,7 @@ class Scene(FilledMembrane, SceneViews):
         *,
         L0: float | None = None,
         tension: float | None = None,
+        shortest: bool = False,
         sleeve: bool = False,
         layer: int = 0,
         name: str | None = None,
@@ -320,6 +321,9 @@ class Scene(FilledMembrane, SceneViews):
             Unstressed length (length).
         tension
             Tension at laying (force), from which the unstressed length follows.
+        shortest
+            Whether it takes the shortest way on the membrane that there is near `path` between its
+            ends, where a cable without friction lies, instead of the path itself.
         sleeve
             Whether a sleeve holds the cable to the membrane: it slides, but cannot lift off. One
             along edges of the membrane that are not held has a sleeve always, and stays there.
@@ -349,8 +353,8 @@ class Scene(FilledMembrane, SceneViews):
         from crms_fenicsx.paths.laying import lay
 
         given: dict[str, Any] = {
-            "L0": L0, "tension": tension, "sleeve": sleeve, "layer": layer, "name": name,
-            "measured_on": measured_on,
+            "L0": L0, "tension": tension, "shortest": shortest, "sleeve": sleeve, "layer": layer,
+            "name": name, "measured_on": measured_on,
         }  # fmt: skip
         checks.same(self.comm, "lay_cable", cable=cable, path=path, **given)
         self.membrane.check_finite("lay_cable")

@@ -14,7 +14,7 @@ TUTORIALS = [
     "sliding_cable",
     "cable_net",
     "tent",
-    "load_combinations",
+    "air_hall",
     "wind_coupling",
     "friction_experiment",
     "capstan",

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.cables.crossings import arrange
 from crms_fenicsx.cables.strip import EMPTY, Strip
-from crms_fenicsx.cables.strip_gather import cells_at
+from crms_fenicsx.cables.strip_gather import cells_at, grown
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
@@ -83,14 +82,7 @@ class CableNet:
         rings
             How many rings of cells to add.
         """
-        strip = self.strip or EMPTY
-        wanted = np.unique(np.asarray(vertices, dtype=np.int64))
-        for _ in range(rings):
-            lacking = [int(v) for v in wanted if int(v) not in strip.complete]
-            if lacking:
-                strip = strip.merged(cells_at(self.membrane, lacking))
-            wanted = np.unique(strip.cells[np.isin(strip.cells, wanted).any(axis=1)])
-        self.strip = strip
+        self.strip = grown(self.membrane, self.strip or EMPTY, vertices, rings)
 
     def arrange_crossings(self) -> None:
         """Find the crossings of the cables in tension, and insert their points into the cables."""

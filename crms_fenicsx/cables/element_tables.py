@@ -21,7 +21,7 @@ from crms_fenicsx.meshes.cell_geometry import area_vectors, cell_sides
 from crms_fenicsx.minimization.damping import Damping, Springs
 from crms_fenicsx.model.tolerances import SAME_PLACE, SMOOTHING
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers, pointers, runs
-from crms_fenicsx.surface.polygons import fan_facets
+from crms_fenicsx.surface.polygons import fan_facets, fan_owners
 
 NEAR_ANCHOR = 1e-3
 """Smoothing of a length to an anchor, relative to that of others."""
@@ -89,6 +89,15 @@ def cable_tables(
 def facets_of(numbering: CableNumbering, cells: Booleans) -> Facets:
     """Facets of the folded cells among some local cells."""
     return _FoldedCellsOf(numbering).facets(cells)
+
+
+def depth_of(numbering: CableNumbering) -> tuple[Facets, Integers]:
+    """Facets around what lies between folded cells and the triangles of their corners.
+
+    Those of a cell close: its facets, the triangle from below, and along each folded side what lies
+    between it and the straight edge. With them comes the local cell of each.
+    """
+    return _FoldedCellsOf(numbering).depth()
 
 
 def _smoothing(numbering: CableNumbering, own: Integers) -> Array:
@@ -170,6 +179,24 @@ class _FoldedCellsOf:
         pieces = self.cells.pieces(some, numbering.vertex_blocks, numbering.node_blocks)
         plain = numbering.vertex_blocks[self.strip.simplices.cells[self.cells.rows[some]]]
         return Facets(*fan_facets(pieces.starts, pieces.corners), plain)
+
+    def depth(self) -> tuple[Facets, Integers]:
+        """Facets around the space between facets and triangles, and their local cells."""
+        numbering, simplices, rows = self.numbering, self.strip.simplices, self.cells.rows
+        every = np.arange(len(rows))
+        pieces = self.cells.pieces(every, numbering.vertex_blocks, numbering.node_blocks)
+        top, shares = fan_facets(pieces.starts, pieces.corners)
+        below = numbering.vertex_blocks[simplices.cells[rows]].astype(np.int32)
+        sides, forward = simplices.sides[rows].ravel(), simplices.forward[rows].ravel()
+        folded = np.flatnonzero(numbering.points.counts[sides])
+        lines, blocks = numbering.lines(sides[folded])
+        walls, parts = fan_facets(lines, blocks.astype(np.int64))
+        side = folded[fan_owners(lines)]
+        corners = np.concatenate([top, below, walls])
+        signs = np.where(forward[side], -1.0, 1.0)  # from the edge back over the points
+        weights = np.concatenate([shares, np.full(len(rows), -1.0), signs * parts])
+        cell = np.concatenate([pieces.cell[fan_owners(pieces.starts)], every, side // 3])
+        return Facets(corners, weights, below[:0]), self.local[cell]
 
 
 def damping(numbering: CableNumbering, segments: Indices) -> Damping:

@@ -25,6 +25,20 @@ def cells_at(membrane: Membrane, vertices: npt.ArrayLike) -> Strip:
     return replace(strip, complete=complete)
 
 
+def grown(membrane: Membrane, strip: Strip, vertices: npt.ArrayLike, rings: int = 1) -> Strip:
+    """A strip and the cells around some vertices, given by id and alike on all ranks. Collective.
+
+    `rings` tells how many rings of cells around them are added.
+    """
+    wanted = np.unique(np.asarray(vertices, dtype=np.int64))
+    for _ in range(rings):
+        lacking = [int(v) for v in wanted if int(v) not in strip.complete]
+        if lacking:
+            strip = strip.merged(cells_at(membrane, lacking))
+        wanted = np.unique(strip.cells[np.isin(strip.cells, wanted).any(axis=1)])
+    return strip
+
+
 def cells_near(membrane: Membrane, route: Array, along_legs: bool) -> Strip:
     """Gather the cells that tracing a route on the current shape needs. Collective.
 

@@ -76,6 +76,7 @@ class SavedLaying:
     length: float
     EA: float
     stage: int
+    shortest: bool
 
     def laying(self, stages: Sequence[Stage]) -> Laying:
         """It, on its stage."""

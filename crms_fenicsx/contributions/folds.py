@@ -1,10 +1,12 @@
-"""The cells that cables in tension fold: strain energy, penalty and pressure."""
+"""The cells that cables in tension fold: strain energy, penalty, pressure and wind."""
 
 from __future__ import annotations
 
 import numpy as np
+from dolfinx import fem
+from petsc4py import PETSc
 
-from crms_fenicsx.cables.element_tables import CableTables
+from crms_fenicsx.cables.element_tables import CableTables, depth_of
 from crms_fenicsx.cables.numbering import CableNumbering
 from crms_fenicsx.contributions.contribution import Contribution
 from crms_fenicsx.contributions.loads import PressureContribution
@@ -13,12 +15,13 @@ from crms_fenicsx.contributions.plain_cells import PlainCells
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.fold_penalty import FoldPenalty
 from crms_fenicsx.energies.folded_membrane import FoldedMembraneEnergy
-from crms_fenicsx.energies.folded_pressure import FoldedFollowerPressure
+from crms_fenicsx.energies.folded_pressure import FoldedFollowerPressure, FoldedWind
 from crms_fenicsx.energies.paper.step_folded_membrane import StepFoldedMembraneEnergy
 from crms_fenicsx.energies.paper.step_folded_pressure import FoldedStepPressure
 from crms_fenicsx.energies.paper.step_membrane import StepMembraneEnergy
 from crms_fenicsx.energies.pressure import FollowerPressure
 from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.model.crossing import NodeId
 from crms_fenicsx.model.materials import UFL_LAW
 from crms_fenicsx.scene import Scene
@@ -42,7 +45,11 @@ class FoldContribution(Contribution):
     ----------
     energy
         Strain energy of the folded cells, if there are any.
+    wind
+        Wind on them; None if there are none, or no wind.
     """
+
+    wind: FoldedWind | None = None
 
     def __init__(
         self,
@@ -57,6 +64,7 @@ class FoldContribution(Contribution):
         self.numbering, self.tables = numbering, tables
 
     def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+        self.wind = None
         # Every rank has the same terms, so that sums line up; folds may be on some ranks only.
         if self.tables is None or not self.membrane.has_folds:
             return []
@@ -67,7 +75,17 @@ class FoldContribution(Contribution):
             self.pressure.sealed.parts.append(self._pressure_term(self.tables))
         elif self.pressure.term is not None:
             terms.append(self._pressure_term(self.tables))
+        if any(load.suction is not None for load in self.scene.loads):
+            one = fem.Constant(self.scene.mesh.mesh, PETSc.ScalarType(1.0))
+            self.wind = FoldedWind(*depth_of(self.numbering), one, self.scene.membrane.centre)
+            terms.append(self.wind)
         return terms
+
+    def read_scene(self, potential: Potential) -> None:
+        if self.wind is not None:
+            loads = self.scene.loads
+            winds = [load.factor * load.suction for load in loads if load.suction is not None]
+            self.wind.take(np.sum(winds, axis=0))
 
     def _make_twins(self, unknowns: Unknowns) -> None:
         """Let plain cells be relaxed with the folded ones where their laws are compiled."""

@@ -52,7 +52,7 @@ def laid_first(cable: LaidCable, finer: Scene, refinement: MeshRefinement) -> La
     """
     laying = cable.laying
     assert laying is not None, "refused before"
-    asked = laying.L0, laying.tension, laying.measured_on
+    asked = laying.L0, laying.tension, laying.measured_on, laying.shortest
     places: list[Place] = [*refinement.along_edges(laying.path.points)]
     if laying.ends[0] == "off":
         places.insert(0, _anchor(cable, 0, finer, laying.anchors[0]))
@@ -167,6 +167,7 @@ def _laid(
     L0: float | None,
     tension: float | None,
     measured_on: MeasuredOn,
+    shortest: bool = False,
 ) -> LaidCable:
     """Lay a cable over places on the finer mesh, in its current shape. Collective."""
     distinct = [places[0], *(b for a, b in pairwise(places) if not _same(a, b))]
@@ -177,7 +178,7 @@ def _laid(
         place if isinstance(place, np.ndarray) else shape.mean(place.support, place.weights)
         for place in distinct
     ])  # fmt: skip
-    return _lay(cable, finer, route, known, L0, tension, measured_on)
+    return _lay(cable, finer, route, known, L0, tension, measured_on, shortest)
 
 
 def _same(a: Place, b: Place) -> bool:
@@ -192,10 +193,11 @@ def _lay(
     L0: float | None,
     tension: float | None,
     measured_on: MeasuredOn,
+    shortest: bool = False,
 ) -> LaidCable:
     finer.changes += 1
     return lay(
         finer.net, cable.cable, route, L0=L0, tension=tension, sleeve=cable.sleeve,
         layer=cable.layer, name=cable.name, measured_on=measured_on, places=known,
-        stage=finer.stage(), joints=cable.joints,
+        stage=finer.stage(), joints=cable.joints, shortest=shortest,
     )  # fmt: skip

@@ -2,7 +2,8 @@
 
 Snow and weight are such dead loads. Wind is not: its suction stays normal to the surface, and
 varies over it, and forces of that kind have no potential. A load step with wind is solved with the
-forces of the shape found before, again and again until they are those of its own shape. (The
+forces of the shape found before, again and again until they are those of its own shape. What it
+adds where cables fold cells is a term of its own, `folded_pressure.FoldedWind`. (The
 paper's pressure, section 2.4, is a dead load in each step.)
 """
 

@@ -20,7 +20,7 @@ from crms_fenicsx.dofs.elements import ElementTable
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 
 
 @dataclass(frozen=True)
@@ -176,3 +176,33 @@ class FoldedFollowerPressure(EnergyTerm):
     def element_energies(self, sums: Array) -> Array:
         """Energies of the facets."""
         return -float(self.pressure.value) * self._volumes
+
+
+class FoldedWind(FoldedFollowerPressure):
+    """Potential ``-sum p_c V_c`` of wind on what cables fold, V_c around which each cell closes.
+
+    The wind's forces on vertices are those of the triangles of the cells' corners. This term leads
+    them to the facets and their points: V_c lies between a cell's facets, its triangle, and along
+    its sides the straight edges. Its forces balance each other in each cell, as its surface is
+    closed. So there is a potential, though the wind has none; where p_c is the same on both sides
+    of an edge what is between them cancels.
+
+    Parameters
+    ----------
+    table, cells : (n,)
+        The facets around V_c, and the local cell of each.
+    one
+        The constant 1.
+    origin
+        Any point nearby, (3,) (length).
+    """
+
+    name = "wind"
+
+    def __init__(self, table: Facets, cells: Integers, one: fem.Constant, origin: Array) -> None:
+        super().__init__(table, one, origin)
+        self._cells, self._shares = cells, table.weights.copy()
+
+    def take(self, pressures: Array) -> None:
+        """Take the force per area along the normals of this rank's cells, (m,)."""
+        np.multiply(self._shares, pressures[self._cells], out=self.table.weights)

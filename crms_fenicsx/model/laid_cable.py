@@ -88,6 +88,8 @@ class Laying:
         Its axial stiffness (force).
     stage
         What it was laid on.
+    shortest
+        As given to `Scene.lay_cable`.
     """
 
     route: Array
@@ -100,6 +102,7 @@ class Laying:
     length: float
     EA: float
     stage: Stage
+    shortest: bool = False
 
 
 class LaidCable:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence, Set
 from contextlib import suppress
+from dataclasses import replace
 from itertools import count
 from typing import Literal
 
@@ -12,9 +13,10 @@ import numpy as np
 
 from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.strip import Strip
-from crms_fenicsx.cables.strip_gather import cells_at, cells_near
+from crms_fenicsx.cables.strip_gather import cells_at, cells_near, grown
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.lift_off import drape
+from crms_fenicsx.geodesics.flip_geodesic import shorten
 from crms_fenicsx.meshes.edge_table import EdgeTable, edge_keys
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.cable_state import CableNode, CableState, End, StepStart
@@ -22,12 +24,14 @@ from crms_fenicsx.model.laid_cable import LaidCable, Laying, polyline_length
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.stage import Stage
 from crms_fenicsx.model.tolerances import SAME_PLACE
+from crms_fenicsx.paths.creased_surface import CreasedSurface
 from crms_fenicsx.paths.follow import unfolded
 from crms_fenicsx.paths.seam_checks import refuse_forks, refuse_places_behind
 from crms_fenicsx.paths.typed_nodes import fractions_of, nodes_of
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, PathError
+from crms_fenicsx.surface.intrinsic import MissingCells
 from crms_fenicsx.surface.path import Path
 from crms_fenicsx.surface.points import EdgePoint, SurfacePoint, VertexPoint
 from crms_fenicsx.surface.smooth_surface import SmoothSurface, curve_length
@@ -49,6 +53,7 @@ def lay(
     name: str | None,
     measured_on: MeasuredOn,
     stage: Stage,
+    shortest: bool = False,
     places: Mapping[int, SurfacePoint] | None = None,
     joints: tuple[str | None, str | None] = (None, None),
 ) -> LaidCable:
@@ -67,6 +72,8 @@ def lay(
     refuse_places_behind(net.membrane, route, name)
     try:
         traced = _traced(net.membrane, route, known)
+        if shortest:
+            traced = _shortened(net.membrane, traced)
     except PathError as error:
         raise PathError(f"lay_cable: {name!r}: {error}") from None
     for joint, anchor in zip(joints, (traced.start_anchor, traced.end_anchor), strict=True):
@@ -112,7 +119,15 @@ def lay(
         laid.update(axial=initial_state(laid, shape))
     ends = np.array(laid.positions[[0, -1]])
     laid.laying = Laying(
-        given, laid.path, laid.ends, ends, *asked, length=L0, EA=cable.EA, stage=stage
+        given,
+        laid.path,
+        laid.ends,
+        ends,
+        *asked,
+        length=L0,
+        EA=cable.EA,
+        stage=stage,
+        shortest=shortest,
     )
     net.add(laid, strip)
     return laid
@@ -204,6 +219,18 @@ def _traced(membrane: Membrane, route: Array, known: Mapping[int, SurfacePoint])
                 near.vertices, shape.current, rows, route, known=known, along_legs=along_legs
             )
     raise AssertionError("the whole mesh is enough")
+
+
+def _shortened(membrane: Membrane, path: Path) -> Path:
+    """The shortest path nearby between the same ends, pulled taut over vertices. Collective."""
+    strip = cells_at(membrane, [v for point in path.points for v in point.support])
+    for rings in count(1):
+        try:
+            found = shorten(path.points, CreasedSurface(StripShape.of(membrane, strip), {}))
+            break
+        except MissingCells as missing:
+            strip = grown(membrane, strip, missing.vertices, rings)
+    return replace(path, points=found.points)
 
 
 def _refuse_folds(membrane: Membrane, strip: Strip, cable: LaidCable) -> None:

@@ -48,6 +48,13 @@ def fan_facets(starts: Integers, corners: Integers) -> tuple[Indices, Array]:
     return np.concatenate(facets)[order], np.concatenate(weights)[order]
 
 
+def fan_owners(starts: Integers) -> Integers:
+    """Number of the polygon that each of the facets of `fan_facets` is of, (n,)."""
+    sizes = np.diff(starts)
+    counts = [len(_fans(int(n))) for n in sizes]
+    return np.repeat(np.arange(len(sizes)), np.array(counts, dtype=np.int64))
+
+
 @cache
 def _fans(n: int) -> dict[tuple[int, int, int], float]:
     """Facets and weights of a polygon whose corners are 0 ... n - 1."""

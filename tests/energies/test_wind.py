@@ -69,16 +69,11 @@ def test_uniform_suction_is_the_pressure(comm):
     np.testing.assert_allclose(found, exact, rtol=1e-8)
 
 
-def test_uniform_suction_under_a_cable_comes_to_the_pressure(comm):
-    """Folded cells take the wind by the triangle of their corners, pressure by their facets: the
-    difference falls with the mesh."""
-    apart = []
-    for size in (12.0, 6.0):
-        found = under_suction(comm, size, True, load=0.6)
-        exact = under_suction(comm, size, True, pressure=0.01)
-        apart.append(np.abs(found / exact - 1).max())
-    assert 1e-4 < apart[0] < 0.02
-    assert apart[1] < 0.4 * apart[0], "order 2"
+def test_uniform_suction_under_a_cable_is_the_pressure(comm):
+    """It acts on the facets of folded cells, and on the points between them."""
+    found = under_suction(comm, 12.0, True, load=0.6)
+    exact = under_suction(comm, 12.0, True, pressure=0.01)
+    np.testing.assert_allclose(found, exact, rtol=1e-7)
 
 
 def test_parts_have_coefficients_of_their_own(comm):

@@ -141,6 +141,8 @@ def test_turned_cells_are_turned_back(comm, seed):
     assert total_area_vector(up)[2] == pytest.approx(1.0)
     down = from_arrays(comm, points, cells, outside=(0.0, 0.0, -0.1))
     assert total_area_vector(down)[2] == pytest.approx(-1.0)
+    by_parts = from_arrays(comm, points, cells, outside={})  # that of no part: upward
+    assert total_area_vector(by_parts)[2] == pytest.approx(1.0)
 
 
 def test_pieces_are_oriented_one_by_one(comm):

@@ -15,6 +15,7 @@ ROOT = Path(__file__).parents[2]
 PROMISED = {
     "air_dome": (["calm", "storm", "both"], {".": 2}, ["1000"]),
     "cable_net": (["calm", "wind", "both", "paths"], {".": 4}, ["3.0"]),
+    "air_hall": (["operation", "storm", "both"], {".": 9}, ["6.0"]),
     "capstan": (["taken_in", "let_out", "profile", "both"], {".": 10}, ["1.6"]),
     "friction_experiment": (
         ["smooth", "rough", "both", "along", "curves"],
@@ -22,7 +23,6 @@ PROMISED = {
         ["10"],
     ),
     "inflated_square": (["inflated", "tightened", "both", "history"], {".": 10}, []),
-    "load_combinations": (["storm"], {".": 7}, ["3.0"]),
     "own_term": (["tied_down"], {".": 2}, []),
     "single_element": (["up", "down", "sliding_nodes"], {"up": 6, "down": 6}, []),
     "sliding_cable": (["paths", "inflated", "both"], {".": 6}, []),

@@ -195,7 +195,10 @@ def generators(comm: MPI.Intracomm) -> list[Call]:
         sizes = {key: NO_PATHS if key == "corners" else NO_SIZES for key in good}
         found.append(Call(f"meshes.{name}", getattr(meshes, name), good, sizes | bad, False))
     arrays = {"points": CORNERS, "cells": [(0, 1, 2), (0, 2, 3)]}
-    bad = {"points": points, "cells": cells, "outside": (*NO_VECTORS, (0.0, 0.0, 0.0))}
+    # a mapping without parts is none of them: it leaves all upward
+    sides = tuple(side for side in NO_VECTORS if not (isinstance(side, dict) and not side))
+    sides = (*sides, (0.0, 0.0, 0.0), {"unknown": UP}, {3: UP})
+    bad = {"points": points, "cells": cells, "outside": sides}
     bad |= {"parts": groups, "edges": groups, "point_groups": groups}
     found.append(Call("meshes.from_arrays", meshes.from_arrays, arrays, bad, False))
     files = {"path": ("nowhere.msh", "", 3, None, "/", __file__)}

@@ -1,0 +1,190 @@
+"""Air hall over a tennis court
+=============================
+
+From a ground plan to a report: an air-supported hall of 36 x 36 m under a net of sliding cables.
+
+The shape is found, a net of 12 steel cables is laid over it and tightened, and weight, snow, wind
+from two sides and inner pressure are combined, as fans set it or sealed in a gust. The report has
+pictures, section forces, utilisations, envelopes, cable forces, reactions and the verification's
+verdicts of all combinations, and CSV tables lie beside it. Loads, factors, coefficients and
+strengths are ours, in the manner of EN 1990 and 1991; a hall of yours has those of its code and
+site. Units: m, kN.
+
+::
+
+    ./run python demos/air_hall.py [SIZE] [--resume]
+
+with the cells' size, 1.8 m by default. The pictures docs/air_hall.png and docs/report.png are this
+demo's both.png and pages of its report.html.
+"""
+
+import sys
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx import Cable, FanControl, OrthotropicMembrane, Solver, meshes
+from crms_fenicsx.form_finding import find_form
+from crms_fenicsx.output import draw, join_pictures
+
+RESULTS = "results/air_hall"
+HALF = 18.0  # of the plan's sides
+CALM, STORM, MELT = 0.3, 0.4, 0.6  # kPa inside: in operation, in storms, under snow
+SNOW, GUST = 0.45, 0.5  # kPa: s_k on the ground, q_p of the wind
+
+# %%
+# Form
+# ----
+# A film of equal section forces over the plan, under the pressure of operation: p R = 2 s, so that
+# 3.78 kN/m give a rise of 9.5 m. The fabric is cut to that shape and has these forces in it. It is
+# polyester with PVC, with a strength of 84 and 80 kN/m divided by 4.
+size = float(next((word for word in sys.argv[1:] if word != "--resume"), 1.8))
+plan = meshes.rectangle(MPI.COMM_WORLD, 2 * HALF, 2 * HALF, size, corner=(-HALF, -HALF))
+form = find_form(plan, stress=3.78, fixed=["boundary"], pressure=CALM)
+scene = form.scene(OrthotropicMembrane(E1=900.0, E2=600.0, G12=30.0, nu21=0.2, thickness=1.0))
+scene.set_strengths((21.0, 20.0))
+solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)
+
+# %%
+# Net
+# ---
+# Two families of 6 spiral strands of 16 mm run from side to side, each the shortest way between
+# its anchors, where a cable without friction stays: straight in plan it would be too long. Over the
+# fabric and over each other they slide. The net is 1 % shorter than the shape, so that it bears.
+for family, side in (("A", 1.0), ("B", -1.0)):
+    for k, c in enumerate((-15.0, -9.0, -3.0, 3.0, 9.0, 15.0), start=1):
+        ends = (max(-HALF, -HALF - c), min(HALF, HALF - c))
+        path = [(side * x, x + c) for x in ends]
+        scene.lay_cable(Cable(EA=20e3), path, shortest=True, name=f"{family}{k}")
+scene.put_load((0.0, 0.0, -0.0105), name="weight", per="material")
+net = {cable: 0.99 * cable.L0 for cable in scene.cables}
+solver.advance(pressure=CALM, load={"weight": 1.0}, L0=net)
+operation = np.array([cable.tension for cable in scene.cables])
+
+# %%
+# The air carries fabric and net: what it lifts ends in the rim and in the anchors.
+rim = solver.reactions("boundary").total[2]
+anchors = sum(end.reaction[2] for cable in scene.cables for end in (cable.start, cable.end))
+lift, weight = CALM * 4 * HALF**2, 0.0105 * form.area
+np.testing.assert_allclose(rim + anchors, weight - lift, rtol=1e-6)
+
+LOOK = {
+    "box": ((-18.5, -18.5, 0.0), (18.5, 18.5, 10.0)),
+    "view": (-125.0, 30.0),
+    "colour": "stress",
+    "limits": (0.0, 16.0),
+    "line_limits": (0.0, 80.0),
+    "unit": "m",
+    "force": "kN",
+    "width": 7.5,
+    "dpi": 110,
+}
+draw(solver, f"{RESULTS}/operation.png", title=f"In operation: {CALM} kPa inside", **LOOK)
+
+
+# %%
+# Snow and wind
+# -------------
+# Snow lies on slopes of up to 30 degrees, and less and less up to 60 (EN 1991-1-3); drifts, on one
+# half only. The wind's coefficients are those of vaulted roofs with this rise (EN 1991-1-4, 7.2.8),
+# by how far the surface faces the wind: +0.7 at the windward foot, -1.0 over the top, -0.4 behind.
+def snow(points, normals):
+    """Force per area in plan on the current surface."""
+    slope = np.degrees(np.arccos(np.clip(normals[2], -1.0, 1.0)))
+    s = 0.8 * SNOW * np.clip((60.0 - slope) / 30.0, 0.0, 1.0)
+    return np.stack([0 * s, 0 * s, -s])
+
+
+def wind_to(x, y):
+    """Pressure coefficients of a wind that blows to (x, y)."""
+
+    def coefficient(points, normals):
+        away = (x * normals[0] + y * normals[1]) / np.hypot(x, y)
+        return np.interp(
+            away, [-0.9, -0.45, -0.2, 0.2, 0.5, 1.0], [0.7, 0.0, -1.0, -1.0, -0.4, -0.4]
+        )
+
+    return coefficient
+
+
+scene.put_load(snow, name="snow", per="plan")
+scene.put_load(lambda x, n: snow(x, n) * (x[0] > 0.0), name="drift", per="plan")
+scene.put_wind(GUST, wind_to(1.0, 0.0), name="wind")
+scene.put_wind(GUST, wind_to(1.0, 1.0), name="diagonal wind")
+
+# %%
+# Combinations
+# ------------
+# The fans raise the pressure as snow falls. Each combination begins at the hall in operation, so
+# that it costs a load step, not a run.
+fans = FanControl("snow", factors=[0.0, 0.5, 1.0], pressures=[CALM, 0.45, MELT])
+cases = solver.combine(
+    {
+        "Operation": {"weight": 1.35},
+        "Snow": {"weight": 1.35, "snow": 1.5, "pressure": fans},
+        "Drifted snow": {"weight": 1.35, "drift": 1.5, "pressure": MELT},
+        "Storm": {"wind": 1.5, "pressure": STORM},
+        "Diagonal storm": {"diagonal wind": 1.5, "pressure": STORM},
+        "Snow and wind": {"weight": 1.35, "snow": 0.75, "wind": 0.9, "pressure": fans},
+    }
+)
+
+# %%
+# Gust on a sealed hall
+# ---------------------
+# A gust of seconds is faster than fans. In the mean wind, half of the gust's, the hall is taken for
+# sealed: as suction draws the roof up the air has more room, and its pressure falls by the gas law.
+calm = solver.snapshot()
+solver.advance(load={"wind": 0.75}, pressure=STORM)
+scene.seal(volume=form.volume + scene.volume, exponent=1.4)
+cases |= solver.combine({"Gust, sealed": {"wind": 1.5}})
+solver.restore(cases["Gust, sealed"].snapshot)
+gust = scene.pressure
+solver.restore(calm)
+
+# %%
+# Report
+# ------
+# One page of HTML to attach to a calculation. Spiral strands of 16 mm bear 130 kN.
+solver.report(
+    f"{RESULTS}/report.html",
+    cases,
+    title="Tennis hall of 36 x 36 m",
+    about={"Structure": "Air hall, net of 12 sliding steel cables", "Document": "Annex B"},
+    unit="m",
+    force="kN",
+    cable_strengths={cable.name: 130.0 for cable in scene.cables},
+)
+solver.restore(cases["Storm"].snapshot)
+draw(solver, f"{RESULTS}/storm.png", title=f"Storm along x: {1.5 * GUST} kPa", **LOOK)
+
+# %%
+# Headline figures
+# ----------------
+found = {}
+for name, case in cases.items():
+    solver.restore(case.snapshot)
+    summary, tension = solver.summary(), max(case.snapshot.tensions.values())
+    used = summary.parts[""].largest["utilisation"].value
+    found[name] = (tension, used, summary.displacement.value)
+    if scene.comm.rank == 0:
+        print(f"{name:14} tensions to {tension:4.1f} kN, fabric used to {used:.0%}, moved up to"
+              f" {summary.displacement.value:.2f} m, {scene.pressure:.3f} kPa inside")  # fmt: skip
+if scene.comm.rank == 0:
+    join_pictures(
+        f"{RESULTS}/both.png", [f"{RESULTS}/operation.png", f"{RESULTS}/storm.png"], upright=True
+    )
+    print(f"in operation tensions from {operation.min():.1f} to {operation.max():.1f} kN, the air"
+          f" lifts {lift:.0f} kN, fabric weighs {weight:.1f} kN")  # fmt: skip
+
+# Measured by this program at sizes 1.8 and 2.0: in operation 16.7 and 17.0 kN on the mean, 74.2 and
+# 74.3 kN in the storm, 85.1 and 85.8 kN in the diagonal one, 0.385 and 0.384 kPa in the gust.
+rtol = 0.03 if size < 2.1 else 0.2
+largest = [found[name][0] for name in ("Storm", "Diagonal storm", "Drifted snow")]
+np.testing.assert_allclose(operation.mean(), 16.8, rtol=rtol)
+np.testing.assert_allclose(largest, [74.2, 85.1, 35.9], rtol=rtol)
+np.testing.assert_allclose(gust, 0.385, rtol=rtol)
+np.testing.assert_allclose(form.mesh.mesh.geometry.x[:, 2].max(initial=9.4), 9.45, atol=0.1)
+assert CALM < gust < STORM
+assert 0.5 < max(used for _, used, _ in found.values()) < 0.8
+assert found["Storm"][2] < 1.2
