@@ -149,11 +149,6 @@ def restore(saved: Saved, scene: Scene) -> Run:
             raise ValueError(f"ponds on parts {sorted(unknown)}, which the mesh has not")
         if scene.cables and [cable.name for cable in scene.cables] != names:
             raise ValueError(f"its cables are {names}, and the scene's {scene.cables}")
-        for kind, ours, theirs in (
-            ("joints", scene.joints, contents.joints), ("bars", scene.bars, contents.bars),
-        ):  # fmt: skip
-            if ours and [one.name for one in ours] != [one.name for one in theirs]:
-                raise ValueError(f"its {kind} are {[one.name for one in theirs]}, not {ours}")
     check_same(contents.scene, scene)
     follows = [load.follows for load in contents.loads]
     fields = read_fields(place, scene, contents.held_edges, digests, follows)
@@ -212,18 +207,21 @@ def _saved_end(scene: Scene, end: BarEnd) -> int | MeshVertex:
 
 
 def _restore_frame(scene: Scene, contents: Contents) -> None:
-    """Bring joints and bars to a state that has been read, or make them."""
+    """Let joints and bars be those that have been read; ones of the same name stay the objects."""
     frame = scene.frame
-    for own, saved in zip(frame.joints, contents.joints, strict=False):
-        own.state = saved.state
-    for bar, saved_bar in zip(frame.bars, contents.bars, strict=False):
-        bar.state = saved_bar.state
-    frame.joints += tuple(
-        Joint(j.name, j.first, j.held, j.state) for j in contents.joints[len(frame.joints) :]
-    )
-    for b in contents.bars[len(frame.bars) :]:
-        start, end = (frame.joints[end] if isinstance(end, int) else end for end in b.ends)
-        frame.bars += (PlacedBar(b.name, b.bar, start, end, b.state),)
+    known: dict[str, Joint] = {joint.name: joint for joint in frame.joints}
+    placed: dict[str, PlacedBar] = {bar.name: bar for bar in frame.bars}
+    joints, bars = [], []
+    for j in contents.joints:
+        joint = known.get(j.name) or Joint(j.name, j.first, j.held, j.state)
+        joint.first, joint.held, joint.state = j.first, j.held, j.state
+        joints.append(joint)
+    for b in contents.bars:
+        start, end = (joints[end] if isinstance(end, int) else end for end in b.ends)
+        bar = placed.get(b.name) or PlacedBar(b.name, b.bar, start, end, b.state)
+        bar.bar, bar.start, bar.end, bar.state = b.bar, start, end, b.state
+        bars.append(bar)
+    frame.joints, frame.bars = tuple(joints), tuple(bars)
 
 
 def _restore(scene: Scene, fields: Fields, saved: Saved) -> None:

@@ -33,7 +33,7 @@ def named(kind: str, ones: Mapping[str, Named], name: str) -> Named:
     InputError
         There is none; it says which there are.
     """
-    if name not in ones:
+    if not isinstance(name, str) or name not in ones:
         names = ", ".join(map(repr, ones)) or "none"
         raise InputError(f"{kind}: there is no {kind} {name!r}; there are {names}.")
     return ones[name]
