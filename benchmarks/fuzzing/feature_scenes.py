@@ -5,14 +5,20 @@ Lengths are m, forces kN; a `Frame` puts the same scene elsewhere, turned and in
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
 from crms_fenicsx.runtime.arrays import Array, Integers
 from fuzzing.scenes import WIDTH, Draws, Seeded, mesh
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "scenes"))
+
+from walled_roof import walled_roof
 
 Choice = TypeVar("Choice")
 
@@ -79,6 +85,10 @@ class FeatureScene:
         What is put on the scene then, in any order.
     events
         What is done to it then, in this order.
+    laws
+        Options of `Scene`.
+    walls
+        How many of the cells, the last ones, are of a wall below the roof.
     """
 
     number: int
@@ -91,6 +101,8 @@ class FeatureScene:
     pressure: float | None
     features: tuple[Event, ...]
     events: tuple[Event, ...]
+    laws: dict[str, str] = field(default_factory=dict)
+    walls: int = 0
 
     @property
     def names(self) -> set[str]:
@@ -100,7 +112,9 @@ class FeatureScene:
     @property
     def has_friction(self) -> bool:
         """Whether the answer depends on the way to it."""
-        return any(what.get("friction") for name, what in self.features if name == "cable")
+        steps = "strain" in self.laws  # aligned to a side of each cell
+        cables = [what for name, what in self.features if name == "cable"]
+        return steps or any(what["friction"] or what["law"] == "step" for what in cables)
 
 
 def of(draws: Draws, values: tuple[Choice, ...]) -> Choice:
@@ -125,12 +139,23 @@ def feature_scene(number: int) -> FeatureScene:
 
 def drawn(draws: Draws, number: int = -1) -> FeatureScene:
     """A scene of random choices."""
-    source = of(draws, ("arrays", "arrays", "arrays", "dolfinx", "form"))
+    source = of(draws, ("arrays", "arrays", "dolfinx", "form", "walled"))
     kinds = ("structured", "jiggled", "square", "hole", "polygon", "cap", "cap")
     kind = "structured" if source == "form" else of(draws, kinds)
-    points, cells = mesh(kind, draws.integer(4, 6), draws.integer(0, 10**6))
-    points = points * (SIZE / WIDTH)
-    wrinkling = happens(draws, 0.6)
+    walls = 0
+    if source == "walled":
+        points, cells, parts = walled_roof(
+            of(draws, (4, 6)), SIZE, height=2.0, rise=of(draws, (0.0, 1.0)), levels=1
+        )
+        points, kind, walls = points - (SIZE / 2, SIZE / 2, 0.0), "walled", len(parts["wall"])
+    else:
+        points, cells = mesh(kind, draws.integer(4, 6), draws.integer(0, 10**6))
+        points = points * (SIZE / WIDTH)
+    laws: dict[str, str] = {}
+    if source != "form" and happens(draws, 0.15):
+        laws = of(draws, ({"strain": "step"}, {"pressure": "step"},
+                          {"strain": "step", "pressure": "step"}))  # fmt: skip
+    wrinkling = happens(draws, 0.6) and "strain" not in laws
     prestress = of(draws, (0.0, 1.0, 2.0)) if kind == "cap" else of(draws, (1.0, 2.0, 4.0))
     if source != "form" and happens(draws, 0.35):
         material: tuple[str, dict[str, Any]] = ("orthotropic", {
@@ -149,7 +174,7 @@ def drawn(draws: Draws, number: int = -1) -> FeatureScene:
     events = tuple(_events(draws, dict(features), inflated, held))
     return FeatureScene(
         number, kind, points, cells, source, material, held,
-        draws.real(0.1, 0.6) if inflated else None, features, events,
+        draws.real(0.1, 0.6) if inflated else None, features, events, laws, walls,
     )  # fmt: skip
 
 
@@ -196,11 +221,13 @@ def _cable(draws: Draws, k: int, has_mast: bool) -> dict[str, Any]:
         if kind != "sideways":
             friction["along"] = draws.real(0.05, 0.3)
     angle = draws.real(0.0, np.pi)
+    law = "step" if friction is None and happens(draws, 0.1) else "total"
     return {
+        "law": law,
         "k": k, "angle": angle, "off": draws.real(-2.0, 2.0), "EA": of(draws, (500.0, 5000.0)),
         "friction": friction, "way": of(draws, ("across", "across", "anchors", "inside")),
         "joint": has_mast and happens(draws, 0.5), "sleeve": happens(draws, 0.15),
-        "tension": of(draws, (None, None, 1.0, 5.0)),
+        "tension": None if law == "step" else of(draws, (None, None, 1.0, 5.0)),
     }  # fmt: skip
 
 

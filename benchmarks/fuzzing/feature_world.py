@@ -76,6 +76,8 @@ def flat_groups(data: FeatureScene) -> tuple[dict[str, Array], dict[str, Array],
             points[name] = np.array([np.argmax(x[:, :2] @ np.array(way))])
     centres = x[cells].mean(axis=1)
     east = centres[:, 0] > 0.3
+    if data.walls:
+        east = np.arange(len(cells)) >= len(cells) - data.walls
     parts = {"east": np.flatnonzero(east), "other": np.flatnonzero(~east)}
     return groups, parts, points
 
@@ -90,6 +92,7 @@ def membrane_mesh(
         return meshes.from_arrays(
             comm, frame.place(data.points) if root else None, data.cells if root else None,
             edges=groups, parts=parts, point_groups=points, ranks=ranks,
+            outside={"east": tuple(frame.turn[:, 0])} if data.walls else (0.0, 0.0, 1.0),
         )  # fmt: skip
     element = basix.ufl.element("Lagrange", "triangle", 1, shape=(3,))
     root = comm.rank == 0
@@ -138,7 +141,10 @@ class World:
         if data.source == "form":
             self.scene = self._form(mesh, make(**given))
         else:
-            self.scene = Scene(mesh, make(**given))
+            laws: dict[str, Any] = dict(data.laws)
+            if data.walls:
+                laws["pressure_on"] = ["other"]
+            self.scene = Scene(mesh, make(**given), **laws)
             if data.held == "plane":
                 self.scene.fix("left", "x")
                 for name in ("front", "right", "back"):
@@ -192,6 +198,9 @@ class World:
         self.scene.put_load(drift if function else F, name="snow", per="plan")
 
     def put_wind(self, q: float, kind: str) -> None:
+        if self.scene.pressure_law == "step":
+            return
+
         def coefficient(x: Array, n: Array) -> Array:
             return np.asarray(-0.5 - 0.4 * np.sin(self.frame.back(x)[0] / 3.0) * n[2])
 
@@ -218,7 +227,9 @@ class World:
         else:
             given["volume"] = depth * 5.0 * frame.unit**3
         weight = 1.0 * frame.force / frame.unit**3
-        self.scene.put_pond(weight, name="pond", on=["other"] if part else None, **given)
+        self.scene.put_pond(
+            weight, name="pond", on=["other"] if part or self.data.walls else None, **given
+        )
 
     def put_mast(self, x: float, h: float, guys: int, F: Any) -> None:
         frame, scene = self.frame, self.scene
@@ -256,7 +267,7 @@ class World:
 
     def put_cable(
         self, k: int, joint: bool, sleeve: bool, tension: float | None, EA: float,
-        friction: Any, **what: Any,
+        friction: Any, law: Any = "total", **what: Any,
     ) -> None:  # fmt: skip
         frame, scene = self.frame, self.scene
         points, cells = self.data.points, self.data.cells
@@ -271,10 +282,11 @@ class World:
             path = frame.place(np.column_stack([ends, np.zeros(2)]))[:, :2]
         if joint:
             path = [scene.joint("top"), frame.place(on)]
-        kind = Cable(EA * frame.force, friction=0.0 if friction is None else Friction(**friction))
+        held: Any = 0.0 if friction is None else Friction(**friction)
+        kind = Cable(EA * frame.force, law=law, friction=held)
         scene.lay_cable(
             kind, path, tension=None if tension is None else tension * frame.force,
-            sleeve=sleeve, layer=k, name=f"cable {k + 1}", measured_on="surface",
+            sleeve=sleeve, layer=k, name=f"cable {k + 1}",
         )  # fmt: skip
 
     def _places(self, plan: Array) -> Array:
@@ -319,7 +331,7 @@ class World:
 
             return {"move": {group: way}}
         if "L0" in what:
-            cables = [c for c in scene.cables]
+            cables = [c for c in scene.cables if c.cable.law == "total"]
             things: list[Any] = [*cables, *scene.bars]
             if things:
                 one = things[what["of"] % len(things)]
@@ -340,12 +352,15 @@ class World:
 
     def seal(self, volume: float, exponent: float) -> None:
         frame = self.frame
+        if self.scene.pressure_law == "step":
+            return
         self.scene.seal(
             volume=volume * frame.unit**3, atmosphere=GAS * frame.per_area, exponent=exponent
         )
 
     def unseal(self) -> None:
-        self.scene.unseal()
+        if self.scene.air is not None:
+            self.scene.unseal()
 
     def remove(self, which: int) -> None:
         scene = self.scene

@@ -122,7 +122,7 @@ class System:
             damping = self.bars.damping(damping)
         self.potential = Potential(self.unknowns, scene.u, terms, damping)
         self.minimizer = Minimizer(self.potential, self.prefix, self.rtol)
-        self.built_for = scene.changes
+        self.built_for, self._begun = scene.changes, False
 
     def _bar_contribution(self) -> BarContribution | None:
         """The contribution of bars and joints; None without any."""
@@ -151,6 +151,13 @@ class System:
         if self.built_for != self.scene.changes:
             self.rebuild()
         self.read_scene()
+        if not self._begun:  # step-wise laws have no forces before
+            self._begin_step()
+
+    def _begin_step(self) -> None:
+        """Let a load step begin at the state read."""
+        self.potential.begin_step()
+        self._begun = True
 
     def added_force_per_area(self) -> float:
         """Mean size of the forces of ponds and of the user's terms (force per area). Collective."""
@@ -189,7 +196,7 @@ class System:
         assert self.minimizer is not None
         self.minimizer.atol = tiny_force(self.scene)
         self.minimizer.newton = self._solved
-        self.potential.begin_step()
+        self._begin_step()
         try:
             outcome = self.minimizer.solve(h0_prestress, interrupt)
             self._solved = outcome.converged

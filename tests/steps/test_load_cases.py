@@ -177,3 +177,25 @@ def test_a_run_with_combinations_resumes(comm: MPI.Intracomm, tmp_path: Path) ->
     again, evaluations = run(True)
     np.testing.assert_allclose(again, first, rtol=1e-12)
     assert evaluations == 0
+
+
+def test_reactions_after_a_branch_have_the_papers_pressure(
+    comm: MPI.Intracomm, tmp_path: Path
+) -> None:
+    """Its forces, of plain and folded cells, are those of the state that was restored or loaded."""
+
+    def inflated() -> Solver:
+        return Solver(clamped(meshes.rectangle(comm, 100.0, 100.0, 25.0), pressure="step"))
+
+    solver, folder = inflated(), Path(comm.bcast(str(tmp_path))) / "point"
+    solver.advance(pressure=0.01, steps=2)
+    solver.scene.lay_cable(Cable(9000.0), [(0.0, 43.0), (100.0, 52.0)], sleeve=True)
+    solver.advance(steps=4)
+    before = solver.reactions("boundary").total
+    assert before[2] < -80.0
+    solver.restore(solver.snapshot())
+    np.testing.assert_allclose(solver.reactions("boundary").total, before, atol=0.02)
+    solver.save(folder)
+    other = inflated()
+    other.load(folder)
+    np.testing.assert_allclose(other.reactions("boundary").total, before, atol=0.02)
