@@ -49,7 +49,7 @@ def main() -> None:
     for number in numbers:
         rng = np.random.default_rng(number)
         twins = tuple(rng.choice(TWINS, 2, replace=False)) if given.twins is None else given.twins
-        ranks = (lambda x: np.full(x.shape[1], comm.size - 1)) if given.empty else None
+        ranks = (lambda x: np.full(len(x), comm.size - 1)) if given.empty else None
         data = feature_scene(number)
         result = run(data, comm, () if given.against else tuple(twins), ranks)
         if number in earlier:

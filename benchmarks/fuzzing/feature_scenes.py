@@ -110,11 +110,10 @@ class FeatureScene:
         return {name for name, _ in self.features + self.events}
 
     @property
-    def has_friction(self) -> bool:
+    def depends_on_way(self) -> bool:
         """Whether the answer depends on the way to it."""
-        steps = "strain" in self.laws  # aligned to a side of each cell
         cables = [what for name, what in self.features if name == "cable"]
-        return steps or any(what["friction"] or what["law"] == "step" for what in cables)
+        return bool(self.laws) or any(what["friction"] or what["law"] == "step" for what in cables)
 
 
 def of(draws: Draws, values: tuple[Choice, ...]) -> Choice:
@@ -286,11 +285,11 @@ def _events(draws: Draws, has: dict[str, Any], inflated: bool, held: str) -> lis
 
 def _motion(draws: Draws, kind: str, has: dict[str, Any]) -> dict[str, Any]:
     if kind == "turn":
-        return {"turn": draws.real(-0.1, 0.1), "steps": 2}
+        return {"turn": draws.real(-0.03, 0.03), "steps": 2}
     if kind == "function":
-        return {"function": vector(draws, 0.1), "steps": of(draws, (1, 2))}
+        return {"function": vector(draws, 0.04), "steps": of(draws, (1, 2))}
     what = of(draws, ("boundary", "west", "cable", "bar"))
-    return {"move": what, "way": vector(draws, 0.15), "of": draws.integer(0, 5)}
+    return {"move": what, "way": vector(draws, 0.08), "of": draws.integer(0, 5)}
 
 
 def across(what: dict[str, Any], rim: Callable[[Array, Array], tuple[float, float]]) -> Array:

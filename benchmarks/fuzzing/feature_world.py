@@ -220,7 +220,7 @@ class World:
         return low, self.comm.allreduce(float(z.max(initial=-np.inf)), op=MPI.MAX)
 
     def put_pond(self, by: str, depth: float, part: bool) -> None:
-        low, high = self._heights()
+        low, _ = self._heights()
         frame, given = self.frame, {}
         if by == "level":  # on domes only over the rim
             given["level"] = float(low + frame.unit * depth)
@@ -252,7 +252,7 @@ class World:
         own = (float(away[k]), tuple(x[k].tolist())) if k >= 0 else (np.inf, (0.0, 0.0, 0.0))
         _, place = min(self.comm.allgather(own))
         vertex = scene.vertex_at(self.comm.bcast(frame.place(place)))
-        foot = frame.place(np.array(place) + (0.3, 0.2, 4.0 if up else -4.0))
+        foot = frame.place(np.add(place, (0.3, 0.2, 4.0 if up else -4.0)))
         scene.add_bar(Bar(EA * frame.force, tension_only=guy), foot, vertex, name="prop")
 
     def put_strengths(self, **what: Any) -> None:
@@ -365,7 +365,8 @@ class World:
     def remove(self, which: int) -> None:
         scene = self.scene
         free = [b for b in scene.bars if b.name in ("prop",)]
-        things: list[Any] = [*scene.cables, *free, *scene.factors]
+        cables = sorted(scene.cables, key=lambda cable: cable.name)
+        things: list[Any] = [*cables, *free, *sorted(scene.factors)]
         if self.data.source == "form":
             things = [t for t in things if getattr(t, "name", t) not in SIDES]
         if things:

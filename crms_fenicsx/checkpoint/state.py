@@ -31,6 +31,7 @@ from crms_fenicsx.energies.dead_load import MembraneLoad
 from crms_fenicsx.model.bar import BarEnd, Joint, MeshVertex, PlacedBar
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.output.npy import read_rows, write_rows
+from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.checks import LONGEST
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import explained, read_text, readable
@@ -53,7 +54,9 @@ def save(folder: str | Path, scene: Scene, run: Run, call: Plain | None = None) 
     call
         The call of `Solver.advance` that it belongs to, plain data; None if to none.
     """
-    with replaced_folder(Path(folder).resolve(), scene.comm, STATE) as partial:
+    checks.same(scene.comm, "save", folder=folder)
+    place = checks.file("save: folder", folder).resolve()
+    with replaced_folder(place, scene.comm, STATE) as partial:
         edges, digests = write_fields(partial, scene)
         if run.step_history is not None and run.step_history.cells is not None:
             ids, total = cell_ids(scene)
@@ -116,7 +119,9 @@ def load(folder: str | Path, scene: Scene) -> Run:
     Run
         What its solver must know.
     """
-    return restore(read(complete(Path(folder).resolve()), scene.comm), scene)
+    checks.same(scene.comm, "load", folder=folder)
+    place = checks.file("load: folder", folder).resolve()
+    return restore(read(complete(place), scene.comm), scene)
 
 
 def restore(saved: Saved, scene: Scene) -> Run:
@@ -256,7 +261,7 @@ def _restore(scene: Scene, fields: Fields, saved: Saved) -> None:
         LaidCable(c.name, c.cable, c.state, c.sleeve, c.layer, c.in_edge, c.joints)
         for c in contents.cables
     )
-    net.crossings = contents.crossings
+    net.crossings, net.arranged = contents.crossings, net.cables
     _restore_frame(scene, contents)
     scene.changes += 1
 

@@ -79,6 +79,7 @@ def snapshot(scene: Scene) -> list[Any]:
         scene.changes,
         [(joint.name, joint.position.tolist()) for joint in scene.joints],
         [(bar.name, bar.L0, bar.points.tolist()) for bar in scene.bars],
+        [(load.name, load.factor) for load in scene.loads],
     ]
 
 
