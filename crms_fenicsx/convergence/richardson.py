@@ -6,7 +6,7 @@ third of the last difference d (L. F. Richardson, 1911). The order p that the la
 show says whether it is so. As P. J. Roache has it (Perspective: a method for uniform reporting of
 grid refinement studies, 1994), what shows no order gets a wider bar: as wide as the levels scatter.
 The factors below have been set by triples of levels with known limits, so that bars hold these in
-19 of 20 cases; `docs/cable_accuracy.md` says which, and how others fare.
+19 of 20 cases; `docs/benchmarks/cable_accuracy.md` says which, and how others fare.
 """
 
 from __future__ import annotations
