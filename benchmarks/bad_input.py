@@ -22,6 +22,7 @@ from mpi4py import MPI
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "scenes"))
 
 from bad_calls import ACROSS, FOIL, Call, data, generators, scenes, snapshot
+from bad_feature_calls import features
 
 from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
@@ -60,6 +61,7 @@ def main(count: int = 200, seed: int = 0) -> int:
     cable = scene.lay_cable(Cable(32000.0), ACROSS)
     solver = Solver(scene)
     table = data() + generators(COMM) + scenes(scene, other, solver, cable)
+    table += features(scene, other, solver)
     rng, wrong = np.random.default_rng(seed), 0
     before = [snapshot(each) for each in (scene, other)]
     for number in range(count):

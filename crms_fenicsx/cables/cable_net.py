@@ -33,6 +33,8 @@ class CableNet:
         Cells around the cables' paths; None before the first cable is laid.
     crossings
         Where cables in tension cross.
+    arranged
+        The cables whose crossings were arranged.
     laid
         How many cables have been laid, those that have been removed included.
     removed_dissipation
@@ -44,6 +46,7 @@ class CableNet:
         self.cables: tuple[LaidCable, ...] = ()
         self.strip: Strip | None = None
         self.crossings: tuple[Crossing, ...] = ()
+        self.arranged: tuple[LaidCable, ...] = ()
         self.laid = 0
         self.removed_dissipation = 0.0
 
@@ -86,6 +89,7 @@ class CableNet:
 
     def arrange_crossings(self) -> None:
         """Find the crossings of the cables in tension, and insert their points into the cables."""
+        self.arranged = self.cables
         self.crossings = (
             () if self.strip is None else arrange(self.cables, self.strip, self.crossings)
         )

@@ -39,6 +39,7 @@ from crms_fenicsx.model.changed_materials import numbers, with_numbers
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.stage import Stage
 from crms_fenicsx.output.npy import read_rows, write_rows
+from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.checks import LONGEST
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import explained, read_text, readable
@@ -61,7 +62,9 @@ def save(folder: str | Path, scene: Scene, run: Run, call: Plain | None = None) 
     call
         The call of `Solver.advance` that it belongs to, plain data; None if to none.
     """
-    with replaced_folder(Path(folder).resolve(), scene.comm, STATE) as partial:
+    checks.same(scene.comm, "save", folder=folder)
+    place = checks.file("save: folder", folder).resolve()
+    with replaced_folder(place, scene.comm, STATE) as partial:
         edges, digests = write_fields(partial, scene)
         stages = Stages(scene)
         digests |= stages.write(partial, scene)
@@ -126,7 +129,9 @@ def load(folder: str | Path, scene: Scene) -> Run:
     Run
         What its solver must know.
     """
-    return restore(read(complete(Path(folder).resolve()), scene.comm), scene)
+    checks.same(scene.comm, "load", folder=folder)
+    place = checks.file("load: folder", folder).resolve()
+    return restore(read(complete(place), scene.comm), scene)
 
 
 def restore(saved: Saved, scene: Scene) -> Run:
@@ -159,11 +164,6 @@ def restore(saved: Saved, scene: Scene) -> Run:
             raise ValueError(f"ponds on parts {sorted(unknown)}, which the mesh has not")
         if scene.cables and [cable.name for cable in scene.cables] != names:
             raise ValueError(f"its cables are {names}, and the scene's {scene.cables}")
-        for kind, ours, theirs in (
-            ("joints", scene.joints, contents.joints), ("bars", scene.bars, contents.bars),
-        ):  # fmt: skip
-            if ours and [one.name for one in ours] != [one.name for one in theirs]:
-                raise ValueError(f"its {kind} are {[one.name for one in theirs]}, not {ours}")
     check_same(contents.scene, scene)
     with reading(saved.file):
         pairs = zip(scene.materials.items(), contents.materials, strict=True)
@@ -257,21 +257,22 @@ def _saved_end(scene: Scene, end: BarEnd) -> int | MeshVertex:
 
 
 def _restore_frame(scene: Scene, contents: Contents, stages: Sequence[Stage]) -> None:
-    """Bring joints and bars to a state that has been read, or make them."""
+    """Let joints and bars be those that have been read; ones of the same name stay the objects."""
     frame = scene.frame
-    for own, saved in zip(frame.joints, contents.joints, strict=False):
-        own.state = saved.state
-    for bar, saved_bar in zip(frame.bars, contents.bars, strict=False):
-        bar.state = saved_bar.state
-    frame.joints += tuple(
-        Joint(j.name, j.first, j.held, j.state) for j in contents.joints[len(frame.joints) :]
-    )
-    for b in contents.bars[len(frame.bars) :]:
-        start, end = (frame.joints[end] if isinstance(end, int) else end for end in b.ends)
-        frame.bars += (PlacedBar(b.name, b.bar, start, end, b.state),)
-    for bar, saved_bar in zip(frame.bars, contents.bars, strict=True):
-        was = saved_bar.placing
-        bar.placing = None if was is None else was.placing(stages)
+    known: dict[str, Joint] = {joint.name: joint for joint in frame.joints}
+    placed: dict[str, PlacedBar] = {bar.name: bar for bar in frame.bars}
+    joints, bars = [], []
+    for j in contents.joints:
+        joint = known.get(j.name) or Joint(j.name, j.first, j.held, j.state)
+        joint.first, joint.held, joint.state = j.first, j.held, j.state
+        joints.append(joint)
+    for b in contents.bars:
+        start, end = (joints[end] if isinstance(end, int) else end for end in b.ends)
+        bar = placed.get(b.name) or PlacedBar(b.name, b.bar, start, end, b.state)
+        bar.bar, bar.start, bar.end, bar.state = b.bar, start, end, b.state
+        bar.placing = None if b.placing is None else b.placing.placing(stages)
+        bars.append(bar)
+    frame.joints, frame.bars = tuple(joints), tuple(bars)
 
 
 def _restore(scene: Scene, fields: Fields, saved: Saved, stages: Sequence[Stage]) -> None:
@@ -316,7 +317,7 @@ def _restore(scene: Scene, fields: Fields, saved: Saved, stages: Sequence[Stage]
     )
     for laid, cable in zip(net.cables, contents.cables, strict=True):
         laid.laying = None if cable.laying is None else cable.laying.laying(stages)
-    net.crossings = contents.crossings
+    net.crossings, net.arranged = contents.crossings, net.cables
     _restore_frame(scene, contents, stages)
     scene.changes += 1
 

@@ -40,7 +40,7 @@ class CableContribution(Contribution):
     Parameters
     ----------
     scene
-        The scene; its crossings are arranged.
+        The scene; its crossings have been arranged.
     membrane
         The cells that cables in tension fold are taken from it.
     pressure
@@ -76,7 +76,6 @@ class CableContribution(Contribution):
         frame: FrameBlocks | None = None,
     ) -> None:
         super().__init__(scene)
-        scene.net.arrange_crossings()
         assert scene.net.strip is not None
         self.numbering = CableNumbering(scene.cables, scene.net.strip, scene.u)
         self.unknowns = self.numbering.unknowns(frame)

@@ -64,7 +64,7 @@ class System:
         """Whether the last solve has converged; if not, the next one does without Newton's method,
         as it would most often fail in the same way, and slowly."""
         self.objective = 0.0
-        self.rebuild()
+        self.rebuild(scene.net.arranged != scene.net.cables)
         self.commits = scene.commits
         """How many load steps the scene had made when it and this system last agreed."""
 
@@ -84,10 +84,17 @@ class System:
         if self.minimizer is not None:
             self.minimizer.reset_h0()
 
-    def rebuild(self) -> None:
-        """Make layout, terms and minimiser anew for the scene as it is. Collective."""
+    def rebuild(self, arrange: bool = True) -> None:
+        """Make layout, terms and minimiser anew for the scene as it is. Collective.
+
+        Unless `arrange` the cables cross as they did in the solve that led to this state: it is
+        to be looked at.
+        """
         self.destroy()
         scene, damping = self.scene, None
+        self._arranged = arrange or not scene.cables
+        if arrange:
+            scene.net.arrange_crossings()
         self.membrane.unfold()
         self.membrane.energy.renew_materials()
         self.contributions: list[Contribution] = list(self._lasting)
@@ -123,7 +130,7 @@ class System:
             damping = self.bars.damping(damping)
         self.potential = Potential(self.unknowns, scene.u, terms, damping)
         self.minimizer = Minimizer(self.potential, self.prefix, self.rtol)
-        self.built_for = scene.changes
+        self.built_for, self._begun = scene.changes, False
 
     def _bar_contribution(self) -> BarContribution | None:
         """The contribution of bars and joints; None without any."""
@@ -136,7 +143,7 @@ class System:
     def prepare(self) -> None:
         """Bring the potential up to date with the scene's parts and loads. Collective."""
         stale = [part.is_stale for part in self.contributions]
-        if self.built_for != self.scene.changes or any(stale):
+        if self.built_for != self.scene.changes or any(stale) or not self._arranged:
             self.rebuild()
         else:  # it still counts the slips of cables from where the last load step began
             self.renew_friction()
@@ -150,8 +157,15 @@ class System:
     def update(self) -> None:
         """Bring the potential to the scene's state, in a new layout if it got new parts."""
         if self.built_for != self.scene.changes:
-            self.rebuild()
+            self.rebuild(self.scene.net.arranged != self.scene.net.cables)
         self.read_scene()
+        if not self._begun:  # step-wise laws have no forces before
+            self._begin_step()
+
+    def _begin_step(self) -> None:
+        """Let a load step begin at the state read."""
+        self.potential.begin_step()
+        self._begun = True
 
     def added_force_per_area(self) -> float:
         """Mean size of the forces of ponds and of the user's terms (force per area). Collective."""
@@ -190,7 +204,7 @@ class System:
         assert self.minimizer is not None
         self.minimizer.atol = tiny_force(self.scene)
         self.minimizer.newton = self._solved
-        self.potential.begin_step()
+        self._begin_step()
         try:
             outcome = self.minimizer.solve(h0_prestress, interrupt)
             self._solved = outcome.converged

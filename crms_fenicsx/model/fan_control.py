@@ -29,7 +29,8 @@ class FanControl:
     Raises
     ------
     InputError
-        Numbers that are not finite, no rising factors, or not as many pressures.
+        A load that is no text, numbers that are not finite, factors that do not rise, or not as
+        many pressures.
 
     Examples
     --------
@@ -42,6 +43,8 @@ class FanControl:
     pressures: Sequence[float]
 
     def __post_init__(self) -> None:
+        if not isinstance(self.load, str) or not self.load:
+            raise InputError(f"FanControl: load = {self.load!r} is no text; name a load.")
         for name in ("factors", "pressures"):
             given = getattr(self, name)
             if isinstance(given, str) or np.ndim(given) != 1 or not len(given):

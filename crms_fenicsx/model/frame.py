@@ -50,13 +50,15 @@ class Frame:
         if vertex.number not in self._homes:
             membrane = self.membrane
             own = membrane.vertex_ids[: membrane.V.dofmap.index_map.size_local]
-            found = np.flatnonzero(own == vertex.number)
+            same = own == vertex.number
+            away = np.abs(membrane.stress_free[: len(own)] - vertex.place).max(axis=1)
+            found = np.flatnonzero(same & (away <= SAME_PLACE * membrane.size))
             mine = (membrane.comm.rank, int(found[0])) if len(found) else None
             homes = [home for home in membrane.comm.allgather(mine) if home is not None]
             if len(homes) != 1:
                 raise InputError(
-                    f"{vertex}: the mesh has no vertex of this number; take one of this scene "
-                    "from scene.vertex_at(...)."
+                    f"{vertex}: the mesh has no such vertex; take one of this scene from "
+                    "scene.vertex_at(...)."
                 )
             self._homes[vertex.number] = homes[0]
         return self._homes[vertex.number]

@@ -2,8 +2,10 @@
 
 A cable held at its place on a held edge ends there. If its anchor is moved along the boundary, the
 path's end moves with it, from edge to edge; if it is moved off, the cable runs on to it through
-the air and slides along the edge that it passes; if it comes back, the cable ends there again.
-The path of a cable with an anchor over the membrane ends in the cell below, which follows it.
+the air and slides along the edge that it passes; if it comes back, the cable ends there again. If
+it comes to lie over the membrane, as when the edge is moved under it, the path goes no further than
+to the cell below. The path of a cable with an anchor over the membrane ends in the cell below,
+which follows it.
 """
 
 from __future__ import annotations
@@ -99,6 +101,8 @@ def _renew(change: PathChange, cable: LaidCable, last: bool) -> bool:
         return False
     found = _edge_at(change.net.membrane, cable.positions[anchor], SAME_PLACE * cable.length)
     if found is None:
+        if node.kind == "rider" and _lead(change, cable, last):
+            return True
         if node.kind != "rider":
             return led
         nodes = list(cable.nodes)  # it has been moved off, and slides along its edge now
@@ -121,11 +125,17 @@ def _follow(change: PathChange, cable: LaidCable, last: bool) -> bool:
 
     Pulled taut to where the anchor was, the path would go there and back.
     """
-    anchor, beside = (-1, -2) if last else (0, 1)
-    place, before = cable.positions[anchor], cable.ends_before
+    anchor, before = -1 if last else 0, cable.ends_before
+    place = cable.positions[anchor]
     if before is None or np.linalg.norm(place - before[anchor]) <= SAME_PLACE * cable.length:
         return False
-    foot = cable.nodes[beside]
+    return _lead(change, cable, last)
+
+
+def _lead(change: PathChange, cable: LaidCable, last: bool) -> bool:
+    """Lead a path's end over the cells to the one under its anchor, or to where it leaves them."""
+    anchor, beside = (-1, -2) if last else (0, 1)
+    place, foot = cable.positions[anchor], cable.nodes[beside]
     ids, weights = foot.interpolation()
     for rings in itertools.count(1):
         shape = change.surface(ids).shape

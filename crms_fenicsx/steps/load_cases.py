@@ -11,7 +11,12 @@ from typing import Any
 from crms_fenicsx.loaded_membrane import AIR
 from crms_fenicsx.model.fan_control import FanControl
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.errors import ConvergenceError, InputError, collective
+from crms_fenicsx.runtime.errors import (
+    ConvergenceError,
+    InputError,
+    collective,
+    raised_together,
+)
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.steps.increment_solver import IncrementSolver
 from crms_fenicsx.steps.load_step import Step
@@ -83,12 +88,15 @@ class LoadCases:
         InputError
             On all ranks: it is no snapshot, or one of another scene.
         """
-        if not isinstance(snapshot, Snapshot):
-            raise InputError(
-                f"restore: {snapshot!r} is no snapshot; give what solver.snapshot() returned."
-            )
-        if snapshot.scene is not self._scene:
-            raise InputError("restore: the snapshot is of another scene; give one of this scene.")
+        with raised_together(self._scene.comm):
+            if not isinstance(snapshot, Snapshot):
+                raise InputError(
+                    f"restore: {snapshot!r} is no snapshot; give what solver.snapshot() returned."
+                )
+            if snapshot.scene is not self._scene:
+                raise InputError(
+                    "restore: the snapshot is of another scene; give one of this scene."
+                )
         self._increments.go_back_to(snapshot)
 
     @contextmanager
@@ -154,8 +162,8 @@ class LoadCases:
         Raises
         ------
         InputError
-            On all ranks and before anything is computed: a load that does not exist, or a factor
-            that is not finite.
+            On all ranks and before anything is computed: a load that does not exist, a factor that
+            is not finite, or steps that are no number of such.
         ConvergenceError
             A combination has no equilibrium; it says which.
 
@@ -169,6 +177,7 @@ class LoadCases:
         """
         checks.same(self._scene.comm, "combine", combinations=combinations, steps=steps)
         self.check_combinations(combinations)
+        checks.whole("combine: steps", steps, 1)
         found = {}
         for name, given in combinations.items():
             air, factors = _loads(given)

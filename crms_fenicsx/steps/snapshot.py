@@ -96,7 +96,8 @@ class Snapshot:
     def restore(self) -> None:
         """Bring the scene back to this state, cables that were laid or removed since included."""
         scene, net = self.scene, self.scene.net
-        net.cables, net.strip = self.cables, self.strip
+        net.cables = net.arranged = self.cables
+        net.strip = self.strip
         net.removed_dissipation = self.removed_dissipation
         scene.frame.joints, scene.frame.bars = self.joints, self.bars
         stretched: tuple[LaidCable | PlacedBar, ...] = (*self.cables, *self.bars)

@@ -308,6 +308,26 @@ def test_branches_and_checkpoints_have_the_bars(comm, tmp_path):
         third.advance(load=0.5)
 
 
+def test_bars_of_a_checkpoint_replace_those_of_the_script(comm, tmp_path):
+    """All of their data; handles of the same name stay good."""
+    folder, (scene, _) = Path(comm.bcast(str(tmp_path))), mast(comm)
+    solver = Solver(scene)
+    solver.advance(load=1.0)
+    solver.save(folder / "point")
+    other, top = mast(comm, slack=1e-2)
+    other.remove_bar("west")
+    other.add_bar(Bar(3.0), top, (-1.0, 9.0, 0.0), name="west")
+    other.add_bar(Bar(3.0), top, (-2.0, 9.0, 0.0), name="not in it")
+    west, again = other.bar("west"), Solver(other)
+    again.load(folder / "point")
+    assert [bar.name for bar in other.bars] == [bar.name for bar in scene.bars]
+    assert other.bar("west") is west and west.bar == scene.bar("west").bar
+    again.advance(load=2.0)
+    solver.advance(load=2.0)
+    forces = [[bar.force for bar in one.bars] for one in (other, scene)]
+    np.testing.assert_allclose(*forces, rtol=1e-7)
+
+
 def test_what_is_written_has_the_bars(comm, tmp_path):
     folder = Path(comm.bcast(str(tmp_path)))
     scene, _ = mast(comm)
@@ -341,6 +361,8 @@ def test_joints_that_nothing_holds_are_refused(comm):
 def test_bad_input(comm):
     scene, top = mast(comm)
     foreign = sheet(comm).add_joint((0.0, 0.0, 1.0))
+    mesh = meshes.rectangle(comm, 4.0, 4.0, 1.0, structured=True)
+    corner = Scene(mesh, FOIL).vertex_at((1.0, 0.0, 0.0))
     foot, changes = (9.0, 9.0, 0.0), scene.changes
     bad = {
         "no length": lambda: scene.add_bar(Bar(1.0), top, top),
@@ -350,6 +372,8 @@ def test_bad_input(comm):
         "tension_only = 3 must": lambda: Bar(1.0, tension_only=3),
         "is no Bar": lambda: scene.add_bar(1.0, top, foot),
         "a joint of another scene": lambda: scene.add_bar(Bar(1.0), foreign, foot),
+        "mesh has no such vertex": lambda: scene.add_bar(Bar(1.0), top, corner),
+        "there is no joint ..x": lambda: scene.joint(["x"]),
         "three finite numbers": lambda: scene.add_bar(Bar(1.0), top, (1.0, np.nan, 0.0)),
         "L0 of 'bar 1' = -1.0 is not": lambda: scene.add_bar(Bar(1.0), top, foot, L0=-1.0),
         "there is a bar 'west'": lambda: scene.add_bar(Bar(1.0), top, foot, name="west"),

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from cable_edits import put
 from cabled_square import CABLE, KINDS, PRESSURE, place, sheet
+from mpi4py import MPI
 
-from crms_fenicsx import Scene, Solver
+from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.paths.boundary_ends import renew_ends
 from crms_fenicsx.paths.path_change import PathChange
@@ -114,3 +115,23 @@ def test_an_anchor_moved_far_over_the_membrane(comm) -> None:
     fresh, there, _ = solved(comm, "structured", [(7.0, 36.0, 9.0), ends[1]], 102.0)
     assert scene.energy == pytest.approx(fresh.energy, rel=5e-3)  # as it lifts off earlier
     assert set(cable.nodes[1].point.support) == set(there.nodes[1].point.support)
+
+
+@pytest.mark.parametrize("moved", ["the anchor", "the edge"])
+def test_an_end_that_comes_to_lie_over_the_membrane_does_not_go_round_by_its_edge(
+    comm: MPI.Intracomm, moved: str
+) -> None:
+    """A just taut cable over a flat sheet stays without tension, and comes back to its edge."""
+    foil = IsotropicMembrane(E=1000.0, nu=0.3, thickness=1.0, prestress=2.0)
+    scene = Scene(meshes.rectangle(comm, 10.0, 10.0, 2.5, structured=True), foil)
+    scene.fix("boundary")
+    cable = scene.lay_cable(Cable(5000.0), [(0.0, 4.0), (10.0, 5.5)])
+    solver = Solver(scene)
+    solver.advance()
+    what, way = (cable.start, 0.1) if moved == "the anchor" else ("left", -0.1)
+    solver.advance(move={what: (way, 0.0, 0.0)}, steps=2)
+    straight = float(np.linalg.norm(cable.line[-1] - cable.line[0]))
+    assert cable.length < straight + 1e-4 and cable.tension < 1e-2
+    solver.advance(move={what: (-1.5 * way, 0.0, 0.0)}, steps=2)
+    assert cable.tension == pytest.approx(5000.0 * (cable.length / cable.L0 - 1), abs=1e-2)
+    assert cable.length == pytest.approx(np.linalg.norm(cable.line[-1] - cable.line[0]), rel=1e-5)

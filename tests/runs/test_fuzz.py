@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fuzzing import runs, scenes
+from fuzzing import feature_runs, feature_scenes, runs, scenes
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
+from mpi4py import MPI
 
 KNOWN = (
     1,  # a slack cable whose points were not where it said
@@ -79,3 +80,15 @@ def test_a_scene_follows_from_its_number() -> None:
     """So that what fails can be run again."""
     a, b = scenes.scene(77), scenes.scene(77)
     assert np.array_equal(a.points, b.points) and repr(a.events) == repr(b.events)
+
+
+@pytest.mark.parametrize(
+    ("number", "kind"),
+    [(545, "turned"), (537, "branch"), (528, "load"), (1000, "stopped"), (1012, "resume")],
+)
+def test_scenes_of_many_features(number: int, kind: str) -> None:
+    """Bars, air, water, loads, cables and load cases at once, and a twin with the same answer."""
+    data = feature_scenes.feature_scene(number)
+    result = feature_runs.run(data, MPI.COMM_SELF, (kind,))
+    assert result.outcome == "converged", (result.text, result.problems)
+    assert len(result.answers) > len(data.events)

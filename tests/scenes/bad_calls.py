@@ -80,6 +80,7 @@ def snapshot(scene: Scene) -> list[Any]:
         [(joint.name, joint.position.tolist()) for joint in scene.joints],
         [(bar.name, bar.L0, bar.bar, bar.points.tolist()) for bar in scene.bars],
         ([cable.cable for cable in scene.cables], dict(scene.materials)),
+        [(load.name, load.factor) for load in scene.loads],
     ]
 
 

@@ -10,6 +10,7 @@ from cabled_square import clamped
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, ConvergenceError, InputError, Scene, Solver, meshes
+from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.minimization.minimizer import Minimizer
 from crms_fenicsx.minimization.outcome import Outcome
 
@@ -177,3 +178,54 @@ def test_a_run_with_combinations_resumes(comm: MPI.Intracomm, tmp_path: Path) ->
     again, evaluations = run(True)
     np.testing.assert_allclose(again, first, rtol=1e-12)
     assert evaluations == 0
+
+
+def test_reactions_after_a_branch_have_the_papers_pressure(
+    comm: MPI.Intracomm, tmp_path: Path
+) -> None:
+    """Its forces, of plain and folded cells, are those of the state that was restored or loaded."""
+
+    def inflated() -> Solver:
+        return Solver(clamped(meshes.rectangle(comm, 100.0, 100.0, 25.0), pressure="step"))
+
+    solver, folder = inflated(), Path(comm.bcast(str(tmp_path))) / "point"
+    solver.advance(pressure=0.01, steps=2)
+    solver.scene.lay_cable(Cable(9000.0), [(0.0, 43.0), (100.0, 52.0)], sleeve=True)
+    solver.advance(steps=4)
+    before = solver.reactions("boundary").total
+    assert before[2] < -80.0
+    solver.restore(solver.snapshot())
+    np.testing.assert_allclose(solver.reactions("boundary").total, before, atol=0.02)
+    solver.save(folder)
+    other = inflated()
+    other.load(folder)
+    np.testing.assert_allclose(other.reactions("boundary").total, before, atol=0.02)
+
+
+def test_to_look_at_a_state_does_not_arrange_its_crossings_anew(
+    comm: MPI.Intracomm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else results after `put_load` or `seal` would be of other paths than were solved for."""
+    scene = sheet(comm)
+    solver = Solver(scene)
+    solver.advance(pressure=0.01)
+    scene.lay_cable(Cable(32000.0), [(0.0, 47.0), (100.0, 52.0)], tension=20.0, name="ridge")
+    scene.lay_cable(Cable(9000.0), [(44.0, 0.0), (53.0, 100.0)], tension=20.0)
+    solver.advance()
+    assert len(scene.net.crossings) == 1
+    nodes, volume = [cable.nodes for cable in scene.cables], scene.volume
+    with monkeypatch.context() as patch:
+
+        def arrange(*_: object) -> None:
+            raise AssertionError("the crossings were arranged")
+
+        patch.setattr(CableNet, "arrange_crossings", arrange)
+        scene.put_load(SNOW, name="more snow")
+        tension = solver.summary().cables["ridge"].largest
+        solver.restore(solver.snapshot())
+        assert solver.summary().cables["ridge"].largest == tension
+    assert [cable.nodes for cable in scene.cables] == nodes and scene.volume == volume
+    scene.lay_cable(Cable(9000.0), [(0.0, 21.0), (100.0, 32.0)], tension=20.0)
+    solver.summary()
+    assert len(scene.net.crossings) == 2, "one has been laid"
+    assert solver.advance().verification is not None
