@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
 
-from crms_fenicsx.output.report.arguments import checked_plan
-from crms_fenicsx.output.report.case import Case
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.solver import Solver
+
+if TYPE_CHECKING:
+    from crms_fenicsx.output.report.case import Case
 
 Build = Callable[[MPI.Intracomm], Solver]
 """Makes mesh, scene and solver on a communicator, and brings them to the base state."""
@@ -78,6 +79,9 @@ def combine_in_groups(
     >>> found = combine_in_groups(build, table, groups=4, report="results/dome.html")
     >>> max(found, key=lambda name: found[name].summary.membrane.largest["warp"].value)
     """
+    from crms_fenicsx.output.report.arguments import checked_plan
+    from crms_fenicsx.output.report.writing import drawn, results_of, write_report
+
     checks.same(comm, "combine_in_groups", combinations=combinations, groups=groups, steps=steps,
                 report=report)  # fmt: skip
     if checks.whole("combine_in_groups: groups", groups, 1) > comm.size:
@@ -105,15 +109,15 @@ def combine_in_groups(
     mine = {name: combinations[name] for name in list(combinations)[number::groups]}
     with raised_together(comm):
         states = solver.combine(mine, steps=steps) if mine else {}
-        cases = solver.cases(states) if mine else []
+        cases = results_of(solver, states) if mine else []
     every = _joined(comm, own, cases, list(combinations))
     if plan is not None:
         with raised_together(comm):
-            drawn = solver.drawn(plan, states, cases, list(every.values())) if mine else []
-        pictured = _joined(comm, own, drawn, list(combinations))
+            shown = drawn(solver, plan, states, cases, list(every.values())) if mine else []
+        pictured = _joined(comm, own, shown, list(combinations))
         with raised_together(comm):
             if number == 0:
-                solver.write_report(plan, list(pictured.values()))
+                write_report(solver, plan, list(pictured.values()))
     del solver, scene, states
     own.Free()
     return every

@@ -9,23 +9,12 @@ from pathlib import Path
 from mpi4py import MPI
 
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.output.report.arguments import Plan, checked_plan, checked_states
-from crms_fenicsx.output.report.case import SHARPEST, Case, case_of, draw_png, with_pictures
-from crms_fenicsx.output.report.contents import Report
-from crms_fenicsx.output.report.files import write
-from crms_fenicsx.output.report.model_data import model_data
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.errors import collective, raised_together
+from crms_fenicsx.runtime.errors import collective
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.steps.load_cases import Combination
 from crms_fenicsx.steps.load_step import Step
 from crms_fenicsx.steps.snapshot import Snapshot
-from crms_fenicsx.verification.report import Verification
-
-MOST_NAMES = 12
-"""Up to so many cables and bars have their names in the picture of the model."""
-NOW = "Current state"
-"""Name of the case of a report without combinations."""
 
 
 class Reporting:
@@ -106,6 +95,9 @@ class Reporting:
         >>> found = solver.combine({"snow": {"snow": 1.5}, "storm": {"wind": 1.5}})
         >>> solver.report("results/tent/report.html", found, title="Tent", unit="m", force="kN")
         """
+        from crms_fenicsx.output.report.arguments import checked_plan, checked_states
+        from crms_fenicsx.output.report.writing import drawn, results_of, write_report
+
         listed = list(combinations) if isinstance(combinations, Mapping) else combinations
         checks.same(self.comm, "report", combinations=listed)
         states = checked_states(self._scene, combinations)
@@ -113,56 +105,5 @@ class Reporting:
             self.comm, self._scene, filename, title=title, about=about, unit=unit, force=force,
             cable_strengths=cable_strengths, pictures=pictures, view=view,
         )  # fmt: skip
-        cases = self.cases(states)
-        self.write_report(plan, self.drawn(plan, states, cases, cases))
-
-    def cases(self, states: Mapping[str, Combination]) -> list[Case]:
-        """Internal: combinations as a report has them, or the current state. Collective."""
-        if not states:
-            return [case_of(self, NOW, self._last_verification())]
-        base, cases = self.snapshot(), []
-        try:
-            for name, one in states.items():
-                self.restore(one.snapshot)
-                cases.append(case_of(self, name, one.step.verification))
-        finally:
-            self.restore(base)
-        return cases
-
-    def drawn(
-        self, plan: Plan, states: Mapping[str, Combination], cases: Sequence[Case],
-        every: Sequence[Case],
-    ) -> list[Case]:  # fmt: skip
-        """Internal: cases with pictures in the scale of `every` case. Collective."""
-        if not states:
-            return [with_pictures(self, case, every, plan.colours, plan.look) for case in cases]
-        base, drawn = self.snapshot(), []
-        try:
-            for case in cases:
-                self.restore(states[case.name].snapshot)
-                drawn.append(with_pictures(self, case, every, plan.colours, plan.look))
-        finally:
-            self.restore(base)
-        return drawn
-
-    def write_report(self, plan: Plan, cases: Sequence[Case]) -> None:
-        """Internal: write the report of all cases, with the model as it is now. Collective."""
-        scene = self._scene
-        model, names = model_data(scene), len(scene.cables) + len(scene.bars) <= MOST_NAMES
-        picture = draw_png(self, dpi=SHARPEST, show_names=names, **plan.look)
-        with raised_together(self.comm):
-            if self.comm.rank == 0:
-                write(
-                    plan.path,
-                    Report(
-                        plan.title, plan.about, plan.units, model, cases, picture,
-                        plan.cable_strengths,
-                    ),
-                )  # fmt: skip
-
-    def _last_verification(self) -> Verification | None:
-        """What checks of the load step say that has led to the current state."""
-        for step in reversed(self.steps):
-            if step.energies == self._scene.energies:
-                return step.verification
-        return None
+        cases = results_of(self, states)
+        write_report(self, plan, drawn(self, plan, states, cases, cases))
