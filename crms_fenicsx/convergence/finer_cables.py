@@ -102,7 +102,7 @@ def lay_again(
     if cable.laying is not None and first is not None and L0 == cable.laying.length:
         L0 = first.L0
     laid = _laid(cable, finer, places, L0, None, "facets")
-    if under := [k for k in (0, -1) if was.ends[k] == "off" != laid.ends[k]]:
+    if under := [k for k in (0, -1) if was.ends[k] == "off" and laid.ends[k] == "tied"]:
         finer.remove(laid)  # the edge that it slides along has moved beyond its anchor
         for end in under:
             places.pop(end)
