@@ -4,6 +4,7 @@ A film between two rings of radius 10, H apart, from a cylinder: for H = 12 ther
 H = 14 none (the limit is 13.25487). Both find it on the same vertices, n round and n / 4 high; with
 Kratos also by bilinear quadrilaterals, as its example has them. CPU seconds on one thread from
 arrays to the form, medians of runs in turn; errors of area and neck in per cent of the catenoid's.
+Then rings 8 apart under 4 along the axis and 2 around it, which no surface has everywhere.
 
     sh benchmarks/kratos/install
     ./run python benchmarks/catenoid.py [runs]
@@ -32,7 +33,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "scenes"))
 from form_meshes import cylinder
 
 PROGRAM = Path(__file__).parent / "kratos" / "film.py"
-RADIUS = 10.0
+RADIUS, FABRIC = 10.0, (4.0, 2.0)
 TOLERANCE, MOST = 1e-4, 20  # those of Kratos' example
 METHODS = {  # corners of a cell, and most iterations
     "find_form": (3, 0),
@@ -59,26 +60,28 @@ def catenoid(height: float) -> tuple[float, float]:
     return a, np.pi * a * (height + a * np.sinh(height / a))
 
 
-def by_find_form(n: int, height: float) -> Figures:
+def by_find_form(n: int, height: float, stress: tuple[float, float] = (1.0, 1.0)) -> Figures:
     """Ours."""
     began = time.process_time()
     mesh = cylinder(MPI.COMM_WORLD, n, n // 4, RADIUS, height)
     try:
-        found = find_form(mesh, 1.0, fixed=["boundary"])
+        found = find_form(mesh, stress, fixed=["boundary"], warp=(0.0, 0.0, 1.0))
     except ConvergenceError as error:
         return time.process_time() - began, np.nan, np.nan, str(error).partition(";")[0]
     seconds = time.process_time() - began
     return seconds, found.area, neck(found.mesh.mesh.geometry.x), str(found.iterations)
 
 
-def by_kratos(mesh: MembraneMesh, n: int, corners: int, most: int) -> Figures:
+def by_kratos(
+    mesh: MembraneMesh, n: int, corners: int, most: int, stress: tuple[float, float] = (1.0, 1.0)
+) -> Figures:
     """Kratos', in a process of its own."""
     points = mesh.mesh.geometry.x
     cells = geometry_dofmap(mesh.mesh) if corners == 3 else quadrilaterals(points, n)
     rim = (points[:, 2] < 1e-9) | (points[:, 2] > points[:, 2].max() - 1e-9)
     with tempfile.TemporaryDirectory() as place:
         np.savez(f"{place}/start.npz", points=points, cells=cells, held=np.flatnonzero(rim),
-                 tolerance=TOLERANCE, most=most)  # fmt: skip
+                 stress=stress, tolerance=TOLERANCE, most=most)  # fmt: skip
         ran = subprocess.run(
             [sys.executable, str(PROGRAM), f"{place}/start.npz", f"{place}/result.npz"],
             env=os.environ | {"PYTHONPATH": str(folder())}, capture_output=True, text=True,
@@ -153,6 +156,21 @@ def main() -> None:
                     values = "{:8.3f} {:8.3f}".format(*errors)
                 print(f"{height:3.0f} {n:3d} {name:23} {seconds:7.3f} {values}  {iterations}",
                       flush=True)  # fmt: skip
+    under_different_forces()
+
+
+def under_different_forces() -> None:
+    """Rings 8 apart: area and neck themselves; one run each."""
+    print(f"section forces {FABRIC}")
+    for n in (16, 32, 64):
+        mesh = cylinder(MPI.COMM_WORLD, n, n // 4, RADIUS, 8.0)
+        found = {
+            "find_form": by_find_form(n, 8.0, FABRIC),
+            "Kratos, triangles": by_kratos(mesh, n, 3, MOST, FABRIC),
+            "Kratos, more": by_kratos(mesh, n, 3, 5 * MOST, FABRIC),
+        }
+        for name, (seconds, size, radius, iterations) in found.items():
+            print(f"  8 {n:3d} {name:23} {seconds:7.3f} {size:8.3f} {radius:8.4f}  {iterations}")
 
 
 if __name__ == "__main__":

@@ -1,13 +1,14 @@
-"""Form finding of a film of equal section forces by Kratos Multiphysics.
+"""Form finding of a film of prescribed section forces by Kratos Multiphysics.
 
     PYTHONPATH=KRATOS python film.py START.npz RESULT.npz
 
-START.npz has ``points`` (n, 3), ``cells`` (m, 3 or 4), ``held`` (k,), and the numbers ``tolerance``
-(residual, relative to that of the first iteration) and ``most`` (iterations). Needs no DOLFINx. The
-settings are those of Kratos' own example: membrane elements that have a prestress and no stiffness
-of a material, and the strategy that makes each iterate the reference of the next. Of the linear
-solvers at hand conjugate gradients take least (on 1088 nodes, 20 iterations: 1.06 s; AMGCL 1.10,
-skyline LU 1.36, sparse LU 1.52), to the same forms in 10 digits.
+START.npz has ``points`` (n, 3), ``cells`` (m, 3 or 4), ``held`` (k,), ``stress`` (2,; along the
+projection of z and across), and the numbers ``tolerance`` (residual, relative to that of the first
+iteration) and ``most`` (iterations). Needs no DOLFINx. The settings are those of Kratos' own
+example: membrane elements that have a prestress and no stiffness of a material, and the strategy
+that makes each iterate the reference of the next. Of the linear solvers at hand conjugate gradients
+take least (on 1088 nodes, 20 iterations: 1.06 s; AMGCL 1.10, skyline LU 1.36, sparse LU 1.52), to
+the same forms in 10 digits.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from membrane import COMPONENTS, REACTIONS
 
 SOLVER = '{"solver_type": "LinearSolversApplication.sparse_cg"}'
 PROJECTION = """{
-    "model_part_name": "film", "echo_level": 0, "projection_type": "radial",
+    "model_part_name": "film", "echo_level": 0, "projection_type": "planar",
     "global_direction": [0, 0, 1], "variable_name": "LOCAL_PRESTRESS_AXIS_1",
     "visualize_in_vtk": false, "method_specific_settings": {}, "check_local_space_dimension": false
 }"""
@@ -41,7 +42,7 @@ def build(start: dict, model: KM.Model) -> KM.ModelPart:
     for variable in (KM.YOUNG_MODULUS, KM.POISSON_RATIO, KM.DENSITY):
         sheet.SetValue(variable, 0.0)
     sheet.SetValue(KM.THICKNESS, 1.0)
-    sheet.SetValue(Structural.PRESTRESS_VECTOR, KM.Vector([1.0, 1.0, 0.0]))
+    sheet.SetValue(Structural.PRESTRESS_VECTOR, KM.Vector([*map(float, start["stress"]), 0.0]))
     sheet.SetValue(KM.CONSTITUTIVE_LAW, Structural.LinearElasticPlaneStress2DLaw())
     for k, point in enumerate(start["points"], start=1):
         part.CreateNewNode(k, *map(float, point))
