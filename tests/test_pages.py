@@ -55,7 +55,7 @@ def roof(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 def test_code_of_page_runs(
     page: str, roof: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In an empty folder with the files that the page saves, after `roof.py` if the page says so."""
+    """In an empty folder with the files that the page saves, after `roof.py` where it says so."""
     monkeypatch.chdir(tmp_path)
     text = (DOCS / f"how_to/{page}.md").read_text()
     for name, content in re.findall(
