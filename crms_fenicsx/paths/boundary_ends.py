@@ -4,7 +4,7 @@ A cable held at its place on a held edge ends there. If its anchor is moved alon
 path's end moves with it, from edge to edge; if it is moved off, the cable runs on to it through
 the air and slides along the edge that it passes; if it comes back, the cable ends there again. If
 it comes to lie over the membrane, as when the edge is moved under it, the path goes no further than
-to the cell below. The path of a cable with an anchor over the membrane ends in the cell below,
+to the cell below; under the membrane, the cable runs around the edge. The path of a cable with an anchor over the membrane ends in the cell below,
 which follows it.
 """
 
@@ -57,7 +57,7 @@ def renew_ends(change: PathChange) -> bool:
     changed = False
     shape = change.net.strip_shape()
     for cable in change.net.cables:
-        led = [_renew(change, cable, last) for last in (False, True)]
+        led = [_renew(change, cable, last, shape) for last in (False, True)]
         if any(led):  # it may lie over other cells now
             changed, shape = True, change.net.strip_shape()
         if cable.taut and any(_moved_aside(cable, k, shape) for k in (0, -1)):
@@ -85,7 +85,7 @@ def _moved_aside(cable: LaidCable, k: int, shape: StripShape) -> bool:
     return abs(moved) > ASIDE * size_at(shape, point.support) * length
 
 
-def _renew(change: PathChange, cable: LaidCable, last: bool) -> bool:
+def _renew(change: PathChange, cable: LaidCable, last: bool, shape: StripShape) -> bool:
     anchor, beside = (-1, -2) if last else (0, 1)
     node = cable.nodes[beside]
     if cable.nodes[anchor].kind != "anchor":
@@ -96,7 +96,8 @@ def _renew(change: PathChange, cable: LaidCable, last: bool) -> bool:
         node = cable.nodes[beside]
         if isinstance(node.point, CellPoint):
             return led
-    away = float(np.linalg.norm(cable.positions[anchor] - cable.positions[beside]))
+    there = shape.mean(*node.interpolation())  # the edge may have been moved since the last step
+    away = float(np.linalg.norm(cable.positions[anchor] - there))
     if away <= SAME_PLACE * cable.length and node.kind != "rail":
         return False
     found = _edge_at(change.net.membrane, cable.positions[anchor], SAME_PLACE * cable.length)
@@ -133,7 +134,10 @@ def _follow(change: PathChange, cable: LaidCable, last: bool) -> bool:
 
 
 def _lead(change: PathChange, cable: LaidCable, last: bool) -> bool:
-    """Lead a path's end over the cells to the one under its anchor, or to where it leaves them."""
+    """Lead a path's end over the cells to the one under its anchor, or to where it leaves them.
+
+    Not to one over its anchor.
+    """
     anchor, beside = (-1, -2) if last else (0, 1)
     place, foot = cable.positions[anchor], cable.nodes[beside]
     ids, weights = foot.interpolation()
@@ -147,6 +151,10 @@ def _lead(change: PathChange, cable: LaidCable, last: bool) -> bool:
             change.net.grow_strip(missing.vertices, rings)
     if way is None or set(way[-1].support) == set(ids):
         return False
+    if isinstance(way[-1], CellPoint):
+        over = place - shape.mean(way[-1].support, way[-1].weights)
+        if over @ shape.normal(way[-1].support) < -SAME_PLACE * cable.length:
+            return False
     points = list(cable.path.points)
     ends = list(cable.ends)
     ends[anchor] = "held" if isinstance(way[-1], CellPoint) else "off"

@@ -135,3 +135,20 @@ def test_an_end_that_comes_to_lie_over_the_membrane_does_not_go_round_by_its_edg
     solver.advance(move={what: (-1.5 * way, 0.0, 0.0)}, steps=2)
     assert cable.tension == pytest.approx(5000.0 * (cable.length / cable.L0 - 1), abs=1e-2)
     assert cable.length == pytest.approx(np.linalg.norm(cable.line[-1] - cable.line[0]), rel=1e-5)
+
+
+def test_an_end_that_comes_to_lie_under_the_membrane_goes_round_by_its_edge(comm) -> None:
+    """In one step and in four, and in another one with the same loads."""
+    foil = IsotropicMembrane(E=300.0, nu=0.25, thickness=1.0)
+    mesh = meshes.rectangle(comm, 10.0, 10.0, 1.25, structured=True)
+    found = []
+    for steps in (1, 4):
+        scene = Scene(mesh, foil)
+        scene.fix("boundary")
+        solver = Solver(scene)
+        solver.advance(pressure=2.0)
+        cable = scene.lay_cable(Cable(500.0), [(0.0, 4.3), (10.0, 6.1)])
+        solver.advance(move={"left": (-0.1, 0.0, 0.2)}, steps=steps)
+        assert cable.nodes[1].kind == "rail" and cable.positions[1][0] == pytest.approx(-0.1)
+        found += [cable.tension, solver.advance() and cable.tension]
+    assert found == pytest.approx([found[0]] * 4, rel=1e-6)
