@@ -4,8 +4,8 @@ A cable held at its place on a held edge ends there. If its anchor is moved alon
 path's end moves with it, from edge to edge; if it is moved off, the cable runs on to it through
 the air and slides along the edge that it passes; if it comes back, the cable ends there again. If
 it comes to lie over the membrane, as when the edge is moved under it, the path goes no further than
-to the cell below; under the membrane, the cable runs around the edge. The path of a cable with an anchor over the membrane ends in the cell below,
-which follows it.
+to the cell below; if it comes to lie under the membrane, the cable runs around the edge. The path
+of a cable with an anchor over the membrane ends in the cell below, which follows it.
 """
 
 from __future__ import annotations
