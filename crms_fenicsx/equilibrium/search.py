@@ -104,8 +104,12 @@ class EquilibriumSearch:
         for _ in range(MAX_LENGTHS):
             if not outcome.converged or not self.system.renew_excess():
                 return outcome
-            again = FrictionLoop(contacts, contacts.solve_in_cells, self.tried)
-            outcome = outcome + again.solve((0.0,))
+            unsettled = outcome.unsettled
+            if unsettled > 0.0:  # other friction forces each time would be other lengths each time
+                again = contacts.solve_in_cells((0.0,), rough=False)
+            else:
+                again = FrictionLoop(contacts, contacts.solve_in_cells, self.tried).solve((0.0,))
+            outcome = replace(outcome + again, unsettled=max(unsettled, again.unsettled))
         reason = "the smoothed lengths of a cable's short segments do not settle"
         return replace(outcome, converged=False, reason=reason)
 
