@@ -315,15 +315,14 @@ class Scene(FilledMembrane, SceneViews):
             Points of its path: in plan, (k, 2), or in space, (k, 3). A first or last point in
             space that lies off the membrane is an anchor, from which the cable runs straight to
             the membrane: beyond the boundary to where it first meets it, over the membrane to the
-            place below. A `Joint` as first or last point (the others in space) holds the cable's
-            end, which moves with it.
+            place below. A `Joint` as first or last point (the others in space) holds the end.
         L0
             Unstressed length (length).
         tension
             Tension at laying (force), from which the unstressed length follows.
         shortest
-            Whether it takes the shortest way on the membrane that there is near `path` between its
-            ends, where a cable without friction lies, instead of the path itself.
+            Whether it takes the shortest way on the membrane near `path`, where a cable without
+            friction lies, instead of the path itself.
         sleeve
             Whether a sleeve holds the cable to the membrane: it slides, but cannot lift off. One
             along edges of the membrane that are not held has a sleeve always, and stays there.
@@ -367,8 +366,8 @@ class Scene(FilledMembrane, SceneViews):
     def _check_strain_law(self) -> None:
         if self.strain_law == "step":
             raise InputError(
-                'set_material: strain="step" goes on from the stresses of the steps before, which '
-                'are those of the material before; use strain="total", or make another Scene(...).'
+                'set_material: strain="step" goes on from stresses of the material before; use '
+                'strain="total", or make another Scene(...).'
             )
 
     def _stretched(self) -> tuple[LaidCable | PlacedBar, ...]:

@@ -97,19 +97,66 @@ def lay_again(
     if was.slides_freely and not was.in_edge:
         points = through_vertices(points, was.ends)
     places: list[Place] = [*refinement.along_edges(points)]
-    for end in (0, -1):
-        _set_end(was, end, places, cable.laying, first, finer)
+    anchors = {end: _set_end(was, end, places, cable.laying, first, finer) for end in (0, -1)}
     L0 = state.L0
     if cable.laying is not None and first is not None and L0 == cable.laying.length:
         L0 = first.L0
     laid = _laid(cable, finer, places, L0, None, "facets")
+    if under := [k for k in (0, -1) if was.ends[k] == "off" and laid.ends[k] == "tied"]:
+        finer.remove(laid)  # the edge that it slides along has moved beyond its anchor
+        for end in under:
+            places.pop(end)
+        laid = _laid(cable, finer, places, L0, None, "facets")
+        nodes = list(laid.nodes)
+        for end in under:
+            beside = 1 if end == 0 else -2
+            nodes[beside] = replace(nodes[beside], kind="rail")
+        laid.update(nodes=tuple(nodes))
     laid.update(path_is_geodesic=state.path_is_geodesic)
+    if was.taut:
+        put_on_line(laid, was)
+    positions = laid.positions.copy()
+    for end, anchor in anchors.items():
+        if anchor is not None and laid.nodes[end].kind == "anchor":
+            positions[end] = anchor
+    laid.update(positions=positions)
     if laid.axial is not None and state.axial is not None:
         was_long = state.L0 + state.excess
         rest = state.axial.rest * (L0 / was_long)
         laid.update(axial=replace(laid.axial, curve=state.axial.curve, rest=rest))
     if first is not None:
         laid.laying = first.laying
+
+
+def put_on_line(laid: LaidCable, was: LaidCable) -> None:
+    """Put the nodes of a cable in tension on the line that it had, in contact where that was.
+
+    On straight edges of the finer mesh, between which it has pressed no valley yet, it would lift
+    off most of them and be far too tight: an equilibrium that nobody wants would be found first.
+
+    Parameters
+    ----------
+    laid
+        The cable on the finer mesh; its positions change.
+    was
+        The cable on the coarse one.
+    """
+    at = was.line_nodes()
+    start, way = was.positions[at[:-1]], np.diff(was.positions[at], axis=0)
+    spans = np.array([bool(was.lifted[a:b].any()) for a, b in pairwise(at)])
+    squares = np.maximum(np.sum(way**2, axis=1), np.finfo(float).tiny)
+    positions, lifted = laid.positions.copy(), laid.lifted.copy()
+    for k, node in enumerate(laid.nodes):
+        if node.kind not in ("vertex", "fold"):
+            continue
+        along = np.clip(np.sum((positions[k] - start) * way, axis=1) / squares, 0.0, 1.0)
+        nearest = start + along[:, None] * way
+        i = int(np.argmin(np.sum((nearest - positions[k]) ** 2, axis=1)))
+        if not spans[i]:
+            lifted[k] = False
+            if node.kind == "fold":
+                positions[k] = nearest[i]
+    laid.update(positions=positions, lifted=lifted)
 
 
 def through_vertices(points: Sequence[SurfacePoint], ends: tuple[End, End]) -> list[SurfacePoint]:
@@ -136,11 +183,16 @@ def _set_end(
     laying: Laying | None,
     first: LaidCable | None,
     finer: Scene,
-) -> None:
+) -> Array | None:
     """Put an end (0, -1) of a cable's places where it is on the finer mesh.
 
     One that lies where it was laid lies where it would be laid here: on a curved boundary that is
     not on the chord of the coarse mesh.
+
+    Returns
+    -------
+    Where its anchor is, (3,) (length), which is not at the place if the edge there has moved; None
+    where that is not known, or there is none.
     """
     kind, anchor = cable.ends[end], cable.positions[end]
     moved = True
@@ -152,6 +204,7 @@ def _set_end(
     if kind == "off":
         anchor = _anchor(cable, end, finer, anchor)
         places.insert(0 if end == 0 else len(places), anchor)
+    return anchor if kind != "tied" and first is not None else None
 
 
 def _anchor(cable: LaidCable, end: int, finer: Scene, place: Array) -> Array:

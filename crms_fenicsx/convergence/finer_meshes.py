@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from crms_fenicsx.results.solver_results import SolverResults
@@ -44,8 +45,8 @@ class FinerMeshes(LoadCases, SolverResults):
         finer one, as is a bar that was placed without a length, and the gas law counts from the
         volume that the finer mesh has at sealing. Friction along a cable goes on from where the
         cable rested on the membrane; friction sideways holds it anew where it lies here. Where the
-        loads lead to no equilibrium at once they are brought on again from the state before, in 4
-        or 16 increments, which is logged as a warning. The new solver writes no results.
+        loads lead to no equilibrium at once they are brought on again from the state before, in 1,
+        4 or 16 increments, which is logged as a warning. The new solver writes no results.
 
         Parameters
         ----------
@@ -83,10 +84,19 @@ class FinerMeshes(LoadCases, SolverResults):
         >>> finer.scene.cable("ridge").tension - solver.scene.cable("ridge").tension
         >>> solver.refine(terms=lambda scene: Springs(scene, stiffness=2.0))
         """
+        checks.same(self._scene.comm, "refine", project=project, terms=terms)
+        return self._divided(project, terms, "refine")
+
+    def _divided(
+        self: Own,
+        project: Callable[[Array], Array] | None,
+        terms: Terms | None,
+        method: str,
+    ) -> Own:
+        """A solver on the mesh with each cell divided into four, for a method. Collective."""
         from crms_fenicsx.surface.uniform_refinement import UniformRefinement
 
-        checks.same(self._scene.comm, "refine", project=project, terms=terms)
-        return self._finer(lambda mesh: UniformRefinement.of(mesh, project), terms)
+        return self._finer(lambda mesh: UniformRefinement.of(mesh, project), terms, method)
 
     @collective
     def adapt(
@@ -137,12 +147,15 @@ class FinerMeshes(LoadCases, SolverResults):
         checks.same(comm, "adapt", share=share, project=project, terms=terms)
         share = checked_share(share)
         cells = marked_cells(comm, self.estimate_error().cells, share)
-        return self._finer(lambda mesh: AdaptiveRefinement.of(mesh, cells, project), terms)
+        return self._finer(lambda mesh: AdaptiveRefinement.of(mesh, cells, project), terms, "adapt")
 
     def _finer(
-        self: Own, divide: Callable[[MembraneMesh], MeshRefinement], terms: Terms | None = None
+        self: Own,
+        divide: Callable[[MembraneMesh], MeshRefinement],
+        terms: Terms | None,
+        method: str,
     ) -> Own:
-        """A solver of the scene on a finer mesh, in equilibrium. Collective."""
+        """A solver of the scene on a finer mesh, in equilibrium, for a method. Collective."""
         from crms_fenicsx.convergence.finer_scene import finer_scene
 
         another: Any = type(self)
@@ -152,10 +165,12 @@ class FinerMeshes(LoadCases, SolverResults):
         def solve(scene: Scene) -> None:
             for earlier in made:
                 earlier._increments.release()
-            made[:] = [another(scene, **given)]
+            made[:] = [another(scene, **given, max_halvings=0)]  # all loads are on: none to halve
             made[0].advance()
 
-        finer_scene(self._scene, divide, solve, terms)
+        finer_scene(self._scene, divide, solve, terms, method)
+        options = made[0]._options
+        made[0]._options = replace(options, max_halvings=self._options.max_halvings)
         return made[0]
 
     @collective
@@ -225,7 +240,7 @@ class FinerMeshes(LoadCases, SolverResults):
         solver, rows, cells, seconds = self, [wanted.of(self)], [_cells(self._scene)], [0.0]
         for _ in range(levels - 1):
             began, last = time.perf_counter(), solver
-            solver = last.refine(project, terms=terms)
+            solver = last._divided(project, terms, "convergence")
             if last is not self:
                 last._increments.release()
             rows.append(wanted.of(solver))
@@ -242,5 +257,5 @@ def _cells(scene: Scene) -> int:
     return int(scene.mesh.mesh.topology.index_map(2).size_global)
 
 
-CARRIED = ("prefix", "rtol", "max_halvings", "slide", "verify", "estimate")
-"""Options of a solver that those on finer meshes have, too."""
+CARRIED = ("prefix", "rtol", "slide", "verify", "estimate")
+"""Options of a solver that those on finer meshes have from the beginning."""

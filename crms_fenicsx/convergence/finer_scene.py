@@ -22,6 +22,7 @@ def finer_scene(
     divide: Callable[[MembraneMesh], MeshRefinement],
     solve: Callable[[Scene], object],
     terms: Terms | None = None,
+    method: str = "refine",
 ) -> Scene:
     """Make the scene on the finer mesh; see `FinerMeshes.refine`. Collective.
 
@@ -36,6 +37,8 @@ def finer_scene(
         Finds the equilibrium of a scene at the loads that it has.
     terms
         Makes the added terms for the finer scene.
+    method
+        The user's call, which errors name.
 
     Returns
     -------
@@ -46,7 +49,7 @@ def finer_scene(
     InputError
         On all ranks: something of the scene cannot be carried over; it names what.
     """
-    refuse(scene, terms)
+    refuse(scene, terms, method)
     refinement = divide(scene.mesh)
     membrane = scene.membrane
     materials = {part: membrane.materials[k] for k, part in membrane.parts.items()}
@@ -57,14 +60,14 @@ def finer_scene(
     for where, directions in membrane.supports:
         finer.fix(where, directions)
     finer.membrane.strengths = membrane.strengths
-    made = () if terms is None else _made(scene, terms, finer)
+    made = () if terms is None else _made(scene, terms, finer, method)
     Retrace(Carrier(refinement, scene, finer), made, solve).all()
     finer._loads = tuple(finer.load(load.name) for load in scene.loads)  # in their order
     finer.net.laid = scene.net.laid
     return finer
 
 
-def _made(scene: Scene, terms: Terms, finer: Scene) -> tuple[EnergyTerm, ...]:
+def _made(scene: Scene, terms: Terms, finer: Scene, method: str) -> tuple[EnergyTerm, ...]:
     """The added terms on the finer mesh.
 
     Raises
@@ -77,7 +80,7 @@ def _made(scene: Scene, terms: Terms, finer: Scene) -> tuple[EnergyTerm, ...]:
     due = [term.name for term in scene.terms]
     if [getattr(term, "name", None) for term in found] != due:
         raise InputError(
-            f"refine: terms returned {made!r}; it must return the terms {due}, in this order, made "
-            "for the scene that it is given."
+            f"{method}: terms returned {made!r}; it must return the terms {due}, in this order, "
+            "made for the scene that it is given."
         )
     return found

@@ -23,8 +23,9 @@ from crms_fenicsx.scene import Scene
 
 logger = logging.getLogger("crms_fenicsx")
 
-INCREMENTS = (4, 16)
-"""Increments in which loads are brought on that have led to no equilibrium at once."""
+INCREMENTS = (1, 4, 16)
+"""Increments in which loads are brought on, from the state before, that have led to no equilibrium
+from the coarse mesh's state; one is what a script does there."""
 
 
 class Retrace:
@@ -114,8 +115,8 @@ class Retrace:
             return False
         if gone := self._gone(whole):
             logger.warning(
-                "refine: %s has been taken away since other things were put on the scene; these "
-                "are put on the shape of the coarse mesh.", ", ".join(gone),
+                "finer mesh: %s has been taken away since other things were put on the scene; "
+                "these are put on the shape of the coarse mesh.", ", ".join(gone),
             )  # fmt: skip
             return False
         for name in whole.terms:
@@ -165,7 +166,7 @@ class Retrace:
         """Go to a state from the one before it by increments, as users would do. Collective."""
         finer, goal = self._finer, Loading.of(self._finer)
         for steps in INCREMENTS:
-            logger.warning("refine: %s Going there again in %d increments.", error, steps)
+            logger.warning("finer mesh: %s Going there again by %d increment(s).", error, steps)
             self._remove_cables()
             start = self._back(whole, goal)
             try:

@@ -36,7 +36,7 @@ class ResidualStress(EnergyTerm):
 
     def __init__(self, u: fem.Function, forces: Array) -> None:
         V = u.function_space
-        self.u = u
+        self.u, self.section_forces = u, forces
         S = fem.Function(fem.functionspace(V.mesh, ("DG", 0, (3,))))
         axes = _axes(V.mesh)[: len(forces)]
         both = np.einsum("nia,nab,njb->nij", axes, forces, axes)

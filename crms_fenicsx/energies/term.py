@@ -79,6 +79,9 @@ class EnergyTerm(ABC):
     links : (n, 2)
         Pairs of cable points that it couples most; points are relaxed together with those that
         they are linked to.
+    section_forces : (n, 3, 3)
+        Second Piola-Kirchhoff section forces that it puts in this rank's cells beside those of the
+        materials, tensors in space (force per length): results add them. None without any.
     twin
         Does what `elements_on` and `of_elements` do in loops over few cells, which DOLFINx's forms
         have not; None if nothing does.
@@ -113,6 +116,7 @@ class EnergyTerm(ABC):
     has_history: bool = False
     exact_hessian: bool = False
     links: Indices | None = None
+    section_forces: Array | None = None
     twin: Twin | None = None
     unknowns: Unknowns
 

@@ -155,12 +155,16 @@ class System:
         self.potential.place()
 
     def update(self) -> None:
-        """Bring the potential to the scene's state, in a new layout if it got new parts."""
+        """Bring the potential to the scene's state, to be looked at."""
+        self._follow_scene()
+        if not self._begun:  # step-wise laws have no forces before
+            self._begin_step()
+
+    def _follow_scene(self) -> None:
+        """Take state and loads from the scene, in a new layout if it got new parts."""
         if self.built_for != self.scene.changes:
             self.rebuild(self.scene.net.arranged != self.scene.net.cables)
         self.read_scene()
-        if not self._begun:  # step-wise laws have no forces before
-            self._begin_step()
 
     def _begin_step(self) -> None:
         """Let a load step begin at the state read."""
@@ -171,7 +175,7 @@ class System:
         """Mean size of the forces of ponds and of the user's terms (force per area). Collective."""
         if not self.scene.terms and not self.scene.ponds:
             return 0.0
-        self.update()
+        self._follow_scene()
         of_terms = force_per_area(self.scene, self.potential) if self.scene.terms else 0.0
         return of_terms + (0.0 if self.ponds is None else self.ponds.force_per_area(self.potential))
 

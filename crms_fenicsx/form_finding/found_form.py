@@ -126,8 +126,8 @@ class FoundForm:
 
         Its supports hold, but for those that bars replace with the forces that balance the form.
         Its cables are laid in sleeves, with the tensions found, and its pressure is that of the
-        form. Where there is `residual_stress` it is a term of the energy: results show the
-        materials' section forces without it.
+        form. Where there is `residual_stress` it is a term of the energy, and section forces of
+        results are those of the materials with it.
 
         Parameters
         ----------

@@ -76,25 +76,14 @@ def lay(
             traced = _shortened(net.membrane, traced)
     except PathError as error:
         raise PathError(f"lay_cable: {name!r}: {error}") from None
-    for joint, anchor in zip(joints, (traced.start_anchor, traced.end_anchor), strict=True):
-        if joint is not None and anchor is None:
-            raise PathError(
-                f"lay_cable: {name!r} ends at the joint {joint!r}, which lies on the membrane; let "
-                "the bars end at a vertex there instead, scene.vertex_at(...), and the cable too."
-            )
+    _refuse_joints_on_the_membrane(name, joints, traced)
     strip = cells_at(net.membrane, [v for point in traced.points for v in point.support])
     shape = StripShape.of(net.membrane, strip)
     refuse_forks(traced, shape, name)
     nodes = nodes_of(traced.points, strip, _ends(net.membrane, strip, traced))
     positions = _positions(nodes, traced, shape)
     in_fold = dict(zip(known.values(), folds, strict=False))
-    reach, folded = SAME_PLACE * net.membrane.size, set[SurfacePoint]()
-    for k, node in enumerate(nodes):
-        if node.point in in_fold:
-            fold = in_fold[node.point]
-            if np.linalg.norm(fold - positions[k]) > reach:
-                folded.add(node.point)
-            positions[k] = fold
+    folded = _put_in_folds(nodes, positions, in_fold, SAME_PLACE * net.membrane.size)
     off, nowhere = np.zeros(len(nodes), dtype=bool), np.full_like(positions, np.nan)
     state = CableState(nodes, positions, fractions_of(nodes), off, nowhere, 1.0, 0.0, 0.0)
     in_edge = _follows_free_edge(traced, strip)
@@ -131,6 +120,35 @@ def lay(
     )
     net.add(laid, strip)
     return laid
+
+
+def _refuse_joints_on_the_membrane(
+    name: str, joints: tuple[str | None, str | None], path: Path
+) -> None:
+    """Refuse a cable that ends at a joint where there is the membrane to end on."""
+    for joint, anchor in zip(joints, (path.start_anchor, path.end_anchor), strict=True):
+        if joint is not None and anchor is None:
+            raise PathError(
+                f"lay_cable: {name!r} ends at the joint {joint!r}, which lies on the membrane; let "
+                "the bars end at a vertex there instead, scene.vertex_at(...), and the cable too."
+            )
+
+
+def _put_in_folds(
+    nodes: Sequence[CableNode],
+    positions: Array,
+    in_fold: Mapping[SurfacePoint, Array],
+    reach: float,
+) -> set[SurfacePoint]:
+    """Move nodes to the fold of the cable that they follow; the points moved beyond `reach`."""
+    moved = set[SurfacePoint]()
+    for k, node in enumerate(nodes):
+        if node.point is not None and node.point in in_fold:
+            fold = in_fold[node.point]
+            if np.linalg.norm(fold - positions[k]) > reach:
+                moved.add(node.point)
+            positions[k] = fold
+    return moved
 
 
 def _checked_name(net: CableNet, name: str | None) -> str:

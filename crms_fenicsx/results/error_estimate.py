@@ -23,7 +23,7 @@ from dolfinx import fem, la
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes.cell_geometry import area_vectors
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
-from crms_fenicsx.results.membrane_results import cell_tensors
+from crms_fenicsx.results.cell_tensors import cell_tensors
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.surface.points import VertexPoint

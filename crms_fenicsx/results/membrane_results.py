@@ -16,15 +16,14 @@ from crms_fenicsx.cables.deformed_surface import CurrentSurface, current_surface
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.strengths import ALL, Strengths, checked_strengths
+from crms_fenicsx.results.cell_tensors import added_forces, cell_tensors
 from crms_fenicsx.results.functions import by_cells, nodal_means
 from crms_fenicsx.results.places import PlaceResults, find_places
 from crms_fenicsx.results.quantities import QUANTITIES
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
-from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.runtime.errors import InputError, collective
 from crms_fenicsx.runtime.text import counted, span
-from crms_fenicsx.scene import Scene
 
 FLAT = 1e-12
 """Smallest squared stretch that a cell is taken to have, so that a collapsed one has directions."""
@@ -38,6 +37,10 @@ class MembraneResults:
     (n, 2, 3). Where both values are equal, as in a slack cell, the directions are any. A folded
     cell has the values of the triangle that it unfolds to; its directions and its normal are those
     of the triangle of its three corners.
+
+    Section forces are all that the fabric bears: the material's, and those that terms of the energy
+    put in the cells beside them, as the residual ones of a form that was found. Strains and states
+    are the material's.
 
     Attributes
     ----------
@@ -266,59 +269,6 @@ class MembraneResults:
         return PlaceResults(places.positions, places.stress_free, values)
 
 
-@dataclass(frozen=True)
-class CellTensors:
-    """Tensors in the material axes of this rank's owned cells.
-
-    Attributes
-    ----------
-    strains, forces : (n, 2, 2)
-        Green-Lagrange strains, second Piola-Kirchhoff section forces (force per length).
-    axes, images : (n, 2, 3)
-        The material axes, unit vectors, and what they have become.
-    sides : (n, 2, 3)
-        Two stress-free sides of each cell (length).
-    state : (n,)
-        2 taut, 1 wrinkled, 0 slack.
-    folded : (n,)
-        Whether a cable in tension folds the cell; its images are those of its three corners.
-    """
-
-    strains: Array
-    forces: Array
-    axes: Array
-    images: Array
-    sides: Array
-    state: npt.NDArray[np.int8]
-    folded: Booleans
-
-
-def cell_tensors(system: System) -> CellTensors:
-    """Evaluate the cells at the scene's current state; see `membrane_results`. Collective."""
-    system.update()
-    scene, membrane = system.scene, system.membrane.energy
-    values = membrane.cell_results()
-    n = len(values)
-    folded = np.zeros(n, dtype=bool)
-    if system.cables is not None and system.cables.tables is not None:
-        # It leaves the folded cells' values behind, and is collective: ranks without any join in.
-        system.potential.sum_up()
-        cells = system.cables.tables.folded.cells
-        if len(cells):
-            values[cells] = system.cables.folds.energy.cell_results()
-            folded[cells] = True
-    E = _symmetric(values[:, 0], values[:, 1], values[:, 2] / 2)
-    S = _symmetric(values[:, 3], values[:, 4], values[:, 5])
-
-    axes = membrane.material_axes(np.arange(n, dtype=np.int32))
-    before, after = _edge_vectors(scene)
-    # Columns of F are the current images of the material axes: edges = components x images.
-    components = np.einsum("nki,nai->nka", before, axes)
-    images = np.linalg.solve(components, after)
-    state = np.rint(values[:, 6]).astype(np.int8)
-    return CellTensors(E, S, axes, images, before, state, folded)
-
-
 def membrane_results(system: System) -> MembraneResults:
     """Evaluate the membrane at the scene's current state. Collective.
 
@@ -328,8 +278,9 @@ def membrane_results(system: System) -> MembraneResults:
         The scene's potential; it is brought to the scene's state.
     """
     scene, cells = system.scene, cell_tensors(system)
-    E, S, axes, images = cells.strains, cells.forces, cells.axes, cells.images
+    E, axes, images = cells.strains, cells.axes, cells.images
     n, before = len(E), cells.sides
+    S = cells.forces + added_forces(scene, axes)
     normal: Array = np.asarray(np.cross(images[:, 0], images[:, 1]), dtype=np.float64)
     normal /= np.linalg.norm(normal, axis=1)[:, None]
 
@@ -372,23 +323,8 @@ def membrane_results(system: System) -> MembraneResults:
     )
 
 
-def _symmetric(a: Array, b: Array, c: Array) -> Array:
-    """Matrices (n, 2, 2) with diagonal a, b and c off it."""
-    return np.stack([np.stack([a, c], axis=-1), np.stack([c, b], axis=-1)], axis=-2)
-
-
 def _principal(tensors: Array) -> tuple[Array, Array]:
     """Principal values (n, 2), larger first, and their directions as rows, (n, 2, 2)."""
     ascending, columns = np.linalg.eigh(tensors)
     values: Array = ascending[:, ::-1]
     return values, np.swapaxes(columns, 1, 2)[:, ::-1]
-
-
-def _edge_vectors(scene: Scene) -> tuple[Array, Array]:
-    """Two sides of the owned cells, stress-free and current, (n, 2, 3) each."""
-    mesh = scene.mesh.mesh
-    owned = mesh.topology.index_map(2).size_local
-    x = mesh.geometry.x[geometry_dofmap(mesh)[:owned]]
-    u = scene.u.x.array.reshape(-1, 3)[scene.V.dofmap.list[:owned]]
-    before: Array = np.asarray(x[:, 1:] - x[:, :1], dtype=np.float64)
-    return before, before + (u[:, 1:] - u[:, :1])

@@ -226,6 +226,11 @@ def _point(weights: Mapping[int, float]) -> SurfacePoint:
 
 def _checked(project: Callable[[Array], Array]) -> Projection:
     """The user's function, of which all is checked that can be."""
+    if not callable(project):
+        raise InputError(
+            f"project = {project!r} is no function; give one of points (3, n) that returns those "
+            "in the surface, (3, n)."
+        )
 
     def onto(points: Array, on_rim: Booleans) -> Array:
         found = np.asarray(project(points.copy()))

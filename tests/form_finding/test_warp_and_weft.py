@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from form_meshes import nodes, order
+from form_meshes import cylinder, nodes, order
 from mpi4py import MPI
+from scipy.optimize import brentq, minimize_scalar
 
 from crms_fenicsx import meshes
 from crms_fenicsx.form_finding import find_form
@@ -55,3 +56,77 @@ def test_forms_that_the_forces_do_not_allow_are_near(comm: MPI.Intracomm) -> Non
         deviations.append(form.deviation)
     assert deviations[0] < 1e-3
     assert 0 < deviations[1] < deviations[2] < 0.02
+
+
+@pytest.mark.parametrize(
+    ("stress", "warp", "across"), [((4.0, 2.0), (0, 1, 0), 2.0), ((4.0, 2.0), (1, 0, 0), 4.0)]
+)
+def test_vaults(
+    comm: MPI.Intracomm, stress: tuple[float, float], warp: tuple[int, int, int], across: float
+) -> None:
+    """Of radius (section force across) / pressure, whatever it is along: they balance exactly.
+
+    The radius of 10, span of 12 and rise of 2 are in the rim, which is on the vault.
+    """
+    sizes, errors, deviations = (2.0, 1.0, 0.5), [], []
+    half = np.arcsin(0.6)
+
+    def arc(x: np.ndarray) -> np.ndarray:
+        turn = half * (x[0] / 6.0 - 1.0)
+        return np.stack([6.0 + 10.0 * np.sin(turn) - x[0], 0 * x[0], 10.0 * np.cos(turn) - 8.0])
+
+    for size in sizes:
+        form = find_form(
+            meshes.rectangle(comm, 12.0, 8.0, size, structured=True), stress, fixed=["boundary"],
+            lifted={"boundary": arc}, warp=warp, pressure=across / 10.0,
+        )  # fmt: skip
+        x = nodes(form)
+        errors.append(np.abs(np.hypot(x[:, 0] - 6.0, x[:, 2] + 8.0) / 10.0 - 1.0).max())
+        deviations.append(form.deviation)
+    assert errors[-1] < 4e-5
+    assert order(sizes, errors) > 1.8
+    assert order(sizes, deviations) > 1.5
+
+
+def nearest_neck(meridian: float, hoop: float) -> tuple[float, float]:
+    """Neck of a surface between rings of R = 10, 8 apart, and its deviation, by a closed form.
+
+    With hoop forces h the meridian's are m = h + C / r, as d(r m) = h dr, and r m is the constant F
+    along the axis times the slope ds / dz. So h r + C = F cosh(h z / F), a catenary that is shifted
+    by C. Of these surfaces, all in equilibrium, it is the one whose m is nearest to that
+    prescribed in the mean square over the surface.
+    """
+    radius, half = 10.0, 4.0
+    z = np.linspace(-half, half, 401)
+
+    def surface(C: float) -> tuple[np.ndarray, np.ndarray]:
+        rho, low = hoop * radius + C, hoop * half / 1.1997  # where the cosh has its tangent
+        F = brentq(lambda F: F * np.cosh(hoop * half / F) - rho, low, rho)
+        return (F * np.cosh(hoop * z / F) - C) / hoop, np.cosh(hoop * z / F)
+
+    def missed(C: float) -> float:
+        r, slope = surface(C)
+        return float(np.sum((C / r - (meridian - hoop)) ** 2 * r * slope))
+
+    guess = (meridian - hoop) * radius
+    C = float(minimize_scalar(missed, bracket=(0.9 * guess, guess)).x)
+    r = surface(C)[0]
+    return float(r.min()), float(np.abs(C / r - (meridian - hoop)).max()) / max(meridian, hoop)
+
+
+@pytest.mark.parametrize("stress", [(2.2, 2.0), (4.0, 2.0)])
+def test_surfaces_of_revolution(comm: MPI.Intracomm, stress: tuple[float, float]) -> None:
+    """Nothing has different constant forces there; what is found is the nearest equilibrium."""
+    neck, deviation = nearest_neck(*stress)
+    catenoid = brentq(lambda a: a * np.cosh(4.0 / a) - 10.0, 4.0 / 1.1997, 10.0)
+    assert neck > catenoid + 0.09
+    sizes, errors = np.array([16, 32, 64]), []
+    for n in sizes:
+        form = find_form(
+            cylinder(comm, n, n // 4, 10.0, 8.0), stress, fixed=["boundary"], warp=(0, 0, 1)
+        )
+        errors.append(np.hypot(*nodes(form)[:, :2].T).min() / neck - 1)
+        assert form.deviation < deviation
+    assert abs(errors[-1]) < 2.5e-4
+    assert form.deviation > 0.7 * deviation
+    assert order(1 / sizes, errors) > 1.8

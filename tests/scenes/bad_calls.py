@@ -364,7 +364,10 @@ def scenes(scene: Scene, other: Scene, solver: Solver, cable: LaidCable) -> list
             "at",
             solver.results().at,
             {"points": [(50.0, 50.0)]},
-            {"points": (*NO_PATHS, 3.0, [(-50.0, 50.0)]), "on": NO_TEXTS, "unknown": (1,)},
+            {
+                "points": (*NO_PATHS[2:7], *NO_PATHS[8:], 3.0, [(-50.0, 50.0)]), "on": NO_TEXTS,
+                "unknown": (1,),
+            },
         ),
         Call("function", solver.results().function, {"name": "warp"}, {"name": no_names}),
         Call("shares", solver.results().shares, {}, {"part": (*no_names[:3], "unknown")}),

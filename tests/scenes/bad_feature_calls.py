@@ -125,6 +125,6 @@ def features(scene: Scene, other: Scene, solver: Solver) -> list[Call]:
                 "steps": (*NO_COUNTS, 0),
             },
         ),
-        Call("refine", solver.refine, {}, {"project": numbers}),
+        Call("refine", solver.refine, {}, {"project": [n for n in numbers if n is not None]}),
         Call("held", other.add_joint, {"position": UP}, {"held": (*NO_TEXTS[2:], "xq", "XY")}),
     ]  # fmt: skip

@@ -15,6 +15,8 @@ from mpi4py import MPI
 
 from crms_fenicsx import Cable, Scene, Solver, meshes
 
+pytestmark = pytest.mark.usefixtures("comm")
+
 PAGE = Path(__file__).parents[2] / "docs" / "how_to" / "coupling.md"
 TIMES, TOLERANCE, MOST = 2, 1e-9, 30
 

@@ -221,8 +221,8 @@ def _other(scene: Scene) -> dict[str, str]:
     if RESIDUAL in added:
         added.remove(RESIDUAL)
         found["Residual section forces"] = (
-            "those of the form beside its prestress, where facets resolve its curvature coarsely; "
-            "not in the section forces below"
+            "those of the form beside its prestress, with which it is in equilibrium; the section "
+            "forces below have them"
         )
     if added:
         found["Terms of the energy added by the user"] = ", ".join(added)
