@@ -45,7 +45,7 @@ class Cables(tuple[LaidCable, ...]):
 class Scene(FilledMembrane, SceneViews):
     """A cable-reinforced membrane structure and its current state.
 
-    Units are the user's: any consistent set of length and force.
+    Use any consistent units of length and force.
 
     Parameters
     ----------
@@ -57,14 +57,14 @@ class Scene(FilledMembrane, SceneViews):
         "total": Green-Lagrange strain from the stress-free shape. "step": the paper's incremental
         strain, linear in a step and aligned to a side of each cell, (2.3-3 ... 2.3-14).
     pressure
-        "total": the exact follower pressure. The rim of what is under pressure must be held, or
-        slide in planes x, y or z = constant that are held in their normal direction, as planes of
-        symmetry are. "step": the paper's nodal forces, which keep direction and size in a step,
-        (2.4-1, 2). They need no held rim; where it is free steps are repeated until the forces are
-        those of the follower pressure.
+        "total": the exact follower pressure. The rim of the pressurised surface must be held, or
+        slide in planes x, y or z = constant that are held in their normal direction, such as planes
+        of symmetry. "step": the paper's nodal forces, which keep direction and size in a step,
+        (2.4-1, 2). They need no held rim; with a free rim steps are repeated until the forces equal
+        the follower pressure.
     pressure_on
-        The parts of the mesh on which pressure acts; all of it by default. A wall below the roof
-        has the same air on both its sides: leave it out.
+        The parts of the mesh on which pressure acts; all by default. A wall below the roof has the
+        same air on both its sides: leave it out.
     penalty
         Factor c of the penalty mu = c E t A that keeps unfolded cells triangles; stable and not
         locking from 1e-3 to 1.
@@ -299,12 +299,12 @@ class Scene(FilledMembrane, SceneViews):
     ) -> LaidCable:
         """Lay a cable on the membrane's current shape.
 
-        It lies on the membrane's outer side, drawn straight over hollows; at a seam of three parts
-        or more it stays on those that bound the outer side, never on a wall below. It gets the
-        length that makes it just taut, unless `L0` or `tension` is given. Where it ends on a held
-        edge of the membrane it is held there; moved along the boundary its end goes from edge to
-        edge, moved off it slides over the edge. Where it ends elsewhere on the membrane it is tied
-        to that place. In load steps it slides, also sideways, as far as its friction lets it, lifts
+        The cable lies on the membrane's outer side and spans hollows in a straight line; at a seam
+        of three or more parts it stays on those that bound the outer side, never on a wall below.
+        Its unstressed length makes it just taut, unless `L0` or `tension` is given. An end on a
+        held edge of the membrane is held there; moved along the boundary it goes from edge to edge,
+        moved off the boundary it slides over the edge. An end elsewhere on the membrane is tied to
+        that place. In load steps the cable slides, also sideways, as far as friction permits, lifts
         off and touches down.
 
         Parameters
@@ -321,19 +321,19 @@ class Scene(FilledMembrane, SceneViews):
         tension
             Tension at laying (force), from which the unstressed length follows.
         shortest
-            Whether it takes the shortest way on the membrane near `path`, where a cable without
-            friction lies, instead of the path itself.
+            Whether to lay the cable along the shortest path on the membrane near `path`, where a
+            cable without friction lies, instead of `path` itself.
         sleeve
-            Whether a sleeve holds the cable to the membrane: it slides, but cannot lift off. One
-            along edges of the membrane that are not held has a sleeve always, and stays there.
+            Whether a sleeve holds the cable to the membrane: the cable slides, but cannot lift off.
+            A cable along free edges of the membrane always has a sleeve, and stays there.
         layer
-            Of two cables that cross the one with the higher layer lies on top; of equal ones the
+            Of two crossing cables the one with the higher layer lies on top; with equal layers the
             one laid later.
         name
             Name in results; "cable 1", "cable 2" ... by default.
         measured_on
-            Without `L0`: whether its length is that on the smooth "surface" through the vertices,
-            or on the "facets" inside of it, too short; ``Cable(law="step")`` has always the latter.
+            Without `L0`: whether to measure the length on the smooth "surface" through the
+            vertices, or on the "facets" inside, too short; ``Cable(law="step")`` uses the facets.
 
         Returns
         -------
@@ -343,9 +343,9 @@ class Scene(FilledMembrane, SceneViews):
         Raises
         ------
         PathError
-            The path cannot be laid, as one that leaves the membrane, could only go around its
-            back, begins inside of it, goes to a part behind a seam, or comes back through the
-            cells that it went out by.
+            The path cannot be laid: it leaves the membrane, could only go around its back, begins
+            inside of it, goes to a part behind a seam, or returns through the cells that it left
+            by.
         InputError
             L0 or tension that is not positive, or both, or a name that is taken.
         """

@@ -58,17 +58,17 @@ class Solver(FinerMeshes, Reporting, Drawing):
     scene
         The scene; its state is advanced.
     results
-        Folder for the history table and the ParaView files; none are written without. That it can
-        be written is checked now. The first load step (or `load`) takes it for this solver alone,
-        until the solver is gone or its process ends.
+        Folder for the history table and the ParaView files; without it none are written. Write
+        access is checked now. The first load step (or `load`) reserves the folder for this solver,
+        until the solver is deleted or its process ends.
     resume
-        Whether to go on from where this script was killed or stopped. With True or False a
-        checkpoint of each load step goes into the folder `results`, where one of each call to
-        `advance` is kept. With True a complete call takes its result from there instead of
-        computing it, and the interrupted one goes on from its last load step; all else, such as
-        laying cables and drawing, the script does again. One that does something else than before
-        is refused. With False the first load step replaces the checkpoints that are there. With
-        None, the default, none are written.
+        Whether to continue a run of this script that was killed or stopped. With True or False each
+        load step writes a checkpoint into the folder `results`, which keeps the last one of each
+        call to `advance`. With True completed calls take their results from the checkpoints, and
+        the interrupted call continues from its last load step; the script repeats everything else,
+        such as laying cables and drawing. A script that has changed is refused. With False the
+        first load step replaces existing checkpoints. With None, the default, no checkpoints are
+        written.
     prefix
         Prefix of this solver's options in PETSc's options database.
     rtol
@@ -77,11 +77,11 @@ class Solver(FinerMeshes, Reporting, Drawing):
     max_halvings
         How often an increment is halved before the solver gives up.
     slide
-        Whether cables may slide sideways into other cells than those that they cross. Without it
-        they slide inside their cells only, and a `PathWarning` tells when they run into a vertex.
+        Whether cables may slide sideways into other cells. Otherwise they slide only inside the
+        cells that they cross, and a `PathWarning` says when they reach a vertex.
     verify
         Whether to check each solved step independently of the gradient and the forms:
-        ``step.verification``. A state that fails is treated as one that did not converge.
+        ``step.verification``. A state that fails is treated like a step that did not converge.
     estimate
         Whether the history has columns with the estimated error of each step's energy, see
         `estimate_error`.
@@ -171,10 +171,10 @@ class Solver(FinerMeshes, Reporting, Drawing):
     ) -> Step:
         """Go to new loads in equal increments, and write each state.
 
-        An increment without equilibrium is halved from the last good state, and grows again. With
-        the paper's pressure, ``pressure="step"``, an increment of a membrane with free edges is
-        solved until the pressure is normal to the state found: an equilibrium of the follower
-        pressure, whatever the number of steps.
+        An increment without equilibrium is halved, from the last good state; later increments grow
+        again. With the paper's pressure, ``pressure="step"``, an increment of a membrane with free
+        edges is solved until the pressure is normal to the state found: an equilibrium of the
+        follower pressure, whatever the number of steps.
 
         Parameters
         ----------
@@ -182,19 +182,19 @@ class Solver(FinerMeshes, Reporting, Drawing):
             Pressure to reach (force per area), positive to the membrane's outside, or a
             `FanControl`, by which it follows a load in this call.
         move
-            Displacements (length) of cables (both ends), cable ends (``cable.start``), held joints
-            (``bar.start``) or held groups, by which they move during this call, or functions that
-            give them: `Rotation`, `Way`. What is named twice, as a corner of two groups, moves by
-            the sum. Groups need to be held only in the directions in which they move. Cable ends
-            on a moved group stay where they are unless they are moved as well.
+            Displacements (length) during this call of cables (both ends), cable ends
+            (``cable.start``), held joints (``bar.start``) or held groups, or functions that give
+            them: `Rotation`, `Way`. A vertex of two groups, such as a corner, moves by the sum.
+            Groups need to be held only in the directions in which they move. Cable ends on a moved
+            group stay where they are unless they are moved as well.
         L0
             Unstressed lengths of cables and bars to reach (length).
         load
-            Factors to reach of loads and ponds, by their names; those not named keep theirs. Where
-            there is one load only, a number is its factor.
+            Factors to reach of loads and ponds, by their names; the other factors stay. If there is
+            only one load, a number is its factor.
         temperature, atmosphere
-            Where air is sealed: its absolute temperature to reach, relative to that at sealing, and
-            the pressure of the atmosphere (force per area); see `Scene.seal`.
+            For sealed air: the absolute temperature to reach, relative to that at sealing, and the
+            pressure of the atmosphere (force per area); see `Scene.seal`.
         steps
             Number of increments.
 

@@ -1,21 +1,21 @@
 """Stadium roof, in parallel
 =========================
 
-A stadium's air-supported roof with a net of sliding cables, of any size, on any number of ranks.
+The air-supported roof of a stadium with a net of sliding cables, on any number of ranks.
 
 A spherical cap of 200 m span and 28 m rise of glass-fibre fabric, held down by two families of 14
 steel cables 8.5 m apart that cross at right angles: a roof of the size of the Tokyo Dome's. The
 cables are laid along great circles, just taut, and held at their ends only; over the fabric and
-over each other they slide without friction. The roof is inflated, and then the pressure raised as
-for a storm. Units: m, kN.
+over each other they slide without friction. The roof is inflated, and then the pressure is raised
+as for a storm. Units: m, kN.
 
 ::
 
     ./run python demos/air_dome.py [UNKNOWNS] [--resume]
     ./run mpirun -n 2 python demos/air_dome.py 100000
 
-with the approximate number of unknowns of the fabric, 10 000 by default. It is the mesh that grows
-with it; what the cables take grows with its square root.
+with the approximate number of unknowns of the fabric, 10 000 by default. The mesh grows
+with this number; the work for the cables grows with its square root.
 """
 
 import sys
@@ -34,7 +34,7 @@ CALM, STORM = 0.3, 0.5  # kPa
 # %%
 # The roof
 # --------
-# Nothing in the script knows of processes: under ``mpirun`` the mesh is shared out among them.
+# The script is the same for any number of processes: ``mpirun`` distributes the mesh over them.
 unknowns = float(next((word for word in sys.argv[1:] if word != "--resume"), 1e4))
 area = np.pi * (RADIUS**2 + HEIGHT**2)
 size = np.sqrt(2 / np.sqrt(3) * area * 3 / unknowns)  # of equilateral triangles
@@ -66,7 +66,7 @@ for name, pressure in (("calm", CALM), ("storm", STORM)):
 # %%
 # Balance
 # -------
-# What the air lifts, the supports and the cables' ends must hold.
+# The supports and the ends of the cables must balance the lift of the air.
 rim = solver.reactions("boundary").total[2]
 ends = sum(end.reaction[2] for cable in scene.cables for end in (cable.start, cable.end))
 lift = STORM * np.pi * RADIUS**2

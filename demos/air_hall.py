@@ -3,12 +3,12 @@
 
 From a ground plan to a report: an air-supported hall of 36 x 36 m under a net of sliding cables.
 
-The shape is found, a net of 12 steel cables is laid over it and tightened, and weight, snow, wind
-from two sides and inner pressure are combined, as fans set it or sealed in a gust. The report has
-pictures, section forces, utilisations, envelopes, cable forces, reactions and the verification's
-verdicts of all combinations, and CSV tables lie beside it. Loads, factors, coefficients and
-strengths are ours, in the manner of EN 1990 and 1991; a hall of yours has those of its code and
-site. Units: m, kN.
+Form finding gives the shape. A net of 12 steel cables is laid over the hall and tightened. Weight,
+snow, wind from two directions and inner pressure are combined, with the pressure set by fans or
+with sealed air in a gust. The report has pictures, section forces, utilisations, envelopes, cable
+forces, reactions and the verification of all combinations, with CSV tables beside the page. Loads,
+factors, coefficients and strengths are examples in the style of EN 1990 and 1991; use those of your
+code and site. Units: m, kN.
 
 ::
 
@@ -36,8 +36,8 @@ SNOW, GUST = 0.45, 0.5  # kPa: s_k on the ground, q_p of the wind
 # Form
 # ----
 # A film of equal section forces over the plan, under the pressure of operation: p R = 2 s, so that
-# 3.78 kN/m give a rise of 9.5 m. The fabric is cut to that shape and has these forces in it. It is
-# polyester with PVC, with a strength of 84 and 80 kN/m divided by 4.
+# 3.78 kN/m give a rise of 9.5 m. The fabric is cut to that shape and has these forces as prestress.
+# It is PVC-coated polyester, with a strength of 84 and 80 kN/m divided by 4.
 size = float(next((word for word in sys.argv[1:] if word != "--resume"), 1.8))
 plan = meshes.rectangle(MPI.COMM_WORLD, 2 * HALF, 2 * HALF, size, corner=(-HALF, -HALF))
 form = find_form(plan, stress=3.78, fixed=["boundary"], pressure=CALM)
@@ -48,9 +48,10 @@ solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)
 # %%
 # Net
 # ---
-# Two families of 6 spiral strands of 16 mm run from side to side, each the shortest way between
-# its anchors, where a cable without friction stays: straight in plan it would be too long. Over the
-# fabric and over each other they slide. The net is 1 % shorter than the shape, so that it bears.
+# Two families of 6 spiral strands of 16 mm run from side to side, each along the shortest path
+# between its anchors, where a cable without friction stays; a cable straight in plan would be too
+# long. The cables slide over the fabric and over each other. The net is 1 % shorter than the shape,
+# so that it carries load.
 for family, side in (("A", 1.0), ("B", -1.0)):
     for k, c in enumerate((-15.0, -9.0, -3.0, 3.0, 9.0, 15.0), start=1):
         ends = (max(-HALF, -HALF - c), min(HALF, HALF - c))
@@ -62,7 +63,7 @@ solver.advance(pressure=CALM, load={"weight": 1.0}, L0=net)
 operation = np.array([cable.tension for cable in scene.cables])
 
 # %%
-# The air carries fabric and net: what it lifts ends in the rim and in the anchors.
+# The rim and the anchors balance the lift of the air.
 rim = solver.reactions("boundary").total[2]
 anchors = sum(end.reaction[2] for cable in scene.cables for end in (cable.start, cable.end))
 lift, weight = CALM * 4 * HALF**2, 0.0105 * form.area
@@ -85,9 +86,10 @@ draw(solver, f"{RESULTS}/operation.png", title=f"In operation: {CALM} kPa inside
 # %%
 # Snow and wind
 # -------------
-# Snow lies on slopes of up to 30 degrees, and less and less up to 60 (EN 1991-1-3); drifts, on one
-# half only. The wind's coefficients are those of vaulted roofs with this rise (EN 1991-1-4, 7.2.8),
-# by how far the surface faces the wind: +0.7 at the windward foot, -1.0 over the top, -0.4 behind.
+# Snow lies on slopes of up to 30 degrees, and decreases to zero at 60 (EN 1991-1-3); drifted snow
+# lies on one half only. The wind's coefficients are those of vaulted roofs with this rise (EN
+# 1991-1-4, 7.2.8), as a function of how far the surface faces the wind: +0.7 at the windward foot,
+# -1.0 over the top, -0.4 behind.
 def snow(points, normals):
     """Force per area in plan on the current surface."""
     slope = np.degrees(np.arccos(np.clip(normals[2], -1.0, 1.0)))
@@ -115,8 +117,8 @@ scene.put_wind(GUST, wind_to(1.0, 1.0), name="diagonal wind")
 # %%
 # Combinations
 # ------------
-# The fans raise the pressure as snow falls. Each combination begins at the hall in operation, so
-# that it costs a load step, not a run.
+# The fans raise the pressure as snow falls. Each combination starts from the hall in operation, and
+# so costs one load step instead of a complete run.
 fans = FanControl("snow", factors=[0.0, 0.5, 1.0], pressures=[CALM, 0.45, MELT])
 cases = solver.combine(
     {
@@ -132,8 +134,8 @@ cases = solver.combine(
 # %%
 # Gust on a sealed hall
 # ---------------------
-# A gust of seconds is faster than fans. In the mean wind, half of the gust's, the hall is taken for
-# sealed: as suction draws the roof up the air has more room, and its pressure falls by the gas law.
+# A gust of seconds is faster than fans. In the mean wind, half of the gust, the hall is
+# sealed: suction draws the roof up, the volume grows, and the pressure falls by the gas law.
 calm = solver.snapshot()
 solver.advance(load={"wind": 0.75}, pressure=STORM)
 scene.seal(volume=form.volume + scene.volume, exponent=1.4)
@@ -145,7 +147,7 @@ solver.restore(calm)
 # %%
 # Report
 # ------
-# One page of HTML to attach to a calculation. Spiral strands of 16 mm bear 130 kN.
+# One page of HTML to attach to a calculation. The strength of the strands of 16 mm is 130 kN.
 solver.report(
     f"{RESULTS}/report.html",
     cases,

@@ -1,13 +1,13 @@
 """Cable net in the wind
 =====================
 
-An air dome with a net of sliding cables, inflated and then blown at by the wind.
+An air dome with a net of sliding cables, inflated and then loaded by wind.
 
 A spherical cap of 40 m span, 10 m high, of PVC-coated fabric; two families of 7 steel cables cross
 obliquely on it. They are laid along great circles, just taut, and held at their ends only: over the
-fabric and over each other they slide without friction. After inflation the wind comes from -x. It
-pushes the windward side in, where cables lose most of their tension and lift off (striped in the
-pictures), and sucks at the rest, where they become three times as tight. Units: m, kN.
+fabric and over each other they slide without friction. After inflation the wind blows from -x. Wind
+pressure pushes the windward side in; cables there lose most of their tension and lift off (striped
+in the pictures). Suction acts on the rest of the dome, where the tensions triple. Units: m, kN.
 
 ::
 
@@ -75,8 +75,8 @@ def farthest(lines, others):
 # %%
 # The net
 # -------
-# ``meshes.great_circle`` returns a route in space. Each cable gets the length that makes it just
-# taut on the smooth surface behind the facets of the mesh.
+# ``meshes.great_circle`` returns a route in space. The length of each cable makes it just taut on
+# the smooth surface behind the facets of the mesh.
 size = float(next((word for word in sys.argv[1:] if word != "--resume"), 1.6))
 mesh = meshes.spherical_cap(MPI.COMM_WORLD, radius=RADIUS, height=HEIGHT, size=size)
 scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
@@ -97,7 +97,7 @@ shape = scene.positions()
 # %%
 # Storm
 # -----
-# Wind acts along the normals of the surface, and follows them as the dome deforms.
+# Wind acts along the normals of the surface, also as the dome deforms.
 scene.put_wind(GUST, coefficient)
 solver.advance(load=1.0, steps=2)
 draw(solver, f"{RESULTS}/wind.png", title="Wind of 0.75 kPa along x", **LOOK)
@@ -121,7 +121,7 @@ if scene.comm.rank == 0:
 
 # Measured by this program at sizes 1.6, 2.0 and 3.0: mean tensions in the calm of 10.98, 11.14 and
 # 11.21 kN, greatest ones under the wind of 37.58, 37.72 and 38.93; gmsh may mesh it otherwise
-# elsewhere. docs/benchmarks/cable_accuracy.md says what a coarse dome does to them.
+# elsewhere. docs/benchmarks/cable_accuracy.md shows the influence of a coarse mesh.
 rtol = 0.03 if size == 1.6 else 0.25
 np.testing.assert_allclose((calm.mean(), windy.max()), (10.98, 37.58), rtol=rtol)
 assert lifted >= 3

@@ -1,22 +1,21 @@
 """Friction along a cable
 ======================
 
-A cable over an air hall that is tightened from one end, with friction along it.
+A cable over an air hall, tightened from one end against friction.
 
 An air hall of 16 m width, 24 m depth and 8 m height: a half-cylinder with rounded ends. Two cables
-cross it from ground to ground, each bent by about half a turn. At its end on the right each has a
-winch that takes in 25 cm in 5 steps and lets 8 cm out again in 4. One cable slides along itself
-freely and has the same tension everywhere. The other does so with a coefficient of friction of 0.3:
-where it slides all over, its tension falls from the winch to the far end by the capstan's law,
-exp(0.3 x angle). Let out, it slides back near the winch only, and stays tightest in its middle.
+cross it from ground to ground, each bent by about half a turn. A winch at the right end of each
+cable takes in 25 cm in 5 steps and lets 8 cm out again in 4. One cable slides without friction and
+has the same tension everywhere. The other has a coefficient of friction of 0.3: once the whole
+cable slides, its tension falls from the winch to the far end by the capstan's law, exp(0.3 x
+angle). Let out, it slides back near the winch only, and the largest tension stays in its middle.
 Units: m, kN.
 
 ::
 
     ./run python demos/capstan.py [SIZE] [--resume]
 
-with the cells' size, 1.2 m by default. The picture of the README, docs/capstan.png, is this demo's
-both.png.
+with the cells' size, 1.2 m by default.
 """
 
 import sys

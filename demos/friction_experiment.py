@@ -3,23 +3,24 @@
 
 A cable dragged sideways over an orthotropic fabric, with friction (the paper's model 3).
 
-The paper compares this with an experiment, whose drawing and measured curves are lost. The data of
-fabric, cable and friction are the paper's; the sheet is ours: 100 cm square, flat and stress-free,
-clamped along the two edges to which the warp runs, free along the other two. A cable lies across it
-and its ends, 10 cm beside the free edges, are moved 10 cm down in 5 steps, which presses it into
-the fabric like the valley cable of a tent, and then 10 cm sideways, along the warp, in 10 steps.
+The paper compares this model with an experiment, whose drawing and measured curves are lost. The
+data of fabric, cable and friction are the paper's. The sheet is an assumption: 100 cm square, flat
+and stress-free, clamped along the two edges to which the warp runs, free along the other two. A
+cable lies across the sheet. Its ends, 10 cm beside the free edges, are moved 10 cm down in 5 steps,
+which presses the cable into the fabric like the valley cable of a tent, and then 10 cm sideways,
+along the warp, in 10 steps.
 
-Without friction the cable follows its ends at once. With mu = 0.7 it sticks, and drags the fabric
-along, from the ends inwards less and less, until the ends are some 4 cm aside; then all of it
-slides. `Friction(0.7, static=1.0)` would tell rest from motion; here, where the cable comes loose
-from its ends inwards, that changes little. Units: kgf, cm.
+Without friction the cable follows its ends at once. With mu = 0.7 the cable sticks and drags the
+fabric along, less and less from the ends inwards, until the ends are some 4 cm aside; then the
+whole cable slides. `Friction(0.7, static=1.0)` would distinguish static and kinetic friction; here
+the cable comes loose gradually from its ends inwards, and the distinction changes little. Units:
+kgf, cm.
 
 ::
 
     ./run python demos/friction_experiment.py [SIZE] [--resume]
 
-with the cells' size, 5 cm by default. The picture of the README, docs/friction_experiment.png, is
-this demo's curves.png.
+with the cells' size, 5 cm by default.
 """
 
 import sys
@@ -127,7 +128,7 @@ if solver.scene.comm.rank == 0:
 # %%
 # Check
 # -----
-# What the paper finds: friction changes the sideways displacement most, the vertical one little.
+# The paper finds that friction changes the sideways displacement most, the vertical one little.
 lag = np.abs(smooth - rough)[DOWN:].max()
 sag = np.abs(results["smooth"][0] - results["rough"][0])[:, 1].max()
 assert lag > 3.5 and sag < 0.6

@@ -3,16 +3,14 @@
 
 A cable tightened over an inflated square membrane (the paper's model 2).
 
-The square is inflated in 5 steps; then a cable is laid across its middle, anchored 80 cm beside
-it (the paper's drawing is lost; the place is ours), and both ends are pulled down by 15 cm in 5
-steps. At first the cable touches the top of the membrane only, at last all of it. No mesh line lies
-under it: it folds the cells that it crosses. Units: kgf, cm.
+The square is inflated in 5 steps. Then a cable is laid across its middle, anchored 80 cm beside the
+square (the paper's drawing is lost; this position is assumed), and both ends are pulled down by 15
+cm in 5 steps. At first the cable touches only the top of the membrane, at the end its whole width.
+No mesh line lies under the cable: it folds the cells that it crosses. Units: kgf, cm.
 
 ::
 
     ./run python demos/inflated_square.py [--resume]
-
-The picture of the README, docs/inflated_square.png, is this demo's both.png.
 """
 
 import sys
@@ -39,7 +37,7 @@ LOOK = {
 # The membrane
 # ------------
 # A mesh, a material and a support make a scene. A solver brings it from one equilibrium to the
-# next, and with ``results`` it writes each of them for ParaView.
+# next, and with ``results`` writes each one for ParaView.
 mesh = meshes.rectangle(MPI.COMM_WORLD, width=100.0, depth=100.0, size=4.0, structured=True)
 scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
 scene.fix("boundary")
@@ -48,7 +46,7 @@ solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)
 # %%
 # Inflation
 # ---------
-# From a flat sheet without any tension: the first load step is the hardest one.
+# The sheet starts flat and without tension, so the first load step is the hardest one.
 solver.advance(pressure=0.01, steps=5)
 draw(solver, f"{RESULTS}/inflated.png", title="Inflated: 0.01 kgf/cm²", **LOOK)
 top, inflated = scene.comm.allreduce(scene.positions()[:, 2].max(), MPI.MAX), scene.energy
@@ -56,8 +54,8 @@ top, inflated = scene.comm.allreduce(scene.positions()[:, 2].max(), MPI.MAX), sc
 # %%
 # The cable
 # ---------
-# Both of its ends lie beside the membrane and above the ground on which it is clamped, so they are
-# anchors. The cable gets the length that makes it just taut over the inflated square.
+# Both ends lie beside the membrane and above its clamped boundary, so they are anchors. The
+# unstressed length makes the cable just taut over the inflated square.
 cable = scene.lay_cable(Cable(EA=32000.0), path=[(-80.0, 50.0, 0.0), (180.0, 50.0, 0.0)])
 solver.advance(move={cable: (0.0, 0.0, -15.0)}, steps=5)
 draw(solver, f"{RESULTS}/tightened.png", title="Tightened: cable ends 15 cm lower", **LOOK)
@@ -67,7 +65,7 @@ middle = np.interp(50.0, cable.line[:, 0], cable.line[:, 2])
 # %%
 # The result
 # ----------
-# On several processes each of them has a part of the membrane; the first one reports.
+# On several processes each process has a part of the membrane, and the first one prints.
 if scene.comm.rank == 0:
     join_pictures(f"{RESULTS}/both.png", [f"{RESULTS}/inflated.png", f"{RESULTS}/tightened.png"])
     print(f"inflated   highest vertex   {top:8.3f} cm")

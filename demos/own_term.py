@@ -1,10 +1,10 @@
-"""A term of one's own
-===================
+"""An energy term of your own
+==========================
 
-An inflated square that bars tie down: a term of the energy that is not in the package.
+Bars tie down an inflated square: a term of the energy that is not in the package.
 
 Bars run from the vertices around the middle of the sheet to one anchor below it, each with the
-strain energy of a spring. A cable is then tightened beside them. Units: kgf, cm.
+strain energy of a spring. A cable is then tightened beside the bars. Units: kgf, cm.
 
 ::
 
@@ -77,7 +77,7 @@ class Bars(EnergyTerm):
 # %%
 # The scene
 # ---------
-# ``taylor_test`` tells whether the gradient belongs to the energy: the order must be 2.
+# ``taylor_test`` checks that the gradient belongs to the energy: the order must be 2.
 mesh = meshes.rectangle(MPI.COMM_WORLD, width=100.0, depth=100.0, size=5.0)
 scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
 scene.fix("boundary")
@@ -103,5 +103,5 @@ if scene.comm.rank == 0:
     print(f"              pull    {bars_pull[2]:8.3f} kgf")
     print(f"cable         tension {cable.tension:8.3f} kgf")
 
-# The pressure lifts with its whole area; supports and bars hold it down.
+# Supports and bars balance the lift of the pressure on the whole area.
 np.testing.assert_allclose(bars_pull[2] - supports[2], 0.01 * 100.0**2, rtol=1e-6)

@@ -4,9 +4,9 @@
 One folded element and one cable (the paper's model 1).
 
 A cable lies across a single triangle whose corners are held. Its ends are moved normal to the
-triangle, once up and once down, so that it tightens and folds the triangle. Up it would lift off,
-were it not held by a sleeve. The only unknowns are the six coordinates of the two sliding nodes.
-Units: kgf, cm.
+triangle, once up and once down, so that the cable tightens and folds the triangle. A sleeve keeps
+the cable from lifting off on the way up. The only unknowns are the six coordinates of the two
+sliding nodes. Units: kgf, cm.
 
 ::
 
@@ -56,7 +56,7 @@ for name, lift in (("up", 12.0), ("down", -12.0)):
 # %%
 # The sliding nodes
 # -----------------
-# As the cable tightens, they slide along the sides of the triangle.
+# As the cable tightens, the nodes slide along the sides of the triangle.
 if MPI.COMM_WORLD.rank == 0:
     draw_path(
         f"{RESULTS}/sliding_nodes.png", tracks, lines=cables,

@@ -1,19 +1,17 @@
 """Sliding cable
 =============
 
-A cable that slides sideways to where it is in equilibrium.
+A cable that slides sideways to its equilibrium.
 
 The cable is laid over a flat square in an arc, up to 15 cm beside the straight line between its
-ends, with the length of that line. At once it slides there, over the edges of the mesh; then the
-square is inflated in 5 steps, bulges beside the cable, and pushes it towards the nearer side. Its
-path over the fabric (the material curve) is not its path in space, as the fabric moves too. Units:
-kgf, cm.
+ends, with the length of that line. It slides to the straight line at once, over the edges of the
+mesh. Then the square is inflated in 5 steps, bulges beside the cable, and pushes the cable towards
+the nearer side. The cable's path over the fabric (the material curve) differs from its path in
+space, because the fabric moves too. Units: kgf, cm.
 
 ::
 
     ./run python demos/sliding_cable.py [--resume]
-
-The picture of the README, docs/sliding_cable.png, is this demo's both.png.
 """
 
 import sys
@@ -27,8 +25,8 @@ from crms_fenicsx.output import Line, draw, draw_paths, join_pictures
 RESULTS = "results/sliding_cable"
 
 # %%
-# A cable beside its place
-# ------------------------
+# A cable out of place
+# --------------------
 mesh = meshes.rectangle(MPI.COMM_WORLD, width=100.0, depth=100.0, size=3.0)
 scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
 scene.fix("boundary")
@@ -42,8 +40,8 @@ solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)
 # %%
 # Inflation
 # ---------
-# In each load step the solver minimises the energy, pulls the cable's path taut on the shape that
-# it has found, and minimises again if the path has changed.
+# In each load step the solver minimises the energy, pulls the cable's path taut on the resulting
+# shape, and minimises again if the path has changed.
 def middle(points):
     """Where a curve passes x = 50."""
     points = points[np.isfinite(points[:, 0])]  # anchors are not on the fabric

@@ -1,19 +1,19 @@
 """A tent on masts and guys
 ========================
 
-A four-point tent, from a flat sheet to a report: form, masts and guys, snow and wind.
+A four-point tent, from a flat sheet to a report: form finding, masts and guys, snow and wind.
 
 A sail of PVC-coated polyester (type II) between two high points on masts, 16 m apart, and two low
 points, 14 m apart. Cables of 18 mm run in the pockets of its edges. Each mast leans outward and is
-held by two guys; each low point hangs on a tie. Nothing else holds the tent. Loads, factors and
-strengths are ours, of no code. Units: m, kN.
+held by two guys; each low point is held by a tie. Nothing else holds the tent. Loads, factors and
+strengths are examples, not taken from a code. Units: m, kN.
 
 ::
 
     ./run python demos/tent.py [SIZE] [--resume]
 
-with the cells' size, 0.42 m by default. The picture of the README, docs/tent.png, is this demo's
-snow.png.
+with the cells' size, 0.42 m by default. The picture of the README, docs/tent.png, is the snow.png
+of this demo.
 """
 
 import sys
@@ -46,9 +46,9 @@ VIEW = (-72.0, 30.0)
 # %%
 # The form
 # --------
-# The sheet starts flat. Its section forces and the tension of its edges are prescribed; where the
-# corners are lifted to, they make the shape. The warp runs from high point to high point, where
-# the sail hangs, the weft from low point to low point, where it arches.
+# The sheet starts flat. Section forces, tensions of the edge cables and positions of the corners
+# are prescribed; they determine the shape. The warp runs from high point to high point, where the
+# sail hangs, the weft from low point to low point, where it arches.
 places = {**HIGH, **LOW}
 size = float(next((word for word in sys.argv[1:] if word != "--resume"), 0.42))
 flat = meshes.polygon(
@@ -65,9 +65,9 @@ found = find_form(
 # %%
 # Masts, guys and ties
 # --------------------
-# ``found.reactions`` says what each corner has to bear. A tie continues the direction of that
-# force. A mast and two guys can balance any force in the wedge between them: their own follow from
-# the reaction, and from these their unstressed lengths. So the corners are free, and stay.
+# ``found.reactions`` has the force at each corner. A tie takes the direction of this force. A mast
+# and two guys can balance any force in the wedge between them: the bar forces follow from the
+# reaction, and the unstressed lengths from the bar forces. The corners are free, and do not move.
 bars = []
 for corner, (x, y, _) in HIGH.items():
     out = np.sign(x)
@@ -84,9 +84,10 @@ scene = found.scene(FABRIC, EDGE_CABLE, bars=bars)
 # %%
 # Belts
 # -----
-# A cable slides in its pocket. It takes the fabric's pull across the edge and none along it, which
-# would gather in the fabric at the very corners: without belts the snow below tears them, at six
-# times what they bear. Polyester belts, sewn along the pockets, take it. They begin without force.
+# A cable slides in its pocket. It carries the fabric's pull across the edge, but not along the
+# edge. The pull along the edge would gather at the corners: without belts the snow below uses the
+# fabric there to six times its strength. Polyester belts, sewn along the pockets, carry this pull.
+# They start without force.
 for cable in found.cables:
     ends = pairwise([scene.vertex_at(place) for place in cable.path])
     for k, (one, other) in enumerate(ends, 1):
@@ -94,7 +95,7 @@ for cable in found.cables:
 scene.set_strengths(STRENGTHS)
 
 # %%
-# The first load step moves nothing: what was found is in equilibrium, on its masts and guys.
+# The first load step moves nothing: the form is in equilibrium on its masts and guys.
 solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)
 solver.advance()
 moved = solver.summary().displacement.value
@@ -119,7 +120,7 @@ scene.put_wind(0.5, coefficient, name="wind along x")
 # %%
 # Combinations and report
 # -----------------------
-# Factored loads are summed before they are solved for, each combination from the prestressed tent.
+# ``combine`` sums the factored loads and solves each combination from the prestressed tent.
 combinations = solver.combine(
     {
         "Permanent": {"weight": 1.35},
@@ -141,7 +142,7 @@ solver.report(
 )
 
 # %%
-# The forces in the summary say whether it stands: fabric, edge cables, masts against buckling.
+# The summary has the forces for the design checks: fabric, edge cables, masts against buckling.
 summaries = {}
 for name, one in combinations.items():
     solver.restore(one.snapshot)
@@ -170,8 +171,8 @@ for name, one in summaries.items():
 # %%
 # Checks
 # ------
-# The feet carry what lies on the tent: 1.35 times its weight, and 1.5 times the snow on the area
-# that its edge cables bound in plan. The other figures are those that this script is known to give.
+# The supports carry the loads: 1.35 times the weight, and 1.5 times the snow on the plan area
+# within the edge cables. The other figures are known results of this script.
 plans = [cable.path.T[:2] for cable in found.cables]
 plan_area = sum(abs(x[:-1] @ y[1:] - x[1:] @ y[:-1]) for x, y in plans) / 2.0
 more = np.subtract(summaries["Snow"].reaction, summaries["Permanent"].reaction)

@@ -4,11 +4,11 @@
 An inflated roof in a wind tunnel, solved together with a model of the flow in plain DOLFINx.
 
 The air streams between the roof and the tunnel's ceiling. Where the roof rises the gap is narrower,
-the air is faster, and by Bernoulli's law it sucks more: the roof rises further. Neither program
-knows the other: the flow takes heights and gives pressures, the membrane takes forces and gives
-displacements. Each has a mesh of its own. Iterations go on until both agree, with Aitken's
-relaxation; each begins in the same *snapshot*, as friction of the cable remembers the way that it
-has come. This is how `preCICE <https://precice.org>`_ couples programs. Units: m, kN, s.
+the air is faster, and by Bernoulli's law it sucks more: the roof rises further. The programs are
+independent: the flow takes heights and gives pressures, the membrane takes forces and gives
+displacements. Each has its own mesh. Iterations with Aitken's relaxation continue until both agree.
+Each iteration starts from the same *snapshot*, because friction of the cable depends on the path.
+This is how `preCICE <https://precice.org>`_ couples programs. Units: m, kN, s.
 
 ::
 
@@ -41,11 +41,10 @@ def everywhere(values):
 # %%
 # The wind
 # --------
-# The gap is shallow, so that the velocity is the same over its height h and has a potential in
-# plan: ``div(h grad phi) = 0``. The pressure is Bernoulli's, relative to that of the air that comes
-# in.
+# The gap is shallow, so the velocity is constant over its height h and has a potential in plan:
+# ``div(h grad phi) = 0``. Bernoulli's law gives the pressure, relative to that of the incoming air.
 class Wind:
-    """Potential flow through a gap of a height that is given."""
+    """Potential flow through a gap of given height."""
 
     def __init__(self, size):
         low, high = (-BEFORE, -BESIDE), (SIDE + BEFORE, SIDE + BESIDE)
@@ -93,7 +92,7 @@ class Wind:
 # %%
 # The roof
 # --------
-# A sheet that is inflated, and a cable with friction across it.
+# An inflated sheet, and a cable with friction across it.
 mesh = meshes.rectangle(comm, SIDE, SIDE, 2.0, structured=True)
 scene = Scene(mesh, IsotropicMembrane(E=600.0, nu=0.3, thickness=1.0))
 scene.fix("boundary")
@@ -103,8 +102,8 @@ cable = scene.lay_cable(Cable(EA=5e3, friction=0.3), [(9.3, 0.0), (11.2, SIDE)],
 solver.advance()
 
 # %%
-# What the wind needs to know, and what its pressure does: forces on the vertices, along the normals
-# of the current surface, by a form of DOLFINx.
+# The wind's pressure becomes forces on the vertices, along the normals of the current surface, with
+# a form of DOLFINx. The wind in turn needs the heights of the roof.
 p = fem.Function(fem.functionspace(mesh.mesh, ("Lagrange", 1)))
 forces = fem.Function(scene.V)
 J = ufl.Jacobian(mesh.mesh)
@@ -136,8 +135,8 @@ def answer():
 # %%
 # Together
 # --------
-# The pressure that the roof gets is to be the one that the wind answers with. Aitken's relaxation
-# takes the part of the difference that would have been right in the iteration before.
+# The pressure on the roof must equal the pressure that the wind returns. Aitken's relaxation uses
+# the fraction of the difference that would have been right in the previous iteration.
 calm, wind = solver.snapshot(), Wind(1.0)
 
 
@@ -162,10 +161,10 @@ for iteration in range(1, 21):
     pressure, before = pressure + part * rest, rest
 
 # %%
-# What it comes to
-# ----------------
-# A wind whose pressure is taken from the calm roof, as in the first iteration, tells too little.
-# The flow keeps the air that comes in; the supports carry what the wind pulls.
+# The result
+# ----------
+# With the pressure of the wind over the undeformed roof, as in the first iteration, the rise is too
+# small. The flow conserves mass.
 flux = comm.allreduce(fem.assemble_scalar(wind.flux))
 lift = comm.allreduce(forces.x.array[: 3 * n].reshape(-1, 3).sum(axis=0))[2]
 more = (crowns[-1] - crowns[0]) / (crowns[1] - crowns[0]) - 1.0

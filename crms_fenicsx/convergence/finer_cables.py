@@ -20,6 +20,7 @@ from crms_fenicsx.model.cable_state import CableState, End
 from crms_fenicsx.model.laid_cable import LaidCable, Laying
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.paths.laying import MeasuredOn, lay
+from crms_fenicsx.paths.typed_nodes import fractions_of
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.scene import Scene
@@ -110,8 +111,9 @@ def lay_again(
         nodes = list(laid.nodes)
         for end in under:
             beside = 1 if end == 0 else -2
-            nodes[beside] = replace(nodes[beside], kind="rail")
-        laid.update(nodes=tuple(nodes))
+            on_edge = isinstance(nodes[beside].point, EdgePoint)
+            nodes[beside] = replace(nodes[beside], kind="rail" if on_edge else "vertex")
+        laid.update(nodes=tuple(nodes), fractions=fractions_of(nodes))
     laid.update(path_is_geodesic=state.path_is_geodesic)
     if was.taut:
         put_on_line(laid, was)

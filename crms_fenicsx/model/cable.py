@@ -23,8 +23,8 @@ class Cable:
         paper's (2.2-2), tension that grows by ``EA/l_n`` times the elongation in the step, l_n
         the length at the step's start.
     friction
-        Friction on the membrane: a coefficient, or a `Friction` that says more. With 0 there is
-        none, and it costs nothing.
+        Friction on the membrane: a coefficient, or a `Friction` with more data. 0, the default,
+        costs nothing.
     """
 
     EA: float

@@ -262,8 +262,11 @@ def _refuse_folds(membrane: Membrane, strip: Strip, cable: LaidCable) -> None:
 def _route(path: Sequence[Sequence[float]] | Array) -> Array:
     try:
         route = np.array(path, dtype=float)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise PathError(f"path: {path!r} is no list of points ({error}).") from None
+    except (TypeError, ValueError, OverflowError):
+        raise PathError(
+            f"path: {path!r} is no list of points of one kind; give all in plan, (x, y), or all in "
+            "space, (x, y, z), as a joint is."
+        ) from None
     if route.ndim != 2 or route.shape[0] < 2 or route.shape[1] not in (2, 3):
         raise PathError(
             f"path: an array of shape {route.shape}; give two or more points in plan, (k, 2), or "

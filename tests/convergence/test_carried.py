@@ -399,7 +399,7 @@ def inflated_under_cable(comm, cells, y=41.0):
 
 def test_cable_in_tension_starts_on_its_line_and_in_contact(comm):
     """With the coarse mesh's tension, so that the first solve is near the finer equilibrium."""
-    scene, solver = inflated_under_cable(comm, 5)
+    scene, _ = inflated_under_cable(comm, 5)
     was, found = scene.cable("ridge"), []
 
     def solve(finer):

@@ -1,0 +1,87 @@
+"""The code on the documentation's pages runs as a reader would run it, from top to bottom."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+DOCS = Path(__file__).parents[1] / "docs"
+PAGES = ["mesh", "form_finding", "loads", "bars", "results", "pictures", "own_term", "coupling"]
+NEEDED = ("pyvista", "precice", "dolfinx.io.gmsh")
+"""Modules without which a block of code is left out."""
+
+
+def blocks(page: str) -> list[str]:
+    """The Python code of a page, with coarse meshes."""
+    text = (DOCS / f"{page}.md").read_text()
+    found = re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    return [block.replace("size=1.0", "size=2.5") for block in found]
+
+
+def run(code: str, names: dict[str, Any], page: str) -> None:
+    """Execute code of a page."""
+    exec(compile(code, f"{page}.md", "exec"), names)
+
+
+def missing(block: str) -> bool:
+    """Whether a block needs what is not installed. `test_coupling` runs the loop for preCICE."""
+    for module in NEEDED:
+        try:
+            found = importlib.util.find_spec(module) is not None
+        except ModuleNotFoundError:
+            found = False
+        if not found and (f"import {module}" in block or f"{module}." in block):
+            return True
+    return False
+
+
+@pytest.fixture(scope="module")
+def roof(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """The names of `roof.py`, the script that most pages continue, and a snapshot at its end."""
+    names: dict[str, Any] = {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path_factory.mktemp("roof"))
+        run(*blocks("start"), names, "start")
+        assert Path("results/roof/windy.png").exists()
+    return names | {"_at_end": names["solver"].snapshot()}
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_code_of_page_runs(
+    page: str, roof: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In an empty folder with the files that the page saves, after `roof.py` where it says so."""
+    monkeypatch.chdir(tmp_path)
+    text = (DOCS / f"how_to/{page}.md").read_text()
+    for name, content in re.findall(
+        r"`([\w.]+)`:\n\n```\n(.*?)^```", text, re.DOTALL | re.MULTILINE
+    ):
+        Path(name).write_text(content)
+    names: dict[str, Any] = {}
+    if "continues `roof.py`" in text:
+        roof["solver"].restore(roof["_at_end"])
+        names |= roof
+    for block in blocks(f"how_to/{page}"):
+        if not missing(block):
+            run(block, names, page)
+
+
+def test_interrupted_script_continues(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """`roof.py` with the solver of the page on interrupted runs gives the same when resumed."""
+    monkeypatch.chdir(tmp_path)
+    (script,), (resumable,) = blocks("start"), blocks("how_to/restart")
+    script = re.sub(r"^solver = .*\n", lambda _: resumable, script, flags=re.MULTILINE)
+    script = re.sub(r"^(draw|print\(solver).*\n", "", script, flags=re.MULTILINE)
+    said = []
+    for arguments in ([], ["--resume"]):
+        monkeypatch.setattr(sys, "argv", ["roof.py", *arguments])
+        run(script, {}, "restart")
+        said.append(capfd.readouterr().out)
+    assert said[0] == said[1] and "windy" in said[0]
