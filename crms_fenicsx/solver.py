@@ -337,8 +337,9 @@ class Solver(FinerMeshes, Reporting, Drawing):
         """Go on from a state that `save` has saved, on any number of processes. Collective.
 
         The script builds mesh, scene and solver as before. Held vertices, floor, loads, cables and
-        bars come from the checkpoint and replace those given so far; what follows is as if the run
-        had not ended. Results go on, too, where the solver's folder has those of the steps before.
+        bars come from the checkpoint and replace those given so far; cables and bars of the same
+        name stay the objects. What follows is as if the run had not ended. Results go on, too,
+        where the solver's folder has those of the steps before.
 
         Parameters
         ----------
@@ -348,9 +349,9 @@ class Solver(FinerMeshes, Reporting, Drawing):
         Raises
         ------
         InputError
-            On all ranks: a solver that has made steps or whose scene has cables, a checkpoint of
-            another mesh, material or law (it says which), one that is missing or damaged, or
-            results in a folder to which another solver writes. The scene is then as before.
+            On all ranks: a solver that has made steps, a checkpoint of another mesh, material or
+            law (it says which), one that is missing or damaged, or results in a folder to which
+            another solver writes. The scene is then as before.
 
         Examples
         --------
@@ -359,10 +360,10 @@ class Solver(FinerMeshes, Reporting, Drawing):
         >>> solver.load("results/dome/checkpoint")
         >>> solver.advance(L0={scene.cable("ridge"): 99.0})
         """
-        if self.steps or self.scene.cables:
+        if self.steps:
             raise InputError(
-                f"load: there are {len(self.steps)} load steps and {len(self.scene.cables)} cables "
-                "already; load into a new scene and solver, before laying cables."
+                f"load: there are {len(self.steps)} load steps already; load into a new scene and "
+                "solver."
             )
         self._recorder.claim(going_on=True)
         self._go_on_from(checkpoint.load(folder, self.scene))

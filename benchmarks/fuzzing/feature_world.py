@@ -28,6 +28,7 @@ from crms_fenicsx import (
 )
 from crms_fenicsx.form_finding import FormCable, find_form
 from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.model.bar import Joint
 from crms_fenicsx.runtime.arrays import Array
 from fuzzing.feature_scenes import SIZE, FeatureScene, Frame, across
 from fuzzing.scenes import _crossings_of_rim
@@ -117,6 +118,12 @@ def membrane_mesh(
     west = dolfinx.mesh.meshtags(plain, 1, found, np.full(len(found), 7, dtype=np.int32))
     names = {"other": (2, 1), "east": (2, 2), "west": (1, 7)}
     return meshes.from_dolfinx(plain, tags, west, names=names)
+
+
+def joints(scene: Scene) -> list[Joint]:
+    """The joints of bars in the order of these, by name: others name themselves as they come."""
+    ends = [end for bar in sorted(scene.bars, key=lambda b: b.name) for end in (bar.start, bar.end)]
+    return list(dict.fromkeys(end for end in ends if isinstance(end, Joint)))
 
 
 class World:
@@ -318,6 +325,8 @@ class World:
     def _movements(self, what: dict[str, Any]) -> dict[str, Any]:
         frame, scene = self.frame, self.scene
         group = "boundary" if self.data.source != "form" and self.data.held == "all" else None
+        by_name = {"key": lambda thing: thing.name}  # they may have been added in another order
+        cables = sorted(scene.cables, **by_name)
         if "turn" in what and group:
             axis = frame.way((0.1, 0.0, 1.0))
             turn = Rotation(frame.place((0.5, 0.0, 0.0)), axis, what["turn"])
@@ -331,8 +340,8 @@ class World:
 
             return {"move": {group: way}}
         if "L0" in what:
-            cables = [c for c in scene.cables if c.cable.law == "total"]
-            things: list[Any] = [*cables, *scene.bars]
+            total = [c for c in cables if c.cable.law == "total"]
+            things: list[Any] = [*total, *sorted(scene.bars, **by_name)]
             if things:
                 one = things[what["of"] % len(things)]
                 return {"L0": {one: what["L0"] * one.L0}}
@@ -340,12 +349,12 @@ class World:
             d = frame.way(what["way"])
             if what["move"] in ("boundary", "west") and group:
                 return {"move": {what["move"]: d}}
-            ends = [e for c in scene.cables for e in (c.start, c.end)
+            ends = [e for c in cables for e in (c.start, c.end)
                     if e.cable.nodes[c.node_of(e.which)].kind == "anchor"
                     and c.joints[0 if e.which == "start" else 1] is None]  # fmt: skip
             if what["move"] == "cable" and ends:
                 return {"move": {ends[what["of"] % len(ends)]: d}}
-            anchors = [j for j in scene.joints if j.held.all()]
+            anchors = [j for j in joints(scene) if j.held.all()]
             if what["move"] == "bar" and anchors:
                 return {"move": {anchors[what["of"] % len(anchors)]: d}}
         return {}

@@ -142,7 +142,7 @@ def restore(saved: Saved, scene: Scene) -> Run:
     saved
         What `read` has read.
     scene
-        Has no cables yet, or those of the checkpoint, which stay the objects that they are.
+        Its cables, joints and bars are replaced; ones of the same name stay the objects.
 
     Returns
     -------
@@ -158,12 +158,9 @@ def restore(saved: Saved, scene: Scene) -> Run:
     run, digests = contents.run, contents.digests
     with reading(saved.file):
         contents.check(scene.V.dofmap.index_map.size_global)
-        names = [cable.name for cable in contents.cables]
         unknown = {part for pond in contents.ponds for part in pond.parts}
         if unknown := unknown - set(scene.mesh.parts):
             raise ValueError(f"ponds on parts {sorted(unknown)}, which the mesh has not")
-        if scene.cables and [cable.name for cable in scene.cables] != names:
-            raise ValueError(f"its cables are {names}, and the scene's {scene.cables}")
     check_same(contents.scene, scene)
     with reading(saved.file):
         pairs = zip(scene.materials.items(), contents.materials, strict=True)
@@ -275,20 +272,33 @@ def _restore_frame(scene: Scene, contents: Contents, stages: Sequence[Stage]) ->
     frame.joints, frame.bars = tuple(joints), tuple(bars)
 
 
+def _restored_cables(
+    scene: Scene, contents: Contents, stages: Sequence[Stage]
+) -> tuple[LaidCable, ...]:
+    """The cables that have been read; ones of the same name stay the objects."""
+    known = {cable.name: cable for cable in scene.cables}
+    cables = []
+    for c in contents.cables:
+        read = LaidCable(c.name, c.cable, c.state, c.sleeve, c.layer, c.in_edge, c.joints)
+        read.laying = None if c.laying is None else c.laying.laying(stages)
+        cable = known.get(c.name, read)
+        cable.become(read)
+        cables.append(cable)
+    return tuple(cables)
+
+
 def _restore(scene: Scene, fields: Fields, saved: Saved, stages: Sequence[Stage]) -> None:
     """Bring the scene to a state that has been read."""
     contents = saved.contents
     held_edges = scene.membrane.held_edges.copy()
     scene.membrane.held_edges[:] = fields.held_edges  # the strip's cells know them
-    if contents.cables:
-        strip = _strip(scene, contents)
-        if strip is None:
-            scene.membrane.held_edges[:] = held_edges
-            raise InputError(
-                f"{saved.file} is damaged: a cable does not lie on cells of the mesh; take another "
-                "checkpoint"
-            )
-        scene.net.strip = strip
+    strip = _strip(scene, contents) if contents.cables else None
+    if contents.cables and strip is None:
+        scene.membrane.held_edges[:] = held_edges
+        raise InputError(
+            f"{saved.file} is damaged: a cable does not lie on cells of the mesh; take another "
+            "checkpoint"
+        )
     own = {load.name: load for load in scene.loads}
     scene._loads = tuple(
         with_recipe(
@@ -309,14 +319,7 @@ def _restore(scene: Scene, fields: Fields, saved: Saved, stages: Sequence[Stage]
     scene._pressure, scene._ponds = contents.pressure, contents.ponds
     scene.energies, net = contents.energies, scene.net
     net.laid, net.removed_dissipation = contents.laid, contents.dissipated
-    for laid, cable in zip(scene.cables, contents.cables, strict=False):
-        laid.state = cable.state
-    net.cables = net.cables or tuple(
-        LaidCable(c.name, c.cable, c.state, c.sleeve, c.layer, c.in_edge, c.joints)
-        for c in contents.cables
-    )
-    for laid, cable in zip(net.cables, contents.cables, strict=True):
-        laid.laying = None if cable.laying is None else cable.laying.laying(stages)
+    net.strip, net.cables = strip, _restored_cables(scene, contents, stages)
     net.crossings, net.arranged = contents.crossings, net.cables
     _restore_frame(scene, contents, stages)
     scene.changes += 1

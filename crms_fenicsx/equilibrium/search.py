@@ -101,11 +101,15 @@ class EquilibriumSearch:
         """
         from crms_fenicsx.equilibrium.friction_loop import FrictionLoop
 
-        for _ in range(MAX_LENGTHS):
+        for k in range(MAX_LENGTHS):
             if not outcome.converged or not self.system.renew_excess():
                 return outcome
-            again = FrictionLoop(contacts, contacts.solve_in_cells, self.tried)
-            outcome = outcome + again.solve((0.0,))
+            if k == 0:
+                again = FrictionLoop(contacts, contacts.solve_in_cells, self.tried).solve((0.0,))
+            else:  # friction forces settle less sharply: each time they would lead to other lengths
+                again = contacts.solve_in_cells((0.0,), rough=False)
+                again = replace(again, unsettled=outcome.unsettled)
+            outcome = outcome + again
         reason = "the smoothed lengths of a cable's short segments do not settle"
         return replace(outcome, converged=False, reason=reason)
 

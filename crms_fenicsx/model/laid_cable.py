@@ -214,6 +214,10 @@ class LaidCable:
         """Replace parts of its state, by name; arrays among them become read-only."""
         self.state = replace(self.state, **changes)
 
+    def become(self, other: LaidCable) -> None:
+        """Take the data and the state of another one; for the package alone."""
+        vars(self).update(vars(other))
+
     def set_stiffness(self, EA: float) -> None:
         """Take another axial stiffness (force); for the package alone."""
         self._cable = replace(self._cable, EA=EA)
