@@ -3,10 +3,12 @@
 Errors of this package's elements fall with the square of the cells' size where the mesh resolves
 what there is. Each halving then takes three quarters of the error away, and what is left is a
 third of the last difference d (L. F. Richardson, 1911). The order p that the last two differences
-show says whether it is so. As P. J. Roache has it (Perspective: a method for uniform reporting of
-grid refinement studies, 1994), what shows no order gets a wider bar: as wide as the levels scatter.
-The factors below have been set by triples of levels with known limits, so that bars hold these in
-19 of 20 cases; `docs/benchmarks/cable_accuracy.md` says which, and how others fare.
+show says whether it is so. The bar is P. J. Roache's (Perspective: a method for uniform reporting
+of grid refinement studies, 1994) with the factors of safety of L. Eca and M. Hoekstra (A procedure
+for the estimation of the numerical uncertainty of CFD calculations based on grid refinement
+studies, 2014): the error by the order found, times 1.25 where that is the order expected, and
+times 3 elsewhere. What shows no order gets a bar as wide as the levels scatter.
+`docs/benchmarks/cable_accuracy.md` says how often bars hold known limits.
 """
 
 from __future__ import annotations
@@ -19,8 +21,8 @@ from itertools import pairwise
 ORDER = 2.0
 REGULAR = (1.2, 3.0)
 """Orders found between which the levels are taken to converge with order 2."""
-LEAST, SPREAD = 0.5, 1.2
-"""A regular bar, as parts of d/3: at least, and of how far order 2 and the order found disagree."""
+NEAR, SAFE, SAFER = 0.3, 1.25, 3.0
+"""How far the order found is from 2 at most for the first of the two factors of safety."""
 FAR = 0.3
 """Differences, relative to the largest value, above which the first level shows no order."""
 SAME = 1e-7
@@ -83,6 +85,6 @@ def extrapolated(values: Sequence[float], size: float = 0.0) -> Extrapolated:
         return Extrapolated(limit, bar, order, False, "order too high: the coarsest is too coarse")
     if abs(before) > FAR * scale:
         return Extrapolated(limit, abs(d), order, False, "the coarsest is too coarse")
-    apart = abs(d / (2**order - 1) - d / (2**ORDER - 1))
-    bar = LEAST * abs(d) / 3 + SPREAD * apart
+    error = abs(d) / (2 ** min(order, ORDER) - 1)
+    bar = (SAFE if abs(order - ORDER) < NEAR else SAFER) * error
     return Extrapolated(limit, max(bar, least), order, True, "")

@@ -22,7 +22,7 @@ def test_order_2_is_extrapolated_exactly(limit, c):
     assert found.order == pytest.approx(2.0, abs=1e-6)
     assert found.limit == pytest.approx(limit, abs=1e-9 * max(abs(limit), 1.0))
     finest = abs(c) / 16
-    assert found.bar < 0.55 * finest + 1e-5
+    assert found.bar == pytest.approx(1.25 * finest, rel=1e-3, abs=1e-4)
 
 
 @pytest.mark.parametrize("p", [1.3, 1.6, 2.4, 2.9])
@@ -31,6 +31,13 @@ def test_bars_hold_the_limit_of_other_orders(p):
     assert found.regular
     assert found.order == pytest.approx(p)
     assert abs(found.limit - 100.0) <= found.bar < 20 * abs(found.limit - 100.0)
+
+
+def test_other_orders_have_another_factor_of_safety():
+    for p, factor in ((1.6, 3.0), (1.8, 1.25), (2.2, 1.25), (2.4, 3.0)):
+        values = levels(100.0, (10.0, p))
+        error = abs(values[-1] - values[-2]) / (2.0 ** min(p, 2.0) - 1.0)
+        assert extrapolated(values).bar == pytest.approx(factor * error)
 
 
 @pytest.mark.parametrize("second", [-1.5, -0.5, 0.5, 1.5])
