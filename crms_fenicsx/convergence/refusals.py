@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from mpi4py import MPI
 
+from crms_fenicsx.energies.residual_stress import ResidualStress
 from crms_fenicsx.model.membrane import COMPONENTS, Membrane
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.scene import Scene
@@ -22,6 +23,11 @@ def refuse(scene: Scene, terms: object, method: str) -> None:
         raise InputError(
             f'{method}: the scene has pressure="step" and no free edges, so that its state '
             'depends on the steps taken; use pressure="total", or run the script with a finer mesh.'
+        )
+    if any(isinstance(term, ResidualStress) for term in scene.terms):
+        raise InputError(
+            f"{method}: the scene is that of a found form, which is in equilibrium on its own mesh "
+            "only; find the form on finer meshes with find_form, and compare."
         )
     if scene.terms and terms is None:
         raise InputError(
