@@ -109,5 +109,5 @@ def test_they_stay_with_the_fabric_as_it_strains(comm: MPI.Intracomm) -> None:
 def test_finer_meshes_of_forms_are_refused(comm: MPI.Intracomm) -> None:
     found = find_form(meshes.circle(comm, 10.0, 4.0), stress=2.0, fixed=["boundary"], rise=4.0)
     solver = Solver(found.scene(IsotropicMembrane(E=500.0, nu=0.3, thickness=1.0)))
-    with pytest.raises(InputError, match="^convergence: the scene is that of a found form"):
+    with pytest.raises(InputError, match=r"^convergence: the scene is that of a found form"):
         solver.convergence()
