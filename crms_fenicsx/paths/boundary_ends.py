@@ -96,13 +96,15 @@ def _renew(change: PathChange, cable: LaidCable, last: bool, shape: StripShape) 
         node = cable.nodes[beside]
         if isinstance(node.point, CellPoint):
             return led
-    there = shape.mean(*node.interpolation())  # the edge may have been moved since the last step
+    there = cable.positions[beside]
+    if not cable.lifted[beside]:  # its edge may have been moved since the last step
+        there = shape.mean(*node.interpolation())
     away = float(np.linalg.norm(cable.positions[anchor] - there))
     if away <= SAME_PLACE * cable.length and node.kind != "rail":
         return False
     found = _edge_at(change.net.membrane, cable.positions[anchor], SAME_PLACE * cable.length)
     if found is None:
-        if node.kind == "rider" and _lead(change, cable, last):
+        if node.kind == "rider" and _lead(change, cable, last, over=True):
             return True
         if node.kind != "rider":
             return led
@@ -133,10 +135,10 @@ def _follow(change: PathChange, cable: LaidCable, last: bool) -> bool:
     return _lead(change, cable, last)
 
 
-def _lead(change: PathChange, cable: LaidCable, last: bool) -> bool:
+def _lead(change: PathChange, cable: LaidCable, last: bool, over: bool = False) -> bool:
     """Lead a path's end over the cells to the one under its anchor, or to where it leaves them.
 
-    Not to one over its anchor.
+    With `over`, to none that the anchor lies under.
     """
     anchor, beside = (-1, -2) if last else (0, 1)
     place, foot = cable.positions[anchor], cable.nodes[beside]
@@ -151,9 +153,9 @@ def _lead(change: PathChange, cable: LaidCable, last: bool) -> bool:
             change.net.grow_strip(missing.vertices, rings)
     if way is None or set(way[-1].support) == set(ids):
         return False
-    if isinstance(way[-1], CellPoint):
-        over = place - shape.mean(way[-1].support, way[-1].weights)
-        if over @ shape.normal(way[-1].support) < -SAME_PLACE * cable.length:
+    if over and isinstance(way[-1], CellPoint):
+        up = place - shape.mean(way[-1].support, way[-1].weights)
+        if up @ shape.normal(way[-1].support) < -SAME_PLACE * cable.length:
             return False
     points = list(cable.path.points)
     ends = list(cable.ends)
