@@ -97,8 +97,27 @@ class SavedPlacing:
         return Placing(**{**vars(self), "stage": stages[self.stage]})
 
 
+def stages_of(scene: Scene) -> list[Stage]:
+    """States in which what is there was put on a scene, each once, in their order."""
+    stages: list[Stage | None] = [load.stage for load in scene.loads]
+    stages += [cable.laying.stage for cable in scene.cables if cable.laying is not None]
+    stages += [bar.placing.stage for bar in scene.bars if bar.placing is not None]
+    stages.append(scene._sealed_on)
+    distinct: list[Stage] = []
+
+    def add(stage: Stage | None) -> None:
+        if stage is not None:
+            add(stage.sealed_on)  # before what was put there later, on the same shape
+            if not any(same(stage, other) for other in distinct):
+                distinct.append(stage)
+
+    for stage in stages:
+        add(stage)
+    return sorted(distinct, key=lambda stage: stage.number)
+
+
 class Stages:
-    """The stages of a scene, each once, of which things are known by their numbers.
+    """The stages of a scene, of which things are known by their numbers. Made on all ranks.
 
     Parameters
     ----------
@@ -107,26 +126,14 @@ class Stages:
     """
 
     def __init__(self, scene: Scene) -> None:
-        self.found: list[Stage] = []
-        for load in scene.loads:
-            self.number(load.stage)
-        for bar in scene.bars:
-            self.placing(bar)
-        for cable in scene.cables:
-            self.laying(cable)
-        self.number(scene._sealed_on)
-        self._comm = scene.comm
+        self.found, comm = stages_of(scene), scene.comm
+        self._deformed = [comm.allreduce(bool(one.u.any()), op=MPI.LOR) for one in self.found]
 
     def number(self, stage: Stage | None) -> int | None:
-        """The number of a stage, which becomes one of them."""
+        """The number of a stage."""
         if stage is None:
             return None
-        self.number(stage.sealed_on)
-        for k, other in enumerate(self.found):
-            if same(other, stage):
-                return k
-        self.found.append(stage)
-        return len(self.found) - 1
+        return next(k for k, other in enumerate(self.found) if same(other, stage))
 
     def laying(self, cable: LaidCable) -> SavedLaying | None:
         """How a cable was laid, if that is known."""
@@ -141,22 +148,22 @@ class Stages:
         return SavedPlacing(**{**vars(bar.placing), "stage": self.number(bar.placing.stage)})
 
     def saved(self) -> tuple[SavedStage, ...]:
-        """They without their fields. Collective."""
+        """They without their fields."""
         return tuple(
             SavedStage(**{
                 **{name: value for name, value in vars(stage).items() if name != "u"},
-                "deformed": self._comm.allreduce(bool(stage.u.any()), op=MPI.LOR),
+                "deformed": deformed,
                 "sealed_on": self.number(stage.sealed_on),
             })
-            for stage in list(self.found)
+            for stage, deformed in zip(self.found, self._deformed, strict=True)
         )  # fmt: skip
 
     def write(self, folder: FilePath, scene: Scene) -> dict[str, str]:
         """Write their fields; digests of the files by their names. Collective."""
         vertices, digests = scene.V.dofmap.index_map, dict[str, str]()
         own, ids = vertices.size_local, scene.membrane.vertex_ids
-        for k, stage in enumerate(self.found):
-            if scene.comm.allreduce(bool(stage.u.any()), op=MPI.LOR):
+        for k, (stage, deformed) in enumerate(zip(self.found, self._deformed, strict=True)):
+            if deformed:
                 name, u = f"stage_{k + 1}", stage.u[:own]
                 file, total = folder / f"{name}.npy", vertices.size_global
                 digests[name] = write_rows(file, scene.comm, ids[:own], u, total)

@@ -85,11 +85,8 @@ class Loading:
         scene._loads = tuple(replace(one, factor=factors[one.name]) for one in scene.loads)
         scene._ponds = tuple(replace(one, factor=factors[one.name]) for one in scene.ponds)
         for cable in scene.cables:
-            first, last, positions = (
-                self.ends[cable.name],
-                goal.ends[cable.name],
-                cable.positions.copy(),
-            )
+            first, last = self.ends[cable.name], goal.ends[cable.name]
+            positions = cable.positions.copy()
             for k in (0, -1):
                 if cable.nodes[k].kind == "anchor" and cable.joints[k] is None:
                     positions[k] = first[k] + share * (last[k] - first[k])

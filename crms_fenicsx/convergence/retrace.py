@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from mpi4py import MPI
 
+from crms_fenicsx.checkpoint.stages import stages_of
 from crms_fenicsx.convergence.carrier import Carrier
 from crms_fenicsx.convergence.finer_cables import laid_first, lay_again
 from crms_fenicsx.convergence.finer_frame import FinerFrame, standing
@@ -55,7 +56,7 @@ class Retrace:
         self._cables: dict[str, LaidCable] = {}
         self._frame = FinerFrame(self._coarse, self._finer)
         self._sealed: list[tuple[Stage, tuple[float, Stage]]] = []
-        self.stages = _stages(self._coarse)
+        self.stages = stages_of(self._coarse)
 
     def all(self) -> None:
         """Go through all of them, to the current one. Collective."""
@@ -110,7 +111,6 @@ class Retrace:
         moved = coarse.comm.allreduce(bool(stage.u.any()), op=MPI.LOR) or any(
             (joint.position != joint.first).any() for joint in finer.joints
         )
-        there = [cable for cable in coarse.cables if cable.name in whole.cables]
         if not last and not (moved and stage.number):
             return False
         if gone := self._gone(whole):
@@ -119,11 +119,10 @@ class Retrace:
                 "these are put on the shape of the coarse mesh.", ", ".join(gone),
             )  # fmt: skip
             return False
-        for name in whole.terms:
-            finer.add_term(self._terms[name])
-        for cable in there:
-            first = self._cables.get(cable.name)
-            lay_again(cable, whole.cables[cable.name], first, finer, self._carrier.refinement)
+        self._take_terms(whole)
+        for cable in coarse.cables:
+            if cable.name in whole.cables:
+                self._lay_again(cable, whole)
         return True
 
     def _gone(self, stage: Stage) -> list[str]:
@@ -137,18 +136,29 @@ class Retrace:
         return gone + [name for name in stage.terms if name not in self._terms]
 
     def _take_loads(self, stage: Stage) -> None:
-        """Give the finer scene the loads of a state, air, water and floor; no terms yet."""
+        """Give the finer scene the loads of a state, air, water and floor."""
         finer = self._finer
         finer._pressure, finer._ponds = stage.pressure, stage.ponds
         finer._air, finer._sealed_on = self._air(stage)
         finer._loads = tuple(
             replace(load, factor=stage.factors.get(load.name, 0.0)) for load in finer.loads
         )
-        finer._terms = ()
+        finer._terms = ()  # until all that they stand on is there
         finer._floor_level = stage.floor
         if stage.floor is not None:
             heights = finer.u.x.array[2::3]
             np.maximum(heights, stage.floor - finer.membrane.stress_free[:, 2], out=heights)
+
+    def _take_terms(self, stage: Stage) -> None:
+        """Give the finer scene the added terms of a state. Collective."""
+        self._finer._terms = ()
+        for name in stage.terms:
+            self._finer.add_term(self._terms[name])
+
+    def _lay_again(self, cable: LaidCable, stage: Stage) -> None:
+        """Lay a cable on the finer mesh as it was in a state. Collective."""
+        first, state = self._cables.get(cable.name), stage.cables[cable.name]
+        lay_again(cable, state, first, self._finer, self._carrier.refinement)
 
     def _air(self, stage: Stage) -> tuple[SealedAir | None, Stage | None]:
         """The air of a state, with the volume that the finer mesh had gained at its sealing."""
@@ -202,31 +212,13 @@ class Retrace:
             replace(pond, factor=finer.factors.get(pond.name, 0.0)) for pond in whole.ponds
         )
         finer._air, finer._sealed_on = goal.sealed(finer)
-        finer._terms = ()
-        for name in whole.terms:
-            finer.add_term(self._terms[name])
+        self._take_terms(whole)
         for cable in self._coarse.cables:
             if was is not None and cable.name in was.cables:
-                first = self._cables.get(cable.name)
-                state = was.cables[cable.name]
-                lay_again(cable, state, first, finer, self._carrier.refinement)
+                self._lay_again(cable, was)
             elif cable.name in whole.cables:
                 laid, known = laid_first(cable, finer, self._carrier.refinement), self._cables
                 laid.laying = known[cable.name].laying
                 laid.update(L0=known[cable.name].L0)  # on the same shape: but for rounding it is
         finer.changes += 1
         return Loading.of(finer)
-
-
-def _stages(scene: Scene) -> list[Stage]:
-    """States in which what is there was put on the scene, in their order."""
-    stages = [load.stage for load in scene.loads]
-    stages += [cable.laying.stage for cable in scene.cables if cable.laying is not None]
-    stages += [bar.placing.stage for bar in scene.bars if bar.placing is not None]
-    stages.append(scene._sealed_on)
-    stages += [stage.sealed_on for stage in stages if stage is not None]
-    distinct: list[Stage] = []
-    for stage in stages:
-        if stage is not None and not any(same(stage, other) for other in distinct):
-            distinct.append(stage)
-    return sorted(distinct, key=lambda stage: stage.number)

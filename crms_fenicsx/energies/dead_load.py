@@ -218,7 +218,7 @@ def joint_load(
     membrane: Membrane, joints: Mapping[str, tuple[float, float, float]], name: str = "joint load"
 ) -> MembraneLoad:
     """A dead load by its forces on joints of bars, by their names. Collective."""
-    size = sum(float(norm(np.array([force]))[0]) for force in joints.values())
+    size = float(norm(np.array([*joints.values()])).sum())
     return MembraneLoad(
         name, np.zeros(membrane.held.shape), size / membrane.size**2, joints=joints,
         again=partial(joint_load, joints=joints, name=name),

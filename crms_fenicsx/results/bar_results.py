@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from crms_fenicsx.results.cable_results import Force
 from crms_fenicsx.runtime.arrays import floats
 from crms_fenicsx.scene import Scene
-
-Force = tuple[float, float, float]
 
 
 @dataclass(frozen=True)

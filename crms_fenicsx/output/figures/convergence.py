@@ -15,7 +15,7 @@ from crms_fenicsx.output.figures.axes3d import (
     INK,
     style_axes,
 )
-from crms_fenicsx.output.figures.picture import checked_filename, finished, given_file, new_figure
+from crms_fenicsx.output.figures.picture import checked_picture, finished, given_file, new_figure
 from crms_fenicsx.runtime.errors import raised_together
 
 if TYPE_CHECKING:
@@ -58,8 +58,7 @@ def draw_convergence(
     file = given_file("draw", filename)
     with raised_together(comm):
         if comm.rank == 0:
-            path = None if file is None else checked_filename(file)
-            return _draw(path, cells, series, title, width)
+            return _draw(checked_picture(file), cells, series, title, width)
     return None
 
 

@@ -16,7 +16,7 @@ from crms_fenicsx.output.figures.axes3d import (
     style_axes,
     with_unit,
 )
-from crms_fenicsx.output.figures.picture import checked_filename, finished, given_file, new_figure
+from crms_fenicsx.output.figures.picture import checked_picture, finished, given_file, new_figure
 from crms_fenicsx.output.history import History
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
@@ -98,7 +98,7 @@ def draw_history(
     named = units_of_results(unit, force) | dict(units or {})
     with raised_together(history.comm):
         if history.comm.rank == 0:
-            path = None if filename is None else checked_filename(filename)
+            path = checked_picture(filename)
             return _draw_panels(history, path, x, panels, named, title, width, dpi)
     return None
 

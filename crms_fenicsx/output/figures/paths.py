@@ -20,7 +20,7 @@ from crms_fenicsx.output.figures.axes3d import (
     with_unit,
 )
 from crms_fenicsx.output.figures.camera import Camera
-from crms_fenicsx.output.figures.picture import checked_filename
+from crms_fenicsx.output.figures.picture import checked_picture
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.views.data import Line, Surface
@@ -96,7 +96,7 @@ def draw_path(
         corners = np.asarray(surface.points)[np.asarray(surface.triangles)]
     _check_closeups(closeups or {}, len(paths))
     check_view(view)
-    file = None if filename is None else checked_filename(filename)
+    file = checked_picture(filename)
 
     low, high = bounds([corners, *ways, *cables])
     size = float(np.linalg.norm(high - low))

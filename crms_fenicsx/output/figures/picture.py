@@ -35,6 +35,11 @@ def given_file(call: str, filename: object) -> Path | None:
     return None if filename is None else checks.file(f"{call}: filename", filename)
 
 
+def checked_picture(filename: str | Path | None) -> Path | None:
+    """As `checked_filename`; None for a picture that is returned."""
+    return None if filename is None else checked_filename(filename)
+
+
 def checked_filename(filename: str | Path) -> Path:
     """Return the path of a picture that can be written, or raise `InputError`."""
     path = Path(filename)

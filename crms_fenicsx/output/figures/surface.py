@@ -18,7 +18,7 @@ from crms_fenicsx.output.figures.axes3d import (
 )
 from crms_fenicsx.output.figures.camera import Camera, brightness, visible
 from crms_fenicsx.output.figures.lines import CABLE, line_style, paint_lines
-from crms_fenicsx.output.figures.picture import checked_filename
+from crms_fenicsx.output.figures.picture import checked_picture
 from crms_fenicsx.output.figures.scales import NO_VALUE, colouring
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.runtime.errors import InputError
@@ -136,7 +136,7 @@ def draw_shape(
     check_view(view)
     corners = None if isinstance(box, bool) else _checked_box(box)
     inner = _checked_hidden(hidden, surface)
-    path = None if filename is None else checked_filename(filename)
+    path = checked_picture(filename)
 
     spatial, ghostly = _corners(surface), None if faint is None else _corners(faint)
     shapes = [spatial, *(np.asarray(line.points) for line in lines)]

@@ -30,11 +30,16 @@ def families(names: Sequence[str]) -> dict[str, list[str]]:
     return shared
 
 
+def _rows(cases: Sequence[Case], every: bool) -> dict[str, list[str]]:
+    """Names of the bars of each row: one, or those of a family."""
+    names = bar_names(cases)
+    return {name: [name] for name in names} if every else families(names)
+
+
 def bars(cases: Sequence[Case], units: Units, *, every: bool = True) -> Table:
     """Forces and lengths in all cases of all bars, or of each family's with the largest force."""
-    names = bar_names(cases)
     rows: list[tuple[Cell, ...]] = []
-    for label, own in ({name: [name] for name in names} if every else families(names)).items():
+    for label, own in _rows(cases, every).items():
         for case in cases:
             found = [case.summary.bars[name] for name in own if name in case.summary.bars]
             if found:
@@ -50,9 +55,8 @@ def bars(cases: Sequence[Case], units: Units, *, every: bool = True) -> Table:
 
 def envelope(cases: Sequence[Case], units: Units, *, every: bool = True) -> Table:
     """Least and largest force of each bar, or family of bars, over all cases."""
-    names = bar_names(cases)
     rows: list[tuple[Cell, ...]] = []
-    for label, own in ({name: [name] for name in names} if every else families(names)).items():
+    for label, own in _rows(cases, every).items():
         force = [
             (case.summary.bars[name].force, case.name)
             for case in cases for name in own if name in case.summary.bars

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
+from crms_fenicsx.energies.residual_stress import ResidualStress
 from crms_fenicsx.meshes.cell_geometry import area_vectors, cell_sides
 from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.friction import Friction
@@ -21,10 +22,6 @@ from crms_fenicsx.runtime.arrays import Array, Integers, floats
 from crms_fenicsx.scene import Scene
 
 Row = tuple[str | int | float | None, ...]
-
-
-RESIDUAL = "residual stress"
-"""Name of the term of a form's residual section forces."""
 
 
 @dataclass(frozen=True)
@@ -218,8 +215,8 @@ def _other(scene: Scene) -> dict[str, str]:
     if scene.floor_level is not None:
         found["Rigid floor at z"] = f"{scene.floor_level:g}"
     added = [term.name for term in scene.terms]
-    if RESIDUAL in added:
-        added.remove(RESIDUAL)
+    if ResidualStress.name in added:
+        added.remove(ResidualStress.name)
         found["Residual section forces"] = (
             "those of the form beside its prestress, with which it is in equilibrium; the section "
             "forces below have them"
