@@ -10,9 +10,9 @@ import numpy.typing as npt
 from crms_fenicsx.cables.node_table import CROSSING
 from crms_fenicsx.cables.numbering import CableNumbering
 from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.meshes.triangles import norm
 from crms_fenicsx.model.tolerances import BLOCKED
 from crms_fenicsx.runtime.arrays import Array, Integers, pointers, runs
-from crms_fenicsx.surface.triangles import norm
 
 
 class NodePositions:

@@ -9,9 +9,9 @@ from itertools import chain
 import numpy as np
 
 from crms_fenicsx.cables.strip import Strip
+from crms_fenicsx.meshes.triangles import cross, norm
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.surface.triangles import cross, norm
 
 
 class StripShape:

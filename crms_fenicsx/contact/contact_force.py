@@ -21,11 +21,11 @@ import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.line_load import smooth_line_load
+from crms_fenicsx.meshes.triangles import cross, dot, norm
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import EPSILON, Array, Integers
 from crms_fenicsx.runtime.text import counted, span
 from crms_fenicsx.surface.points import EdgePoint, VertexPoint
-from crms_fenicsx.surface.triangles import cross, dot, norm
 
 ACROSS = 0.05
 """Sine of the least angle between a cable and an edge at which the two span a plane."""

@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.meshes.triangles import cross
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import INSIDE, PAST
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.surface.triangles import cross
 
 
 class Gap(NamedTuple):

@@ -17,12 +17,12 @@ import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.gap import Gap, size_at, spans, under
+from crms_fenicsx.meshes.triangles import arc_lengths, dot, norm
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 from crms_fenicsx.model.tolerances import INSIDE, SAME_PLACE
 from crms_fenicsx.runtime.arrays import Array, flags
 from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint, VertexPoint
-from crms_fenicsx.surface.triangles import arc_lengths, dot, norm
 
 PULL = 1e-6
 """Outward force, relative to the tension, from which on a cable is let go."""

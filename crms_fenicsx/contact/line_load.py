@@ -6,9 +6,9 @@ import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.gap import size_at
+from crms_fenicsx.meshes.triangles import arc_lengths
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.surface.triangles import arc_lengths
 
 WIDTH = 2.0
 """Width of the box filter that is applied twice, in sizes of the cells."""

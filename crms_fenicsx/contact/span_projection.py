@@ -12,12 +12,12 @@ from itertools import pairwise
 import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.meshes.triangles import cross
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.intrinsic import MissingCells
 from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint, SurfacePoint, edge_of
-from crms_fenicsx.surface.triangles import cross
 
 FARTHEST = 10000
 """How many cells a span may pass."""

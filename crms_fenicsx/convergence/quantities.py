@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
+from crms_fenicsx.meshes.triangles import closest
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.results.membrane_results import MembraneResults
 from crms_fenicsx.results.reactions import Reactions
@@ -16,7 +17,6 @@ from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.scene import Scene
-from crms_fenicsx.surface.triangles import closest
 
 ALL = "membrane"
 """What names the whole membrane among its parts."""

@@ -20,12 +20,12 @@ from mpi4py import MPI
 
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.meshes.cell_geometry import area_vectors
+from crms_fenicsx.meshes.triangles import double_areas, norm
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.stage import Stage
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, raised_together
-from crms_fenicsx.surface.triangles import double_areas, norm
 
 Traction = Sequence[float] | Array | Callable[[Array, Array], Array]
 """Force per area, (3,), or a function of points and unit normals, both (3, n), giving (3, n)."""

@@ -24,12 +24,12 @@ from crms_fenicsx.contact.contact_force import edge_directions, turns
 from crms_fenicsx.contact.lift_off import is_foot
 from crms_fenicsx.friction.gripped_nodes import held_nodes, succession
 from crms_fenicsx.friction.slip import material_place
+from crms_fenicsx.meshes.triangles import arc_lengths
 from crms_fenicsx.model.friction_history import AxialGrip, MaterialCurve
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import Support
-from crms_fenicsx.surface.triangles import arc_lengths
 
 LEAST_PART = 0.01
 """Least part of a change of the bounds that is taken."""

@@ -15,11 +15,11 @@ import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import runs
+from crms_fenicsx.meshes.triangles import arc_lengths, cross
 from crms_fenicsx.model.friction_history import MaterialCurve
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import Support
-from crms_fenicsx.surface.triangles import arc_lengths, cross
 
 
 @dataclass(frozen=True)

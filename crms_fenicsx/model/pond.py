@@ -8,10 +8,10 @@ from typing import Literal
 import numpy as np
 from mpi4py import MPI
 
+from crms_fenicsx.meshes.triangles import double_areas
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime.arrays import Booleans
 from crms_fenicsx.runtime.errors import InputError
-from crms_fenicsx.surface.triangles import double_areas
 
 UPRIGHT = 1e-6
 """Area of the plan, relative to that of the surface, from which on cells have an upper side."""

@@ -19,6 +19,7 @@ from mpi4py import MPI
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.gap import size_at
 from crms_fenicsx.contact.span_projection import project_span
+from crms_fenicsx.meshes.triangles import cross
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
@@ -36,7 +37,6 @@ from crms_fenicsx.surface.points import (
     VertexPoint,
     edge_of,
 )
-from crms_fenicsx.surface.triangles import cross
 
 ASIDE = 0.1
 """Sideways movement of an anchor in a load step, relative to the cells' size, from which on the

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from crms_fenicsx.cables.cable_net import CableNet
+from crms_fenicsx.meshes.triangles import norm, vectors
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.feet import pairs_within
 from crms_fenicsx.surface.points import SurfacePoint
-from crms_fenicsx.surface.triangles import norm, vectors
 
 
 def unfolded(net: CableNet, route: Array) -> tuple[Array, dict[int, SurfacePoint], list[Array]]:

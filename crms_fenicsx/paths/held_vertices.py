@@ -21,12 +21,12 @@ import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import forces_at
+from crms_fenicsx.meshes.triangles import arc_lengths
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import GRIPPED, PRESSED
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import Support, edge_of
-from crms_fenicsx.surface.triangles import arc_lengths
 
 SLACK, TINY = 0.05, 1e-5
 """By how much a pull must exceed the friction force, relative to it and to the tension."""

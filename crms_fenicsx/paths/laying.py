@@ -18,6 +18,8 @@ from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.lift_off import drape
 from crms_fenicsx.geodesics.flip_geodesic import shorten
 from crms_fenicsx.meshes.edge_table import EdgeTable, edge_keys
+from crms_fenicsx.meshes.smooth_surface import SmoothSurface, curve_length
+from crms_fenicsx.meshes.triangles import mix
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.cable_state import CableNode, CableState, End, StepStart
 from crms_fenicsx.model.laid_cable import LaidCable, Laying, polyline_length
@@ -34,9 +36,7 @@ from crms_fenicsx.runtime.errors import InputError, PathError
 from crms_fenicsx.surface.intrinsic import MissingCells
 from crms_fenicsx.surface.path import Path
 from crms_fenicsx.surface.points import EdgePoint, SurfacePoint, VertexPoint
-from crms_fenicsx.surface.smooth_surface import SmoothSurface, curve_length
 from crms_fenicsx.surface.trace import IndirectLeg, trace
-from crms_fenicsx.surface.triangles import mix
 
 MeasuredOn = Literal["surface", "facets"]
 

@@ -6,13 +6,13 @@ import numpy as np
 
 from crms_fenicsx.cables.strip_gather import own_surface
 from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.meshes.triangles import vectors
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError, as_text
 from crms_fenicsx.surface.closest_point import ON_SURFACE
 from crms_fenicsx.surface.feet import feet_of
 from crms_fenicsx.surface.path import Path
-from crms_fenicsx.surface.triangles import vectors
 
 
 def refuse_places_behind(membrane: Membrane, route: Array, name: str) -> None:

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from crms_fenicsx.contact.contact_force import contact_forces
+from crms_fenicsx.meshes.triangles import norm
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
 from crms_fenicsx.runtime.arrays import Array, floats
 from crms_fenicsx.runtime.text import span
 from crms_fenicsx.scene import Scene
-from crms_fenicsx.surface.triangles import norm
 
 Force = tuple[float, float, float]
 

@@ -23,11 +23,11 @@ from dolfinx import fem, la
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes.cell_geometry import area_vectors
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
+from crms_fenicsx.meshes.smooth_surface import CREASE
 from crms_fenicsx.results.cell_tensors import cell_tensors
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.surface.points import VertexPoint
-from crms_fenicsx.surface.smooth_surface import CREASE
 
 WIDTH = 6 + 6 + 9 + 3 + 3
 """Numbers that are averaged: E, S, H, unit normals; weight, material and its square."""

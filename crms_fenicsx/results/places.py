@@ -11,14 +11,7 @@ from mpi4py import MPI
 from numpy.typing import ArrayLike
 
 from crms_fenicsx.cables.deformed_surface import CurrentSurface
-from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
-from crms_fenicsx.runtime.compat import geometry_dofmap
-from crms_fenicsx.runtime.errors import InputError, as_text
-from crms_fenicsx.runtime.text import counted, span
-from crms_fenicsx.surface.closest_point import ON_SURFACE, RIM
-from crms_fenicsx.surface.feet import nearest_pairs
-from crms_fenicsx.surface.triangles import (
+from crms_fenicsx.meshes.triangles import (
     WALL,
     balls,
     closest,
@@ -28,6 +21,13 @@ from crms_fenicsx.surface.triangles import (
     mix,
     norm,
 )
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
+from crms_fenicsx.runtime.compat import geometry_dofmap
+from crms_fenicsx.runtime.errors import InputError, as_text
+from crms_fenicsx.runtime.text import counted, span
+from crms_fenicsx.surface.closest_point import ON_SURFACE, RIM
+from crms_fenicsx.surface.feet import nearest_pairs
 
 HELD = 1e-9
 """Distance in plan, relative to a facet's size, at which the facet still has a place."""

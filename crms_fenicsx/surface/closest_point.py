@@ -11,11 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from crms_fenicsx.runtime.arrays import Array, Integers
-from crms_fenicsx.runtime.errors import PathError, as_text
-from crms_fenicsx.surface.feet import Foot, feet_of, pairs_within
-from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint, edge_of
-from crms_fenicsx.surface.triangles import (
+from crms_fenicsx.meshes.triangles import (
     WALL,
     altitudes,
     balls,
@@ -28,6 +24,10 @@ from crms_fenicsx.surface.triangles import (
     mix,
     norm,
 )
+from crms_fenicsx.runtime.arrays import Array, Integers
+from crms_fenicsx.runtime.errors import PathError, as_text
+from crms_fenicsx.surface.feet import Foot, feet_of, pairs_within
+from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint, edge_of
 
 # A point in space counts as lying on the surface up to this part of the local mesh size: a
 # faceted dome of three cells per radius is nowhere farther from the smooth one.

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from mpi4py import MPI
 
+from crms_fenicsx.meshes.triangles import balls, closest, double_areas, longest_sides, mix, norm
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
-from crms_fenicsx.surface.triangles import balls, closest, double_areas, longest_sides, mix, norm
 
 PAIRS = 1_000_000
 """How many distances between points and cells are held at a time."""

@@ -22,11 +22,11 @@ from crms_fenicsx.meshes.membrane_mesh import (
     vertex_ids,
     vertex_nodes,
 )
+from crms_fenicsx.meshes.smooth_surface import SmoothSurface
 from crms_fenicsx.meshes.surface import EMPTY, Projection, Surface, check_shapes
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint, SurfacePoint, VertexPoint
-from crms_fenicsx.surface.smooth_surface import SmoothSurface
 
 CORNERS = np.array([(2, 0, 0), (0, 2, 0), (0, 0, 2), (1, 1, 0), (0, 1, 1), (1, 0, 1)]) / 2
 """Barycentric weights, in a cell, of the vertices that its parts have: its own, and the middles of

@@ -9,12 +9,12 @@ from typing import Any, cast
 
 import numpy as np
 
+from crms_fenicsx.meshes.triangles import WALL, altitudes, cross, dot, double_areas, norm
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.runtime.errors import PathError, as_text
 from crms_fenicsx.surface.closest_point import Place, Surface
 from crms_fenicsx.surface.feet import PAIRS, marked
 from crms_fenicsx.surface.points import VertexPoint
-from crms_fenicsx.surface.triangles import WALL, altitudes, cross, dot, double_areas, norm
 
 # A fraction that rounding has put on a vertex, where the signs say that it is not, goes here.
 LEAST, MOST = float(np.finfo(float).tiny), float(1.0 - np.finfo(float).epsneg)

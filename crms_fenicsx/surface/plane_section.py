@@ -13,12 +13,12 @@ from itertools import combinations
 
 import numpy as np
 
+from crms_fenicsx.meshes.triangles import altitudes, dot, norm
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError, as_text
 from crms_fenicsx.surface.closest_point import Node, Surface, edge_count
 from crms_fenicsx.surface.plane_cuts import Cut
 from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint, edge_of
-from crms_fenicsx.surface.triangles import altitudes, dot, norm
 
 # Nodes of a section: (vertex,), (smaller, larger) for an edge, and the two ends of a leg where
 # they are neither.

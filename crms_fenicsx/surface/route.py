@@ -9,12 +9,12 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import ArrayLike
 
+from crms_fenicsx.meshes.triangles import balls, flattened, longest_sides, norm, vectors
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.runtime.errors import PathError, as_text
 from crms_fenicsx.surface.closest_point import RIM
 from crms_fenicsx.surface.feet import feet_of, nearest_within, pairs_within
 from crms_fenicsx.surface.plane_cuts import Plane, strips
-from crms_fenicsx.surface.triangles import balls, flattened, longest_sides, norm, vectors
 
 # The direct way is shorter than one around the back by more than this: two ways around a tube that
 # are about as long are as good as each other.

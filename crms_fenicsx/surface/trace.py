@@ -15,6 +15,7 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import ArrayLike
 
+from crms_fenicsx.meshes.triangles import dot, longest_sides, norm
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError, as_text
 from crms_fenicsx.surface.closest_point import Node, Place, Surface, places_in_plan, places_in_space
@@ -30,7 +31,6 @@ from crms_fenicsx.surface.plane_section import (
 )
 from crms_fenicsx.surface.points import CellPoint, SurfacePoint
 from crms_fenicsx.surface.route import DETOUR, checked_route
-from crms_fenicsx.surface.triangles import dot, longest_sides, norm
 
 
 class IndirectLeg(LookupError):  # noqa: N818 - no error: a request for data

@@ -20,13 +20,13 @@ from crms_fenicsx.contact.contact_force import contact_forces, wrap_angles
 from crms_fenicsx.contact.lift_off import is_foot, may_lift, outward_pulls
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.friction.gripped_nodes import held_nodes
+from crms_fenicsx.meshes.triangles import norm
 from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import INSIDE
 from crms_fenicsx.paths.held_vertices import held_runs
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.surface.points import Edge, EdgePoint
-from crms_fenicsx.surface.triangles import norm
 from crms_fenicsx.verification.report import Check
 
 LIMITS = {

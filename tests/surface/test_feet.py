@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from trace_surfaces import cap, grid, hall, scattered
 
+from crms_fenicsx.meshes.triangles import closest, double_areas, longest_sides
 from crms_fenicsx.surface import feet, plane_cuts
 from crms_fenicsx.surface.feet import feet_of, nearest_within, pairs_within
 from crms_fenicsx.surface.plane_cuts import Plane, strips
-from crms_fenicsx.surface.triangles import closest, double_areas, longest_sides
 
 SURFACES = {
     "cap": lambda rng: cap(2.9),

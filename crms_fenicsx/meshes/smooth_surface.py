@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from crms_fenicsx.meshes.edge_table import EdgeTable
+from crms_fenicsx.meshes.triangles import dot, double_areas, mix, norm
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
-from crms_fenicsx.surface.triangles import dot, double_areas, mix, norm
 
 CREASE = np.cos(np.radians(15.0))
 """Cosine of the angle between a cell and its vertex from which on the surface has a crease: half of

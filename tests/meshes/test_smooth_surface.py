@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crms_fenicsx.surface.smooth_surface import SmoothSurface, curve_length
+from crms_fenicsx.meshes.smooth_surface import SmoothSurface, curve_length
 
 RADIUS = 5.0
 
