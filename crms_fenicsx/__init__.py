@@ -9,7 +9,6 @@ from mpi4py import MPI as _MPI  # noqa: F401  # before DOLFINx: wheels of PyPI c
 
 from crms_fenicsx import meshes
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.groups import combine_in_groups
 from crms_fenicsx.minimization.taylor import TaylorRates, taylor_test
 from crms_fenicsx.model.bar import Bar, Joint, MeshVertex, PlacedBar
 from crms_fenicsx.model.cable import Cable
@@ -62,7 +61,6 @@ __all__ = [
     "Step",
     "TaylorRates",
     "UflMembrane",
-    "combine_in_groups",
     "meshes",
     "taylor_test",
 ]

@@ -15,7 +15,6 @@ from crms_fenicsx.checkpoint import Run
 from crms_fenicsx.checkpoint.call_record import plain_loads
 from crms_fenicsx.checkpoint.codec import Plain
 from crms_fenicsx.checkpoint.journal import FOLDER, Journal, Progress
-from crms_fenicsx.convergence.finer_meshes import FinerMeshes
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
@@ -25,6 +24,7 @@ from crms_fenicsx.output.figures.drawing import Drawing
 from crms_fenicsx.output.history import History
 from crms_fenicsx.output.recorder import Recorder
 from crms_fenicsx.output.report import Reporting
+from crms_fenicsx.results.solver_results import SolverResults
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import ConvergenceError, InputError, collective
 from crms_fenicsx.runtime.interrupt import postponed, stop_together
@@ -33,6 +33,7 @@ from crms_fenicsx.runtime.readonly import ReadOnly
 from crms_fenicsx.runtime.text import counted
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.steps.increment_solver import IncrementSolver
+from crms_fenicsx.steps.load_cases import LoadCases
 from crms_fenicsx.steps.load_step import Step
 from crms_fenicsx.steps.loading import checked_target
 from crms_fenicsx.steps.motion import Move
@@ -50,7 +51,7 @@ ANOTHER = "make another Solver(scene, ...), which goes on from the scene as it i
 """What to do instead of assigning a solver's options."""
 
 
-class Solver(FinerMeshes, Reporting, Drawing):
+class Solver(LoadCases, SolverResults, Reporting, Drawing):
     """Brings a scene from one equilibrium to the next.
 
     Parameters

@@ -14,7 +14,7 @@ FLOORS = (
     "runtime dofs meshes surface geodesics model energies energies.paper minimization cables "
     "contact friction paths loaded_membrane filled_membrane braced_membrane views scene "
     "form_finding contributions equilibrium results verification steps output output.figures "
-    "output.report checkpoint convergence solver groups crms_fenicsx"
+    "output.report checkpoint solver study crms_fenicsx"
 ).split()
 """Ground first: a module imports from its own package and from those before it."""
 
@@ -22,7 +22,7 @@ DOORS = (
     "energies.membrane cables.deformed_surface paths.held_vertices paths.laying "
     "paths.vertex_trials scene contributions equilibrium.search equilibrium.friction_loop "
     "equilibrium.path_loop equilibrium.system minimization.minimizer verification.cable_checks "
-    "verification.verifier convergence.finer_meshes output.report.reporting groups"
+    "verification.verifier output.report.reporting study.groups"
 ).split()
 """Where functions may import modules of the package: kernels, friction, and what most runs do not
 need."""

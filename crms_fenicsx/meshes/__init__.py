@@ -1,5 +1,6 @@
 """Meshes of membranes: generators, files, and arrays, all checked, oriented and distributed."""
 
+from crms_fenicsx.meshes.cell_division import refine
 from crms_fenicsx.meshes.dolfinx_mesh import from_dolfinx, mesh_tags
 from crms_fenicsx.meshes.domes import air_hall, great_circle, spherical_cap
 from crms_fenicsx.meshes.files import from_file, from_gmsh
@@ -23,5 +24,6 @@ __all__ = [
     "mesh_tags",
     "polygon",
     "rectangle",
+    "refine",
     "spherical_cap",
 ]

@@ -85,13 +85,19 @@ def spherical_cap(
     points = lifted(np.asarray(arrays.points))
     points[np.abs(points[:, 2]) < 1e-10 * diameter, 2] = 0.0
 
-    def onto_sphere(points: Array, on_rim: Booleans) -> Array:
-        below = (height**2 - radius**2) / (2 * height)  # where the sphere's centre is
-        middle = np.array([[x], [y], [0.0]]) + np.where(on_rim, 0.0, [[0.0], [0.0], [below]])
-        reach = np.where(on_rim, radius, diameter / 2)
-        return middle + reach * (points - middle) / np.linalg.norm(points - middle, axis=0)
+    project = functools.partial(_onto_sphere, (x, y), radius, height)
+    return SurfaceArrays(points, arrays.cells, project=project)
 
-    return SurfaceArrays(points, arrays.cells, project=onto_sphere)
+
+def _onto_sphere(
+    center: tuple[float, float], radius: float, height: float, points: Array, on_rim: Booleans
+) -> Array:
+    """Points (3, n) moved to a spherical cap, of which some (n,) are on its rim."""
+    below = (height**2 - radius**2) / (2 * height)  # where the sphere's centre is
+    foot = np.array([[center[0]], [center[1]], [0.0]])
+    middle = foot + np.where(on_rim, 0.0, [[0.0], [0.0], [below]])
+    reach = np.where(on_rim, radius, (radius**2 + height**2) / (2 * height))
+    return np.asarray(middle + reach * (points - middle) / np.linalg.norm(points - middle, axis=0))
 
 
 def great_circle(radius: float, height: float, angle: float, offset: float) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import ArrayLike
 
-from crms_fenicsx.meshes.edge_table import edge_keys
+from crms_fenicsx.meshes.edge_table import EdgeTable, edge_keys
 from crms_fenicsx.meshes.orientation import UPWARD, Outside
 from crms_fenicsx.meshes.partition import Ranks, cell_ranks, checked_ranks
 from crms_fenicsx.meshes.surface import EMPTY, Projection, Surface, SurfaceArrays, checked_surface
@@ -50,8 +50,8 @@ class MembraneMesh:
         Cells of pieces that meet others at a seam from behind, such as a wall under a roof: cables
         do not lie on them.
     project
-        On rank 0: what knows the surface that the cells stand for, for vertices of finer meshes;
-        None where nothing does.
+        What knows the surface that the cells stand for, for vertices of finer meshes: on rank 0
+        what the generator knows, or on all ranks a user's function; None where nothing does.
     """
 
     mesh: dolfinx.mesh.Mesh
@@ -239,6 +239,22 @@ def moved(mesh: MembraneMesh, V: Any, places: Array) -> MembraneMesh:
     return dataclasses.replace(mesh, mesh=with_nodes(mesh.mesh, nodes))
 
 
+def copied(mesh: MembraneMesh, comm: MPI.Intracomm) -> MembraneMesh:
+    """The same mesh on a part of its ranks, shared out anew. Collective on all of its ranks."""
+    surface, _ = gathered(mesh)
+    links = np.stack(EdgeTable.of(surface.cells).seam_sides(), axis=1) // 3
+    everywhere = mesh.comm.allreduce(mesh.project is not None, op=MPI.LAND)  # a user's function
+    sent = dataclasses.replace(surface, seam_links=links), None if everywhere else mesh.project
+    roots = mesh.comm.allgather(comm.rank == 0)
+    if mesh.comm.rank == 0:
+        for rank in np.flatnonzero(roots[1:]) + 1:
+            mesh.comm.send(sent, dest=int(rank))
+    elif comm.rank == 0:
+        sent = mesh.comm.recv(source=0)
+    own, project = sent if comm.rank == 0 else (EMPTY, None)
+    return shared_out(comm, own, None, mesh.project if everywhere else project)
+
+
 def vertex_nodes(mesh: dolfinx.mesh.Mesh) -> Indices:
     """Return the geometry node of each local vertex, shape (vertices on this rank,)."""
     vertex_map = mesh.topology.index_map(0)
@@ -255,6 +271,39 @@ def vertex_ids(mesh: dolfinx.mesh.Mesh) -> Integers:
 def cell_vertex_ids(mesh: dolfinx.mesh.Mesh) -> Integers:
     """Return the `vertex_ids` of each local cell's corners, shape (m, 3)."""
     return np.asarray(mesh.geometry.input_global_indices[geometry_dofmap(mesh)], dtype=np.int64)
+
+
+def gathered(mesh: MembraneMesh) -> tuple[Surface, Indices]:
+    """The surface of a mesh and the ranks of its cells (m,), all on rank 0. Collective."""
+    topology, comm = mesh.mesh.topology, mesh.comm
+    own = topology.index_map(2).size_local
+    ids, numbers = vertex_ids(mesh.mesh), np.asarray(topology.original_cell_index, dtype=np.int64)
+    pairs = ids[topology.connectivity(1, 0).array.reshape(-1, 2)]
+    parts = comm.gather((
+        ids,
+        mesh.mesh.geometry.x[vertex_nodes(mesh.mesh)],
+        numbers[:own],
+        cell_vertex_ids(mesh.mesh)[:own],
+        {name: edge_keys(pairs[members]) for name, members in mesh.edges.items()},
+        {name: numbers[members] for name, members in mesh.parts.items()},
+        {name: ids[members] for name, members in mesh.points.items()},
+        numbers[mesh.hidden],
+    ))  # fmt: skip
+    if parts is None:
+        return EMPTY, np.zeros(0, dtype=np.int32)
+    points = np.zeros((topology.index_map(0).size_global, 3))
+    cells = np.zeros((topology.index_map(2).size_global, 3), dtype=np.int64)
+    ranks = np.zeros(len(cells), dtype=np.int32)
+    for rank, part in enumerate(parts):
+        points[part[0]] = part[1]
+        cells[part[2]], ranks[part[2]] = part[3], rank
+    edges, named, vertices = (
+        {name: np.unique(np.concatenate([part[k][name] for part in parts])) for name in parts[0][k]}
+        for k in (4, 5, 6)
+    )
+    hidden = np.unique(np.concatenate([part[7] for part in parts]))
+    links = np.zeros((0, 2), dtype=np.int64)
+    return Surface(points, cells, edges, named, vertices, links, hidden), ranks
 
 
 def _local_groups(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from mpi4py import MPI
@@ -220,13 +221,17 @@ def ellipse_arrays(
         mesh_with_sizes(gmsh, target)
         arrays = read_model(gmsh)
 
-    def to_the_rim(points: Array, on_rim: Booleans) -> Array:
-        moved = points.copy()
-        offset = points[:2, on_rim] - [[x], [y]]
-        moved[:2, on_rim] = [[x], [y]] + offset / np.hypot(offset[0] / a, offset[1] / b)
-        return moved
+    return replace(arrays, project=partial(_to_the_rim, (x, y), (a, b)))
 
-    return replace(arrays, project=to_the_rim)
+
+def _to_the_rim(
+    center: tuple[float, float], axes: tuple[float, float], points: Array, on_rim: Booleans
+) -> Array:
+    """Points (3, n) of which some (n,) are moved to the rim of an ellipse."""
+    (x, y), (a, b), moved = center, axes, points.copy()
+    offset = points[:2, on_rim] - [[x], [y]]
+    moved[:2, on_rim] = [[x], [y]] + offset / np.hypot(offset[0] / a, offset[1] / b)
+    return moved
 
 
 def rectangle_corners(x: float, y: float, width: float, depth: float) -> Array:

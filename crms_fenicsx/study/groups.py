@@ -2,30 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
 
+from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, copied
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, raised_together
-from crms_fenicsx.solver import Solver
+from crms_fenicsx.study.build import Build, built, comm_of
 
 if TYPE_CHECKING:
     from crms_fenicsx.output.report.case import Case
 
-Build = Callable[[MPI.Intracomm], Solver]
-"""Makes mesh, scene and solver on a communicator, and brings them to the base state."""
-
 
 def combine_in_groups(
     build: Build,
+    mesh: MembraneMesh,
     combinations: Mapping[str, Mapping[str, float]],
     *,
     groups: int,
-    comm: MPI.Intracomm = MPI.COMM_WORLD,
     steps: int = 1,
     report: str | Path | None = None,
     **options: Any,
@@ -33,20 +31,21 @@ def combine_in_groups(
     """Bring on combinations of loads in groups of processes that work side by side. Collective.
 
     A scene of moderate size gains little from more processes; many combinations of it do. The
-    processes are divided into groups; each builds the scene on its own communicator and takes
-    every `groups`-th combination.
+    processes are divided into groups; each builds the scene on a copy of the mesh of its own and
+    takes every `groups`-th combination.
 
     Parameters
     ----------
     build
-        Called with the communicator of the group; returns the solver at the base state. All groups
-        must build the same. A folder for results cannot be shared: give `Solver` none.
+        Function of a mesh that makes scene and solver on it and returns the solver at the base
+        state. All groups must build the same. A folder for results cannot be shared: give `Solver`
+        none.
+    mesh
+        The mesh, on all processes that are to be used.
     combinations, steps
         As for `Solver.combine`.
     groups
         How many groups, at most as many as processes.
-    comm
-        The processes.
     report
         File of a report about all combinations, as for `Solver.report`; None writes none.
     **options
@@ -68,20 +67,21 @@ def combine_in_groups(
 
     Examples
     --------
-    >>> def build(comm):
-    ...     mesh = meshes.spherical_cap(comm, radius=20.0, height=10.0, size=1.0)
+    >>> def build(mesh):
     ...     scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
     ...     scene.fix("boundary")
     ...     scene.put_load((0.0, 0.0, -0.6), name="snow", per="plan")
     ...     solver = Solver(scene)
     ...     solver.advance(pressure=0.7)
     ...     return solver
-    >>> found = combine_in_groups(build, table, groups=4, report="results/dome.html")
+    >>> mesh = meshes.spherical_cap(MPI.COMM_WORLD, radius=20.0, height=10.0, size=1.0)
+    >>> found = combine_in_groups(build, mesh, table, groups=4, report="results/dome.html")
     >>> max(found, key=lambda name: found[name].summary.membrane.largest["warp"].value)
     """
     from crms_fenicsx.output.report.arguments import checked_plan
     from crms_fenicsx.output.report.writing import drawn, results_of, write_report
 
+    comm = comm_of("combine_in_groups", mesh)
     checks.same(comm, "combine_in_groups", combinations=combinations, groups=groups, steps=steps,
                 report=report)  # fmt: skip
     if checks.whole("combine_in_groups: groups", groups, 1) > comm.size:
@@ -95,10 +95,9 @@ def combine_in_groups(
         )
     number = comm.rank * groups // comm.size
     own: Any = comm.Split(number, comm.rank)
+    copy = copied(mesh, own)
     with raised_together(comm):
-        solver = build(own)
-        if not isinstance(solver, Solver):
-            raise InputError(f"combine_in_groups: build returned {solver!r}; return a Solver.")
+        solver = built("combine_in_groups", build, copy)
         solver.check_combinations(combinations)
     scene = solver.scene
     checks.same(
@@ -118,7 +117,7 @@ def combine_in_groups(
         with raised_together(comm):
             if number == 0:
                 write_report(solver, plan, list(pictured.values()))
-    del solver, scene, states
+    del solver, scene, states, copy
     own.Free()
     return every
 

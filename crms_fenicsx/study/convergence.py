@@ -1,19 +1,26 @@
-"""What a series of finer meshes says about the results on them."""
+"""Error bars: the same roof on finer and finer meshes, and where its results go."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mpi4py import MPI
 
-from crms_fenicsx.convergence.richardson import Extrapolated, extrapolated
+from crms_fenicsx.meshes.cell_division import refine
+from crms_fenicsx.meshes.membrane_mesh import MembraneMesh
 from crms_fenicsx.output.figures.convergence import draw_convergence
 from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.solver import Solver
+from crms_fenicsx.study.build import Build, built, comm_of
+from crms_fenicsx.study.quantities import Quantities
+from crms_fenicsx.study.richardson import Extrapolated, extrapolated
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -70,7 +77,7 @@ class Convergence:
     cells
         Number of cells on each level.
     seconds
-        Time that each level has taken, the first not counted.
+        Time that each level has taken.
     quantities
         The numbers that were compared, by their names.
     finest
@@ -82,7 +89,7 @@ class Convergence:
     cells: tuple[int, ...]
     seconds: tuple[float, ...]
     quantities: Mapping[str, Quantity]
-    finest: Any
+    finest: Solver
     comm: MPI.Intracomm
 
     def __getitem__(self, name: str) -> Quantity:
@@ -160,14 +167,95 @@ def _digits(limit: float, bar: float) -> int:
     return min(max(math.ceil(math.log10(abs(limit) / bar)) + 2, 4), 10)
 
 
-def checked_levels(levels: object) -> int:
-    """How many levels, two or more.
+def convergence(
+    build: Build,
+    mesh: MembraneMesh,
+    levels: int = 3,
+    *,
+    points: Mapping[str, Sequence[float]] | None = None,
+    reactions: Sequence[str] = (),
+    stresses: Sequence[str] = (),
+    quantities: Mapping[str, Callable[[Solver], float]] | None = None,
+    project: Callable[[Array], Array] | None = None,
+) -> Convergence:
+    """Solve a roof on finer and finer meshes; limits of its results, with error bars. Collective.
+
+    Each level is built anew by the user's own function, on the mesh of the level before with each
+    cell divided into four, so that everything is solved as on the first mesh: found forms, friction
+    with its history, step-wise laws, added terms. A level has four times the cells and takes about
+    four times as long. Two levels give an estimate; the third shows whether it can be trusted. The
+    energy and the cables' tensions are always compared. The error is that of the mesh, not that of
+    the model.
+
+    Parameters
+    ----------
+    build
+        Function of a mesh that makes scene and solver on it, brings the loads on, and returns the
+        solver. Lengths that a cable gets from the mesh, as one laid just taut, it then gets from
+        each mesh. Give the solver no folder of results: all levels would write into it.
+    mesh
+        The coarsest mesh.
+    levels
+        Number of meshes, this one included.
+    points
+        Stress-free places (3,) by names, whose displacements are compared (length).
+    reactions
+        Groups of held vertices whose total reactions are compared (force).
+    stresses
+        Parts of the mesh, or "membrane" for all of it, of which the mean and the largest true
+        section force are compared (force per length). At re-entrant corners and ends of supports
+        the largest one may have no limit; the table then says that differences grow.
+    quantities
+        Other numbers, functions of a solver, by names.
+    project
+        Where new vertices belong, as for `meshes.refine`.
+
+    Returns
+    -------
+    Convergence
+        With a table (``print`` it) and a plot.
 
     Raises
     ------
     InputError
-        Another number.
+        On all ranks: `build` is no such function, a number of levels below 2, or a point, group,
+        part or function that cannot be used; the last three after the coarsest level.
+    ConvergenceError, PathError
+        As `build` on one of the meshes.
+
+    Examples
+    --------
+    >>> def build(mesh):
+    ...     scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
+    ...     scene.fix("boundary")
+    ...     solver = Solver(scene)
+    ...     solver.advance(pressure=0.3)
+    ...     scene.lay_cable(Cable(EA=20e3), [(-20.0, 0.0), (20.0, 0.0)], name="ridge")
+    ...     solver.advance(pressure=0.5)
+    ...     return solver
+    >>> study = convergence(build, meshes.spherical_cap(comm, 20.0, 10.0, size=4.0))
+    >>> study["tension ridge"].limit, study["tension ridge"].bar
     """
+    comm = comm_of("convergence", mesh)
+    checks.same(
+        comm, "convergence", levels=levels, points=points, reactions=reactions, stresses=stresses,
+        quantities=quantities,
+    )  # fmt: skip
     if levels == 1:
         raise InputError("convergence: levels = 1 compares nothing; give 2 or more, best 3.")
-    return checks.whole("convergence: levels", levels, 2)
+    levels = checks.whole("convergence: levels", levels, 2)
+    rows, cells, seconds = [], [], []
+    for level in range(levels):
+        began = time.perf_counter()
+        mesh = refine(mesh, project=project) if level else mesh
+        solver = built("convergence", build, mesh)
+        if level == 0:
+            wanted = Quantities.checked(solver.scene, points, reactions, stresses, quantities)
+        rows.append(wanted.of(solver))
+        cells.append(mesh.mesh.topology.index_map(2).size_global)
+        seconds.append(comm.bcast(time.perf_counter() - began))
+    found = {
+        name: Quantity.of(tuple(row[name][0] for row in rows), rows[-1][name][1])
+        for name in rows[0]
+    }
+    return Convergence(tuple(cells), tuple(seconds), found, solver, comm)

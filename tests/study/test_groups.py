@@ -9,9 +9,11 @@ import pytest
 from cabled_square import clamped
 from mpi4py import MPI
 
-from crms_fenicsx import Cable, ConvergenceError, InputError, Solver, combine_in_groups, meshes
+from crms_fenicsx import Cable, ConvergenceError, InputError, Solver, meshes
+from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.minimization.minimizer import Minimizer
 from crms_fenicsx.minimization.outcome import Outcome
+from crms_fenicsx.study import combine_in_groups
 
 pytestmark = pytest.mark.usefixtures("comm")
 
@@ -23,8 +25,12 @@ TABLE = {
 }
 
 
-def build(comm: MPI.Intracomm) -> Solver:
-    scene = clamped(meshes.rectangle(comm, 100.0, 100.0, 25.0))
+def square(comm: MPI.Intracomm) -> MembraneMesh:
+    return meshes.rectangle(comm, 100.0, 100.0, 25.0)
+
+
+def build(mesh: MembraneMesh) -> Solver:
+    scene = clamped(mesh)
     scene.put_load((0.0, 0.0, -2e-3), name="snow", per="plan")
     solver = Solver(scene)
     solver.advance(pressure=0.01)
@@ -38,10 +44,17 @@ def test_groups_find_what_one_solver_finds(comm: MPI.Intracomm, tmp_path: Path) 
     page = folder / "report.html"
     groups = min(2, comm.size)
     found = combine_in_groups(
-        build, TABLE, groups=groups, report=page, pictures=["stress"], force="kgf", unit="cm"
+        build,
+        square(comm),
+        TABLE,
+        groups=groups,
+        report=page,
+        pictures=["stress"],
+        force="kgf",
+        unit="cm",
     )
     assert list(found) == list(TABLE)
-    solver = build(comm)
+    solver = build(square(comm))
     for name, one in solver.combine(TABLE).items():
         solver.restore(one.snapshot)
         own, theirs = solver.summary(), found[name].summary
@@ -70,48 +83,65 @@ def test_groups_find_what_one_solver_finds(comm: MPI.Intracomm, tmp_path: Path) 
 
 
 def test_more_groups_than_combinations(comm: MPI.Intracomm) -> None:
-    found = combine_in_groups(build, {"snow": {"snow": 1.0}}, groups=comm.size)
+    found = combine_in_groups(build, square(comm), {"snow": {"snow": 1.0}}, groups=comm.size)
     assert list(found) == ["snow"]
 
 
 def test_bad_groups(comm: MPI.Intracomm, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=f"groups = {comm.size + 1} is more than the {comm.size}"):
-        combine_in_groups(build, TABLE, groups=comm.size + 1)
+        combine_in_groups(build, square(comm), TABLE, groups=comm.size + 1)
     with pytest.raises(InputError, match="groups = 0 must be a whole number"):
-        combine_in_groups(build, TABLE, groups=0)
+        combine_in_groups(build, square(comm), TABLE, groups=0)
     with pytest.raises(InputError, match=r"'storm'.*no load 'wind'"):
-        combine_in_groups(build, TABLE | {"storm": {"wind": 1.0}}, groups=comm.size)
+        combine_in_groups(build, square(comm), TABLE | {"storm": {"wind": 1.0}}, groups=comm.size)
     with pytest.raises(InputError, match=r"build returned None; return a Solver"):
-        combine_in_groups(lambda own: None, TABLE, groups=1)  # type: ignore[arg-type, return-value]
+        combine_in_groups(lambda mesh: None, square(comm), TABLE, groups=1)  # type: ignore[arg-type, return-value]
     with pytest.raises(InputError, match=r"\['title'\] are for a report"):
-        combine_in_groups(build, TABLE, groups=1, title="Roof")
+        combine_in_groups(build, square(comm), TABLE, groups=1, title="Roof")
     with pytest.raises(InputError, match=r"give one with \.html"):
-        combine_in_groups(build, TABLE, groups=1, report=Path(comm.bcast(str(tmp_path))) / "a.pdf")
+        combine_in_groups(
+            build, square(comm), TABLE, groups=1, report=Path(comm.bcast(str(tmp_path))) / "a.pdf"
+        )
 
 
 def test_groups_must_build_the_same(comm: MPI.Intracomm) -> None:
     if comm.size == 1:
         pytest.skip("there is one group only")
 
-    def differing(own: MPI.Intracomm) -> Solver:
-        solver = build(own)
+    def differing(mesh: MembraneMesh) -> Solver:
+        solver = build(mesh)
         if MPI.COMM_WORLD.rank >= comm.size // 2:
             solver.scene.remove("ridge")
         return solver
 
     with pytest.raises(InputError, match="combine_in_groups: build: cables"):
-        combine_in_groups(differing, TABLE, groups=comm.size)
+        combine_in_groups(differing, square(comm), TABLE, groups=comm.size)
 
 
 def test_a_combination_without_equilibrium_ends_all_groups(
     comm: MPI.Intracomm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def weak(own: MPI.Intracomm) -> Solver:
-        solver = build(own)
+    def weak(mesh: MembraneMesh) -> Solver:
+        solver = build(mesh)
         monkeypatch.setattr(
             Minimizer, "solve", lambda self, *_: Outcome(False, "no", 1.0, 0.0, 1, 1, 1)
         )
         return solver
 
     with pytest.raises(ConvergenceError, match="combination 'snow'"):
-        combine_in_groups(weak, TABLE, groups=comm.size)
+        combine_in_groups(weak, square(comm), TABLE, groups=comm.size)
+
+
+def test_groups_know_the_surface_of_the_mesh(comm: MPI.Intracomm) -> None:
+    """New vertices lie on the sphere of the generator, on the copy of each group."""
+    from crms_fenicsx.meshes.membrane_mesh import copied
+
+    mesh = meshes.spherical_cap(comm, 4.0, 2.0, 1.5)
+    own = comm.Split(comm.rank % 2, comm.rank)
+    copy = copied(mesh, own)
+    cells = [one.mesh.topology.index_map(2).size_global for one in (copy, mesh)]
+    assert cells[0] == cells[1]
+    x = meshes.refine(copy).mesh.geometry.x
+    assert np.abs(np.linalg.norm(x - (0.0, 0.0, -3.0), axis=1) - 5.0).max(initial=0.0) < 1e-12
+    del copy
+    own.Free()

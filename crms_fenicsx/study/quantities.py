@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -12,11 +11,11 @@ from mpi4py import MPI
 from crms_fenicsx.meshes.triangles import closest
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.results.membrane_results import MembraneResults
-from crms_fenicsx.results.reactions import Reactions
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.scene import Scene
+from crms_fenicsx.solver import Solver
 
 ALL = "membrane"
 """What names the whole membrane among its parts."""
@@ -27,12 +26,12 @@ Value = tuple[float, float]
 
 @dataclass(frozen=True)
 class Quantities:
-    """What is compared besides the energy and the tensions; see `FinerMeshes.convergence`."""
+    """What is compared besides the energy and the tensions; see `convergence`."""
 
     points: Mapping[str, Array] = field(default_factory=dict)
     reactions: Sequence[str] = ()
     stresses: Sequence[str] = ()
-    others: Mapping[str, Callable[[Any], float]] = field(default_factory=dict)
+    others: Mapping[str, Callable[[Solver], float]] = field(default_factory=dict)
 
     @classmethod
     def checked(
@@ -41,7 +40,7 @@ class Quantities:
         points: Mapping[str, Sequence[float]] | None,
         reactions: Sequence[str],
         stresses: Sequence[str],
-        others: Mapping[str, Callable[[Any], float]] | None,
+        others: Mapping[str, Callable[[Solver], float]] | None,
     ) -> Quantities:
         """Check what a user gives. Collective.
 
@@ -78,9 +77,9 @@ class Quantities:
                 )
         return cls(places, tuple(reactions), tuple(stresses), dict(others or {}))
 
-    def of(self, solver: Any) -> dict[str, Value]:
+    def of(self, solver: Solver) -> dict[str, Value]:
         """Their values in the state of a solver, by their names. Collective."""
-        scene: Scene = solver.scene
+        scene = solver.scene
         size = sum(map(abs, scene.energies.values()))
         found: dict[str, Value] = {"energy": (scene.energy, size)}
         tensions = [cable.tension for cable in scene.cables]
@@ -93,7 +92,7 @@ class Quantities:
         for name, place in self.points.items():
             found |= _components(f"displacement {name}", displacement(scene.membrane, place))
         for group in self.reactions:
-            forces: Reactions = solver.reactions(group)
+            forces = solver.reactions(group)
             size = float(np.abs(forces.forces).sum()) if len(forces.forces) else 0.0
             size = scene.comm.allreduce(size)
             found |= _components(f"reaction {group}", forces.total, size)

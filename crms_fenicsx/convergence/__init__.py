@@ -1,1 +1,0 @@
-"""How right results are: finer meshes, orders of convergence and error bars."""

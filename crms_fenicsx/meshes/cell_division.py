@@ -1,0 +1,240 @@
+"""Finer meshes: all cells divided into four, or some of them bisected.
+
+The first rank makes the finer mesh, as it makes all meshes. Vertices keep their numbers; the middle
+of the k-th divided edge, in the order of `EdgeTable`, is the vertex n + k. The finer mesh is
+therefore the same on any number of ranks. Cells stay on the rank of the cell that they are part of.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from dolfinx.cpp.refinement import RefinementOption
+from dolfinx.mesh import compute_incident_entities
+from dolfinx.mesh import refine as bisect
+from numpy.typing import ArrayLike
+
+from crms_fenicsx.meshes.edge_table import EdgeTable, edge_keys
+from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, gathered, shared_out
+from crms_fenicsx.meshes.smooth_surface import SmoothSurface
+from crms_fenicsx.meshes.surface import EMPTY, Projection, Surface, check_shapes
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
+from crms_fenicsx.runtime.compat import geometry_dofmap
+from crms_fenicsx.runtime.errors import InputError, raised_together
+
+CORNERS = np.array([(2, 0, 0), (0, 2, 0), (0, 0, 2), (1, 1, 0), (0, 1, 1), (1, 0, 1)]) / 2
+"""Barycentric weights, in a cell, of the vertices that its parts have: its own, and the middles of
+its sides 0-1, 1-2 and 2-0."""
+QUARTERS = ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5))
+"""Rows of `CORNERS` of the four parts of a cell."""
+
+
+@dataclass(frozen=True)
+class Division:
+    """The parts that cells are divided into; one that is not divided is its only part.
+
+    Attributes
+    ----------
+    parents : (k,)
+        The cells that the parts belong to, ascending.
+    corners : (k, 3)
+        Rows of `CORNERS`, in the direction of the cell's own.
+    """
+
+    parents: Integers
+    corners: Integers
+
+
+def refine(
+    mesh: MembraneMesh,
+    cells: ArrayLike | None = None,
+    *,
+    project: Callable[[Array], Array] | None = None,
+) -> MembraneMesh:
+    """Divide all cells of a mesh into four, or bisect some of them. Collective.
+
+    Groups of edges, parts and points are kept, and every vertex of the mesh is a vertex of the
+    finer one. DOLFINx bisects cells at their longest sides, and those beside them so that the mesh
+    fits together (A. Plaza and G. F. Carey, Local refinement of simplicial grids based on the
+    skeleton, 2000): no angle becomes less than half the least one of the first mesh, apart from
+    what moving new vertices to the surface changes.
+
+    Parameters
+    ----------
+    mesh
+        The mesh, which stays as it is.
+    cells : (n,)
+        Local numbers of this rank's own cells to bisect, as of `mesh.parts`. None divides all
+        cells of the mesh into four.
+    project
+        Where new vertices belong: a function of points (3, n) near the stress-free surface that
+        returns points (3, n) in it (length). By default they go to the surface that the generator
+        knows (circle, ellipse, spherical cap and air hall) or that was given the last time; on
+        other meshes, of arrays and files, to the smooth surface behind the facets, where boundary
+        edges, seams and ridges stay straight.
+
+    Returns
+    -------
+    MembraneMesh
+        The finer mesh.
+
+    Raises
+    ------
+    InputError
+        On all ranks: cells that this rank does not own, or a function that returns no such points.
+    MeshError
+        On all ranks: points that leave cells without area.
+
+    Examples
+    --------
+    >>> fine = meshes.refine(meshes.spherical_cap(comm, radius=20.0, height=10.0, size=2.0))
+    >>> meshes.refine(mesh, mesh.parts["corner"])
+    """
+    with raised_together(mesh.comm):
+        chosen = None if cells is None else _checked_cells(mesh, cells)
+        onto = mesh.project if project is None else _checked(project)
+    checks.same(mesh.comm, "refine", whole=chosen is None)
+    bisected = None if chosen is None else _bisected(mesh, chosen)
+    surface, ranks = gathered(mesh)
+    none = np.zeros((0, 3), dtype=np.int64)
+    finer, division = EMPTY, Division(none[:, 0], none)
+    with raised_together(mesh.comm):
+        if mesh.comm.rank == 0:
+            division = _quarters(surface) if bisected is None else _fitted(surface, *bisected)
+            finer = _divided(surface, division, onto)
+    return shared_out(mesh.comm, finer, ranks[division.parents], onto)
+
+
+def _quarters(surface: Surface) -> Division:
+    """All cells divided into four."""
+    m = len(surface.cells)
+    return Division(np.repeat(np.arange(m), 4), np.tile(QUARTERS, (m, 1)))
+
+
+def _fitted(surface: Surface, parents: Integers, places: Array) -> Division:
+    """The division that DOLFINx's finer cells are: parents (k,) and corners' places (k, 3, 3)."""
+    corners = surface.points[surface.cells]
+    around = np.einsum("ck,mki->mci", CORNERS, corners)[parents]
+    gaps = ((places[:, :, None] - around[:, None]) ** 2).sum(axis=-1)
+    found = gaps.argmin(axis=-1)
+    backward = np.linalg.det(CORNERS[found]) < 0
+    found[backward] = found[backward][:, ::-1]
+    start = found.argmin(axis=1)[:, None]
+    found = np.take_along_axis(found, (start + np.arange(3)) % 3, axis=1)
+    order = np.lexsort((*found.T[::-1], parents))
+    return Division(parents[order], found[order])
+
+
+def _bisected(mesh: MembraneMesh, marked: Indices) -> tuple[Integers, Array]:
+    """The finer cells' parents (k,) and the places of their corners (k, 3, 3). Collective.
+
+    They are all on rank 0, in any order; elsewhere there are none. Of sides that are equally long
+    DOLFINx takes the first in the cell's own order, which is the same on any number of ranks.
+    """
+    topology, comm = mesh.mesh.topology, mesh.comm
+    edges = compute_incident_entities(topology, marked, 2, 1)
+    finer, parents, _ = bisect(
+        mesh.mesh, edges, partitioner=None, option=RefinementOption.parent_cell
+    )
+    own = finer.topology.index_map(2).size_local
+    parts = comm.gather((
+        topology.original_cell_index[parents],  # of the cells as DOLFINx has made them
+        finer.topology.original_cell_index[:own],  # of which these are the numbers now
+        finer.geometry.x[geometry_dofmap(finer)[:own]],
+    ))  # fmt: skip
+    if parts is None:
+        return np.zeros(0, dtype=np.int64), np.zeros((0, 3, 3))
+    given, numbers, places = (np.concatenate([part[k] for part in parts]) for k in range(3))
+    return given[numbers], places
+
+
+def _checked_cells(mesh: MembraneMesh, cells: ArrayLike) -> Indices:
+    """Local numbers of this rank's own cells."""
+    found, own = np.asarray(cells), mesh.mesh.topology.index_map(2).size_local
+    if found.size == 0:
+        return np.zeros(0, dtype=np.int32)
+    if found.ndim != 1 or found.dtype.kind not in "iu":
+        raise InputError(
+            f"refine: cells is an array of shape {found.shape} and type {found.dtype}; give the "
+            "local numbers of cells, whole numbers of shape (n,)."
+        )
+    if found.min() < 0 or found.max() >= own:
+        raise InputError(
+            f"refine: cells names {found.min() if found.min() < 0 else found.max()}, but this rank "
+            f"owns the cells 0 to {own - 1} of the mesh; give its local numbers on each rank."
+        )
+    return found.astype(np.int32)
+
+
+def _checked(project: Callable[[Array], Array]) -> Projection:
+    """The user's function, of which all is checked that can be."""
+    if not callable(project):
+        raise InputError(
+            f"project = {project!r} is no function; give one of points (3, n) that returns those "
+            "in the surface, (3, n)."
+        )
+
+    def onto(points: Array, on_rim: Booleans) -> Array:
+        found = np.asarray(project(points.copy()))
+        if found.shape != points.shape or found.dtype.kind not in "fiu":
+            raise InputError(
+                f"project returned an array of shape {found.shape} and type {found.dtype}; it must "
+                f"return real numbers of shape {points.shape}."
+            )
+        bad = ~np.isfinite(found).all(axis=0)
+        if bad.any():
+            first = int(np.argmax(bad))
+            raise InputError(
+                f"project returned {found[:, first]} at {points[:, first]}; it must return finite "
+                "coordinates."
+            )
+        return np.asarray(found, dtype=np.float64)
+
+    return onto
+
+
+def _divided(surface: Surface, division: Division, onto: Projection | None) -> Surface:
+    """A surface whose cells are divided."""
+    n, parents = len(surface.points), division.parents
+    table = EdgeTable.of(surface.cells)
+    sides = np.empty((len(surface.cells), 3), dtype=np.int64)  # the edge of each
+    sides.ravel()[table.order] = np.repeat(np.arange(len(table.counts)), table.counts)
+    middle = np.full(len(table.counts), -1)
+    own, k = np.nonzero(division.corners >= 3)
+    middle[sides[parents[own], division.corners[own, k] - 3]] = 0
+    split = np.flatnonzero(middle == 0)
+    middle[split] = n + np.arange(len(split))
+    around = np.concatenate([surface.cells, middle[sides]], axis=1)
+    cells = np.take_along_axis(around[parents], division.corners, axis=1)
+    ends = table.vertices[split]
+    middles = surface.points[ends].mean(axis=1)
+    if onto is not None:
+        middles = onto(middles.T, table.counts[split] == 1).T
+    else:
+        smooth = SmoothSurface.of(surface.points, surface.cells)
+        corners = np.column_stack([ends, ends[:, 0]])
+        middles = middles + smooth.raised(corners, np.tile([0.5, 0.5, 0.0], (len(corners), 1)))[0]
+    points = np.concatenate([surface.points, middles])
+    check_shapes(points, cells)
+
+    def parts(keys: Integers) -> Integers:
+        at = middle[np.searchsorted(table.keys, keys)]
+        ends = np.stack([keys >> 32, keys & 0xFFFFFFFF])[:, at >= 0]
+        halves = edge_keys(np.stack([ends, np.broadcast_to(at[at >= 0], ends.shape)], axis=-1))
+        return np.unique(np.concatenate([keys[at < 0], halves]))
+
+    def children(numbers: Integers) -> Integers:
+        return np.flatnonzero(np.isin(parents, numbers))
+
+    return Surface(
+        points,
+        cells,
+        {name: parts(keys) for name, keys in surface.edges.items()},
+        {name: children(members) for name, members in surface.parts.items()},
+        surface.point_groups,
+        np.stack(EdgeTable.of(cells).seam_sides(), axis=1) // 3,
+        children(surface.hidden),
+    )

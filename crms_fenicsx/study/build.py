@@ -1,0 +1,54 @@
+"""The function by which studies build a roof on a mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from mpi4py import MPI
+
+from crms_fenicsx.meshes.membrane_mesh import MembraneMesh
+from crms_fenicsx.runtime.errors import InputError, raised_together
+from crms_fenicsx.solver import Solver
+
+Build = Callable[[MembraneMesh], Solver]
+"""Makes scene and solver on a mesh, brings the loads on, and returns the solver."""
+
+
+def comm_of(study: str, mesh: MembraneMesh) -> MPI.Intracomm:
+    """The ranks of a mesh.
+
+    Raises
+    ------
+    InputError
+        It is no mesh.
+    """
+    if not isinstance(mesh, MembraneMesh):
+        raise InputError(
+            f"{study}: mesh is of type {type(mesh).__name__}; give one of crms_fenicsx.meshes."
+        )
+    return mesh.comm
+
+
+def built(study: str, build: Build, mesh: MembraneMesh) -> Solver:
+    """The solver that a function builds on a mesh, in equilibrium. Collective.
+
+    Raises
+    ------
+    InputError
+        On all ranks: `build` is no function of a mesh that returns a solver with a load step.
+    """
+    with raised_together(mesh.comm):
+        if not callable(build):
+            raise InputError(
+                f"{study}: build = {build!r} is no function; give one of a mesh that returns a "
+                "Solver."
+            )
+        solver = build(mesh)
+        if not isinstance(solver, Solver):
+            raise InputError(f"{study}: build returned {solver!r}; return a Solver.")
+        if not solver.steps:
+            raise InputError(
+                f"{study}: the solver that build returned has made no load step; call "
+                "solver.advance(...) in build."
+            )
+    return solver
