@@ -7,7 +7,7 @@ Each run is a process of its own, on one thread: a warm-up on the coarsest mesh,
 compiled or loaded any more, and then the case some times over, of which the median counts. Timed is
 all from the mesh to the equilibrium, by the processor's clock: on an idle machine it goes like the
 one on the wall, whose times are in the table too. A method that has not converged within the limit
-on one mesh is not tried on finer ones. "Extrapolated" are limits of `Solver.convergence` over three
+on one mesh is not tried on finer ones. "Extrapolated" are limits of `study.convergence` over three
 meshes, n the finest, timed with all of them; a table compares them with the run on a mesh as fine
 as that, evaluations counted in those on that mesh. `accuracy/` has cases, methods, references and
 figures; Kratos is one of the methods once `benchmarks/kratos/install` has been run.

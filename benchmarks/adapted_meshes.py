@@ -1,10 +1,11 @@
 """Do meshes that are finer where the estimate says so pay?
 
-The same scenes on meshes of `Solver.refine` (each cell in four) and of `Solver.adapt`, from the
-same first mesh. Errors are in per cent; seconds are those of this process from the first mesh on,
-all levels before included; evaluations those of the level's last solve. The last columns say how
-many unknowns and seconds refined meshes need for the same error of the energy, over what the
-adapted one has, interpolated between their levels. Run it on one process.
+The same scenes on meshes of `meshes.refine`, with each cell in four or with the cells of
+`study.marked_cells` bisected, from the same first mesh. Errors are in per cent; seconds are those
+of this process from the first mesh on, all levels before included; evaluations those of the level's
+last solve. The last columns say how many unknowns and seconds refined meshes need for the same
+error of the energy, over what the adapted one has, interpolated between their levels. Run it on one
+process.
 
     ./run python benchmarks/adapted_meshes.py [CASE ...]
 """
@@ -24,21 +25,20 @@ from scipy.spatial import ConvexHull
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.meshes import MembraneMesh
-from crms_fenicsx.surface.adaptive_refinement import AdaptiveRefinement
-from crms_fenicsx.surface.uniform_refinement import UniformRefinement
+from crms_fenicsx.study import adapt, marked_cells
+from crms_fenicsx.study.build import Build
 
 RIM, HEIGHT, PRESSURE = 20.0, 10.0, 0.4
 RTOL = 1e-8
 
 
-def dome(
-    size: float,
-    angles: tuple[float, ...],
-    offsets: tuple[float, ...],
-    mesh: MembraneMesh | None = None,
-) -> Solver:
-    """The dome of `demos/cable_net.py` with cables that are laid just taut, in the calm."""
-    mesh = mesh or meshes.spherical_cap(MPI.COMM_SELF, RIM, HEIGHT, size)
+def cap(size: float) -> MembraneMesh:
+    """The mesh of the dome of `demos/cable_net.py`."""
+    return meshes.spherical_cap(MPI.COMM_SELF, RIM, HEIGHT, size)
+
+
+def dome(mesh: MembraneMesh, angles: tuple[float, ...], offsets: tuple[float, ...]) -> Solver:
+    """The dome with cables that are laid just taut, in the calm."""
     scene = Scene(mesh, IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3))
     scene.fix("boundary")
     for angle in np.radians(angles):
@@ -49,14 +49,13 @@ def dome(
     return solver
 
 
-def of_accuracy(name: str, n: int) -> Solver:
+def of_accuracy(name: str) -> Build:
     """A case with independent references."""
-    spec = CASES[name]
-    return spec.run(spec.mesh(n), Laws(rtol=RTOL))[0]
+    return lambda mesh: CASES[name].run(mesh, Laws(rtol=RTOL))[0]
 
 
-def corner(n: int) -> Solver:
-    """An inflated sheet with a re-entrant corner: the square of `square` without a quarter."""
+def without_quarter(n: int) -> MembraneMesh:
+    """The square of `square` without a quarter: a re-entrant corner."""
     lines = np.linspace(0.0, 100.0, n + 1)
     x = np.stack(np.meshgrid(lines, lines), axis=-1).reshape(-1, 2)
     grid = np.arange(len(x)).reshape(n + 1, n + 1)
@@ -64,7 +63,11 @@ def corner(n: int) -> Solver:
     cells = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
     kept = cells[(x[cells].mean(axis=1) < 50.0).any(axis=1)]
     used, numbers = np.unique(kept, return_inverse=True)
-    mesh = meshes.from_arrays(MPI.COMM_SELF, x[used], numbers.reshape(-1, 3))
+    return meshes.from_arrays(MPI.COMM_SELF, x[used], numbers.reshape(-1, 3))
+
+
+def corner(mesh: MembraneMesh) -> Solver:
+    """An inflated sheet with a re-entrant corner."""
     scene = Scene(mesh, IsotropicMembrane(300.0, 0.25, 0.08))
     scene.fix("boundary")
     solver = Solver(scene, rtol=RTOL)
@@ -78,8 +81,10 @@ class Study:
 
     Attributes
     ----------
-    first
-        Makes the solver on the first mesh.
+    mesh
+        Makes the first mesh.
+    build
+        Solves on a mesh.
     refined, adapted
         Numbers of levels after it.
     W, T
@@ -90,12 +95,18 @@ class Study:
         Of the error, that the marked cells have.
     """
 
-    first: Callable[[], Solver]
+    mesh: Callable[[], MembraneMesh]
+    build: Build
     refined: int
     adapted: int
     W: float | None = None
     T: float | None = None
     share: float = 0.5
+
+
+def one_cable(mesh: MembraneMesh) -> Solver:
+    """The dome with one cable along a great circle."""
+    return dome(mesh, (0.0,), (0.0,))
 
 
 def known(name: str, quantity: str) -> float:
@@ -104,15 +115,20 @@ def known(name: str, quantity: str) -> float:
 
 
 STUDIES = {
-    "one cable": Study(lambda: dome(4.0, (0.0,), (0.0,)), 4, 7, T=13.743),
-    "one cable, share 0.8": Study(lambda: dome(4.0, (0.0,), (0.0,)), 4, 4, T=13.743, share=0.8),
-    "net": Study(lambda: dome(2.0, (30.0, -30.0), tuple(4.5 * np.arange(-3, 4))), 2, 4, T=10.47),
+    "one cable": Study(lambda: cap(4.0), one_cable, 4, 7, T=13.743),
+    "one cable, share 0.8": Study(lambda: cap(4.0), one_cable, 4, 4, T=13.743, share=0.8),
+    "net": Study(
+        lambda: cap(2.0), lambda mesh: dome(mesh, (30.0, -30.0), tuple(4.5 * np.arange(-3, 4))),
+        2, 4, T=10.47,
+    ),
     "cable on a plane": Study(
-        lambda: of_accuracy("cable anywhere", 9), 2, 4,
+        lambda: CASES["cable anywhere"].mesh(9), of_accuracy("cable anywhere"), 2, 4,
         known("centre cable", "W"), known("centre cable", "T"),
     ),
-    "square": Study(lambda: of_accuracy("square", 8), 4, 8, known("square", "W")),
-    "corner": Study(lambda: corner(8), 4, 9, np.nan),
+    "square": Study(
+        lambda: CASES["square"].mesh(8), of_accuracy("square"), 4, 8, known("square", "W")
+    ),
+    "corner": Study(lambda: without_quarter(8), corner, 4, 9, np.nan),
 }  # fmt: skip
 
 
@@ -146,13 +162,15 @@ def level(solver: Solver, seconds: float) -> Level:
 
 def levels(study: Study, kind: str) -> list[Level]:
     """The first mesh and those made of it."""
-    began = time.process_time()
-    solver = study.first()
-    found = [level(solver, time.process_time() - began)]
-    for _ in range(study.refined if kind == "refined" else study.adapted):
+    mesh, seconds, found, marked = study.mesh(), 0.0, list[Level](), None
+    for k in range((study.refined if kind == "refined" else study.adapted) + 1):
         began = time.process_time()
-        solver = solver.refine() if kind == "refined" else solver.adapt(study.share)
-        found.append(level(solver, found[-1].seconds + time.process_time() - began))
+        if k:
+            mesh = meshes.refine(mesh, marked)
+        solver = study.build(mesh)
+        marked = None if kind == "refined" else marked_cells(solver, study.share)
+        seconds += time.process_time() - began
+        found.append(level(solver, seconds))
     return found
 
 
@@ -167,7 +185,7 @@ def needed(refined: list[Level], truth: float, error: float, what: str) -> float
 
 def show(name: str, study: Study) -> None:
     """Print the tables of a case."""
-    study.first().refine()  # compiles what will be needed
+    study.build(study.mesh())  # compiles what will be needed
     refined, adapted = levels(study, "refined"), levels(study, "adapted")
     (last, end) = refined[-2:]
     W = end.W + (end.W - last.W) / 3 if study.W is None else study.W
@@ -216,22 +234,20 @@ def dents() -> None:
         print(f"{name:28}{one.cells:8}{one.unknowns:10}{concave(mesh):11.2f}{one.W:11.4f}{one.T:8.3f}",
               flush=True)  # fmt: skip
 
-    regular = meshes.spherical_cap(MPI.COMM_SELF, RIM, HEIGHT, 2.0)
+    regular = cap(2.0)
     random, rng = regular, np.random.default_rng(0)
     for k in range(4):
-        line("no cable, refined", regular, dome(0.0, (), (), regular))
+        line("no cable, refined", regular, dome(regular, (), ()))
         if k in (1, 2):
             count = random.mesh.topology.index_map(2).size_local
             marked = np.flatnonzero(rng.random(count) < 0.3).astype(np.int32)
-            random = AdaptiveRefinement.of(random, marked).finer
-            line("no cable, random", random, dome(0.0, (), (), random))
-        regular = UniformRefinement.of(regular).finer
-    solver = dome(4.0, (0.0,), (0.0,))
-    for _ in range(3):
-        solver = solver.adapt()
+            random = meshes.refine(random, marked)
+            line("no cable, random", random, dome(random, (), ()))
+        regular = meshes.refine(regular)
+    solver = adapt(one_cable, cap(4.0), tolerance=1e-9, levels=4)
     mesh = solver.scene.mesh
     line("one cable, adapted", mesh, solver)
-    line("one cable, edges flipped", convex(mesh), dome(0.0, (0.0,), (0.0,), convex(mesh)))
+    line("one cable, edges flipped", convex(mesh), one_cable(convex(mesh)))
 
 
 def main() -> None:

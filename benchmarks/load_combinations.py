@@ -28,8 +28,10 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx import Cable, OrthotropicMembrane, Solver, combine_in_groups, meshes
+from crms_fenicsx import Cable, OrthotropicMembrane, Solver, meshes
 from crms_fenicsx.form_finding import find_form
+from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.study import combine_in_groups
 
 FACTORS = [(snow, wind) for snow in (0.0, 0.25, 0.5, 0.75) for wind in (0.3, 0.6, 0.9, 1.2, 1.5)]
 COMBINATIONS: dict[str, dict[str, Any]] = {
@@ -44,10 +46,14 @@ def suction(points: Any, normals: Any) -> Any:
     )
 
 
-def hall(comm: MPI.Intracomm, size: float) -> Solver:
+def plan(comm: MPI.Intracomm, size: float) -> MembraneMesh:
+    """The mesh that the hall's form is found from."""
+    return meshes.rectangle(comm, 36.0, 36.0, size, corner=(-18.0, -18.0))
+
+
+def hall(mesh: MembraneMesh) -> Solver:
     """The hall in operation, with its loads."""
-    plan = meshes.rectangle(comm, 36.0, 36.0, size, corner=(-18.0, -18.0))
-    form = find_form(plan, stress=3.78, fixed=["boundary"], pressure=0.3)
+    form = find_form(mesh, stress=3.78, fixed=["boundary"], pressure=0.3)
     scene = form.scene(OrthotropicMembrane(E1=900.0, E2=600.0, G12=30.0, nu21=0.2, thickness=1.0))
     solver = Solver(scene)
     for side in (1.0, -1.0):
@@ -64,14 +70,14 @@ def hall(comm: MPI.Intracomm, size: float) -> Solver:
 
 def new_runs(size: float) -> None:
     """Combinations from one base state, and new runs to the same loads, in turns."""
-    solver, ratios, wholes = hall(MPI.COMM_SELF, size), [], []
+    solver, ratios, wholes = hall(plan(MPI.COMM_SELF, size)), [], []
     print(f"{'':22}{'combination':>24}{'load step of a new run':>28}{'its all':>9}{'ratio':>7}")
     for name in list(COMBINATIONS)[::3]:
         began = time.process_time()
         step = solver.combine({name: COMBINATIONS[name]})[name].step
         spent = time.process_time() - began
         began = time.process_time()
-        run = hall(MPI.COMM_SELF, size)
+        run = hall(plan(MPI.COMM_SELF, size))
         base = time.process_time()
         loads = {key: value for key, value in COMBINATIONS[name].items() if key != "pressure"}
         other = run.advance(load=loads, pressure=COMBINATIONS[name]["pressure"])
@@ -92,9 +98,9 @@ def shared(size: float) -> None:
     """All combinations on the processes that there are; says how long it took."""
     comm, base, spent = MPI.COMM_WORLD, 0.0, 0.0
 
-    def build(own: MPI.Intracomm) -> Solver:
+    def build(mesh: MembraneMesh) -> Solver:
         nonlocal base
-        solver = hall(own, size)
+        solver = hall(mesh)
         combine = solver.combine
 
         def timed(*given: Any, **options: Any) -> Any:
@@ -109,7 +115,7 @@ def shared(size: float) -> None:
         return solver
 
     began, start = time.perf_counter(), time.process_time()
-    found = combine_in_groups(build, COMBINATIONS, groups=comm.size)
+    found = combine_in_groups(build, plan(comm, size), COMBINATIONS, groups=comm.size)
     clock = time.perf_counter() - began
     times = comm.gather((spent, base + spent))
     if times is not None:

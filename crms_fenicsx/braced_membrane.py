@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from crms_fenicsx.energies.dead_load import joint_load
 from crms_fenicsx.loaded_membrane import LoadedMembrane
-from crms_fenicsx.model.bar import Bar, BarEnd, Joint, MeshVertex, PlacedBar, Placing
+from crms_fenicsx.model.bar import Bar, BarEnd, Joint, MeshVertex, PlacedBar
 from crms_fenicsx.model.frame import Frame
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
@@ -133,9 +133,7 @@ class BracedMembrane(LoadedMembrane):
         if L0 is not None:
             L0 = checks.positive(f"add_bar: L0 of {found!r}", L0)
         ends = self._bar_end(found, "start", start), self._bar_end(found, "end", end)
-        stage = self.stage()
         placed = self.frame.add_bar(bar, ends, L0, found)
-        placed.placing = Placing(L0, placed.state, placed.bar.EA, stage)
         self.changes += 1
         return placed
 

@@ -11,7 +11,6 @@ from crms_fenicsx.loaded_membrane import LoadedMembrane
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.model.sealed_air import SealedAir
-from crms_fenicsx.model.stage import Stage
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, collective
 from crms_fenicsx.runtime.readonly import ReadOnly
@@ -40,7 +39,6 @@ class FilledMembrane(LoadedMembrane):
     def __init__(self, membrane: Membrane) -> None:
         super().__init__(membrane)
         self._air: SealedAir | None = None
-        self._sealed_on: Stage | None = None
         self._ponds: tuple[Pond, ...] = ()
 
     @property
@@ -107,7 +105,6 @@ class FilledMembrane(LoadedMembrane):
                 f"{atmosphere:g}; give the atmosphere in the units of the pressure."
             )
         self.membrane.check_finite("seal")
-        self._sealed_on = self.stage()
         self._air = SealedAir(volume, self.volume, self._pressure, absolute, exponent, atmosphere)
         self.changes += 1
 
@@ -122,7 +119,7 @@ class FilledMembrane(LoadedMembrane):
         """
         if self._air is None:
             raise InputError("unseal: the air is not sealed; scene.seal(volume=...) does that.")
-        self._air = self._sealed_on = None
+        self._air = None
         self.changes += 1
 
     @collective

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from dataclasses import replace
 
 from dolfinx import fem
 from mpi4py import MPI
@@ -21,7 +20,6 @@ from crms_fenicsx.energies.dead_load import (
 from crms_fenicsx.model.changed_materials import checked_materials
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.membrane import Membrane
-from crms_fenicsx.model.stage import Stage
 from crms_fenicsx.model.strengths import Strengths, checked_strengths
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, collective
@@ -227,13 +225,9 @@ class LoadedMembrane:
                 f"away with scene.remove_load({name!r})."
             )
 
-    @abstractmethod
-    def stage(self) -> Stage:
-        """The current state, of which what is put on it now keeps a reference."""
-
     def add_load(self, load: MembraneLoad) -> None:
         """Internal: add a load that has been made on the current shape."""
-        self._loads = (*self._loads, replace(load, stage=self.stage()))
+        self._loads = (*self._loads, load)
         self.changes += 1
 
     @property

@@ -22,7 +22,6 @@ from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.membrane import Marker, Membrane
 from crms_fenicsx.model.penalty import warn_of_penalty
-from crms_fenicsx.model.stage import Stage
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.runtime.errors import InputError, collective, raised_together
@@ -168,18 +167,6 @@ class Scene(FilledMembrane, SceneViews):
     def dissipated(self) -> float:
         """Energy that friction has dissipated in all load steps (force x length)."""
         return self.net.dissipated
-
-    def stage(self) -> Stage:
-        """Internal: the current state, of which what is put on it now keeps a reference."""
-        cables, joints, bars = self.cables, self.joints, self.bars
-        return Stage(
-            self.commits, self.membrane.kept_shape(), self.pressure,
-            {load.name: load.factor for load in self.loads},
-            {cable.name: cable.state for cable in cables},
-            {joint.name: joint.state for joint in joints}, {bar.name: bar.state for bar in bars},
-            self.ponds, self.air, self._sealed_on, self.floor_level,
-            tuple(term.name for term in self.terms),
-        )  # fmt: skip
 
     @property
     def volume(self) -> float:
@@ -359,7 +346,7 @@ class Scene(FilledMembrane, SceneViews):
         self.membrane.check_finite("lay_cable")
         given["layer"] = checks.whole("lay_cable: layer", layer, 0)
         route, joints = self.frame.path_of(path)
-        laid = lay(self.net, cable, route, **given, joints=joints, stage=self.stage())
+        laid = lay(self.net, cable, route, **given, joints=joints)
         self.changes += 1
         return laid
 

@@ -16,6 +16,7 @@ from accuracy.methods import METHODS
 from crms_fenicsx import ConvergenceError, FrictionWarning
 from crms_fenicsx.equilibrium import system
 from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.study import convergence
 
 RUNS, ENOUGH = 5, 0.1
 """Repetitions, and part of the time limit after which there are no more."""
@@ -136,10 +137,14 @@ def _timed(
     signal.setitimer(signal.ITIMER_PROF, limit)
     began = np.array([time.process_time(), time.perf_counter()])
     try:
-        solver, found = case.run(mesh, laws)
-        if levels > 1:
-            study = solver.convergence(levels, quantities={q: QUANTITIES[q] for q in found})
-            solver, found = study.finest, {q: study[q].limit for q in found}
+        if levels == 1:
+            solver, found = case.run(mesh, laws)
+        else:
+            wanted = {q: QUANTITIES[q] for q in case.quantities}
+            study = convergence(
+                lambda mesh: case.run(mesh, laws)[0], mesh, levels, quantities=wanted
+            )
+            solver, found = study.finest, {q: study[q].limit for q in wanted}
         times = np.array([time.process_time(), time.perf_counter()]) - began
         return tuple(times.tolist()), solver, found
     finally:

@@ -279,7 +279,7 @@ def turned(rng: np.random.Generator) -> Frame:
 
 TWINS = (
     "turned", "mm-N", "tiny", "huge", "order", "resume", "branch", "load", "outputs", "verify",
-    "stopped", "finer",
+    "stopped",
 )  # fmt: skip
 
 
@@ -310,8 +310,6 @@ def twin(name: str, data: FeatureScene, comm: MPI.Intracomm, first: Found, resul
         branched(data, comm, result)
     elif name == "stopped":
         stopped(data, comm, result)
-    elif name == "finer":
-        finer(data, comm, result)
     else:
         outputs(data, comm, first, result)
 
@@ -348,20 +346,6 @@ def stopped(data: FeatureScene, comm: MPI.Intracomm, result: Found) -> None:
     text = differs(answer(world), answer(other), LOOSE if result.loose else 1.0)
     if text:
         result.problems.append(f"stopped, then a load step: {text}")
-
-
-def finer(data: FeatureScene, comm: MPI.Intracomm, result: Found) -> None:
-    """A finer mesh has nearly the same energy, or is refused with a reason."""
-    world, _ = scenario(data, comm)
-    try:
-        fine = world.solver.refine()
-    except errors.InputError as error:
-        result.notes.append(f"finer: {kind_of(error)}")
-        return
-    a, b = world.scene.energy, fine.scene.energy
-    size = sum(map(abs, world.scene.energies.values()))
-    if abs(a - b) > 0.3 * size:
-        result.problems.append(f"finer: energies {a:.6g} and {b:.6g}")
 
 
 class Killed(BaseException):

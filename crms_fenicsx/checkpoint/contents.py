@@ -8,7 +8,6 @@ from itertools import chain
 from typing import Annotated, Any
 
 from crms_fenicsx.checkpoint.codec import Plain
-from crms_fenicsx.checkpoint.stages import SavedLaying, SavedPlacing, SavedStage
 from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.model.bar import Bar, MeshVertex
 from crms_fenicsx.model.bar_state import BarState, JointState
@@ -62,7 +61,6 @@ class SavedCable:
     in_edge: bool
     joints: tuple[str | None, str | None]
     state: CableState
-    laying: SavedLaying | None
 
 
 @dataclass(frozen=True)
@@ -83,7 +81,6 @@ class SavedBar:
     bar: Bar
     ends: tuple[int | MeshVertex, int | MeshVertex]
     state: BarState
-    placing: SavedPlacing | None
 
 
 @dataclass(frozen=True)
@@ -94,10 +91,6 @@ class SavedLoad:
     ----------
     follows
         Whether it follows the surface's normals.
-    given
-        What it was made of, see `recipe`.
-    stage
-        Number of what it has been put on.
     """
 
     name: str
@@ -105,8 +98,6 @@ class SavedLoad:
     follows: bool
     factor: float
     joints: dict[str, tuple[float, float, float]]
-    given: dict[str, Any] | None
-    stage: int | None
 
 
 @dataclass(frozen=True)
@@ -123,8 +114,6 @@ class Contents:
         Of the files with the fields, by their names.
     pressure, air, floor, dissipated, energies
         As in the scene.
-    stages, sealed_on
-        What things were put on, and of these the number of that of the air.
     commits
         As in the scene.
     laid
@@ -146,8 +135,6 @@ class Contents:
     digests: dict[str, str]
     pressure: float
     air: SealedAir | None
-    stages: tuple[SavedStage, ...]
-    sealed_on: int | None
     commits: int
     floor: float | None
     laid: int
@@ -190,15 +177,6 @@ class Contents:
                 raise ValueError(f"a pond {pond.name!r} of {pond.weight} on the side {pond.side}")
         if self.air is not None and not min(self.air.volume, self.air.absolute) > 0:
             raise ValueError(f"sealed air that is none, {self.air}")
-        used = [cable.laying.stage for cable in self.cables if cable.laying is not None]
-        used += [bar.placing.stage for bar in self.bars if bar.placing is not None]
-        used += [load.stage for load in self.loads if load.stage is not None]
-        used += [k for k in (self.sealed_on,) if k is not None]
-        earlier = [stage.sealed_on for stage in self.stages]
-        if not {*used} <= {*range(len(self.stages))} or any(
-            on is not None and not 0 <= on < k for k, on in enumerate(earlier)
-        ):
-            raise ValueError("a stage that is not there")
         ids = [*self.strip, *chain.from_iterable(self._supports())]
         ids += [end.number for end in ends if isinstance(end, MeshVertex)]
         if ids and not 0 <= min(ids) <= max(ids) < n_vertices:
@@ -218,9 +196,6 @@ class Contents:
     def _supports(self) -> Iterator[Support]:
         """The vertices on or between which cables and crossings are."""
         states = [cable.state for cable in self.cables]
-        states += [state for stage in self.stages for state in stage.cables.values()]
         nodes = chain.from_iterable(state.nodes for state in states)
-        layings = (cable.laying for cable in self.cables if cable.laying is not None)
-        yield from (point.support for laying in layings for point in laying.path.points)
         yield from (node.point.support for node in nodes if node.point is not None)
         yield from (crossing.support for crossing in self.crossings)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,17 +27,10 @@ from crms_fenicsx.checkpoint.contents import (
 from crms_fenicsx.checkpoint.fields import Fields, cell_ids, read_fields, write_fields
 from crms_fenicsx.checkpoint.fingerprint import check_same, fingerprint
 from crms_fenicsx.checkpoint.folder import complete, replaced_folder
-from crms_fenicsx.checkpoint.stages import (
-    Stages,
-    read_stages,
-    recipe,
-    with_recipe,
-)
 from crms_fenicsx.energies.dead_load import MembraneLoad
 from crms_fenicsx.model.bar import BarEnd, Joint, MeshVertex, PlacedBar
 from crms_fenicsx.model.changed_materials import numbers, with_numbers
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.stage import Stage
 from crms_fenicsx.output.npy import read_rows, write_rows
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.checks import LONGEST
@@ -46,7 +39,7 @@ from crms_fenicsx.runtime.files import explained, read_text, readable
 from crms_fenicsx.scene import Scene
 
 STATE, CELLS = "state.json", "cells.npy"
-FORMAT = "crms_fenicsx checkpoint 7"
+FORMAT = "crms_fenicsx checkpoint 8"
 """What a checkpoint says it is; the number grows when its content changes."""
 
 
@@ -66,13 +59,11 @@ def save(folder: str | Path, scene: Scene, run: Run, call: Plain | None = None) 
     place = checks.file("save: folder", folder).resolve()
     with replaced_folder(place, scene.comm, STATE) as partial:
         edges, digests = write_fields(partial, scene)
-        stages = Stages(scene)
-        digests |= stages.write(partial, scene)
         if run.step_history is not None and run.step_history.cells is not None:
             ids, total = cell_ids(scene)
             cells = run.step_history.cells
             digests["cells"] = write_rows(partial / CELLS, scene.comm, ids, cells, total)
-        data = encode(_contents(scene, run, edges, digests, call, stages))
+        data = encode(_contents(scene, run, edges, digests, call))
         with raised_together(scene.comm), explained(partial / STATE):
             if scene.comm.rank == 0:
                 (partial / STATE).write_text(signed(data), encoding="utf-8")
@@ -171,8 +162,7 @@ def restore(saved: Saved, scene: Scene) -> Run:
         ids, total = cell_ids(scene)
         due, shape = digests.get("cells", ""), (total, 6)
         run = run.with_cells(read_rows(place / CELLS, comm, ids, np.float64, shape, due))
-    stages = read_stages(place, scene, contents.stages, digests)
-    _restore(scene, fields, saved, stages)
+    _restore(scene, fields, saved)
     scene.materials.update(materials)
     scene.step_history = run.step_history
     scene.commits = max(scene.commits, contents.commits) + 1
@@ -180,12 +170,7 @@ def restore(saved: Saved, scene: Scene) -> Run:
 
 
 def _contents(
-    scene: Scene,
-    run: Run,
-    edges: int,
-    digests: dict[str, str],
-    call: Plain | None,
-    stages: Stages,
+    scene: Scene, run: Run, edges: int, digests: dict[str, str], call: Plain | None
 ) -> Contents:
     """What is kept of a scene and its run besides the fields, with how many edges are held."""
     steps = [replace(step, verification=None) for step in run.steps]
@@ -196,8 +181,6 @@ def _contents(
         digests=digests,
         pressure=scene.pressure,
         air=scene.air,
-        stages=stages.saved(),
-        sealed_on=stages.number(scene._sealed_on),
         commits=scene.commits,
         floor=scene.floor_level,
         laid=scene.net.laid,
@@ -206,29 +189,14 @@ def _contents(
         materials=tuple(numbers(material) for material in scene.materials.values()),
         loads=tuple(
             SavedLoad(
-                load.name,
-                load.intensity,
-                load.suction is not None,
-                load.factor,
-                dict(load.joints),
-                recipe(load),
-                stages.number(load.stage),
+                load.name, load.intensity, load.suction is not None, load.factor, dict(load.joints)
             )
             for load in scene.loads
         ),
         ponds=scene.ponds,
         strip=() if strip is None else tuple(sorted(strip.complete)),
         cables=tuple(
-            SavedCable(
-                c.name,
-                c.cable,
-                c.sleeve,
-                c.layer,
-                c.in_edge,
-                c.joints,
-                c.state,
-                stages.laying(c),
-            )
+            SavedCable(c.name, c.cable, c.sleeve, c.layer, c.in_edge, c.joints, c.state)
             for c in scene.cables
         ),
         crossings=scene.net.crossings,
@@ -239,7 +207,6 @@ def _contents(
                 b.bar,
                 (_saved_end(scene, b.start), _saved_end(scene, b.end)),
                 b.state,
-                stages.placing(b),
             )
             for b in scene.bars
         ),
@@ -253,7 +220,7 @@ def _saved_end(scene: Scene, end: BarEnd) -> int | MeshVertex:
     return scene.frame.number(end) if isinstance(end, Joint) else end
 
 
-def _restore_frame(scene: Scene, contents: Contents, stages: Sequence[Stage]) -> None:
+def _restore_frame(scene: Scene, contents: Contents) -> None:
     """Let joints and bars be those that have been read; ones of the same name stay the objects."""
     frame = scene.frame
     known: dict[str, Joint] = {joint.name: joint for joint in frame.joints}
@@ -267,27 +234,23 @@ def _restore_frame(scene: Scene, contents: Contents, stages: Sequence[Stage]) ->
         start, end = (joints[end] if isinstance(end, int) else end for end in b.ends)
         bar = placed.get(b.name) or PlacedBar(b.name, b.bar, start, end, b.state)
         bar.bar, bar.start, bar.end, bar.state = b.bar, start, end, b.state
-        bar.placing = None if b.placing is None else b.placing.placing(stages)
         bars.append(bar)
     frame.joints, frame.bars = tuple(joints), tuple(bars)
 
 
-def _restored_cables(
-    scene: Scene, contents: Contents, stages: Sequence[Stage]
-) -> tuple[LaidCable, ...]:
+def _restored_cables(scene: Scene, contents: Contents) -> tuple[LaidCable, ...]:
     """The cables that have been read; ones of the same name stay the objects."""
     known = {cable.name: cable for cable in scene.cables}
     cables = []
     for c in contents.cables:
         read = LaidCable(c.name, c.cable, c.state, c.sleeve, c.layer, c.in_edge, c.joints)
-        read.laying = None if c.laying is None else c.laying.laying(stages)
         cable = known.get(c.name, read)
         cable.become(read)
         cables.append(cable)
     return tuple(cables)
 
 
-def _restore(scene: Scene, fields: Fields, saved: Saved, stages: Sequence[Stage]) -> None:
+def _restore(scene: Scene, fields: Fields, saved: Saved) -> None:
     """Bring the scene to a state that has been read."""
     contents = saved.contents
     held_edges = scene.membrane.held_edges.copy()
@@ -299,29 +262,21 @@ def _restore(scene: Scene, fields: Fields, saved: Saved, stages: Sequence[Stage]
             f"{saved.file} is damaged: a cable does not lie on cells of the mesh; take another "
             "checkpoint"
         )
-    own = {load.name: load for load in scene.loads}
     scene._loads = tuple(
-        with_recipe(
-            MembraneLoad(
-                load.name, forces, load.intensity, suction, load.factor, load.joints,
-                stage=None if load.stage is None else stages[load.stage],
-            ),
-            load.given, own.get(load.name), scene,
-        )
+        MembraneLoad(load.name, forces, load.intensity, suction, load.factor, load.joints)
         for load, forces, suction in zip(
             contents.loads, fields.forces, fields.suctions, strict=True
         )
-    )  # fmt: skip
-    scene._sealed_on = None if contents.sealed_on is None else stages[contents.sealed_on]
+    )
     scene.u.x.array[:] = fields.u.ravel()
     scene.held[:] = fields.held
     scene._floor_level, scene._air = contents.floor, contents.air
     scene._pressure, scene._ponds = contents.pressure, contents.ponds
     scene.energies, net = contents.energies, scene.net
     net.laid, net.removed_dissipation = contents.laid, contents.dissipated
-    net.strip, net.cables = strip, _restored_cables(scene, contents, stages)
+    net.strip, net.cables = strip, _restored_cables(scene, contents)
     net.crossings, net.arranged = contents.crossings, net.cables
-    _restore_frame(scene, contents, stages)
+    _restore_frame(scene, contents)
     scene.changes += 1
 
 

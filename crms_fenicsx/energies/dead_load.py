@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
@@ -22,7 +22,6 @@ from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.meshes.cell_geometry import area_vectors
 from crms_fenicsx.meshes.triangles import double_areas, norm
 from crms_fenicsx.model.membrane import Membrane
-from crms_fenicsx.model.stage import Stage
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, raised_together
@@ -58,11 +57,6 @@ class MembraneLoad:
         What the forces are multiplied by; load steps change it.
     joints
         Forces (force) on joints of bars, by their names.
-    again
-        Makes the load on the current shape of another membrane, of a finer mesh; None where that is
-        not known, as of forces on vertices.
-    stage
-        What it has been put on.
     """
 
     name: str
@@ -71,8 +65,6 @@ class MembraneLoad:
     suction: Array | None = field(default=None, repr=False)
     factor: float = 0.0
     joints: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
-    again: Callable[[Membrane], MembraneLoad] | None = field(default=None, repr=False)
-    stage: Stage | None = field(default=None, repr=False)
 
     @property
     def blows(self) -> bool:
@@ -160,7 +152,6 @@ def dead_load(
         loads[:] = shape.counted(per, membrane)[:, None] * given.T
     return MembraneLoad(
         name, shape.nodal(loads), _intensity(membrane, shape, loads),
-        again=partial(dead_load, traction=traction, name=name, per=per),
     )  # fmt: skip
 
 
@@ -182,7 +173,6 @@ def wind_load(
     loads = suction[:, None] * shape.vectors
     return MembraneLoad(
         name, shape.nodal(loads), _intensity(membrane, shape, loads), suction,
-        again=partial(wind_load, pressure=pressure, coefficient=coefficient, name=name),
     )  # fmt: skip
 
 
@@ -221,7 +211,6 @@ def joint_load(
     size = float(norm(np.array([*joints.values()])).sum())
     return MembraneLoad(
         name, np.zeros(membrane.held.shape), size / membrane.size**2, joints=joints,
-        again=partial(joint_load, joints=joints, name=name),
     )  # fmt: skip
 
 

@@ -11,7 +11,6 @@ from crms_fenicsx.model.cable_state import CableNode, CableState
 from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.model.sealed_air import SealedAir
-from crms_fenicsx.model.stage import Stage
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
 
@@ -23,7 +22,6 @@ class State:
     u: Array
     pressure: float
     air: SealedAir | None
-    sealed_on: Stage | None
     loads: tuple[MembraneLoad, ...]
     ponds: tuple[Pond, ...]
     energies: dict[str, float]
@@ -39,7 +37,6 @@ class State:
             scene.u.x.array.copy(),
             scene.pressure,
             scene.air,
-            scene._sealed_on,
             scene.loads,
             scene.ponds,
             dict(scene.energies),
@@ -71,7 +68,7 @@ class State:
     def restore(self, scene: Scene) -> None:
         """Bring the scene back to this state."""
         scene.u.x.array[:] = self.u
-        scene._pressure, scene._air, scene._sealed_on = self.pressure, self.air, self.sealed_on
+        scene._pressure, scene._air = self.pressure, self.air
         scene._loads, scene._ponds = self.loads, self.ponds
         scene.energies = dict(self.energies)
         self._restore_frame(scene)

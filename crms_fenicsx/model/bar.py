@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from crms_fenicsx.model.bar_state import BarState, JointState
-from crms_fenicsx.model.stage import Stage
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.runtime.errors import InputError
@@ -97,28 +96,6 @@ class MeshVertex:
 BarEnd = Joint | MeshVertex
 
 
-@dataclass(frozen=True)
-class Placing:
-    """How a bar was placed, for another one on a finer mesh.
-
-    Attributes
-    ----------
-    L0
-        As given to `Scene.add_bar` (length).
-    first
-        Its state then.
-    EA
-        Its axial stiffness then (force).
-    stage
-        What it was placed on.
-    """
-
-    L0: float | None
-    first: BarState
-    EA: float
-    stage: Stage
-
-
 class PlacedBar:
     """A bar at its place. Made by `Scene.add_bar`, and read-only.
 
@@ -134,8 +111,6 @@ class PlacedBar:
         Unstressed length (length).
     points : (2, 3)
         Where its ends are (length).
-    placing
-        Internal: how it was placed; None where that is not known.
     """
 
     L0: ReadOnly[float] = ReadOnly("state.L0", "call solver.advance(L0={bar: ...})")
@@ -143,7 +118,6 @@ class PlacedBar:
 
     def __init__(self, name: str, bar: Bar, start: BarEnd, end: BarEnd, state: BarState) -> None:
         self.name, self.bar, self.start, self.end, self.state = name, bar, start, end, state
-        self.placing: Placing | None = None
 
     def update(self, **changes: Any) -> None:
         """Replace parts of its state; for the package alone."""

@@ -11,7 +11,6 @@ import numpy as np
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.cable_state import CableNode, CableState, End, StepStart
 from crms_fenicsx.model.friction_history import AxialGrip, Grip
-from crms_fenicsx.model.stage import Stage
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.runtime.arrays import Array, Booleans, flags, floats
 from crms_fenicsx.runtime.errors import InputError
@@ -64,45 +63,6 @@ class CableEnd:
         first = int(np.argmax(away > SAME_PLACE * cable.length))
         tension = cable.part_tensions[0 if self.which == "start" else -1]
         return np.asarray(tension * outward[first] / away[first])
-
-
-@dataclass(frozen=True)
-class Laying:
-    """How a cable was laid, for another one on a finer mesh.
-
-    Attributes
-    ----------
-    route : (k, 2) or (k, 3)
-        As given, in plan or in space (length).
-    path
-        The way over the mesh that it led to.
-    ends
-        How its ends were held.
-    anchors : (2, 3)
-        Where they were (length).
-    L0, tension, measured_on
-        As given to `Scene.lay_cable`.
-    length
-        The unstressed length that it got (length).
-    EA
-        Its axial stiffness (force).
-    stage
-        What it was laid on.
-    shortest
-        As given to `Scene.lay_cable`.
-    """
-
-    route: Array
-    path: Path
-    ends: tuple[End, End]
-    anchors: Array
-    L0: float | None
-    tension: float | None
-    measured_on: Literal["surface", "facets"]
-    length: float
-    EA: float
-    stage: Stage
-    shortest: bool = False
 
 
 class LaidCable:
@@ -168,8 +128,6 @@ class LaidCable:
     excess
         Internal: by how much the smoothed lengths of its segments were longer than these in the
         last equilibrium (length).
-    laying
-        Internal: how it was laid.
     """
 
     name: ReadOnly[str] = ReadOnly("_name", "scene.lay_cable(..., name=...) gives a name")
@@ -208,7 +166,6 @@ class LaidCable:
         self._name, self._cable, self.state = name, cable, state
         self._sleeve, self._layer, self._in_edge = sleeve, layer, in_edge
         self._joints = joints
-        self.laying: Laying | None = None
 
     def update(self, **changes: Any) -> None:
         """Replace parts of its state, by name; arrays among them become read-only."""

@@ -83,7 +83,6 @@ class Membrane:
         self.pressed = _pressed_cells(mesh, pressure_on)
         self.pressure_on = pressure_on
         self.supports: tuple[tuple[str | Marker, str], ...] = ()
-        self._kept_shape: Array | None = None
         self.V = fem.functionspace(mesh.mesh, ("Lagrange", 1, (3,)))
         self.u = fem.Function(self.V, name="displacement")
         self.held = np.zeros((len(self.u.x.array) // 3, 3), dtype=bool)
@@ -140,15 +139,6 @@ class Membrane:
     def positions(self) -> Array:
         """Current positions of the vertices by local degree of freedom, (n, 3), with ghosts."""
         return self.stress_free + self.u.x.array.reshape(-1, 3)
-
-    def kept_shape(self) -> Array:
-        """The current displacements of the vertices, (n, 3), to be kept; the same array for all
-        that is put on the same shape (length)."""
-        u = self.u.x.array.reshape(-1, 3)
-        if self._kept_shape is None or not np.array_equal(u, self._kept_shape):
-            self._kept_shape = u.copy()
-            self._kept_shape.flags.writeable = False
-        return self._kept_shape
 
     def check_finite(self, purpose: str) -> None:
         """Refuse to go on from a displacement that is not finite.

@@ -22,9 +22,8 @@ from crms_fenicsx.meshes.smooth_surface import SmoothSurface, curve_length
 from crms_fenicsx.meshes.triangles import mix
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.cable_state import CableNode, CableState, End, StepStart
-from crms_fenicsx.model.laid_cable import LaidCable, Laying, polyline_length
+from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 from crms_fenicsx.model.membrane import Membrane
-from crms_fenicsx.model.stage import Stage
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.paths.creased_surface import CreasedSurface
 from crms_fenicsx.paths.follow import unfolded
@@ -52,23 +51,18 @@ def lay(
     layer: int,
     name: str | None,
     measured_on: MeasuredOn,
-    stage: Stage,
     shortest: bool = False,
-    places: Mapping[int, SurfacePoint] | None = None,
     joints: tuple[str | None, str | None] = (None, None),
 ) -> LaidCable:
     """Trace the path, decide what each of its points is, and add the cable to the net.
 
-    See `Scene.lay_cable`. Everything here is the same on all ranks. Of points of a path in space
-    `places` gives the places on the mesh, by their numbers, where these are known. It is laid on
-    the scene as it is, the `stage`.
+    See `Scene.lay_cable`. Everything here is the same on all ranks.
     """
     if not isinstance(cable, Cable):
         raise InputError(f"lay_cable: {cable!r} is no Cable; write Cable(EA=...).")
     name = _checked_name(net, name)
     _check_length(name, L0, tension, measured_on)
-    given = _route(path)
-    route, known, folds = (given, places, []) if places else unfolded(net, given)
+    route, known, folds = unfolded(net, _route(path))
     refuse_places_behind(net.membrane, route, name)
     try:
         traced = _traced(net.membrane, route, known)
@@ -94,7 +88,7 @@ def lay(
     length = polyline_length(laid.positions[laid.contacts()])
     if length == 0.0:
         raise PathError(f"lay_cable: the path of {name!r} has no length.")
-    smooth, asked = length, (L0, tension, measured_on)
+    smooth = length
     if L0 is None and measured_on == "surface" and cable.law == "total":
         smooth = _smooth_length(laid, shape, folded)
     L0 = smooth / (1 + (tension or 0.0) / cable.EA) if L0 is None else float(L0)
@@ -106,18 +100,6 @@ def lay(
         from crms_fenicsx.friction.axial import initial_state
 
         laid.update(axial=initial_state(laid, shape))
-    ends = np.array(laid.positions[[0, -1]])
-    laid.laying = Laying(
-        given,
-        laid.path,
-        laid.ends,
-        ends,
-        *asked,
-        length=L0,
-        EA=cable.EA,
-        stage=stage,
-        shortest=shortest,
-    )
     net.add(laid, strip)
     return laid
 

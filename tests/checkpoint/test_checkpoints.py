@@ -93,7 +93,7 @@ def assert_same(one: object, other: object, what: str) -> None:
         for k, pair in enumerate(zip(one, other, strict=True)):
             assert_same(*pair, f"{what}[{k}]")
     elif hasattr(one, "__dict__"):
-        for name in ({*vars(one)} | {*vars(other)}) - {"row_of", "laying"}:  # follows; not kept
+        for name in ({*vars(one)} | {*vars(other)}) - {"row_of"}:  # it follows from the others
             assert_same(getattr(one, name), getattr(other, name), f"{what}.{name}")
     else:
         assert one == other or one != one, what

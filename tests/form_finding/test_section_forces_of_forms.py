@@ -11,7 +11,6 @@ from mpi4py import MPI
 from crms_fenicsx import IsotropicMembrane, OrthotropicMembrane, Solver, meshes
 from crms_fenicsx.form_finding import FoundForm, find_form
 from crms_fenicsx.output.report.model_data import model_data
-from crms_fenicsx.runtime.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("comm")
 FOIL = IsotropicMembrane(E=1000.0, nu=0.3, thickness=1.0)
@@ -104,10 +103,3 @@ def test_they_stay_with_the_fabric_as_it_strains(comm: MPI.Intracomm) -> None:
     strain = comm.allreduce(float(results.strains.max(initial=0.0)), op=MPI.MAX)
     assert strain > 0.02
     assert unbalanced(solver, tensors(solver)) < 1e-6
-
-
-def test_finer_meshes_of_forms_are_refused(comm: MPI.Intracomm) -> None:
-    found = find_form(meshes.circle(comm, 10.0, 4.0), stress=2.0, fixed=["boundary"], rise=4.0)
-    solver = Solver(found.scene(IsotropicMembrane(E=500.0, nu=0.3, thickness=1.0)))
-    with pytest.raises(InputError, match=r"^convergence: the scene is that of a found form"):
-        solver.convergence()

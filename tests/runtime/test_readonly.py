@@ -75,7 +75,7 @@ def test_nothing_is_assigned(comm) -> None:
 def test_all_that_changes_of_a_cable_is_its_state(comm) -> None:
     """It is one frozen value, whose arrays cannot be written: a snapshot is a reference to it."""
     *_, cable = laid(comm)
-    data = {"_name", "_cable", "_sleeve", "_in_edge", "_layer", "_joints", "laying"}
+    data = {"_name", "_cable", "_sleeve", "_in_edge", "_layer", "_joints"}
     assert vars(cable).keys() == {*data, "state"}
     before = cable.state
     for field in fields(CableState):
