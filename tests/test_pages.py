@@ -11,7 +11,9 @@ from typing import Any
 import pytest
 
 DOCS = Path(__file__).parents[1] / "docs"
-PAGES = ["mesh", "form_finding", "loads", "bars", "results", "pictures", "own_term", "coupling"]
+PAGES = [
+    "mesh", "form_finding", "loads", "bars", "results", "error", "pictures", "own_term", "coupling",
+]  # fmt: skip
 NEEDED = ("precice", "dolfinx.io.gmsh")
 """Modules without which a block of code is left out."""
 
