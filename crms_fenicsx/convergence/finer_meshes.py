@@ -197,7 +197,8 @@ class FinerMeshes(LoadCases, SolverResults):
         levels
             Number of meshes, this one included.
         points
-            Stress-free places (3,) by names, whose displacements are compared (length).
+            Stress-free places (3,) by names, whose displacements are compared (length): those of
+            the surface with its folds, as by `MembraneResults.at`.
         reactions
             Groups of held vertices, of whose reactions the sums are compared.
         stresses

@@ -199,7 +199,8 @@ class MembraneResults:
         Parameters
         ----------
         name
-            One of `names`, or "displacement", a vector (length).
+            One of `names`, or "displacement", a vector (length): that of the vertices. At places
+            in folded cells ask `at`.
         smooth
             False: constant in each cell (DG0). True: linear (P1), at each vertex the mean over the
             cells around it by their stress-free areas; it spreads over borders of parts and
@@ -230,7 +231,7 @@ class MembraneResults:
         on: Literal["current", "stress-free"] = "current",
         smooth: bool = False,
     ) -> PlaceResults:
-        """Results at places of the surface. Collective.
+        """Results at places of the surface, that of the folded cells. Collective.
 
         Parameters
         ----------

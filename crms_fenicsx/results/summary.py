@@ -9,6 +9,7 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
+from crms_fenicsx.cables.deformed_surface import CurrentSurface
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.model.membrane import COMPONENTS, Membrane
 from crms_fenicsx.model.pond import Pond
@@ -20,6 +21,7 @@ from crms_fenicsx.results.reactions import held_lengths, support_forces
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.runtime.errors import as_text
 from crms_fenicsx.runtime.text import span
+from crms_fenicsx.surface.triangles import double_areas, norm
 
 Vector = tuple[float, float, float]
 
@@ -31,7 +33,7 @@ SUMMED_UP = (
 
 @dataclass(frozen=True, repr=False)
 class Extreme:
-    """A largest or least value, and where it is now (length)."""
+    """A largest or least value, and where on the surface it is now (length)."""
 
     value: float
     at: Vector
@@ -183,12 +185,12 @@ def summary(system: System) -> Summary:
         The scene's potential; it is brought to the scene's state.
     """
     scene, results = system.scene, membrane_results(system)
-    n = scene.V.dofmap.index_map.size_local
-    moved: Array = scene.u.x.array.reshape(-1, 3)[:n]
-    places = scene.positions()[:n]
-    parts = {ALL: _part(results, None)}
+    places = results.surface.points  # with the points of cables on folded cells
+    moved = places - results.surface.stress_free
+    centres = _centres(results.surface, len(results.state))
+    parts = {ALL: _part(results, centres, None)}
     if len(results.parts) > 1:
-        parts |= {name: _part(results, name) for name in sorted(results.parts)}
+        parts |= {name: _part(results, centres, name) for name in sorted(results.parts)}
     return Summary(
         scene.pressure,
         scene.factors,
@@ -205,23 +207,28 @@ def summary(system: System) -> Summary:
     )
 
 
-def _part(results: MembraneResults, name: str | None) -> PartSummary:
+def _part(results: MembraneResults, centres: Array, name: str | None) -> PartSummary:
     comm = results.comm
     cells = np.arange(len(results.state)) if name is None else results.parts[name]
     slack, wrinkled, _ = results.shares(name)
-    shape = results.surface
-    dofs = results.membrane.V.dofmap.list[cells]
-    centres = np.asarray(shape.points[dofs].mean(axis=1))
     least, largest = {}, {}
     for one in SUMMED_UP:
         if one not in results.names:
             continue
         values = results.values(one)[cells]
         if comm.allreduce(int(np.isfinite(values).sum())):
-            least[one] = _extreme(comm, values, centres, largest=False)
-            largest[one] = _extreme(comm, values, centres, largest=True)
+            least[one] = _extreme(comm, values, centres[cells], largest=False)
+            largest[one] = _extreme(comm, values, centres[cells], largest=True)
     area = comm.allreduce(float(results.stress_free_areas[cells].sum()))
     return PartSummary(area, slack, wrinkled, least, largest)
+
+
+def _centres(surface: CurrentSurface, n: int) -> Array:
+    """Places on n cells, (n, 3): the centre of each one's largest facet."""
+    corners = surface.points[surface.triangles]
+    order = np.lexsort((norm(double_areas(corners)), surface.parents))
+    largest = np.searchsorted(surface.parents[order], np.arange(n), side="right") - 1
+    return np.asarray(corners[order[largest]].mean(axis=1))
 
 
 def _extreme(comm: MPI.Intracomm, values: Array, places: Array, *, largest: bool) -> Extreme:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.convergence.quantities import displacement
+from crms_fenicsx.convergence.quantities import displacements
 
 pytestmark = pytest.mark.usefixtures("comm")
 
@@ -88,9 +88,29 @@ def test_stresses_of_parts(comm):
 def test_displacement_between_vertices(comm):
     """It is linear in the cells."""
     scene, _ = square(comm, 4)
-    ends = [displacement(scene.membrane, np.array([x, 50.0, 0.0])) for x in (25.0, 50.0, 35.0)]
+    ends = displacements(scene, np.array([(x, 50.0, 0.0) for x in (25.0, 50.0, 35.0)]))
     assert np.allclose(ends[2], 0.6 * ends[0] + 0.4 * ends[1])
     assert np.linalg.norm(ends[1]) > 1.0
+
+
+def test_displacement_under_a_cable(comm):
+    """It is the cable's, z = 5.539 in the middle (by meshes that have lines under the cable)."""
+    mesh = meshes.rectangle(comm, SIDE, SIDE, 16.0)
+    scene = Scene(mesh, FABRIC)
+    scene.fix("boundary")
+    cable = scene.lay_cable(Cable(EA=32000.0), [(0.0, 50.0, 0.0), (SIDE, 50.0, 0.0)], L0=100.6)
+    solver = Solver(scene)
+    solver.advance(pressure=0.01)
+    place = cable.reference_positions[len(cable.positions) // 2]
+    study = solver.convergence(points={"middle": (50.0, 50.0, 0.0), "on it": tuple(place)})
+    first = [study[f"displacement on it {axis}"].values[0] for axis in "xyz"]
+    assert first == pytest.approx(
+        cable.positions[len(cable.positions) // 2] - place, rel=1e-9, abs=1e-9
+    )
+    middle = study["displacement middle z"]
+    assert abs(middle.limit - 5.539) <= middle.bar + 0.002
+    assert middle.bar < 0.05
+    assert middle.values == pytest.approx([5.539] * 3, rel=2e-2)
 
 
 def test_plot(comm, tmp_path_factory):
@@ -109,6 +129,10 @@ REFUSED = {
     "whole": ({"levels": 2.5}, "must be a whole number"),
     "points": ({"points": [(0, 0, 0)]}, "points = .* has no names"),
     "point": ({"points": {"top": (0.0, 1.0)}}, "the point 'top' = .*three finite numbers"),
+    "place": (
+        {"points": {"top": (50.0, 50.0, 30.0)}},
+        "point 'top' at .* is 30 off the stress-free",
+    ),
     "reactions": ({"reactions": "boundary"}, r"write reactions=\['boundary'\]"),
     "group": ({"reactions": ["rim"]}, "no group of edges or points 'rim'"),
     "part": ({"stresses": ["roof"]}, "there is no part 'roof'"),

@@ -6,6 +6,7 @@ import pytest
 from crms_fenicsx import InputError, meshes
 from crms_fenicsx.meshes.cell_geometry import area_vectors
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
+from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.surface.adaptive_refinement import AdaptiveRefinement
 from crms_fenicsx.surface.points import CellPoint, EdgePoint, VertexPoint
 
@@ -13,7 +14,7 @@ from crms_fenicsx.surface.points import CellPoint, EdgePoint, VertexPoint
 def corners(mesh):
     """Corners of this rank's own cells, (n, 3, 3)."""
     own = mesh.mesh.topology.index_map(2).size_local
-    return mesh.mesh.geometry.x[mesh.mesh.geometry.dofmap[:own]]
+    return mesh.mesh.geometry.x[geometry_dofmap(mesh.mesh)[:own]]
 
 
 def near(mesh, place, distance):
@@ -39,7 +40,7 @@ def length(comm, mesh, name):
     own = own[own < topology.index_map(1).size_local]
     ends = topology.connectivity(1, 0).array.reshape(-1, 2)[own]
     nodes = np.empty(topology.index_map(0).size_local + topology.index_map(0).num_ghosts, int)
-    nodes[topology.connectivity(2, 0).array] = mesh.mesh.geometry.dofmap.ravel()
+    nodes[topology.connectivity(2, 0).array] = geometry_dofmap(mesh.mesh).ravel()
     x = mesh.mesh.geometry.x[nodes[ends]]
     return comm.allreduce(np.linalg.norm(x[:, 1] - x[:, 0], axis=1).sum())
 

@@ -6,6 +6,7 @@ import pytest
 from crms_fenicsx import InputError, MeshError, meshes
 from crms_fenicsx.meshes.cell_geometry import area_vectors
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
+from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.surface.points import CellPoint, EdgePoint, VertexPoint
 from crms_fenicsx.surface.uniform_refinement import UniformRefinement
 
@@ -94,7 +95,7 @@ def test_hall_stays_a_hall(comm):
 
 def arrays_of(comm, mesh, **more):
     """A mesh as arrays, so that nothing is known of its surface; on one process only."""
-    return meshes.from_arrays(comm, nodes(mesh), mesh.mesh.geometry.dofmap, **more)
+    return meshes.from_arrays(comm, nodes(mesh), geometry_dofmap(mesh.mesh), **more)
 
 
 def test_mesh_of_arrays_follows_the_smooth_surface_behind_it():
@@ -175,7 +176,7 @@ def test_places_and_fields_are_where_they_were(comm):
 
     def table(mesh):
         every = comm.allgather((np.asarray(cell_vertex_ids(mesh.mesh)).ravel(),
-                                nodes(mesh)[mesh.mesh.geometry.dofmap.ravel()]))  # fmt: skip
+                                nodes(mesh)[geometry_dofmap(mesh.mesh).ravel()]))  # fmt: skip
         return {int(v): x for ids, xs in every for v, x in zip(ids, xs, strict=True)}
 
     old, new = table(coarse), table(refinement.finer)
