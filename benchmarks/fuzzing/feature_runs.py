@@ -121,7 +121,9 @@ def check_state(world: World, what: str, found: Found) -> None:
     found.answers.append((what, now))
     if not all(np.isfinite(x).all() for x in now.values()):
         found.problems.append(f"{what}: not finite")
-    if not world.solver.steps or (scene.changes and what.endswith(("remove", "seal", "unseal"))):
+    if not world.solver.steps or (
+        scene.versions.model_version and what.endswith(("remove", "seal", "unseal"))
+    ):
         return
     away = unbalanced(world)
     if away > BALANCE:

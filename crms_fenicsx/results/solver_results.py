@@ -136,10 +136,16 @@ class SolverResults:
         ErrorEstimate
             For the whole membrane, and the shares of this rank's cells.
 
+        Raises
+        ------
+        InputError
+            On all ranks: the scene has been changed since its last load step, or there was none.
+
         Examples
         --------
         >>> solver.estimate_error().relative
         """
+        self._scene.require_equilibrium("estimate_error")
         return ErrorEstimator(self._scene).of(self.system)
 
     @collective

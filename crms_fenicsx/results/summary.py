@@ -13,6 +13,7 @@ from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.model.membrane import COMPONENTS, Membrane
 from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.model.strengths import ALL
+from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.results.bar_results import BarResults, bar_results, joint_reactions
 from crms_fenicsx.results.cable_results import CableResults, cable_results
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
@@ -114,6 +115,9 @@ class Summary:
         Forces with which held joints, anchors of bars among them, are held (force), by their names.
     ponds
         By their names, with their levels and volumes.
+    in_equilibrium
+        Whether the scene had not been changed since its last load step; if it had, forces of cables
+        and bars and the energy may be those of before, and nothing is in balance.
     """
 
     pressure: float
@@ -128,6 +132,7 @@ class Summary:
     bars: Mapping[str, BarResults]
     joints: Mapping[str, Vector]
     ponds: Mapping[str, Pond]
+    in_equilibrium: bool
 
     def __repr__(self) -> str:
         """A table: a row for each load, part, cable, bar and support."""
@@ -137,6 +142,7 @@ class Summary:
             ("energy", "", f"{self.energy:.6g}"),
             ("displacement", "", repr(self.displacement)),
         ]
+        rows = rows if self.in_equilibrium else [("state", "", UNBALANCED), *rows]
         for name, part in self.parts.items():
             shown = [one for one in ("warp", "weft", "utilisation") if one in part.least]
             values = [
@@ -202,6 +208,7 @@ def summary(system: System) -> Summary:
         bar_results(scene),
         joint_reactions(scene),
         {pond.name: pond for pond in scene.ponds},
+        results.in_equilibrium,
     )
 
 

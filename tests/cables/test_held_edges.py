@@ -51,7 +51,7 @@ def ride(scene: Scene, cable: LaidCable, places: dict[int, float]) -> None:
         assert isinstance(point, EdgePoint)
         nodes[k] = CableNode("rider", EdgePoint(point.edge, s))
     cable.update(nodes=tuple(nodes))
-    scene.changes += 1
+    scene.versions.change_model()
 
 
 def pull_at(cable: LaidCable, k: int) -> Array:

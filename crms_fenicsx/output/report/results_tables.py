@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from crms_fenicsx.model.strengths import ALL
+from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.output.report.case import Case
 from crms_fenicsx.output.report.tables import Cell, Table, per_cent, place
 from crms_fenicsx.results.quantities import QUANTITIES
@@ -260,7 +261,7 @@ def verification(cases: Sequence[Case]) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for case in cases:
         if case.verification is None:
-            rows.append((case.name, "not verified in this run", None, None, None, ""))
+            rows.append((case.name, _unchecked(case), None, None, None, ""))
             continue
         for check in case.verification.checks:
             verdict = "passed" if check.passed else "failed" if check.binding else "doubtful"
@@ -271,13 +272,18 @@ def verification(cases: Sequence[Case]) -> Table:
     return Table("Checks of the equilibria", columns, rows, "verification", headings=2)
 
 
+def _unchecked(case: Case) -> str:
+    """Why no checks are known of a case."""
+    return "not verified in this run" if case.summary.in_equilibrium else UNBALANCED
+
+
 def verdicts(cases: Sequence[Case]) -> Table:
     """What the checks say of each case."""
     rows: list[tuple[Cell, ...]] = []
     for case in cases:
         found = case.verification
         if found is None:
-            rows.append((case.name, None, "not verified in this run"))
+            rows.append((case.name, None, _unchecked(case)))
             continue
         names = [check.name for check in found.failed or found.doubtful]
         verdict = "failed: " if found.failed else "verified; crude in: " if names else "verified"
