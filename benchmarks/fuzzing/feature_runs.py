@@ -140,7 +140,7 @@ def unbalanced(world: World) -> float:
     """
     scene, comm = world.scene, world.comm
     sums = world.solver.summary()
-    total = np.array(sums.reaction or sums.supports["all supports"].total)
+    total = np.array(sums.reaction)
     size = np.abs(total).sum() + sum(abs(b.force) for b in scene.bars)
     size += sum(c.tension for c in scene.cables)
     unknown = set(scene.energies) & {"springs", "residual stress"}

@@ -31,10 +31,10 @@ NOTES = (
     "given for them, which must contain all partial factors. Shear is not part of it.",
     "Slack and wrinkled shares are parts of the stress-free area: a wrinkled triangle is in "
     "tension in one direction only, a slack one in none.",
-    "Displacements are from the stress-free shape. Reactions are forces that supports exert on the "
-    "membrane, anchors on cables, and what holds joints on these. Per length they are nodal forces "
-    "over the length of held edges that belongs to each vertex; they contain what cables hand on "
-    "there. Groups may share vertices.",
+    "Displacements are from the stress-free shape. Reactions are forces that supports exert on all "
+    "that meets there: on the membrane, and on ends of cables and bars. Per length they are forces "
+    "on the membrane over the length of held edges that belongs to each vertex; they contain what "
+    "cables hand on there that pass over. Groups may share vertices.",
     "Contact forces of cables are those along the membrane's normal, per length of cable, smoothed "
     "over a few triangles.",
     "Each equilibrium is checked independently of the solver: virtual work by differences of the "
@@ -281,6 +281,9 @@ class Report:
         if ponds.rows:
             found.append(Section("Ponds", [ponds]))
         more = [results_tables.anchors(cases, units), bar_tables.joints(cases, units)]
-        held = [results_tables.supports(cases, units), *(table for table in more if table.rows)]
+        held = [
+            results_tables.supports(cases, units, every=False),
+            *(table for table in more if table.rows),
+        ]
         found.append(Section("Supports and anchors", held))
         return found
