@@ -10,6 +10,7 @@ from crms_fenicsx.model.bar import Bar, BarEnd, Joint, MeshVertex, PlacedBar, Pl
 from crms_fenicsx.model.frame import Frame
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.model.versions import changes_model
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, collective
@@ -58,7 +59,7 @@ class BracedMembrane(LoadedMembrane):
         """
         checks.same(self.comm, "add_joint", position=position, name=name, held=held)
         joint = self.frame.add_joint(checks.vector("add_joint: position", position), name, held)
-        self.changes += 1
+        self.versions.change_model(acts=False)
         return joint
 
     @collective
@@ -80,6 +81,7 @@ class BracedMembrane(LoadedMembrane):
         return self.frame.vertex_at(checks.vector("vertex_at: point", point))
 
     @collective
+    @changes_model
     def add_bar(
         self,
         bar: Bar,
@@ -136,7 +138,6 @@ class BracedMembrane(LoadedMembrane):
         stage = self.stage()
         placed = self.frame.add_bar(bar, ends, L0, found)
         placed.placing = Placing(L0, placed.state, placed.bar.EA, stage)
-        self.changes += 1
         return placed
 
     def _bar_end(self, name: str, which: str, given: Place | BarEnd | str) -> BarEnd | Array:
@@ -156,6 +157,7 @@ class BracedMembrane(LoadedMembrane):
         return checks.vector(f"add_bar: {which} of {name!r}", given)
 
     @collective
+    @changes_model
     def remove_bar(self, bar: PlacedBar | str) -> None:
         """Take a bar away, with the anchors that nothing else needs. Collective.
 
@@ -177,7 +179,6 @@ class BracedMembrane(LoadedMembrane):
         if not any(bar is own for own in self.bars):
             raise InputError(f"remove_bar: {bar!r} is not a bar of this scene.")
         self.frame.remove_bar(bar, self._used_joints())
-        self.changes += 1
 
     def _used_joints(self) -> set[str | None]:
         """Names of the joints that loads need."""
@@ -243,6 +244,7 @@ class BracedMembrane(LoadedMembrane):
         self.add_load(joint_load(self.membrane, found, name))
 
     @collective
+    @changes_model
     def set_stiffness(self, EA: Mapping[LaidCable | PlacedBar, float]) -> None:
         """Give cables and bars another axial stiffness, for studies of parameters. Collective.
 
@@ -276,7 +278,6 @@ class BracedMembrane(LoadedMembrane):
             checks.positive(f"set_stiffness: EA of {one.name!r}", stiffness)
         for one, stiffness in EA.items():
             one.set_stiffness(float(stiffness))
-        self.changes += 1
 
     def _stretched(self) -> tuple[LaidCable | PlacedBar, ...]:
         """What has an axial stiffness."""

@@ -125,8 +125,10 @@ class Contents:
         As in the scene.
     stages, sealed_on
         What things were put on, and of these the number of that of the air.
-    commits
-        As in the scene.
+    state_version
+        As in the scene's versions.
+    in_equilibrium
+        Whether nothing had changed since the last load step.
     laid
         How many cables have been laid.
     loads
@@ -148,7 +150,8 @@ class Contents:
     air: SealedAir | None
     stages: tuple[SavedStage, ...]
     sealed_on: int | None
-    commits: int
+    state_version: int
+    in_equilibrium: bool
     floor: float | None
     laid: int
     dissipated: float

@@ -46,7 +46,7 @@ from crms_fenicsx.runtime.files import explained, read_text, readable
 from crms_fenicsx.scene import Scene
 
 STATE, CELLS = "state.json", "cells.npy"
-FORMAT = "crms_fenicsx checkpoint 7"
+FORMAT = "crms_fenicsx checkpoint 8"
 """What a checkpoint says it is; the number grows when its content changes."""
 
 
@@ -175,7 +175,12 @@ def restore(saved: Saved, scene: Scene) -> Run:
     _restore(scene, fields, saved, stages)
     scene.materials.update(materials)
     scene.step_history = run.step_history
-    scene.commits = max(scene.commits, contents.commits) + 1
+    scene.versions.change_model()
+    scene.versions.change_state(above=contents.state_version)
+    if contents.in_equilibrium:
+        scene.versions.settle(scene.u.x.array, None)
+    else:
+        scene.versions.unsettle()
     return run
 
 
@@ -198,7 +203,8 @@ def _contents(
         air=scene.air,
         stages=stages.saved(),
         sealed_on=stages.number(scene._sealed_on),
-        commits=scene.commits,
+        state_version=scene.versions.state_version,
+        in_equilibrium=scene.in_equilibrium(),
         floor=scene.floor_level,
         laid=scene.net.laid,
         dissipated=scene.net.removed_dissipation,
@@ -322,7 +328,6 @@ def _restore(scene: Scene, fields: Fields, saved: Saved, stages: Sequence[Stage]
     net.strip, net.cables = strip, _restored_cables(scene, contents, stages)
     net.crossings, net.arranged = contents.crossings, net.cables
     _restore_frame(scene, contents, stages)
-    scene.changes += 1
 
 
 def _strip(scene: Scene, contents: Contents) -> Strip | None:

@@ -250,7 +250,6 @@ def _lay(
     measured_on: MeasuredOn,
     shortest: bool = False,
 ) -> LaidCable:
-    finer.changes += 1
     return lay(
         finer.net, cable.cable, route, L0=L0, tension=tension, sleeve=cable.sleeve,
         layer=cable.layer, name=cable.name, measured_on=measured_on, places=known,

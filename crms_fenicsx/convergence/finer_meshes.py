@@ -130,7 +130,8 @@ class FinerMeshes(LoadCases, SolverResults):
         Raises
         ------
         InputError
-            On all ranks: as `refine`, another share, or an estimate of no error at all.
+            On all ranks: as `refine`, another share, an estimate of no error at all, or a scene
+            that has been changed since its last load step.
         PathError, ConvergenceError
             As `refine`.
 
@@ -146,6 +147,7 @@ class FinerMeshes(LoadCases, SolverResults):
         comm = self._scene.comm
         checks.same(comm, "adapt", share=share, project=project, terms=terms)
         share = checked_share(share)
+        self._scene.require_equilibrium("adapt")
         cells = marked_cells(comm, self.estimate_error().cells, share)
         return self._finer(lambda mesh: AdaptiveRefinement.of(mesh, cells, project), terms, "adapt")
 
@@ -218,8 +220,8 @@ class FinerMeshes(LoadCases, SolverResults):
         Raises
         ------
         InputError
-            On all ranks and before anything is computed: as `refine`, or a point, group, part or
-            function that cannot be used.
+            On all ranks and before anything is computed: as `refine`, a scene that has been changed
+            since its last load step, or a point, group, part or function that cannot be used.
         PathError, ConvergenceError
             As `refine`.
 
@@ -237,6 +239,7 @@ class FinerMeshes(LoadCases, SolverResults):
             stresses=stresses, quantities=quantities, project=project, terms=terms,
         )  # fmt: skip
         levels = checked_levels(levels)
+        self._scene.require_equilibrium("convergence")
         wanted = Quantities.checked(self._scene, points, reactions, stresses, quantities)
         solver, rows, cells, seconds = self, [wanted.of(self)], [_cells(self._scene)], [0.0]
         for _ in range(levels - 1):

@@ -107,7 +107,6 @@ class Retrace:
         self._carrier.take_state(stage.u, stage.cables)
         self._take_loads(whole)
         self._frame.take(whole.joints, whole.bars)
-        finer.changes += 1
         moved = coarse.comm.allreduce(bool(stage.u.any()), op=MPI.LOR) or any(
             (joint.position != joint.first).any() for joint in finer.joints
         )
@@ -220,5 +219,4 @@ class Retrace:
                 laid, known = laid_first(cable, finer, self._carrier.refinement), self._cables
                 laid.laying = known[cable.name].laying
                 laid.update(L0=known[cable.name].L0)  # on the same shape: but for rounding it is
-        finer.changes += 1
         return Loading.of(finer)

@@ -19,7 +19,7 @@ class Stage:
     Attributes
     ----------
     number
-        How many states load steps had brought the scene to, see `Scene.commits`.
+        Number of the state that load steps had brought the scene to, see `Version`.
     u : (n, 3)
         Displacements of this rank's vertices, ghosts included (length); read-only, and the same
         array for all that is put on the same shape.

@@ -62,7 +62,9 @@ def test_reactions_balance_cables_film_and_pressure(comm: MPI.Intracomm) -> None
     solver = Solver(scene := form.scene(FABRIC, STEEL))
     solver.advance()
     for corner, place in PLACES.items():
-        force = solver.reactions(corner).total.copy()
+        found = solver.reactions(corner)
+        assert form.reactions[corner] == pytest.approx(found.total, abs=1e-8)
+        force = found.membrane.copy()
         for cable in form.cables:
             laid = scene.cable(cable.name)
             for end, at in ((laid.start, cable.path[0]), (laid.end, cable.path[-1])):
