@@ -25,6 +25,7 @@ from scipy.spatial import ConvexHull
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.meshes import MembraneMesh
+from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.study import adapt, marked_cells
 from crms_fenicsx.study.build import Build
 
@@ -210,7 +211,7 @@ def show(name: str, study: Study) -> None:
 
 def concave(mesh: MembraneMesh) -> float:
     """Share of a dome's edges between two cells that are concave, in per cent."""
-    topology, x = mesh.mesh.topology, mesh.mesh.geometry.x[mesh.mesh.geometry.dofmap]
+    topology, x = mesh.mesh.topology, mesh.mesh.geometry.x[geometry_dofmap(mesh.mesh)]
     normals, middles = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), x.mean(axis=1)
     cells = topology.connectivity(1, 2)
     pairs = [cells.links(edge) for edge in range(topology.index_map(1).size_local)]

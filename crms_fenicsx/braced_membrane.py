@@ -10,6 +10,7 @@ from crms_fenicsx.model.bar import Bar, BarEnd, Joint, MeshVertex, PlacedBar
 from crms_fenicsx.model.frame import Frame
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.model.versions import changes_model
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, collective
@@ -58,7 +59,7 @@ class BracedMembrane(LoadedMembrane):
         """
         checks.same(self.comm, "add_joint", position=position, name=name, held=held)
         joint = self.frame.add_joint(checks.vector("add_joint: position", position), name, held)
-        self.changes += 1
+        self.versions.change_model(acts=False)
         return joint
 
     @collective
@@ -80,6 +81,7 @@ class BracedMembrane(LoadedMembrane):
         return self.frame.vertex_at(checks.vector("vertex_at: point", point))
 
     @collective
+    @changes_model
     def add_bar(
         self,
         bar: Bar,
@@ -134,7 +136,6 @@ class BracedMembrane(LoadedMembrane):
             L0 = checks.positive(f"add_bar: L0 of {found!r}", L0)
         ends = self._bar_end(found, "start", start), self._bar_end(found, "end", end)
         placed = self.frame.add_bar(bar, ends, L0, found)
-        self.changes += 1
         return placed
 
     def _bar_end(self, name: str, which: str, given: Place | BarEnd | str) -> BarEnd | Array:
@@ -154,6 +155,7 @@ class BracedMembrane(LoadedMembrane):
         return checks.vector(f"add_bar: {which} of {name!r}", given)
 
     @collective
+    @changes_model
     def remove_bar(self, bar: PlacedBar | str) -> None:
         """Take a bar away, with the anchors that nothing else needs. Collective.
 
@@ -175,7 +177,6 @@ class BracedMembrane(LoadedMembrane):
         if not any(bar is own for own in self.bars):
             raise InputError(f"remove_bar: {bar!r} is not a bar of this scene.")
         self.frame.remove_bar(bar, self._used_joints())
-        self.changes += 1
 
     def _used_joints(self) -> set[str | None]:
         """Names of the joints that loads need."""
@@ -241,6 +242,7 @@ class BracedMembrane(LoadedMembrane):
         self.add_load(joint_load(self.membrane, found, name))
 
     @collective
+    @changes_model
     def set_stiffness(self, EA: Mapping[LaidCable | PlacedBar, float]) -> None:
         """Give cables and bars another axial stiffness, for studies of parameters. Collective.
 
@@ -274,7 +276,6 @@ class BracedMembrane(LoadedMembrane):
             checks.positive(f"set_stiffness: EA of {one.name!r}", stiffness)
         for one, stiffness in EA.items():
             one.set_stiffness(float(stiffness))
-        self.changes += 1
 
     def _stretched(self) -> tuple[LaidCable | PlacedBar, ...]:
         """What has an axial stiffness."""

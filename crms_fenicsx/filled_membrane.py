@@ -11,6 +11,7 @@ from crms_fenicsx.loaded_membrane import LoadedMembrane
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.model.sealed_air import SealedAir
+from crms_fenicsx.model.versions import changes_model
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, collective
 from crms_fenicsx.runtime.readonly import ReadOnly
@@ -52,6 +53,7 @@ class FilledMembrane(LoadedMembrane):
         """Volume gained since the stress-free shape (length cubed)."""
 
     @collective
+    @changes_model
     def seal(self, *, volume: float, atmosphere: float = 101.325, exponent: float = 1.0) -> None:
         """Seal the air under the membrane at its present pressure. Collective.
 
@@ -106,9 +108,9 @@ class FilledMembrane(LoadedMembrane):
             )
         self.membrane.check_finite("seal")
         self._air = SealedAir(volume, self.volume, self._pressure, absolute, exponent, atmosphere)
-        self.changes += 1
 
     @collective
+    @changes_model
     def unseal(self) -> None:
         """Let fans hold the pressure that the sealed air has come to. Collective.
 
@@ -120,7 +122,6 @@ class FilledMembrane(LoadedMembrane):
         if self._air is None:
             raise InputError("unseal: the air is not sealed; scene.seal(volume=...) does that.")
         self._air = None
-        self.changes += 1
 
     @collective
     def put_pond(
@@ -187,7 +188,7 @@ class FilledMembrane(LoadedMembrane):
             pond = Pond(name, weight, "level", level, 0.0, parts, 1)
         pond = replace(pond, side=pond.found_side(self.membrane))
         self._ponds = (*self._ponds, pond)
-        self.changes += 1
+        self.versions.change_model(acts=False)
 
     def _parts(self, on: Any) -> tuple[str, ...]:
         """The parts of the mesh that a pond's `on` names."""
@@ -210,7 +211,7 @@ class FilledMembrane(LoadedMembrane):
             On all ranks: there is no such load.
         """
         checks.same(self.comm, "remove_load", name=name)
-        checks.named("load", self.factors, name)
+        factor = checks.named("load", self.factors, name)
         self._loads = tuple(load for load in self._loads if load.name != name)
         self._ponds = tuple(pond for pond in self._ponds if pond.name != name)
-        self.changes += 1
+        self.versions.change_model(acts=factor != 0.0)

@@ -21,6 +21,7 @@ from crms_fenicsx.model.changed_materials import checked_materials
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.strengths import Strengths, checked_strengths
+from crms_fenicsx.model.versions import Versions, changes_model
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, collective
 from crms_fenicsx.runtime.readonly import ReadOnly
@@ -50,8 +51,8 @@ class LoadedMembrane:
     def __init__(self, membrane: Membrane) -> None:
         self.membrane = membrane
         self._loads: tuple[MembraneLoad, ...] = ()
-        self.changes = 0
-        """Counts what needs a new set-up of the solver."""
+        self.versions = Versions()
+        """Internal: numbers of the model and the state, and which of them is an equilibrium."""
 
     @collective
     def put_load(self, force: Traction, *, name: str = "load", per: Area = "surface") -> None:
@@ -154,6 +155,7 @@ class LoadedMembrane:
         self.add_load(nodal_load(self.membrane, forces, name))
 
     @collective
+    @changes_model
     def set_material(self, material: MembraneMaterial | Mapping[str, MembraneMaterial]) -> None:
         """Give the membrane's materials other numbers, for studies of parameters. Collective.
 
@@ -180,7 +182,6 @@ class LoadedMembrane:
         checks.same(self.comm, "set_material", material=material)
         self._check_strain_law()
         self.membrane.materials.update(checked_materials(self.membrane, material))
-        self.changes += 1
 
     @abstractmethod
     def _check_strain_law(self) -> None:
@@ -211,6 +212,22 @@ class LoadedMembrane:
         parts = self.membrane.mesh.parts
         self.membrane.strengths = checked_strengths("set_strengths", strengths, parts)
 
+    def in_equilibrium(self) -> bool:
+        """Internal: whether nothing has changed since the last load step. Collective."""
+        settled = self.versions.are_settled(self.membrane.u.x.array)
+        return bool(self.comm.allreduce(settled, op=MPI.LAND))
+
+    def require_equilibrium(self, call: str) -> None:
+        """Internal: refuse a state that is not the one that the last load step found. Collective.
+
+        Raises
+        ------
+        InputError
+            On all ranks: it is not, or there has been no load step.
+        """
+        if not self.in_equilibrium():
+            raise InputError(f"{call}: {self.versions.trouble}; call solver.advance() before.")
+
     def _check_new_load(self, call: str, name: str) -> None:
         self.membrane.check_finite(call)
         if not isinstance(name, str) or not name:
@@ -228,7 +245,7 @@ class LoadedMembrane:
     def add_load(self, load: MembraneLoad) -> None:
         """Internal: add a load that has been made on the current shape."""
         self._loads = (*self._loads, load)
-        self.changes += 1
+        self.versions.change_model(acts=load.factor != 0.0)
 
     @property
     def factors(self) -> dict[str, float]:

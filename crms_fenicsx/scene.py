@@ -22,6 +22,7 @@ from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.membrane import Marker, Membrane
 from crms_fenicsx.model.penalty import warn_of_penalty
+from crms_fenicsx.model.versions import changes_model
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.runtime.errors import InputError, collective, raised_together
@@ -146,8 +147,6 @@ class Scene(FilledMembrane, SceneViews):
         self._terms: tuple[EnergyTerm, ...] = ()
         self.energies: dict[str, float] = {}
         """Energy of each kind of term in the current state (force x length)."""
-        self.commits = 0
-        """Counts the states that load steps and checkpoints have brought it to."""
         self.step_history: StepHistory | None = None
         """What the step-wise laws know of the load steps before; None before the first."""
 
@@ -189,6 +188,7 @@ class Scene(FilledMembrane, SceneViews):
         return self.membrane.vertices(where)
 
     @collective
+    @changes_model
     def fix(self, where: str | Marker, directions: str = "xyz") -> None:
         """Hold vertices at their current displacement.
 
@@ -210,9 +210,9 @@ class Scene(FilledMembrane, SceneViews):
         """
         checks.same(self.comm, "fix", where=where, directions=directions)
         self.membrane.hold(where, directions, new_edges=not self.cables)
-        self.changes += 1
 
     @collective
+    @changes_model
     def floor(self, z: float = 0.0) -> None:
         """Put a rigid, frictionless floor at height z: no vertex or fold point goes below it.
 
@@ -232,9 +232,9 @@ class Scene(FilledMembrane, SceneViews):
                     "put the floor lower."
                 )
         self._floor_level = z
-        self.changes += 1
 
     @collective
+    @changes_model
     def add_term(self, term: EnergyTerm) -> None:
         """Add a term of your own to the potential energy; load steps minimise it with the rest.
 
@@ -258,7 +258,6 @@ class Scene(FilledMembrane, SceneViews):
         term, energy = checked_energy(term, self.u, self.membrane.cell_tags, taken)
         self._terms = (*self._terms, term)
         self.energies = {**self.energies, term.name: energy}
-        self.changes += 1
 
     def cable(self, name: str) -> LaidCable:
         """The cable with a name.
@@ -271,6 +270,7 @@ class Scene(FilledMembrane, SceneViews):
         return self.net.cable(name)
 
     @collective
+    @changes_model
     def lay_cable(
         self,
         cable: Cable,
@@ -347,7 +347,6 @@ class Scene(FilledMembrane, SceneViews):
         given["layer"] = checks.whole("lay_cable: layer", layer, 0)
         route, joints = self.frame.path_of(path)
         laid = lay(self.net, cable, route, **given, joints=joints)
-        self.changes += 1
         return laid
 
     def _check_strain_law(self) -> None:
@@ -365,6 +364,7 @@ class Scene(FilledMembrane, SceneViews):
         return super()._used_joints().union(*(cable.joints for cable in self.cables))
 
     @collective
+    @changes_model
     def remove(self, cable: LaidCable | str) -> None:
         """Take a cable away; the next load step finds the equilibrium without it.
 
@@ -384,4 +384,3 @@ class Scene(FilledMembrane, SceneViews):
         """
         checks.same(self.comm, "remove", cable=cable)
         self.net.remove(cable)
-        self.changes += 1

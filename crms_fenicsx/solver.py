@@ -225,6 +225,8 @@ class Solver(LoadCases, SolverResults, Reporting, Drawing):
         target = checked_target(scene, pressure, move, L0, load, steps, **air)
         self._recorder.claim(bool(self._options.resume))
         self._increments.forget_removed()
+        if target.is_first_load(scene):
+            self.base = self.snapshot()
         first = State.of(scene)
         loads = plain_loads(pressure, target.moves, L0, load, steps, air)
         done, increment = self._resumed(loads)

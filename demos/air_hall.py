@@ -65,9 +65,8 @@ operation = np.array([cable.tension for cable in scene.cables])
 # %%
 # The rim and the anchors balance the lift of the air.
 rim = solver.reactions("boundary").total[2]
-anchors = sum(end.reaction[2] for cable in scene.cables for end in (cable.start, cable.end))
 lift, weight = CALM * 4 * HALF**2, 0.0105 * form.area
-np.testing.assert_allclose(rim + anchors, weight - lift, rtol=1e-6)
+np.testing.assert_allclose(rim, weight - lift, rtol=1e-6)
 
 LOOK = {
     "box": ((-18.5, -18.5, 0.0), (18.5, 18.5, 10.0)),

@@ -99,7 +99,7 @@ def membrane_mesh(
     root = comm.rank == 0
     cells = data.cells if root else np.zeros((0, 3), dtype=np.int64)
     x = frame.place(data.points if root else np.zeros((0, 3)))
-    plain = dolfinx.mesh.create_mesh(comm, cells, x, ufl.Mesh(element))
+    plain = dolfinx.mesh.create_mesh(comm, cells=cells, x=x, e=ufl.Mesh(element))
     plain.topology.create_connectivity(2, 0)
     plain.topology.create_connectivity(1, 0)
     own = plain.topology.index_map(2).size_local

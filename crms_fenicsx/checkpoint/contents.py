@@ -114,8 +114,10 @@ class Contents:
         Of the files with the fields, by their names.
     pressure, air, floor, dissipated, energies
         As in the scene.
-    commits
-        As in the scene.
+    state_version
+        As in the scene's versions.
+    in_equilibrium
+        Whether nothing had changed since the last load step.
     laid
         How many cables have been laid.
     loads
@@ -135,7 +137,8 @@ class Contents:
     digests: dict[str, str]
     pressure: float
     air: SealedAir | None
-    commits: int
+    state_version: int
+    in_equilibrium: bool
     floor: float | None
     laid: int
     dissipated: float

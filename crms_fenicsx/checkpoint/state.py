@@ -165,7 +165,12 @@ def restore(saved: Saved, scene: Scene) -> Run:
     _restore(scene, fields, saved)
     scene.materials.update(materials)
     scene.step_history = run.step_history
-    scene.commits = max(scene.commits, contents.commits) + 1
+    scene.versions.change_model()
+    scene.versions.change_state(above=contents.state_version)
+    if contents.in_equilibrium:
+        scene.versions.settle(scene.u.x.array, None)
+    else:
+        scene.versions.unsettle()
     return run
 
 
@@ -181,7 +186,8 @@ def _contents(
         digests=digests,
         pressure=scene.pressure,
         air=scene.air,
-        commits=scene.commits,
+        state_version=scene.versions.state_version,
+        in_equilibrium=scene.in_equilibrium(),
         floor=scene.floor_level,
         laid=scene.net.laid,
         dissipated=scene.net.removed_dissipation,
@@ -277,7 +283,6 @@ def _restore(scene: Scene, fields: Fields, saved: Saved) -> None:
     net.strip, net.cables = strip, _restored_cables(scene, contents)
     net.crossings, net.arranged = contents.crossings, net.cables
     _restore_frame(scene, contents)
-    scene.changes += 1
 
 
 def _strip(scene: Scene, contents: Contents) -> Strip | None:

@@ -11,6 +11,7 @@ from crms_fenicsx.model.cable_state import CableNode, CableState
 from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.model.sealed_air import SealedAir
+from crms_fenicsx.model.versions import Version
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
 
@@ -19,6 +20,7 @@ from crms_fenicsx.scene import Scene
 class State:
     """Displacements, cables, bars and loads of a scene at one moment."""
 
+    version: Version
     u: Array
     pressure: float
     air: SealedAir | None
@@ -34,6 +36,7 @@ class State:
     def of(cls, scene: Scene) -> State:
         """The scene's current state."""
         return cls(
+            scene.versions.current,
             scene.u.x.array.copy(),
             scene.pressure,
             scene.air,
@@ -67,6 +70,7 @@ class State:
 
     def restore(self, scene: Scene) -> None:
         """Bring the scene back to this state."""
+        scene.versions.current = self.version
         scene.u.x.array[:] = self.u
         scene._pressure, scene._air = self.pressure, self.air
         scene._loads, scene._ponds = self.loads, self.ponds

@@ -65,8 +65,7 @@ class System:
         as it would most often fail in the same way, and slowly."""
         self.objective = 0.0
         self.rebuild(scene.net.arranged != scene.net.cables)
-        self.commits = scene.commits
-        """How many load steps the scene had made when it and this system last agreed."""
+        self.follow()
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
@@ -130,7 +129,7 @@ class System:
             damping = self.bars.damping(damping)
         self.potential = Potential(self.unknowns, scene.u, terms, damping)
         self.minimizer = Minimizer(self.potential, self.prefix, self.rtol)
-        self.built_for, self._begun = scene.changes, False
+        self.built_for, self._begun = scene.versions.model_version, False
 
     def _bar_contribution(self) -> BarContribution | None:
         """The contribution of bars and joints; None without any."""
@@ -143,7 +142,7 @@ class System:
     def prepare(self) -> None:
         """Bring the potential up to date with the scene's parts and loads. Collective."""
         stale = [part.is_stale for part in self.contributions]
-        if self.built_for != self.scene.changes or any(stale) or not self._arranged:
+        if self.built_for != self.scene.versions.model_version or any(stale) or not self._arranged:
             self.rebuild()
         else:  # it still counts the slips of cables from where the last load step began
             self.renew_friction()
@@ -162,7 +161,7 @@ class System:
 
     def _follow_scene(self) -> None:
         """Take state and loads from the scene, in a new layout if it got new parts."""
-        if self.built_for != self.scene.changes:
+        if self.built_for != self.scene.versions.model_version:
             self.rebuild(self.scene.net.arranged != self.scene.net.cables)
         self.read_scene()
 
@@ -245,13 +244,17 @@ class System:
 
     @property
     def is_outdated(self) -> bool:
-        """Whether another system has made load steps of the scene since."""
-        return self.commits != self.scene.commits
+        """Whether another system has brought the scene to another state since."""
+        return self._state_version != self.scene.versions.state_version
+
+    def follow(self) -> None:
+        """Take down that this system and the state of its scene agree."""
+        self._state_version = self.scene.versions.state_version
 
     def commit(self) -> None:
         """End a load step. Collective."""
         self.potential.commit()
-        self.scene.commits += 1
-        self.commits = self.scene.commits
+        self.scene.versions.change_state()
+        self.follow()
         for part in self.contributions:
             part.commit()

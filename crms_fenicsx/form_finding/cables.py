@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.meshes.membrane_mesh import vertex_ids
@@ -61,6 +62,9 @@ class FormCable:
 class EdgeLine:
     """The edges of a cable.
 
+    A film pulls at the vertices of a cable across the cable only, so that its places along the
+    cable are free. They are laid out evenly: each edge keeps its share of the length.
+
     Attributes
     ----------
     cable
@@ -68,43 +72,66 @@ class EdgeLine:
     ids : (k,)
         Its vertices from end to end, by their numbers in the mesh as it was given.
     edges : (m, 2)
-        Vertices of the edges that this rank owns, by local degree of freedom.
+        Vertices of the edges that this rank owns, by local degree of freedom, along the cable.
+    shares : (m,)
+        Parts of the start mesh's length that these edges have.
     tension
         Current tension (force).
+    length
+        Current length of the whole cable (length).
     """
 
     cable: FormCable
     ids: Integers
     edges: Indices
+    shares: Array
     tension: float = 0.0
+    length: float = 0.0
     _sides: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
-    def length_and_slope(self, x: Array) -> tuple[float, Array]:
-        """This rank's share of the length at places x (n, 3), and of its gradient, (n, 3)."""
+    def measure(self, x: Array, comm: MPI.Intracomm) -> None:
+        """Take the edges and the length at places x (n, 3). Collective."""
         self._sides = x[self.edges[:, 1]] - x[self.edges[:, 0]]
-        lengths = np.linalg.norm(self._sides, axis=1)
-        slope = np.zeros_like(x)
-        directions = self._sides / lengths[:, None]
-        np.add.at(slope, self.edges[:, 1], directions)
-        np.add.at(slope, self.edges[:, 0], -directions)
-        return float(lengths.sum()), slope
+        self.length = comm.allreduce(float(np.linalg.norm(self._sides, axis=1).sum()))
 
-    def add_stiffness(self, A: PETSc.Mat, exact: bool) -> None:
-        """Add its stiffness where `length_and_slope` was asked for last.
+    def slope(self, n: int) -> Array:
+        """This rank's share of the length's gradient at its n vertices, (n, 3)."""
+        return self._pulled(self._sides / np.linalg.norm(self._sides, axis=1)[:, None], n)
 
-        Parameters
-        ----------
-        A
-            Where to.
-        exact
-            Whether tension or force densities are held; the latter is positive definite.
+    def even_slope(self, n: int) -> Array:
+        """The same if each edge were to pull by how much longer it is than its share, (n, 3).
+
+        Where it is the gradient of the length, the edges have their shares.
         """
+        return self._pulled(self._sides / (self.shares * self.length)[:, None], n)
+
+    def tangents(self, n: int) -> Array:
+        """This rank's share of vectors along the cable at its n vertices, (n, 3)."""
+        along = np.zeros((n, 3))
+        for end in self.edges.T:
+            np.add.at(along, end, self._sides)
+        return along
+
+    def _pulled(self, pulls: Array, n: int) -> Array:
+        slope = np.zeros((n, 3))
+        np.add.at(slope, self.edges[:, 1], pulls)
+        np.add.at(slope, self.edges[:, 0], -pulls)
+        return slope
+
+    def add_stiffness(self, A: PETSc.Mat) -> None:
+        """Add the derivative of `slope` times the tension."""
         lengths = np.linalg.norm(self._sides, axis=1)
         t = self._sides / lengths[:, None]
-        block = np.eye(3) - float(exact) * t[:, :, None] * t[:, None, :]
-        block *= (self.tension / lengths)[:, None, None]
+        block = np.eye(3) - t[:, :, None] * t[:, None, :]
+        self._add(A, block * (self.tension / lengths)[:, None, None])
+
+    def add_even_stiffness(self, A: PETSc.Mat) -> None:
+        """Add that of `even_slope` at constant length, which is positive definite."""
+        self._add(A, np.eye(3) * (self.tension / (self.shares * self.length))[:, None, None])
+
+    def _add(self, A: PETSc.Mat, blocks: Array) -> None:
         signs = np.array([[1.0, -1.0], [-1.0, 1.0]])
-        values = np.einsum("ij,nab->niajb", signs, block).reshape(len(t), 36)
+        values = np.einsum("ij,nab->niajb", signs, blocks).reshape(len(blocks), 36)
         A.setValuesBlockedLocalRCV(self.edges, self.edges, values, PETSc.InsertMode.ADD)
 
 
@@ -136,7 +163,14 @@ def edge_lines(membrane: Membrane, cables: Sequence[FormCable]) -> list[EdgeLine
                 raise InputError(
                     f"find_form: {cable.group!r} has edges of another cable; give each edge one."
                 )
-            lines.append(EdgeLine(cable, chained(pairs, cable.group), dof_of[ends[own]]))
+            chain = chained(pairs, cable.group)
+        number = np.argsort(chain)
+        at = number[np.searchsorted(chain, ids[ends[own]], sorter=number)]
+        edges = dof_of[np.where(at[:, :1] < at[:, 1:], ends[own], ends[own][:, ::-1])]
+        sides = membrane.stress_free[edges[:, 1]] - membrane.stress_free[edges[:, 0]]
+        lengths = np.linalg.norm(sides, axis=1)
+        shares = lengths / mesh.comm.allreduce(float(lengths.sum()))
+        lines.append(EdgeLine(cable, chain, edges, shares))
         taken[own] = True
     return lines
 

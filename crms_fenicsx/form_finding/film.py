@@ -18,7 +18,7 @@ from crms_fenicsx.runtime.arrays import Array
 
 SOFTEST, STIFFEST = 0.1, 10.0
 """Modulus times thickness of the elasticity that holds vertices in the surface, relative to the
-section forces, at first and at most. What is left of their unbalance hardly depends on it."""
+section forces, at first and at most. The form hardly depends on it."""
 
 
 class Film:
@@ -46,18 +46,21 @@ class Film:
     directions
         d of these cells, (n, 3).
     origin
-        Point (3,) from which the volume counts (length).
+        Point (3,) from which places and the volume count (length): far from the origin of the
+        coordinates these have too few digits.
 
     Attributes
     ----------
+    start
+        Places of the start mesh's vertices from `origin`, (n, 3), with ghosts (length).
     u
         Displacements from the start mesh (length).
     reference
         Displacements of the reference shape from it.
     modulus
         Modulus times thickness of that elasticity, relative to the section forces.
-    matrix
-        The stiffness.
+    matrix, elastic
+        The stiffness, and that of the elasticity alone.
     largest
         Largest of the section forces (force per length).
     isotropic
@@ -67,6 +70,9 @@ class Film:
     def __init__(self, membrane: Membrane, forces: Array, directions: Array, origin: Array) -> None:
         self.comm, self.V, self.u = membrane.comm, membrane.V, membrane.u
         domain = self.V.mesh
+        self.start: Array = membrane.stress_free - origin
+        start = fem.Function(self.V)
+        start.x.array[:] = self.start.ravel()
         self.reference = fem.Function(self.V)
         constants = fem.functionspace(domain, ("DG", 0))
         s1, s2 = fem.Function(constants), fem.Function(constants)
@@ -76,8 +82,8 @@ class Film:
         largest = float(np.max(forces, initial=0.0))
         self.largest = membrane.comm.allreduce(largest, op=MPI.MAX)
         self.isotropic = not membrane.comm.allreduce(bool(np.ptp(forces, axis=1).any()), op=MPI.LOR)
-        self._exact, self._holding, self._pressure = (
-            fem.Constant(domain, np.float64(0.0)) for _ in range(3)
+        self._exact, self._stressed, self._holding, self._pressure = (
+            fem.Constant(domain, np.float64(value)) for value in (0.0, 1.0, 0.0, 0.0)
         )
         self.modulus = SOFTEST
         basis, dx = tangent_basis(domain, None), one_point(domain)
@@ -89,20 +95,22 @@ class Film:
         if not self.isotropic:
             along = inverse * ufl.as_vector([ufl.dot(a, d) for a in F])
             S += (s1 - s2) * J / ufl.dot(along, C * along) * ufl.outer(along, along)
-        S += self._holding * (s1 + s2) / 4 * ufl.sqrt(ufl.det(G)) * lifted * (C - G) * lifted
+        S = (
+            self._stressed * S
+            + self._holding * (s1 + s2) / 4 * ufl.sqrt(ufl.det(G)) * lifted * (C - G) * lifted
+        )
         v, w = ufl.TestFunction(self.V), ufl.TrialFunction(self.V)
         dv, dw = ([ufl.dot(ufl.grad(f), e) for e in basis] for f in (v, w))
         pairs = [(i, j) for i in (0, 1) for j in (0, 1)]
         force: Any = sum(S[i, j] * ufl.dot(F[i], dv[j]) for i, j in pairs) * dx
         held: Any = sum(S[i, j] * ufl.dot(dw[i], dv[j]) for i, j in pairs) * dx
-        x = ufl.SpatialCoordinate(domain) + self.u - fem.Constant(domain, origin)
-        volume: Any = ufl.dot(x, ufl.cross(*F)) / 3 * dx
+        volume: Any = ufl.dot(start + self.u, ufl.cross(*F)) / 3 * dx
         growth: Any = ufl.dot(v, ufl.cross(*F)) * dx  # the volume's derivative inside the rim
         self._forms = {"force": force, "volume": volume, "growth": growth, "area": J * dx}
         self._forms = {name: fem.form(form) for name, form in self._forms.items()}
         exact = ufl.derivative(force - self._pressure * growth, self.u, w)
         self._stiffness = fem.form((1 - self._exact) * held + self._exact * exact)
-        self.matrix: PETSc.Mat = fem_petsc.create_matrix(self._stiffness)
+        self.matrix, self.elastic = (fem_petsc.create_matrix(self._stiffness) for _ in range(2))
         self._sum = la.vector(self.V.dofmap.index_map, 3, dtype=np.float64)
         stress = ufl.as_vector([S[i, j] / J for i, j in ((0, 0), (0, 1), (1, 1))])
         values = [stress, ufl.as_vector([A[i] for A in F for i in range(3)])]
@@ -147,22 +155,36 @@ class Film:
         n = self.V.dofmap.index_map.size_local
         return self._sum.array[: 3 * n].reshape(n, 3).copy()
 
-    def assemble(self, exact: bool, pressure: float) -> None:
+    def positions(self) -> Array:
+        """Current places of the vertices from `origin`, (n, 3), with ghosts (length)."""
+        return self.start + self.u.x.array.reshape(-1, 3)
+
+    def assemble(self, exact: bool, pressure: float, modulus: float) -> None:
         """Assemble the stiffness, to which cables may still be added.
 
         Parameters
         ----------
         exact
-            Whether by exact derivatives, with the elasticity that holds vertices and that of the
-            follower pressure; else by the updated reference strategy.
+            Whether by exact derivatives; else by the updated reference strategy.
         pressure
-            Pressure (force per area) to the outer side.
+            Pressure (force per area) to the outer side, if exact.
+        modulus
+            `modulus` of the elasticity that is part of it.
         """
         self._exact.value = float(exact)
-        self._holding.value = self.modulus if exact else 0.0
         self._pressure.value = pressure
-        self.matrix.zeroEntries()
-        fem_petsc.assemble_matrix(self.matrix, self._stiffness)
+        self._assemble(self.matrix, modulus)
+
+    def assemble_elastic(self, modulus: float) -> None:
+        """Assemble the stiffness of the elasticity alone, to which cables may still be added."""
+        self._exact.value, self._stressed.value, self._pressure.value = 1.0, 0.0, 0.0
+        self._assemble(self.elastic, modulus)
+        self._stressed.value = 1.0
+
+    def _assemble(self, matrix: PETSc.Mat, modulus: float) -> None:
+        self._holding.value = modulus
+        matrix.zeroEntries()
+        fem_petsc.assemble_matrix(matrix, self._stiffness)
 
     def section_forces(self, holding: bool) -> Array:
         """True section forces of this rank's cells as tensors in space, (n, 3, 3).

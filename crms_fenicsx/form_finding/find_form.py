@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -120,23 +120,24 @@ def find_form(
     centre = rim_centre(membrane, lift, inflated)
     film = Film(membrane, prescribed.cell_forces, prescribed.directions, centre)
     n = membrane.V.dofmap.index_map.size_local
-    inflation = Inflation(film, pressure, volume, rise, centre, ~membrane.held[:n, 2])
+    inflation = Inflation(film, pressure, volume, rise, ~membrane.held[:n, 2])
     search = FormSearch(membrane, film, lines, inflation, prefix)
     try:
         search.run(lift)
     finally:
-        search.destroy()
+        search.system.destroy()
     shape = moved(mesh, membrane.V, membrane.positions())
     residual = film.section_forces(search.holding) - prescribed.tensors(shape)
     deviation = largest_part(residual, film.largest, mesh.comm)
     _check_deviation(deviation, prescribed, mesh)
     found = tuple(
-        FormCableFound(line.cable.group, line.tension, length, places_of(membrane, line.ids))
-        for line, length in zip(lines, search.lengths, strict=True)
+        FormCableFound(line.cable.group, line.tension, line.length, places_of(membrane, line.ids))
+        for line in lines
     )
     reactions = group_sums(membrane, supports, search.support_forces)
+    disturbance = _disturbance(membrane, supports, search)
     return FoundForm(
-        shape, prescribed, residual, deviation, supports, reactions, found,
+        shape, prescribed, residual, deviation, disturbance, supports, reactions, found,
         film.area(),
         film.volume() if inflated else None, inflation.pressure, search.iterations,
     )  # fmt: skip
@@ -168,6 +169,19 @@ def _checked(mesh: MembraneMesh, inflations: Mapping[str, float | None], **given
             "leading '-', as 'crms_form_'."
         )
     return bool(named)
+
+
+def _disturbance(membrane: Membrane, supports: Iterable[str], search: FormSearch) -> float:
+    """Largest relative change of the form's figures by what holds its vertices. Collective."""
+    if not search.holding or search.freely is None:
+        return 0.0
+    free, held = search.freely, search.figures()
+    changed = np.abs(held.numbers - free.numbers) / np.maximum(np.abs(held.numbers), 1e-300)
+    changes = group_sums(membrane, supports, held.support_forces - free.support_forces)
+    sizes = np.linalg.norm(held.support_forces, axis=1)[:, None]
+    largest = max(float(size[0]) for size in group_sums(membrane, supports, sizes).values())
+    moved_by = max(float(np.linalg.norm(change)) for change in changes.values())
+    return max(float(changed.max()), moved_by / largest if largest else 0.0)
 
 
 def _check_deviation(deviation: float, stress: PrescribedStress, mesh: MembraneMesh) -> None:

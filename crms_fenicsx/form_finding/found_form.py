@@ -67,6 +67,9 @@ class FoundForm:
         facets resolve it, and those that differ along warp and weft not at all: these do the rest.
     deviation
         Largest of them relative to the largest prescribed one.
+    disturbance
+        Largest relative change by these of the area, of a cable's length or tension, of the
+        pressure or of the force of a support (of the largest of these forces).
     supports
         Directions in which groups are held, by their names.
     reactions
@@ -86,6 +89,7 @@ class FoundForm:
     stress: PrescribedStress
     residual_stress: Array
     deviation: float
+    disturbance: float
     supports: Mapping[str, str]
     reactions: Mapping[str, Array]
     cables: tuple[FormCableFound, ...]

@@ -22,8 +22,6 @@ class Inflation:
     pressure, volume, rise
         What is given (force per area; length cubed; length), the others None; none of them: there
         is no pressure.
-    centre
-        Centre of the rim (3,) (length), above which the rise counts.
     free : (n,)
         Whether each vertex of this rank is not held vertically.
 
@@ -46,27 +44,32 @@ class Inflation:
         pressure: float | None,
         volume: float | None,
         rise: float | None,
-        centre: Array,
         free: Booleans,
     ) -> None:
         self.film, self.pressure = film, pressure or 0.0
         self.is_found = volume is not None or rise is not None
         self.acts = self.is_found or pressure is not None
-        self._volume, self._rise, self._centre, self._free = volume, rise, centre, free
+        self._volume, self._rise, self._free = volume, rise, free
         self.size = (volume if volume is not None else rise) or 1.0
         self.gap = 0.0
         self.growth: Array = np.zeros((0, 3))
         self.gap_slope: Array = np.zeros((0, 3))
 
     def measure(self, x: Array) -> None:
-        """Take volume and rise at places x (n, 3) of this rank's vertices. Collective."""
+        """Take volume and rise. Collective.
+
+        Parameters
+        ----------
+        x
+            Places of this rank's vertices from the rim's centre, (n, 3) (length).
+        """
         self.growth = self.film.growth()
         if self._volume is not None:
             self.gap, self.gap_slope = self.film.volume() - self._volume, self.growth
         elif self._rise is not None:
             x, comm = x[: len(self.growth)], self.film.comm
             # on a flat mesh all are as high: the one in the middle
-            away = np.linalg.norm(x - self._centre, axis=1)
+            away = np.linalg.norm(x, axis=1)
             heights = np.where(self._free, x[:, 2] - MIDDLE * away, -np.inf)
             own = (float(np.max(heights, initial=-np.inf)), comm.rank)
             _, rank = comm.allreduce(own, op=MPI.MAXLOC)
@@ -74,4 +77,4 @@ class Inflation:
             if comm.rank == rank:
                 crown = int(np.argmax(heights))
                 top, self.gap_slope[crown, 2] = float(x[crown, 2]), 1.0
-            self.gap = comm.bcast(top, root=rank) - float(self._centre[2]) - self._rise
+            self.gap = comm.bcast(top, root=rank) - self._rise

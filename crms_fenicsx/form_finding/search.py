@@ -2,39 +2,56 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from mpi4py import MPI
-from petsc4py import PETSc
 
 from crms_fenicsx.form_finding.cables import EdgeLine
+from crms_fenicsx.form_finding.directions import Directions
 from crms_fenicsx.form_finding.film import SOFTEST, STIFFEST, Film
 from crms_fenicsx.form_finding.inflation import Inflation
+from crms_fenicsx.form_finding.linear_system import LinearSystem
 from crms_fenicsx.model.membrane import Membrane
-from crms_fenicsx.runtime.arrays import Array, Booleans
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import ConvergenceError, as_text
 from crms_fenicsx.runtime.progress import progress
 
 TOLERANCE = 1e-12
 """Unbalanced force, relative to the forces in the cells, and error of what is prescribed."""
+BALANCED, SMALL = 1e-7, 0.1
+"""Unbalanced force across the form from which on vertices are held: relative to the forces in the
+cells, and to the unbalanced force within it."""
 UPDATES, MOST = 3, 200
 """Updates of the reference before Newton's method is tried, and most iterations of either."""
-QUICK, FALLEN, FALLING = 0.3, 0.5, 0.9
-"""Largest part of the residual that an iteration of Newton's method leaves: of that of the film
-alone, while vertices need not be held; of that with the elasticity that holds them, to be any good;
-of the film's where a stiffer elasticity damps it."""
+FALLEN, FALLING = 0.5, 0.9
+"""Largest part of the residual that an iteration of Newton's method leaves, to be any good: alone,
+and where an elasticity damps it."""
+WEAKEST, STRONGEST = 1.0, 10.0
+"""Modulus of the elasticity that damps Newton's method, as those that hold vertices."""
 THINNEST = 1e-3
 """Smallest area of a cell over the square of its longest side, relative to the start mesh."""
+JUMP = 5.0
+"""Largest factor by which a tension changes in an iteration."""
 
-WORKSPACE = 100
-"""How much more memory MUMPS takes than it estimates, in per cent."""
-STRAIGHT, JUMP = 1e-12, 5.0
-"""Relative size of what is zero in the equations of the cables, and largest factor by which a
-tension changes in an iteration."""
+State = tuple[Array, list[float], float]
+"""Displacements, tensions and the pressure."""
 
 
-Unbalanced = tuple[Array, Array, float]
-"""Unbalanced forces, (n, 3), errors of the equations of tensions and pressure, and the largest of
-both relative to their size."""
+@dataclass(frozen=True)
+class Figures:
+    """What a form is judged by.
+
+    Attributes
+    ----------
+    numbers
+        Its area, the lengths and the tensions of its cables, and its pressure.
+    support_forces
+        Forces of the supports on this rank's vertices (force), (n, 3).
+    """
+
+    numbers: Array
+    support_forces: Array
 
 
 class FormSearch:
@@ -62,23 +79,10 @@ class FormSearch:
         prefix: str,
     ) -> None:
         self.membrane, self.film, self.lines, self.inflation = membrane, film, lines, inflation
-        self.comm, n = membrane.comm, membrane.V.dofmap.index_map.size_local
-        self.held: Booleans = membrane.held[:n]
-        first = membrane.V.dofmap.index_map.local_range[0]
-        self._rows = (np.flatnonzero(self.held) + 3 * first).astype(PETSc.IntType)
+        self.comm = membrane.comm
+        self.directions = Directions(membrane, film, lines)
+        self.system = LinearSystem(film, lines, self.directions, prefix)
         self._found = [line for line in lines if line.cable.tension is None]
-        self._vector = film.matrix.createVecLeft()
-        self._way = self._vector.duplicate()
-        self._pc = PETSc.PC().create(self.comm)
-        self._pc.setOptionsPrefix(prefix)
-        self._pc.setOperators(film.matrix)
-        self._pc.setType(PETSc.PC.Type.CHOLESKY if film.isotropic else PETSc.PC.Type.LU)
-        self._pc.setFactorSolverType("mumps")
-        self._pc.setFromOptions()
-        film.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        if self._pc.getFactorSolverType() == "mumps":  # its estimate may be too small
-            self._pc.setFactorSetUpSolverType()
-            self._pc.getFactorMatrix().setMumpsIcntl(14, WORKSPACE)
         self._force = film.largest * membrane.size
         self._thickness = self._shapes()
         for line in lines:
@@ -88,20 +92,19 @@ class FormSearch:
         """Whether the elasticity that holds vertices is part of the equilibrium found."""
         self.support_forces: Array = np.zeros((0, 3))
         """Forces of the supports on this rank's vertices (force), (n, 3)."""
+        self.freely: Figures | None = None
+        """Those of the form before the vertices were held."""
+        self._damping = 0.0
+        self._held_at = self._state()
 
     def _begin(self, line: EdgeLine) -> None:
         """Give a cable a tension to begin with: what is not known for an arc of its length."""
-        length = self.comm.allreduce(line.length_and_slope(self.membrane.positions())[0])
+        line.measure(self.film.positions(), self.comm)
         cable = line.cable
         if cable.tension is not None:
             line.tension = cable.tension
         else:
-            line.tension = length * (cable.force_density or self.film.largest)
-
-    def destroy(self) -> None:
-        """Free the PETSc objects."""
-        for own in (self._pc, self._vector, self._way, self.film.matrix):
-            own.destroy()
+            line.tension = line.length * (cable.force_density or self.film.largest)
 
     def run(self, lift: Array) -> None:
         """Find the form. Collective.
@@ -116,171 +119,180 @@ class FormSearch:
         ConvergenceError
             There is none near, as cells collapse or the residual stays.
         """
-        film = self.film
-        residual, gaps, error = self._unbalanced()
         updates = wait = UPDATES
-        best, left = 1.0, np.inf
+        best, error = 1.0, self._measure()
         with progress(self.comm, -np.log10(TOLERANCE), "finding the form") as bar:
-            while error > TOLERANCE or self.iterations == 0:
+            while self._unbalanced > TOLERANCE or self.iterations == 0:
                 if self.iterations == MOST:
                     raise ConvergenceError(
                         f"find_form: after {MOST} iterations the unbalanced force is still "
-                        f"{error:.2g} of that in the cells; {NO_FORM}"
+                        f"{self._unbalanced:.2g} of that in the cells; {NO_FORM}"
                     )
-                before = self._state()
-                newton = updates == 0
-                if newton and not self.holding:
-                    film.reference.x.array[:] = film.u.x.array
-                    left = error
-                self._step(residual, gaps, newton, lift if self.iterations == 0 else None)
+                before, newton = self._state(), updates == 0
+                self._step(newton, lift if self.iterations == 0 else None)
                 self.iterations += 1
-                sound = self._check_cells(newton)
-                found = self._unbalanced() if sound else (residual, gaps, np.inf)
-                damped = film.isotropic and film.modulus > SOFTEST
-                needed = FALLING if damped else FALLEN
-                if newton and not self.holding and not found[2] < QUICK * error and sound:
-                    self.holding = not damped
-                    found = self._unbalanced()
+                found = self._measure() if self._check_cells(newton) else np.inf
                 if not newton:
                     updates -= 1
-                elif damped and found[2] < FALLING * error:
-                    film.modulus /= 10.0
-                elif not found[2] < needed * error:
-                    self._go_back(before)
-                    updates, wait = self._hold_more(wait)
-                    found = self._unbalanced()
-                elif self.holding and found[2] <= TOLERANCE:
-                    found = self._moved_on(left)
-                residual, gaps, error = found
+                elif found < (FALLING if self._damping else FALLEN) * error:
+                    self._damping = self._damping / 10.0 if self._damping > WEAKEST else 0.0
+                else:
+                    updates = self._try_harder(before, wait)
+                    wait = max(wait, updates)
+                    found = self._measure()
+                error = self._hold() if self._may_hold(newton and updates == 0) else found
                 if error < best:
                     bar.advance(np.log10(best / max(error, TOLERANCE)), f"residual {error:.1e}")
                     best = max(error, TOLERANCE)
         self._check_tensions()
 
-    def _hold_more(self, wait: int) -> tuple[int, int]:
-        """Stiffen what holds vertices; return updates to make next, and when that fails too."""
-        self.holding, film = False, self.film
-        if film.modulus < STIFFEST:
-            film.modulus *= 10.0
-            return 0, wait
-        film.modulus = SOFTEST
-        return 2 * wait, 2 * wait
+    def _may_hold(self, newton: bool) -> bool:
+        """Whether the form is found but for the places of vertices within it."""
+        return newton and not self.holding and self._across < max(BALANCED, SMALL * self._within)
 
-    def _moved_on(self, left: float) -> Unbalanced:
-        """Go on without holding where that has come nearer to a film's equilibrium. Collective."""
-        self.holding = False
-        alone = self._unbalanced()
-        if alone[2] < QUICK * left:
-            return alone
-        self.holding = True
-        return self._unbalanced()
+    def _hold(self) -> float:
+        """Hold the vertices within the form where they are; return the residual. Collective."""
+        self.freely = self.figures()
+        self._held_at, self.holding, self._damping = self._state(), True, 0.0
+        self.film.reference.x.array[:] = self.film.u.x.array
+        return self._measure()
 
-    def _state(self) -> tuple[Array, list[float], float]:
+    def _try_harder(self, before: State, wait: int) -> int:
+        """Go back and stiffen what damps or holds; return updates to make where it is stiffest."""
+        self._go_back(self._held_at if self.holding else before)
+        if self.holding and self.film.modulus < STIFFEST:
+            self.film.modulus *= 10.0
+            return 0
+        if not self.holding and self._damping < STRONGEST:
+            self._damping = max(10.0 * self._damping, WEAKEST)
+            return 0
+        self.holding, self.film.modulus, self._damping = False, SOFTEST, 0.0
+        return 2 * wait
+
+    def _state(self) -> State:
         tensions = [line.tension for line in self.lines]
         return self.film.u.x.array.copy(), tensions, self.inflation.pressure
 
-    def _go_back(self, state: tuple[Array, list[float], float]) -> None:
+    def _go_back(self, state: State) -> None:
         self.film.u.x.array[:], tensions, self.inflation.pressure = state
         for line, tension in zip(self.lines, tensions, strict=True):
             line.tension = tension
 
-    def _unbalanced(self) -> Unbalanced:
-        """Unbalanced forces, (n, 3), errors of the equations, and the residual. Collective."""
-        x = self.membrane.positions()
+    def _measure(self) -> float:
+        """Take forces and the errors of equations; return the residual that is to fall.
+
+        It is that across the form until vertices are held. Collective.
+        """
+        film, x = self.film, self.film.positions()
         self._slopes: list[Array] = []
-        forces = self.film.forces(self.holding)
-        self.lengths: list[float] = []
+        forces = film.forces(self.holding)
         for line in self.lines:
-            length, slope = line.length_and_slope(x)
-            self.lengths.append(self.comm.allreduce(length))
-            self._slopes.append(self.film.gathered(slope))
+            line.measure(x, self.comm)
+            self._slopes.append(film.gathered(line.slope(len(x))))
             forces += line.tension * self._slopes[-1]
         if self.inflation.acts:
             self.inflation.measure(x)
             forces -= self.inflation.pressure * self.inflation.growth
-        self.support_forces = np.where(self.held, forces, 0.0)
-        forces[self.held] = 0.0
+        free = self.directions.free
+        self.support_forces = np.where(free, 0.0, forces)
+        self._forces = np.where(free, forces, 0.0)
         gaps, sizes = [], []
-        for line, length in zip(self.lines, self.lengths, strict=True):
+        for line in self.lines:
             cable = line.cable
             if cable.length is not None:
-                gaps.append(length - cable.length)
+                gaps.append(line.length - cable.length)
                 sizes.append(cable.length)
             elif cable.force_density is not None:
-                gaps.append(cable.force_density * length - line.tension)
-                sizes.append(cable.force_density * length)
+                gaps.append(cable.force_density * line.length - line.tension)
+                sizes.append(cable.force_density * line.length)
         if self.inflation.is_found:
             gaps.append(self.inflation.gap)
             sizes.append(self.inflation.size)
+        self._gaps = np.array(gaps)
+        error = float(np.max(np.abs(gaps) / np.array(sizes), initial=0.0))
+        self._unbalanced = max(self._size(self._forces), error)
+        if self.holding:
+            return self._unbalanced
+        self.directions.take()
+        across = _projected(self.directions.across, self._forces)
+        self._across = max(self._size(across), error)
+        self._within = self._size(self._forces - across)
+        return self._across
+
+    def _size(self, forces: Array) -> float:
+        """Norm of forces (n, 3) relative to those in the cells and cables. Collective."""
         square = self.comm.allreduce(float(np.vdot(forces, forces)))
-        errors = np.abs(gaps) / np.array(sizes)
-        return forces, np.array(gaps), float(np.max([square**0.5 / self._scale(), *errors]))
+        return float(square**0.5 / (self._force + sum(line.tension for line in self.lines)))
 
-    def _scale(self) -> float:
-        """Norm of the forces in the cells and cables (force)."""
-        return self._force + sum(line.tension for line in self.lines)
+    def figures(self) -> Figures:
+        """Those of the current form. Collective."""
+        lines = self.lines
+        numbers = [self.film.area(), *(line.length for line in lines)]
+        numbers += [line.tension for line in lines] + [self.inflation.pressure]
+        return Figures(np.array(numbers), self.support_forces)
 
-    def _step(self, residual: Array, gaps: Array, exact: bool, lift: Array | None) -> None:
-        """Move by the solution of the linear equations."""
-        film, inflation = self.film, self.inflation
-        film.assemble(exact, inflation.pressure)
-        for line in self.lines:
-            line.add_stiffness(film.matrix, exact)
-        film.matrix.assemble()
-        start = np.zeros_like(residual)
+    def _step(self, newton: bool, lift: Array | None) -> None:
+        """Move by the solution of the linear equations. Collective."""
+        film, inflation, lines = self.film, self.inflation, self.lines
+        n, pulls = len(film.start), self._slopes
+        forces, growth = self._forces, inflation.growth
+        if not newton or not self.holding:
+            evens = [film.gathered(line.even_slope(n)) for line in lines]
+        if not newton:
+            self.system.update()
+            for line, even, slope in zip(lines, evens, pulls, strict=True):
+                forces = forces + line.tension * (even - slope)
+            pulls = evens
+        elif self.holding:
+            self.system.balance(inflation.pressure, film.modulus)
+        else:
+            film.reference.x.array[:] = film.u.x.array
+            self.system.balance_across(inflation.pressure, self._damping)
+            counted = self.directions.counted
+            forces = _projected(counted, forces)
+            for line, even in zip(lines, evens, strict=True):
+                forces += line.tension * _projected(self.directions.along, even)
+            pulls = [_projected(counted, slope) for slope in pulls]
+            growth = _projected(counted, growth) if inflation.acts else growth
+        start = np.zeros_like(forces)
         if lift is not None:
-            start[self.held] = lift[: len(start)][self.held]
-            self._way.array[:] = start.ravel()
-            film.matrix.mult(self._way, self._vector)
-            residual = residual + self._vector.array.reshape(-1, 3)
-        film.matrix.zeroRowsColumns(self._rows, diag=1.0)
-        self._pc.setOperators(film.matrix)
-        self._pc.setUp()
-        way = start + self._solved(-residual)
-        columns, rows, diagonal = self._border()
-        if columns:
-            ways = [self._solved(column) for column in columns]
-            matrix = [[np.vdot(row, way) for way in ways] for row in rows]
-            local = np.column_stack([matrix, [np.vdot(row, way) for row in rows]])
-            total = self.comm.allreduce(local)
-            system = np.diag(diagonal) - total[:, :-1]
-            change = np.zeros(len(gaps))
-            if np.isfinite(total).all():  # else cells have collapsed, which is seen below
-                # singular where cables are straight
-                change = np.linalg.lstsq(system, -gaps - total[:, -1], rcond=STRAIGHT)[0]
-            for k, line in enumerate(self._found):
-                change[k] = np.clip(change[k], (1 / JUMP - 1) * line.tension, JUMP * line.tension)
-                line.tension += float(change[k])
-            for one, by in zip(ways, change, strict=True):
-                way -= by * one
-            if inflation.is_found:
-                inflation.pressure += float(change[-1])
+            start = np.where(self.directions.free, 0.0, lift[: len(start)])
+            forces = forces + self.system.times(start)
+        self.system.factorise()
+        columns, rows, diagonal = self._border(pulls, growth)
+        way, ways, change = self.system.bordered(
+            -forces, columns, rows, diagonal, self._gaps, start
+        )
+        for k, line in enumerate(self._found):
+            change[k] = np.clip(change[k], (1 / JUMP - 1) * line.tension, JUMP * line.tension)
+            line.tension += float(change[k])
+        for one, by in zip(ways, change, strict=True):
+            way -= by * one
+        if inflation.is_found:
+            inflation.pressure += float(change[-1])
         film.u.x.array[: way.size] += way.ravel()
         film.u.x.scatter_forward()
 
-    def _solved(self, forces: Array) -> Array:
-        self._vector.array[:] = np.where(self.held, 0.0, forces).ravel()
-        self._pc.apply(self._vector, self._way)
-        return self._way.array.reshape(-1, 3).copy()
-
-    def _border(self) -> tuple[list[Array], list[Array], list[float]]:
+    def _border(
+        self, pulls: list[Array], growth: Array
+    ) -> tuple[list[Array], list[Array], list[float]]:
         """Forces of the unknown tensions and pressure, and derivatives of their equations."""
         columns, rows, diagonal = [], [], []
-        for line, slope in zip(self.lines, self._slopes, strict=True):
+        for line, pull, slope in zip(self.lines, pulls, self._slopes, strict=True):
             density = line.cable.force_density
             if line.cable.tension is None:
-                columns.append(slope)
+                columns.append(pull)
                 rows.append(slope if density is None else density * slope)
                 diagonal.append(0.0 if density is None else -1.0)
         if self.inflation.is_found:
-            columns.append(-self.inflation.growth)
+            columns.append(-growth)
             rows.append(self.inflation.gap_slope)
             diagonal.append(0.0)
         return columns, rows, diagonal
 
     def _shapes(self) -> Array:
         """Area over the square of the longest side of this rank's cells, (n,)."""
-        corners = self.membrane.positions()[self.membrane.V.dofmap.list]
+        corners = self.film.positions()[self.membrane.V.dofmap.list]
         sides = np.roll(corners, -1, axis=1) - corners
         areas = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) / 2
         return np.asarray(areas / np.einsum("nij,nij->ni", sides, sides).max(axis=1, initial=0.0))
@@ -307,6 +319,11 @@ class FormSearch:
                     f"find_form: the cable {line.cable.group!r} would be slack; give it less "
                     "length."
                 )
+
+
+def _projected(directions: Array, forces: Array) -> Array:
+    """Parts of forces (n, 3) in directions, by projectors (n, 3, 3)."""
+    return np.asarray(np.einsum("nij,nj->ni", directions, forces))
 
 
 NO_FORM = (

@@ -18,7 +18,7 @@ from crms_fenicsx.runtime.files import explained, make_writable
 NAME = ".lock"
 """Name of the file that is locked. It stays, as a file that comes and goes could be locked twice.
 """
-GRACE = 3.0
+GRACE = 10.0
 """Seconds for which a run that goes on waits for the processes of the one that was killed."""
 
 

@@ -16,6 +16,7 @@ from crms_fenicsx.cables.deformed_surface import CurrentSurface, current_surface
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.strengths import ALL, Strengths, checked_strengths
+from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.results.cell_tensors import added_forces, cell_tensors
 from crms_fenicsx.results.functions import by_cells, nodal_means
 from crms_fenicsx.results.places import PlaceResults, find_places
@@ -75,6 +76,8 @@ class MembraneResults:
         This rank's part of the current surface, with the facets of folded cells.
     membrane
         The membrane that they are results of.
+    in_equilibrium
+        Whether the scene had not been changed since its last load step.
     """
 
     strains: Array
@@ -93,6 +96,7 @@ class MembraneResults:
     parts: Mapping[str, Indices]
     surface: CurrentSurface
     membrane: Membrane
+    in_equilibrium: bool
 
     def __repr__(self) -> str:
         """In a line, of this rank's cells; not collective."""
@@ -102,6 +106,7 @@ class MembraneResults:
             f"{np.count_nonzero(self.state == k)} {word}"
             for k, word in enumerate(("slack", "wrinkled", "taut"))
         ]
+        words += [] if self.in_equilibrium else [UNBALANCED]
         return f"MembraneResults({', '.join(words)})"
 
     def utilisation(self, strengths: Strengths | Mapping[str, Strengths] | None = None) -> Array:
@@ -199,7 +204,8 @@ class MembraneResults:
         Parameters
         ----------
         name
-            One of `names`, or "displacement", a vector (length).
+            One of `names`, or "displacement", a vector (length): that of the vertices. At places
+            in folded cells ask `at`.
         smooth
             False: constant in each cell (DG0). True: linear (P1), at each vertex the mean over the
             cells around it by their stress-free areas; it spreads over borders of parts and
@@ -230,7 +236,7 @@ class MembraneResults:
         on: Literal["current", "stress-free"] = "current",
         smooth: bool = False,
     ) -> PlaceResults:
-        """Results at places of the surface. Collective.
+        """Results at places of the surface, that of the folded cells. Collective.
 
         Parameters
         ----------
@@ -320,6 +326,7 @@ def membrane_results(system: System) -> MembraneResults:
         parts={name: own[own < n] for name, own in scene.mesh.parts.items()},
         surface=current_surface(scene.net),
         membrane=scene.membrane,
+        in_equilibrium=scene.in_equilibrium(),
     )
 
 

@@ -84,6 +84,8 @@ class Places:
         This rank's cells; any where the place is another rank's.
     positions, stress_free : (k, 3)
         Current and stress-free, on all ranks (length).
+    gaps : (k,)
+        How far they are from what was asked for, in parts of their facets' longest sides.
     """
 
     comm: MPI.Intracomm
@@ -91,6 +93,7 @@ class Places:
     cells: Integers
     positions: Array
     stress_free: Array
+    gaps: Array
 
     def of_cells(self, values: Array) -> Array:
         """Values of the cells with the places, (k,). Collective."""
@@ -133,30 +136,58 @@ def find_places(
         On all ranks: no points, or one off the surface.
     """
     targets, in_plan = _checked(points)
-    shape = surface.points if on == "current" else surface.stress_free
-    corners = shape[surface.triangles]
+    places = nearest_places(comm, surface, targets, on, in_plan=in_plan)
+    off = np.flatnonzero(places.gaps > (RIM if in_plan else ON_SURFACE))
+    if len(off):
+        k = int(off[0])
+        target = targets[k, :2] if in_plan else targets[k]
+        nearest = (places.positions if on == "current" else places.stress_free)[k]
+        raise InputError(
+            f"at: point {k} at {as_text(target)} is "
+            f"{np.linalg.norm(nearest[: len(target)] - target):.6g} off the {on} surface, nearest "
+            f"to {as_text(nearest)}; give a place on it."
+        )
+    return places
+
+
+def nearest_places(
+    comm: MPI.Intracomm,
+    surface: CurrentSurface,
+    targets: Array,
+    on: Literal["current", "stress-free"],
+    *,
+    in_plan: bool = False,
+) -> Places:
+    """Find the places nearest to targets, however far these are. Collective.
+
+    Parameters
+    ----------
+    comm, surface, on
+        As for `find_places`.
+    targets : (k, 3)
+        Finite, the same on all ranks (length).
+    in_plan
+        Whether their heights are none, and places those of the uppermost sheet.
+
+    Raises
+    ------
+    InputError
+        On all ranks: places in plan of a membrane that has none.
+    """
+    corners = (surface.points if on == "current" else surface.stress_free)[surface.triangles]
     rows, weights, scores, sizes = _candidates(corners, targets, in_plan)
     best, rank = _best_rank(comm, scores)
     if np.isinf(best).any():
         raise InputError("at: the membrane has no plan, only walls; give places in space, (k, 3).")
     mine = rank == comm.rank
-    gaps, size = best[:, 0], np.asarray(comm.allreduce(np.where(mine, sizes, 0.0)))
+    size = np.asarray(comm.allreduce(np.where(mine, sizes, 0.0)))
     given = [np.zeros((len(targets), 3)), np.zeros((len(targets), 3))]
     for found, places in zip(given, (surface.points, surface.stress_free), strict=True):
         found[mine] = mix(weights[mine], places[surface.triangles[rows[mine]]])
     positions, stress_free = (np.asarray(comm.allreduce(found)) for found in given)
-    nearest = positions if on == "current" else stress_free
-    off = np.flatnonzero(gaps > (RIM if in_plan else ON_SURFACE) * size)
-    if len(off):
-        k = int(off[0])
-        point = targets[k, :2] if in_plan else targets[k]
-        raise InputError(
-            f"at: point {k} at {as_text(point)} is {gaps[k]:.6g} off the {on} surface, nearest to "
-            f"{as_text(nearest[k])}; give a place on it."
-        )
     cells = np.zeros(len(targets), dtype=np.int64)
     cells[mine] = surface.parents[rows[mine]]
-    return Places(comm, mine, cells, positions, stress_free)
+    return Places(comm, mine, cells, positions, stress_free, best[:, 0] / size)
 
 
 def _checked(points: ArrayLike) -> tuple[Array, bool]:

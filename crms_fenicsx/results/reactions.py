@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,63 +10,104 @@ from dolfinx import fem, la
 
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.model.membrane import Marker, Membrane
-from crms_fenicsx.runtime.arrays import Array, Integers
-from crms_fenicsx.runtime.errors import as_text
+from crms_fenicsx.model.versions import UNBALANCED
+from crms_fenicsx.results.held_ends import AT, added, bars_at_vertices, ends_at, held_ends
+from crms_fenicsx.runtime.arrays import Array, Indices, Integers
+from crms_fenicsx.runtime.errors import InputError, as_text
 from crms_fenicsx.scene import Scene
+
+MOST_NAMED = 4
+"""So many parts of a reaction are in its line of text."""
 
 
 @dataclass(frozen=True, repr=False)
 class Reactions:
-    """Forces with which supports hold the membrane.
+    """Forces with which supports, anchors and held joints at a place hold what meets there.
 
     Attributes
     ----------
     total : (3,)
         Their sum (force), on all ranks.
+    membrane : (3,)
+        What of it holds the membrane, with its loads and with cables that pass over held edges.
+    parts
+        What of it holds ends of cables and bars that are there, and loads on joints, (3,) each, by
+        their names: "ridge start", "guy 1".
     positions, forces : (n, 3)
-        This rank's owned vertices, where they are now, and the force on each; zero in directions
-        that are not held.
+        This rank's owned vertices, where they are now, and the force on each, of the membrane and
+        of bars that end at it; zero in directions that are not held.
     per_length : (n, 3)
         The forces per length of held edges (force per length): each vertex's force over half the
         current length of the named edges around it that are held in that direction, at a corner
         of several groups those of all; NaN where there are none.
+    in_equilibrium
+        Whether the scene had not been changed since its last load step.
     """
 
     total: Array
+    membrane: Array
+    parts: Mapping[str, Array]
     positions: Array
     forces: Array
     per_length: Array
+    in_equilibrium: bool
 
     def __repr__(self) -> str:
         """In a line."""
-        return f"Reactions(total {as_text(self.total)}, vertices of this rank: {len(self.forces)})"
+        words = [f"total {as_text(self.total)}"]
+        words += [
+            f"{name} {as_text(force)}" for name, force in list(self.parts.items())[:MOST_NAMED]
+        ]
+        words += ["..."] if len(self.parts) > MOST_NAMED else []
+        words += [f"vertices of this rank: {len(self.forces)}"]
+        return f"Reactions({', '.join(words + ([] if self.in_equilibrium else [UNBALANCED]))})"
 
 
 def reactions(system: System, where: str | Marker) -> Reactions:
-    """Forces that the supports of vertices exert on the membrane. Collective.
-
-    They include what a cable hands on that passes over held edges, and not the pull of a cable's
-    end, which is its anchor's: `crms_fenicsx.model.laid_cable.CableEnd.reaction`.
+    """Forces of the supports of vertices, and of anchors and held joints there. Collective.
 
     Parameters
     ----------
     system
         The scene's potential; it is brought to the scene's state.
     where
-        Vertices, as for `Scene.vertices`.
+        As for `crms_fenicsx.results.solver_results.SolverResults.reactions`.
 
     Raises
     ------
     InputError
         As `Scene.vertices`.
     """
-    dofs, scene = system.scene.vertices(where), system.scene
-    owned = dofs[dofs < system.unknowns.n_vertices]
-    forces = support_forces(system)[owned]
+    scene = system.scene
+    dofs, joints = _place(scene, where)
+    every = support_forces(system)
+    owned = dofs[dofs < len(every)]
+    forces = every[owned]
+    ends = ends_at(scene, dofs, held_ends(scene), joints)
+    hung = bars_at_vertices(scene, owned)
+    membrane = _sum_over_ranks(scene, forces) - sum((end.force for end in hung), np.zeros(3))
+    parts = added([*ends, *hung])
     lengths = held_lengths(scene.membrane)[owned]
     per_length = np.where(lengths > 0.0, forces / np.where(lengths > 0.0, lengths, 1.0), np.nan)
-    total = _sum_over_ranks(scene, forces)
-    return Reactions(total, scene.positions()[owned], forces, per_length)
+    total = membrane + sum(parts.values(), np.zeros(3))
+    places, settled = scene.positions()[owned], scene.in_equilibrium()
+    return Reactions(total, membrane, parts, places, forces, per_length, settled)
+
+
+def _place(scene: Scene, where: str | Marker) -> tuple[Indices, list[Array]]:
+    """Vertices that `where` names, with ghosts, and places of a joint that it names. Collective."""
+    joints = {joint.name: joint.position for joint in scene.joints if joint.held.any()}
+    mesh = scene.mesh
+    if not isinstance(where, str) or where in mesh.edges or where in mesh.points:
+        return scene.vertices(where), []
+    if where not in joints:
+        known = ", ".join(sorted({*mesh.edges, *mesh.points, *joints}))
+        raise InputError(
+            f"reactions: there is no group of vertices or held joint {where!r}; there are {known}."
+        )
+    away = np.linalg.norm(scene.positions() - joints[where], axis=1)
+    dofs: Indices = np.flatnonzero(away <= AT * scene.membrane.size).astype(np.int32)
+    return dofs, [joints[where]]
 
 
 def support_forces(system: System) -> Array:

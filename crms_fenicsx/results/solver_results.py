@@ -51,24 +51,30 @@ class SolverResults:
 
     @collective
     def reactions(self, where: str | Marker) -> Reactions:
-        """Forces that supports exert on the membrane, in the current state. Collective.
+        """Forces that supports at a place exert on all that meets there, in the current state.
 
-        Those on a cable's ends are not among them: ``cable.start.reaction``.
+        Collective. What meets there is the membrane, and each end of a cable or a bar whose anchor
+        or held joint is at one of the vertices, or on an edge between two of them.
 
         Parameters
         ----------
         where
-            Held vertices, as for `Scene.vertices`.
+            Vertices, as for `Scene.vertices`, or the name of a held joint, such as "start of mast".
 
         Returns
         -------
         Reactions
-            Their sum, and the force on each of this rank's vertices.
+            Their sum, each part of it by name, and the force on each of this rank's vertices.
 
         Raises
         ------
         InputError
             As `Scene.vertices`.
+
+        Examples
+        --------
+        >>> corner = solver.reactions("corner 1")
+        >>> corner.total, corner.membrane, corner.parts["guy 1"]
         """
         return reactions(self.system, where)
 
@@ -136,10 +142,16 @@ class SolverResults:
         ErrorEstimate
             For the whole membrane, and the shares of this rank's cells.
 
+        Raises
+        ------
+        InputError
+            On all ranks: the scene has been changed since its last load step, or there was none.
+
         Examples
         --------
         >>> solver.estimate_error().relative
         """
+        self._scene.require_equilibrium("estimate_error")
         return ErrorEstimator(self._scene).of(self.system)
 
     @collective

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
+from crms_fenicsx.cables.deformed_surface import CurrentSurface
 from crms_fenicsx.equilibrium.system import System
+from crms_fenicsx.meshes.triangles import double_areas, norm
 from crms_fenicsx.model.membrane import COMPONENTS, Membrane
 from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.model.strengths import ALL
+from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.results.bar_results import BarResults, bar_results, joint_reactions
 from crms_fenicsx.results.cable_results import CableResults, cable_results
+from crms_fenicsx.results.held_ends import HeldEnd, added, bars_at_vertices, ends_at, held_ends
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.results.reactions import held_lengths, support_forces
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers, floats
 from crms_fenicsx.runtime.errors import as_text
 from crms_fenicsx.runtime.text import span
 
@@ -31,7 +35,7 @@ SUMMED_UP = (
 
 @dataclass(frozen=True, repr=False)
 class Extreme:
-    """A largest or least value, and where it is now (length)."""
+    """A largest or least value, and where on the surface it is now (length)."""
 
     value: float
     at: Vector
@@ -70,16 +74,22 @@ class SupportSummary:
     directions
         Those in which all of its vertices are held, out of "xyz"; "" of vertices in no such group.
     total
-        Sum of the reactions (force).
+        Sum of the reactions (force) on all that meets there: of `membrane` and `parts`.
+    membrane
+        What of it holds the membrane (force).
+    parts
+        What of it holds ends of cables and bars, and loads on joints, by their names (force).
     length
         Current length of its edges (length); 0 of points.
     mean, largest
-        Size of the reaction per length of held edges (force per length), along its edges in the
-        mean and at one vertex.
+        Size of the membrane's reaction per length of held edges (force per length), along its edges
+        in the mean and at one vertex.
     """
 
     directions: str
     total: Vector
+    membrane: Vector
+    parts: Mapping[str, Vector]
     length: float
     mean: float
     largest: float
@@ -106,14 +116,18 @@ class Summary:
     cables
         By their names.
     supports
-        By the names of the groups, which may share vertices; under `ALL_SUPPORTS` all of them, and
-        under `OTHER_SUPPORTS` those in no group that is held as a whole.
+        By the names of the groups, which may share vertices; under `ALL_SUPPORTS` all of them with
+        all anchors and held joints, and under `OTHER_SUPPORTS` those in no group that is held as a
+        whole.
     bars
         By their names.
     joints
         Forces with which held joints, anchors of bars among them, are held (force), by their names.
     ponds
         By their names, with their levels and volumes.
+    in_equilibrium
+        Whether the scene had not been changed since its last load step; if it had, forces of cables
+        and bars and the energy may be those of before, and nothing is in balance.
     """
 
     pressure: float
@@ -128,6 +142,7 @@ class Summary:
     bars: Mapping[str, BarResults]
     joints: Mapping[str, Vector]
     ponds: Mapping[str, Pond]
+    in_equilibrium: bool
 
     def __repr__(self) -> str:
         """A table: a row for each load, part, cable, bar and support."""
@@ -137,6 +152,7 @@ class Summary:
             ("energy", "", f"{self.energy:.6g}"),
             ("displacement", "", repr(self.displacement)),
         ]
+        rows = rows if self.in_equilibrium else [("state", "", UNBALANCED), *rows]
         for name, part in self.parts.items():
             shown = [one for one in ("warp", "weft", "utilisation") if one in part.least]
             values = [
@@ -159,16 +175,9 @@ class Summary:
         return self.parts[ALL]
 
     @property
-    def reaction(self) -> Vector | None:
-        """Sum of the forces of all supports, anchors and held joints (force).
-
-        None without anchors and held joints.
-        """
-        cables = self.cables.values()
-        ends = [end for one in cables for end in (one.start, one.end) if end is not None]
-        ends += self.joints.values()
-        x, y, z = np.sum([self.supports[ALL_SUPPORTS].total, *ends], axis=0).tolist()
-        return (x, y, z) if ends else None
+    def reaction(self) -> Vector:
+        """Sum of the forces of all supports, anchors and held joints (force)."""
+        return self.supports[ALL_SUPPORTS].total
 
 
 ALL_SUPPORTS, OTHER_SUPPORTS = "all supports", "other supports"
@@ -183,12 +192,12 @@ def summary(system: System) -> Summary:
         The scene's potential; it is brought to the scene's state.
     """
     scene, results = system.scene, membrane_results(system)
-    n = scene.V.dofmap.index_map.size_local
-    moved: Array = scene.u.x.array.reshape(-1, 3)[:n]
-    places = scene.positions()[:n]
-    parts = {ALL: _part(results, None)}
+    places = results.surface.points  # with the points of cables on folded cells
+    moved = places - results.surface.stress_free
+    centres = _centres(results.surface, len(results.state))
+    parts = {ALL: _part(results, centres, None)}
     if len(results.parts) > 1:
-        parts |= {name: _part(results, name) for name in sorted(results.parts)}
+        parts |= {name: _part(results, centres, name) for name in sorted(results.parts)}
     return Summary(
         scene.pressure,
         scene.factors,
@@ -202,26 +211,32 @@ def summary(system: System) -> Summary:
         bar_results(scene),
         joint_reactions(scene),
         {pond.name: pond for pond in scene.ponds},
+        results.in_equilibrium,
     )
 
 
-def _part(results: MembraneResults, name: str | None) -> PartSummary:
+def _part(results: MembraneResults, centres: Array, name: str | None) -> PartSummary:
     comm = results.comm
     cells = np.arange(len(results.state)) if name is None else results.parts[name]
     slack, wrinkled, _ = results.shares(name)
-    shape = results.surface
-    dofs = results.membrane.V.dofmap.list[cells]
-    centres = np.asarray(shape.points[dofs].mean(axis=1))
     least, largest = {}, {}
     for one in SUMMED_UP:
         if one not in results.names:
             continue
         values = results.values(one)[cells]
         if comm.allreduce(int(np.isfinite(values).sum())):
-            least[one] = _extreme(comm, values, centres, largest=False)
-            largest[one] = _extreme(comm, values, centres, largest=True)
+            least[one] = _extreme(comm, values, centres[cells], largest=False)
+            largest[one] = _extreme(comm, values, centres[cells], largest=True)
     area = comm.allreduce(float(results.stress_free_areas[cells].sum()))
     return PartSummary(area, slack, wrinkled, least, largest)
+
+
+def _centres(surface: CurrentSurface, n: int) -> Array:
+    """Places on n cells, (n, 3): the centre of each one's largest facet."""
+    corners = surface.points[surface.triangles]
+    order = np.lexsort((norm(double_areas(corners)), surface.parents))
+    largest = np.searchsorted(surface.parents[order], np.arange(n), side="right") - 1
+    return np.asarray(corners[order[largest]].mean(axis=1))
 
 
 def _extreme(comm: MPI.Intracomm, values: Array, places: Array, *, largest: bool) -> Extreme:
@@ -258,28 +273,45 @@ def held_groups(membrane: Membrane) -> dict[str, tuple[str, Indices]]:
 
 
 def _supports(system: System) -> dict[str, SupportSummary]:
-    membrane, forces = system.scene.membrane, support_forces(system)
+    scene, forces = system.scene, support_forces(system)
+    membrane, anchored = scene.membrane, held_ends(scene)
     n, lengths = len(forces), held_lengths(membrane)[: len(forces)]
     line = np.linalg.norm(forces / np.where(lengths > 0.0, lengths, np.inf), axis=1)
     others: Booleans = np.any(membrane.held[:n], axis=1)
     found = {}
 
-    def add(name: str, directions: str, dofs: Indices | Integers, own: Array) -> None:
-        x, y, z = membrane.comm.allreduce(forces[dofs].sum(axis=0)).tolist()
+    def add(
+        name: str, directions: str, dofs: Indices | Integers, own: Array, ends: Sequence[HeldEnd]
+    ) -> None:
+        hung = bars_at_vertices(scene, dofs)
+        parts = {key: _vector(force) for key, force in added([*ends, *hung]).items()}
+        fabric = membrane.comm.allreduce(forces[dofs].sum(axis=0))
+        fabric -= sum((end.force for end in hung), np.zeros(3))
+        total = _vector(np.sum([fabric, *parts.values()], axis=0))
         sums = np.array([own.sum(), (own * line[dofs]).sum()])
         length, loaded = membrane.comm.allreduce(sums).tolist()
         largest = membrane.comm.allreduce(float(line[dofs].max(initial=0.0)), op=MPI.MAX)
         mean = loaded / length if length > 0.0 else 0.0
-        found[name] = SupportSummary(directions, (x, y, z), length, mean, largest)
+        found[name] = SupportSummary(
+            directions, total, _vector(fabric), parts, length, mean, largest
+        )
 
     for name, (directions, dofs) in held_groups(membrane).items():
+        ends = ends_at(scene, dofs, anchored)
         own, dofs = np.zeros(len(forces)), dofs[dofs < n]
         if name in membrane.mesh.edges:
             own = held_lengths(membrane, name)[:n].max(axis=1)
-        add(name, directions, dofs, own[dofs])
+        add(name, directions, dofs, own[dofs], ends)
         others[dofs] = False
     every = lengths.max(axis=1)
     if membrane.comm.allreduce(int(others.sum())):
-        add(OTHER_SUPPORTS, "", np.flatnonzero(others), every[others])
-    add(ALL_SUPPORTS, "", np.arange(n), every)
+        rest = np.flatnonzero(others)
+        add(OTHER_SUPPORTS, "", rest, every[others], ends_at(scene, rest, anchored))
+    add(ALL_SUPPORTS, "", np.arange(n), every, anchored)
     return found
+
+
+def _vector(force: Array) -> Vector:
+    """A force as plain numbers."""
+    x, y, z = floats(force)
+    return x, y, z

@@ -17,6 +17,7 @@ from types import FrameType
 from typing import Any
 
 from mpi4py import MPI
+from petsc4py import PETSc  # noqa: F401 (its handlers are there before they are replaced here)
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -41,6 +42,16 @@ def _note(number: int, frame: FrameType | None) -> None:
     global _noted
     _noted = number
     signal.signal(number, signal.SIG_DFL)  # the next one also ends what is in compiled code
+
+
+def _restore_handler(number: int) -> None:
+    """Give a signal the handler that Python knows, whatever a library has made of it since."""
+    known = signal.getsignal(number)
+    if known is not None and threading.current_thread() is threading.main_thread():
+        signal.signal(number, known)
+
+
+_restore_handler(signal.SIGPIPE)
 
 
 @contextmanager

@@ -146,6 +146,7 @@ class IncrementSolver:
                 outcome = replace(outcome, converged=False, reason=str(verification))
         if outcome.converged:
             self.system.commit()
+            self.scene.versions.settle(self.scene.u.x.array, verification)
         return outcome, verification
 
     def _turn_pressure(self, outcome: Outcome) -> Outcome:
@@ -185,17 +186,22 @@ class IncrementSolver:
 
     def go_back_to(self, snapshot: Snapshot) -> None:
         """Bring the scene to a state, and forget what was tried since."""
-        snapshot.restore()
-        if self._system is not None:
-            self._system.invalidate()
+        self._restore(snapshot, snapshot.step_history)
         self._search, self._earlier = None, deepcopy(snapshot.tried)
         self._known = self.scene.cables
 
     def _go_back(self, before: State, history: StepHistory | None) -> None:
         """Restore the state before an increment; `history` is what step-wise laws knew then."""
-        before.restore(self.scene)
-        if self.scene.step_history is not history:  # the pressure has turned
-            self.scene.step_history = history
-            self.scene.commits += 1
-        if self._system is not None:  # its tables may be those of other cables in tension
-            self._system.invalidate()
+        self._restore(before, history)
+
+    def _restore(self, state: State | Snapshot, history: StepHistory | None) -> None:
+        """Restore a state; `history` is what step-wise laws knew then."""
+        scene, system = self.scene, self._system
+        # Terms keep the history that step-wise laws had: with another one they are made anew.
+        keeps = scene.step_history is history and system is not None and not system.is_outdated
+        state.restore(scene)
+        scene.step_history = history
+        if system is not None:  # its tables may be those of other cables in tension
+            system.invalidate()
+            if keeps:
+                system.follow()

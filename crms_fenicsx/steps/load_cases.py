@@ -36,11 +36,14 @@ class Combination:
         Its last load step.
     snapshot
         The state that it led to; `Solver.restore` goes there, to draw it or for its results.
+    base
+        The state that it was brought on from.
     """
 
     name: str
     step: Step
     snapshot: Snapshot
+    base: Snapshot
 
 
 class LoadCases:
@@ -50,6 +53,8 @@ class LoadCases:
     _increments: IncrementSolver
     case = ""
     """Name of the branch that load steps belong to, in the history's column "case"; "" in none."""
+    base: Snapshot | None = None
+    """Internal: the state from which loads were first brought on; None before."""
 
     @abstractmethod
     def advance(
@@ -150,14 +155,14 @@ class LoadCases:
         combinations
             By its name the factors of each combination's loads, by theirs, and what else of
             "pressure", "temperature" and "atmosphere" is another one, as in `Solver.advance`. What
-            is not named stays.
+            is not named stays: a combination that names nothing is the base state.
         steps
             Number of increments of each.
 
         Returns
         -------
         dict
-            What came of each combination, by its name.
+            What came of each combination, by its name, in the order that rank 0 gives.
 
         Raises
         ------
@@ -178,15 +183,16 @@ class LoadCases:
         checks.same(self._scene.comm, "combine", combinations=combinations, steps=steps)
         self.check_combinations(combinations)
         checks.whole("combine: steps", steps, 1)
-        found = {}
-        for name, given in combinations.items():
+        found = dict[str, Combination]()
+        for name, given in checks.in_one_order(self._scene.comm, combinations).items():
             air, factors = _loads(given)
-            with self.branch(name):
+            with self.branch(name) as start:
+                base = next((one.base for one in found.values()), start)  # alike, and kept once
                 try:
                     step = self.advance(load=factors, steps=steps, **air)
                 except ConvergenceError as error:
                     raise ConvergenceError(f"combination {name!r}: {error}") from None
-                found[name] = Combination(name, step, self.snapshot())
+                found[name] = Combination(name, step, self.snapshot(), base)
         return found
 
     def check_combinations(self, combinations: Mapping[str, Mapping[str, Any]]) -> None:
@@ -205,7 +211,7 @@ class LoadCases:
         for name, given in combinations.items():
             if not isinstance(name, str) or not name:
                 raise InputError(f"combine: the name {name!r} is no text; give one, as in 'snow'.")
-            if not isinstance(given, Mapping) or not given:
+            if not isinstance(given, Mapping):
                 raise InputError(
                     f"combine: {name!r} is {given!r}; write factors by the loads' names, as in "
                     '{"weight": 1.35, "snow": 1.5}.'

@@ -51,6 +51,11 @@ class Target:
         """What was moved, and numbers that tell how."""
         return self.movements.samples
 
+    def is_first_load(self, scene: Scene) -> bool:
+        """Whether loads or ponds are brought on where there are none yet."""
+        new = any(last != 0.0 for _, last in self.factors.values())
+        return new and not any(scene.factors.values())
+
     def apply(self, scene: Scene, first: State, before: float, share: float) -> None:
         """Set the loads at a share of the way from the state `first`; `before` is that reached."""
         scene._loads = tuple(

@@ -13,6 +13,7 @@ from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.membrane import Marker
+from crms_fenicsx.model.versions import Version
 from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.runtime.text import counted, span
@@ -86,6 +87,11 @@ class Snapshot:
         return f"Snapshot({'; '.join(words)})"
 
     @property
+    def version(self) -> Version:
+        """Internal: the numbers of its model and state."""
+        return self.state.version
+
+    @property
     def u(self) -> Array:
         return self.state.u
 
@@ -93,9 +99,9 @@ class Snapshot:
     def energies(self) -> dict[str, float]:
         return self.state.energies
 
-    def restore(self) -> None:
+    def restore(self, scene: Scene) -> None:
         """Bring the scene back to this state, cables that were laid or removed since included."""
-        scene, net = self.scene, self.scene.net
+        net = scene.net
         net.cables = net.arranged = self.cables
         net.strip = self.strip
         net.removed_dissipation = self.removed_dissipation
@@ -109,7 +115,4 @@ class Snapshot:
         scene.membrane.held_edges[:] = self.held_edges
         scene.membrane.supports = self.supports
         scene._floor_level, scene._terms = self.floor, self.terms
-        if scene.step_history is not self.step_history:  # the terms know it as well
-            scene.step_history = self.step_history
-            scene.commits += 1
-        scene.changes += 1
+        scene.step_history = self.step_history

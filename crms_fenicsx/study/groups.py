@@ -79,7 +79,7 @@ def combine_in_groups(
     >>> max(found, key=lambda name: found[name].summary.membrane.largest["warp"].value)
     """
     from crms_fenicsx.output.report.arguments import checked_plan
-    from crms_fenicsx.output.report.writing import drawn, results_of, write_report
+    from crms_fenicsx.output.report.writing import drawn, model_of, results_of, write_report
 
     comm = comm_of("combine_in_groups", mesh)
     checks.same(comm, "combine_in_groups", combinations=combinations, groups=groups, steps=steps,
@@ -99,7 +99,7 @@ def combine_in_groups(
     with raised_together(comm):
         solver = built("combine_in_groups", build, copy)
         solver.check_combinations(combinations)
-    scene = solver.scene
+    scene, combinations = solver.scene, checks.in_one_order(comm, combinations)
     checks.same(
         comm, "combine_in_groups: build", cells=scene.mesh.mesh.topology.index_map(2).size_global,
         cables=[cable.name for cable in scene.cables], loads=[load.name for load in scene.loads],
@@ -116,7 +116,7 @@ def combine_in_groups(
         pictured = _joined(comm, own, shown, list(combinations))
         with raised_together(comm):
             if number == 0:
-                write_report(solver, plan, list(pictured.values()))
+                write_report(solver, plan, model_of(solver, plan, states), list(pictured.values()))
     del solver, scene, states, copy
     own.Free()
     return every

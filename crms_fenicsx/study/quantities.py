@@ -8,14 +8,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.meshes.triangles import closest
-from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.cables.deformed_surface import current_surface
 from crms_fenicsx.results.membrane_results import MembraneResults
+from crms_fenicsx.results.places import Places, nearest_places
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.runtime.errors import InputError, as_text
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.solver import Solver
+from crms_fenicsx.surface.closest_point import ON_SURFACE
 
 ALL = "membrane"
 """What names the whole membrane among its parts."""
@@ -47,8 +48,8 @@ class Quantities:
         Raises
         ------
         InputError
-            On all ranks: a point that is none, a group or part that does not exist, or what is no
-            function.
+            On all ranks: a point that is none or off the stress-free surface, a group or part that
+            does not exist, or what is no function.
         """
         for name, given in (("points", points), ("quantities", others)):
             if given is not None and not isinstance(given, Mapping):
@@ -64,6 +65,7 @@ class Quantities:
             name: checks.vector(f"convergence: the point {name!r}", place)
             for name, place in (points or {}).items()
         }
+        _refuse_off(scene, places)
         for group in reactions:
             scene.vertices(group)
         known = {ALL: (), **scene.mesh.parts}
@@ -89,8 +91,10 @@ class Quantities:
             found["greatest tension"] = (greatest, greatest)
         for cable in scene.cables:
             found[f"tension {cable.name}"] = (cable.tension, greatest)
-        for name, place in self.points.items():
-            found |= _components(f"displacement {name}", displacement(scene.membrane, place))
+        if self.points:
+            moved = displacements(scene, np.array(list(self.points.values())))
+            for name, vector in zip(self.points, moved, strict=True):
+                found |= _components(f"displacement {name}", np.asarray(vector))
         for group in self.reactions:
             forces = solver.reactions(group)
             size = float(np.abs(forces.forces).sum()) if len(forces.forces) else 0.0
@@ -119,15 +123,39 @@ def _components(name: str, vector: Array, size: float = 0.0) -> dict[str, Value]
     return {f"{name} {axis}": (float(x), size) for axis, x in zip("xyz", vector, strict=True)}
 
 
-def displacement(membrane: Membrane, place: Array) -> Array:
-    """Displacement of the stress-free membrane's place nearest to a point, (3,). Collective."""
-    own = membrane.mesh.mesh.topology.index_map(2).size_local
-    dofs, comm = membrane.V.dofmap.list[:own], membrane.comm
-    weights, _, gaps = closest(membrane.stress_free[dofs], place)
-    nearest = int(np.argmin(gaps)) if own else 0
-    gap = float(gaps[nearest]) if own else np.inf
-    u = membrane.u.x.array.reshape(-1, 3)
-    here = weights[nearest] @ u[dofs[nearest]] if own else np.zeros(3)
-    _, rank = comm.allreduce((gap, comm.rank), op=MPI.MINLOC)
-    found: Array = comm.bcast(here, root=rank)
-    return found
+def displacements(scene: Scene, places: Array) -> Array:
+    """Displacements of the folded surface's stress-free places nearest to points. Collective.
+
+    Parameters
+    ----------
+    scene
+        The scene in its current state.
+    places : (k, 3)
+        The points (length).
+
+    Returns
+    -------
+    (k, 3)
+        The same on all ranks (length).
+    """
+    found = _nearest(scene, places)
+    return found.positions - found.stress_free
+
+
+def _nearest(scene: Scene, places: Array) -> Places:
+    return nearest_places(scene.comm, current_surface(scene.net), places, "stress-free")
+
+
+def _refuse_off(scene: Scene, points: Mapping[str, Array]) -> None:
+    """Raise where a point is off the stress-free surface. Collective."""
+    if not points:
+        return
+    found = _nearest(scene, np.array(list(points.values())))
+    for k, (name, place) in enumerate(points.items()):
+        if found.gaps[k] > ON_SURFACE:
+            nearest = found.stress_free[k]
+            raise InputError(
+                f"convergence: the point {name!r} at {as_text(place)} is "
+                f"{np.linalg.norm(nearest - place):.6g} off the stress-free surface, nearest to "
+                f"{as_text(nearest)}; give a place on it."
+            )

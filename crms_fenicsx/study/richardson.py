@@ -7,7 +7,9 @@ show says whether it is so. The bar is P. J. Roache's (Perspective: a method for
 of grid refinement studies, 1994) with the factors of safety of L. Eca and M. Hoekstra (A procedure
 for the estimation of the numerical uncertainty of CFD calculations based on grid refinement
 studies, 2014): the error by the order found, times 1.25 where that is the order expected, and
-times 3 elsewhere. What shows no order gets a bar as wide as the levels scatter.
+times 3 elsewhere. Two differences may agree by chance, or be small by chance where values go to
+and fro. So what shows no order, or changed its direction between any levels, gets the error that
+the greatest of all differences tells, each brought to the finest level by order 2, times 3.
 `docs/benchmarks/cable_accuracy.md` says how often bars hold known limits.
 """
 
@@ -62,29 +64,32 @@ def extrapolated(values: Sequence[float], size: float = 0.0) -> Extrapolated:
     size
         Size of values of the kind, below which differences are told from rounding.
     """
-    *_, d = differences = [b - a for a, b in pairwise(values)]
-    finest, scale = values[-1], max(size, *map(abs, values))
+    differences = [b - a for a, b in pairwise(values)]
+    d, finest, scale = differences[-1], values[-1], max(size, *map(abs, values))
     least = SAME * scale
-    if max(map(abs, differences[-2:])) <= least:
+    if max(map(abs, differences)) <= least:
         return Extrapolated(finest, least, math.nan, True, "the same on all levels")
     limit = finest + d / (2**ORDER - 1)
     if len(differences) == 1:
         return Extrapolated(limit, abs(d), math.nan, False, "two levels show no order: 2 assumed")
-    before = differences[-2]
+    errors = [abs(x) / (2**ORDER - 1) / 2 ** (k * ORDER) for k, x in enumerate(differences[::-1])]
+    widest, before = max(SAFER * max(errors), least), differences[-2]
     if before * d <= 0.0:
-        bar = max(abs(d), abs(before) / 8, least)
-        return Extrapolated(finest, bar, math.nan, False, "no order: the levels go to and fro")
-    order = math.log2(before / d)
-    if order < REGULAR[0]:
-        few = order > 0.0
-        bar = abs(d) if few else abs(d) + abs(before)
-        remark = "low order" if few else "no order: differences grow"
-        return Extrapolated(limit, max(bar, least), order, False, remark)
-    if order > REGULAR[1]:
-        bar = max(abs(before) / 8, least)
-        return Extrapolated(limit, bar, order, False, "order too high: the coarsest is too coarse")
-    if abs(before) > FAR * scale:
-        return Extrapolated(limit, abs(d), order, False, "the coarsest is too coarse")
+        remark = "no order: the levels go to and fro"
+        return Extrapolated(finest, widest, math.nan, False, remark)
+    order, remark = math.log2(before / d), ""
+    if order <= 0.0:
+        remark, widest = "no order: differences grow", max(widest, abs(d) + abs(before))
+    elif order < REGULAR[0]:
+        remark = "low order"
+    elif order > REGULAR[1]:
+        remark = "order too high: the coarsest is too coarse"
+    elif abs(before) > FAR * scale:
+        remark = "the coarsest is too coarse"
+    elif any(a * b < 0.0 for a, b in pairwise(differences)):
+        remark = "no order: coarser levels go to and fro"
+    if remark:
+        return Extrapolated(limit, widest, order, False, remark)
     error = abs(d) / (2 ** min(order, ORDER) - 1)
     bar = (SAFE if abs(order - ORDER) < NEAR else SAFER) * error
     return Extrapolated(limit, max(bar, least), order, True, "")

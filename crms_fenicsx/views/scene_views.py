@@ -11,6 +11,7 @@ import numpy as np
 from crms_fenicsx.braced_membrane import BracedMembrane
 from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.deformed_surface import current_surface
+from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.runtime.errors import InputError, collective, raised_together
@@ -106,6 +107,9 @@ class SceneViews(BracedMembrane):
         if self.bars:
             forces = span([bar.force for bar in self.bars])
             words.append(f"{counted(len(self.bars), 'bar')}, force {forces}")
+        solved = self.versions.current.equilibrium is not None
+        if solved and not self.versions.are_settled(self.membrane.u.x.array):
+            words.append(UNBALANCED)
         return f"Scene({'; '.join(words)})"
 
     def _supported(self) -> tuple[Array, Booleans]:

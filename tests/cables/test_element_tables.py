@@ -18,6 +18,7 @@ from crms_fenicsx.cables.element_tables import CableTables, damping
 from crms_fenicsx.cables.meetings import Meetings
 from crms_fenicsx.cables.simplices import Simplices
 from crms_fenicsx.equilibrium.system import System
+from crms_fenicsx.runtime.compat import geometry_dofmap
 
 
 def with_spans(comm: MPI.Intracomm) -> System:
@@ -87,7 +88,7 @@ def test_smoothing_is_that_of_the_cells_around(tables) -> None:
     mesh = slow.numbering.u.function_space.mesh
     sizes = np.full(len(slow.strip.cells), np.nan)
     for row in np.flatnonzero(slow.strip.owner == slow.rank):
-        a, b, c = mesh.geometry.x[mesh.geometry.dofmap[slow.strip.local[row]]]
+        a, b, c = mesh.geometry.x[geometry_dofmap(mesh)[slow.strip.local[row]]]
         sizes[row] = np.sqrt(np.linalg.norm(np.cross(b - a, c - a)))
     expected = [slow.smoothing(link, sizes) for link in slow.own_links()]
     np.testing.assert_allclose(fast.eps, expected, rtol=1e-12)

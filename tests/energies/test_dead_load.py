@@ -115,7 +115,7 @@ def test_supports_carry_the_load(comm):
     solver = Solver(scene)
     solver.advance(load=1.0)
     assert cable.tension > 1.0
-    total = solver.reactions("boundary").total + cable.start.reaction + cable.end.reaction
+    total = solver.reactions("boundary").total
     np.testing.assert_allclose(total, [0.0, 0.0, 0.01 * SIDE**2], atol=1e-6)
     assert scene.energies["dead load"] < 0.0
 

@@ -136,7 +136,7 @@ def test_free_edges_are_in_equilibrium_with_the_follower_pressure(comm: MPI.Intr
         solver = Solver(scene)
         solver.advance(pressure=0.05, steps=steps)
         load = comm.allreduce(0.05 * pressed_facets(solver.system)[1].sum(axis=0))
-        held = solver.reactions("ends").total + cable.start.reaction + cable.end.reaction
+        held = solver.reactions("ends").total
         np.testing.assert_allclose(held, -load, atol=1e-7 * np.abs(load).max())
         energies.append(scene.energies["membrane"] + scene.energies["cables"])
         assert len(solver.steps) == steps

@@ -6,6 +6,7 @@ import pytest
 from crms_fenicsx import InputError, MeshError, meshes
 from crms_fenicsx.meshes.cell_geometry import area_vectors
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
+from crms_fenicsx.runtime.compat import geometry_dofmap
 
 TENT = np.array([(0, 0, 0), (1, 0, 1), (2, 0, 0), (0, 1, 0), (1, 1, 1), (2, 1, 0)], dtype=float)
 TENT_CELLS = [(0, 1, 4), (0, 4, 3), (1, 2, 5), (1, 5, 4)]
@@ -92,7 +93,7 @@ def test_hall_stays_a_hall(comm):
 
 def arrays_of(comm, mesh, **more):
     """A mesh as arrays, so that nothing is known of its surface; on one process only."""
-    return meshes.from_arrays(comm, nodes(mesh), mesh.mesh.geometry.dofmap, **more)
+    return meshes.from_arrays(comm, nodes(mesh), geometry_dofmap(mesh.mesh), **more)
 
 
 def test_mesh_of_arrays_follows_the_smooth_surface_behind_it():
@@ -157,7 +158,7 @@ def test_seams_parts_and_hidden_cells(comm):
 def corners(mesh):
     """Corners of this rank's own cells, (n, 3, 3)."""
     own = mesh.mesh.topology.index_map(2).size_local
-    return mesh.mesh.geometry.x[mesh.mesh.geometry.dofmap[:own]]
+    return mesh.mesh.geometry.x[geometry_dofmap(mesh.mesh)[:own]]
 
 
 def near(mesh, place, distance):
@@ -183,7 +184,7 @@ def length(comm, mesh, name):
     own = own[own < topology.index_map(1).size_local]
     ends = topology.connectivity(1, 0).array.reshape(-1, 2)[own]
     nodes = np.empty(topology.index_map(0).size_local + topology.index_map(0).num_ghosts, int)
-    nodes[topology.connectivity(2, 0).array] = mesh.mesh.geometry.dofmap.ravel()
+    nodes[topology.connectivity(2, 0).array] = geometry_dofmap(mesh.mesh).ravel()
     x = mesh.mesh.geometry.x[nodes[ends]]
     return comm.allreduce(np.linalg.norm(x[:, 1] - x[:, 0], axis=1).sum())
 

@@ -198,10 +198,10 @@ def test_what_differs_by_more_than_numbers_is_refused(comm: MPI.Intracomm) -> No
     scene = scene_of(comm, FABRIC)
 
     def refused(call: Callable[[], None], message: str) -> None:
-        before, changes = dict(scene.materials), scene.changes
+        before, changes = dict(scene.materials), scene.versions.model_version
         with pytest.raises(InputError, match=message):
             call()
-        assert scene.materials == before and scene.changes == changes
+        assert scene.materials == before and scene.versions.model_version == changes
 
     refused(lambda: scene.set_material({"roof": FABRIC}), "part 'roof'; .* one material for all")
     refused(lambda: scene.set_material({}), "no part")

@@ -110,7 +110,7 @@ def test_a_report_has_them_all(comm: MPI.Intracomm, tmp_path: Path) -> None:
 
 def test_pictures_have_room_for_bars(comm: MPI.Intracomm) -> None:
     solver = braced(comm)
-    case = case_of(solver, "now", None)
+    case = case_of(solver, "now")
     assert case.low[1] == pytest.approx(-5.0)
     assert case.low[2] == pytest.approx(-2.0)
     assert case.high[2] == pytest.approx(solver.scene.joint("top").position[2])

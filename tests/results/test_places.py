@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from cabled_square import clamped
+from crms_fenicsx.convergence.quantities import displacements
 from mpi4py import MPI
 
-from crms_fenicsx import Cable, InputError, OrthotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import (
+    Cable,
+    InputError,
+    IsotropicMembrane,
+    OrthotropicMembrane,
+    Scene,
+    Solver,
+    meshes,
+)
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.results.reactions import held_lengths
 from crms_fenicsx.results.summary import ALL_SUPPORTS, OTHER_SUPPORTS
+from crms_fenicsx.runtime.compat import geometry_dofmap
+from crms_fenicsx.surface.points import EdgePoint
 
 R, P = 5.0, 0.4
 """Radius and pressure of the half cylinder."""
@@ -128,6 +141,80 @@ def test_places_lie_on_the_folded_surface(comm: MPI.Intracomm) -> None:
     np.testing.assert_allclose(found.displacement, found.positions - found.stress_free)
 
 
+def vertices(solver: Solver) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+    """Stress-free and current places of all ranks' vertices by their ids. Collective."""
+    membrane, comm = solver.scene.membrane, solver.comm
+    n = membrane.V.dofmap.index_map.size_local
+    own = (membrane.vertex_ids[:n], membrane.stress_free[:n], membrane.positions()[:n])
+    return {int(v): (X, x) for part in comm.allgather(own) for v, X, x in zip(*part, strict=True)}
+
+
+def test_places_under_a_cable_are_those_of_folded_cells(comm: MPI.Intracomm) -> None:
+    """Against triangles of two fold points and the vertex between them, made from the ids alone."""
+    solver = folded(comm)
+    cable, known = solver.scene.cable("ridge"), vertices(solver)
+    rng, points, due = np.random.default_rng(0), [], []
+    nodes = [
+        (node.point.edge, place)
+        for node, place in zip(cable.nodes, cable.positions, strict=True)
+        if isinstance(node.point, EdgePoint)
+    ]
+    for (one, p), (other, q) in pairwise(nodes):
+        ends = [known[vertex] for vertex in {*one} & {*other}]
+        corners = [(X, x) for X, x in ends]
+        for edge, place in ((one, p), (other, q)):
+            (A, a), (B, b) = (known[vertex] for vertex in edge)
+            to, on = np.linalg.norm(place - a), np.linalg.norm(place - b)
+            corners.append((A + (B - A) * to / (to + on), place))
+        for weights in (*rng.dirichlet((1, 1, 1), 3), np.array([0.0, 0.4, 0.6])):
+            points.append(weights @ np.array([X for X, _ in corners]))
+            due.append(weights @ np.array([x for _, x in corners]))
+    assert len(points) > 30
+    found = solver.results().at(points, on="stress-free")
+    np.testing.assert_allclose(found.positions, due, atol=1e-9)
+    moved = displacements(solver.scene, np.array(points))
+    np.testing.assert_allclose(moved, found.displacement, atol=1e-12)
+    np.testing.assert_allclose(moved, np.array(due) - points, atol=1e-9)
+
+
+def saddle(comm: MPI.Intracomm) -> Solver:
+    """A hypar with a tight cable over its arch, between two lines of the mesh."""
+    n = 7
+    at = np.linspace(-5.0, 5.0, n + 1)
+    x, y = (part.ravel() for part in np.meshgrid(at, at))
+    first = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+    below, above = (
+        np.stack([first, first + 1, first + n + 2], 1),
+        np.stack([first, first + n + 2, first + n + 1], 1),
+    )
+    points = np.column_stack([x, y, 0.04 * (y**2 - x**2)])
+    mesh = meshes.from_arrays(comm, points, np.concatenate([below, above]))
+    scene = Scene(mesh, IsotropicMembrane(E=500.0, nu=0.3, thickness=1.0, prestress=5.0))
+    scene.fix("boundary")
+    solver = Solver(scene)
+    cable = scene.lay_cable(Cable(1e4), [(-5.0, 0.3), (5.0, 0.3)], name="valley")
+    solver.advance(L0={cable: 0.985 * cable.L0})
+    return solver
+
+
+def test_summary_knows_the_places_under_cables(comm: MPI.Intracomm) -> None:
+    """The lowest one is on the cable; each value is that of the surface at its place."""
+    solver = saddle(comm)
+    found, results, cable = solver.summary(), solver.results(), solver.scene.cable("valley")
+    sunk = (cable.positions - cable.reference_positions)[:, 2]
+    own = solver.scene.u.x.array.reshape(-1, 3)[:, 2]
+    vertex = comm.allreduce(float(own.min(initial=0.0)), op=MPI.MIN)
+    assert found.lowest.value == pytest.approx(np.nanmin(sunk), rel=1e-9)
+    assert found.lowest.value < 1.05 * vertex < 0.0
+    assert results.at([found.lowest.at]).displacement[0, 2] == pytest.approx(found.lowest.value)
+    assert found.displacement.value >= -found.lowest.value
+    for extremes in (found.membrane.least, found.membrane.largest):
+        for name, one in extremes.items():
+            there = results.at([one.at])
+            assert there[name][0] == one.value, name
+            np.testing.assert_allclose(there.positions[0], one.at, atol=1e-12)
+
+
 def test_functions_have_the_values_of_the_cells(comm: MPI.Intracomm) -> None:
     solver = folded(comm)
     solver.scene.set_strengths((10.0, 8.0))
@@ -145,7 +232,7 @@ def test_functions_have_the_values_of_the_cells(comm: MPI.Intracomm) -> None:
     # the slow twin of the means, from all ranks' cells
     mean, W = results.function("warp", smooth=True), solver.scene.membrane.nodal_values
     x = solver.scene.membrane.mesh.mesh.geometry.x
-    dofmap = solver.scene.membrane.mesh.mesh.geometry.dofmap
+    dofmap = geometry_dofmap(solver.scene.membrane.mesh.mesh)
     own = [
         (tuple(np.round(x[corner], 6)), results.warp_weft[c, 0], results.stress_free_areas[c])
         for c in range(n)

@@ -1,15 +1,19 @@
-"""Ctrl-C and SIGTERM in the middle of a load step, on all processes or on some."""
+"""Ctrl-C and SIGTERM in the middle of a load step, on all processes or on some; mpirun killed."""
 
 from __future__ import annotations
 
+import os
+import select
 import signal
 import subprocess
+import sys
 import threading
+import time
 from pathlib import Path
 
 import pytest
 from mpi4py import MPI
-from processes import MPIRUN, run
+from processes import MPIRUN, ROOT, run
 
 from crms_fenicsx.runtime import interrupt
 
@@ -129,3 +133,58 @@ def test_a_signal_after_the_last_evaluation_is_not_lost() -> None:
     with pytest.raises(SystemExit) as caught, interrupt.postponed(MPI.COMM_SELF):
         signal.raise_signal(signal.SIGTERM)
     assert caught.value.code == 143
+
+
+ENDLESS = """
+import os
+from mpi4py import MPI
+from crms_fenicsx import IsotropicMembrane, Scene, Solver, meshes
+
+mesh = meshes.rectangle(MPI.COMM_WORLD, 100.0, 100.0, 25.0, structured=True)
+scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
+scene.fix("boundary")
+solver = Solver(scene, results={folder!r}, resume=True)
+solver.advance(pressure=0.01)
+if {alive!r}:
+    alive = open({alive!r}, "w")
+    print(os.getpid(), file=alive, flush=True)
+while {alive!r}:
+    solver.advance(pressure=0.01)
+print("energy", repr(scene.energy))
+"""
+
+
+def test_ranks_of_a_killed_mpirun_end(tmp_path: Path) -> None:
+    """Each has a pipe open, which is at its end when all of them are; then the run goes on."""
+    pipe, folder = str(tmp_path / "alive"), str(tmp_path / "out")
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    words = [*MPIRUN, sys.executable, "-c", ENDLESS.format(folder=folder, alive=pipe)]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    told = b""
+    with subprocess.Popen(words, env=environment, stderr=subprocess.PIPE) as mpirun:
+        while told.count(b"\n") < 3:
+            assert mpirun.poll() is None, mpirun.communicate()[1].decode()
+            time.sleep(0.05)
+            told += read(reader)
+        mpirun.kill()
+    ended = bool(select.select([reader], [], [], 60.0)[0]) and read(reader) == b""
+    os.close(reader)
+    for rank in [] if ended else told.split():
+        os.kill(int(rank), signal.SIGKILL)
+    assert ended, "the ranks outlive mpirun by a minute"
+    energy(run(ENDLESS.format(folder=folder, alive="")))
+
+
+def read(pipe: int) -> bytes:
+    """What has been written into a pipe by now; nothing, too, where nobody has it open."""
+    try:
+        return os.read(pipe, 1000)
+    except BlockingIOError:
+        return b""
+
+
+def test_broken_pipes_are_errors_of_python() -> None:
+    """PETSc would abort, and MPI wait for ever if it was writing of an abort itself."""
+    done = run("import crms_fenicsx, os; r, w = os.pipe(); os.close(r); os.write(w, b'a')")
+    assert "BrokenPipeError" in done.stderr and done.returncode == 1, done.stderr

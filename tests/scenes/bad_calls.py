@@ -76,7 +76,7 @@ def snapshot(scene: Scene) -> list[Any]:
         cables,
         strip,
         scene.energies,
-        scene.changes,
+        scene.versions.current,
         [(joint.name, joint.position.tolist()) for joint in scene.joints],
         [(bar.name, bar.L0, bar.bar, bar.points.tolist()) for bar in scene.bars],
         ([cable.cable for cable in scene.cables], dict(scene.materials)),

@@ -146,9 +146,8 @@ def test_ponds_of_both_kinds_under_a_cable(comm: MPI.Intracomm) -> None:
     assert old.volume > kept[0].volume > 0.0
     assert rain.level < kept[1].level < 0.0
     forces = solver.reactions("boundary").total[2]
-    ends = scene.cable("ridge").start.reaction + scene.cable("ridge").end.reaction
     water = 0.5e-3 * (kept[0].volume + kept[1].volume)
-    assert forces + ends[2] == pytest.approx(water + 0.01 * 100.0**2, rel=1e-7)
+    assert forces == pytest.approx(water + 0.01 * 100.0**2, rel=1e-7)
 
 
 def test_ponds_go_on(comm: MPI.Intracomm, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from crms_fenicsx import (
 )
 from crms_fenicsx.form_finding import FormCable, find_form
 from crms_fenicsx.study import convergence
-from crms_fenicsx.study.quantities import displacement
+from crms_fenicsx.study.quantities import displacements
 
 pytestmark = pytest.mark.usefixtures("comm")
 
@@ -156,9 +156,35 @@ def test_stresses_of_parts(comm):
 def test_displacement_between_vertices(comm):
     """It is linear in the cells."""
     scene = square(grid(comm, 4)).scene
-    ends = [displacement(scene.membrane, np.array([x, 50.0, 0.0])) for x in (25.0, 50.0, 35.0)]
+    ends = displacements(scene, np.array([(x, 50.0, 0.0) for x in (25.0, 50.0, 35.0)]))
     assert np.allclose(ends[2], 0.6 * ends[0] + 0.4 * ends[1])
     assert np.linalg.norm(ends[1]) > 1.0
+
+
+def under_cable(mesh):
+    """A cable of a given length over the middle of the square."""
+    scene = Scene(mesh, FABRIC)
+    scene.fix("boundary")
+    scene.lay_cable(Cable(EA=32000.0), [(0.0, 50.0, 0.0), (SIDE, 50.0, 0.0)], L0=100.6)
+    solver = Solver(scene)
+    solver.advance(pressure=0.01)
+    return solver
+
+
+def test_displacement_under_a_cable(comm):
+    """It is the cable's, z = 5.539 in the middle (by meshes that have lines under the cable)."""
+    mesh = meshes.rectangle(comm, SIDE, SIDE, 16.0)
+    cable = under_cable(mesh).scene.cables[0]
+    k = len(cable.positions) // 2
+    place = cable.reference_positions[k]
+    points = {"middle": (50.0, 50.0, 0.0), "on it": tuple(place)}
+    study = convergence(under_cable, mesh, points=points)
+    first = [study[f"displacement on it {axis}"].values[0] for axis in "xyz"]
+    assert first == pytest.approx(cable.positions[k] - place, rel=1e-9, abs=1e-9)
+    middle = study["displacement middle z"]
+    assert abs(middle.limit - 5.539) <= middle.bar + 0.002
+    assert middle.bar < 0.05
+    assert middle.values == pytest.approx([5.539] * 3, rel=2e-2)
 
 
 def test_plot(comm, tmp_path_factory):
@@ -176,6 +202,10 @@ REFUSED = {
     "whole": ({"levels": 2.5}, "must be a whole number"),
     "points": ({"points": [(0, 0, 0)]}, "points = .* has no names"),
     "point": ({"points": {"top": (0.0, 1.0)}}, "the point 'top' = .*three finite numbers"),
+    "place": (
+        {"points": {"top": (50.0, 50.0, 30.0)}},
+        "point 'top' at .* is 30 off the stress-free",
+    ),
     "reactions": ({"reactions": "boundary"}, r"write reactions=\['boundary'\]"),
     "group": ({"reactions": ["rim"]}, "no group of edges or points 'rim'"),
     "part": ({"stresses": ["roof"]}, "there is no part 'roof'"),

@@ -98,6 +98,26 @@ def test_rounding_is_no_convergence():
     assert found.remark == "the same on all levels"
 
 
-def test_later_levels_count():
-    rough, regular = [9.0, 1.0], levels(8.0, (1.0, 2.0))
-    assert extrapolated(rough + regular) == extrapolated(regular, size=9.0)
+def test_later_levels_count() -> None:
+    rough, regular = [13.0, 10.5], levels(8.0, (1.0, 2.0))
+    assert extrapolated(rough + regular) == extrapolated(regular, size=13.0)
+
+
+@pytest.mark.parametrize("last", [(0.02, 0.005), (0.02, -0.001), (1e-9, 1e-9)])
+def test_levels_that_went_to_and_fro_are_remembered(last: tuple[float, float]) -> None:
+    """The last two differences are small by chance, or look like order 2, or like nothing."""
+    found = extrapolated([*np.cumsum([5.0, 0.8, -0.6, *last])])
+    assert not found.regular
+    assert found.bar == pytest.approx(0.6 / 4**2)
+    assert "to and fro" in found.remark or found.remark == "no order: differences grow"
+
+
+@pytest.mark.parametrize(("smooth", "n", "due"), [(0.0, 3, 0.94), (0.0, 5, 0.98), (1.0, 4, 0.97)])
+def test_bars_hold_limits_of_values_that_scatter(smooth: float, n: int, due: float) -> None:
+    """Errors that are h^2 times a random number on each level, and a regular part."""
+    rng, held, trials = np.random.default_rng(0), 0, 2000
+    h = 0.5 ** np.arange(n)
+    for part in rng.uniform(-1.0, 1.0, (trials, n)):
+        found = extrapolated(list(100.0 + h**2 * (part + smooth)))
+        held += abs(found.limit - 100.0) <= found.bar
+    assert held > due * trials

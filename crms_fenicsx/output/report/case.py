@@ -43,7 +43,7 @@ class Case:
     summary
         Its extremes.
     verification
-        What checks of it say; None if it was not verified in this run.
+        What checks of this very state say; None if it was not verified in this run.
     low, high
         Corners of the box around membrane, cables and bars (length).
     pictures
@@ -58,7 +58,7 @@ class Case:
     pictures: tuple[Picture, ...] = ()
 
 
-def case_of(solver: HasSystem, name: str, verification: Verification | None) -> Case:
+def case_of(solver: HasSystem, name: str) -> Case:
     """Take down the current state of a solver's scene. Collective."""
     system = solver.system
     found, scene, comm = summary(system), system.scene, solver.comm
@@ -66,7 +66,9 @@ def case_of(solver: HasSystem, name: str, verification: Verification | None) -> 
                              *(bar.points for bar in scene.bars)])  # fmt: skip
     high = [comm.allreduce(float(x.max(initial=-np.inf)), op=MPI.MAX) for x in places.T]
     low = [-comm.allreduce(float((-x).max(initial=-np.inf)), op=MPI.MAX) for x in places.T]
-    return Case(name, found, verification, tuple(low), tuple(high))
+    settled = scene.versions.current.equilibrium
+    checked = settled.verification if settled is not None and found.in_equilibrium else None
+    return Case(name, found, checked, tuple(low), tuple(high))
 
 
 def with_pictures(

@@ -31,10 +31,10 @@ NOTES = (
     "given for them, which must contain all partial factors. Shear is not part of it.",
     "Slack and wrinkled shares are parts of the stress-free area: a wrinkled triangle is in "
     "tension in one direction only, a slack one in none.",
-    "Displacements are from the stress-free shape. Reactions are forces that supports exert on the "
-    "membrane, anchors on cables, and what holds joints on these. Per length they are nodal forces "
-    "over the length of held edges that belongs to each vertex; they contain what cables hand on "
-    "there. Groups may share vertices.",
+    "Displacements are from the stress-free shape. Reactions are forces that supports exert on all "
+    "that meets there: on the membrane, and on ends of cables and bars. Per length they are forces "
+    "on the membrane over the length of held edges that belongs to each vertex; they contain what "
+    "cables hand on there that pass over. Groups may share vertices.",
     "Contact forces of cables are those along the membrane's normal, per length of cable, smoothed "
     "over a few triangles.",
     "Each equilibrium is checked independently of the solver: virtual work by differences of the "
@@ -52,6 +52,15 @@ def _shows(colour: str) -> str:
 
 
 @dataclass(frozen=True)
+class Model:
+    """What was computed, and a PNG of it that shows what its caption says; empty without one."""
+
+    data: ModelData
+    picture: bytes
+    caption: str
+
+
+@dataclass(frozen=True)
 class Report:
     """All that a report is made of.
 
@@ -62,11 +71,9 @@ class Report:
     units
         Names of the units.
     model
-        What was computed.
+        What was computed, with its picture.
     cases
         What came of it, one or more.
-    model_picture
-        PNG of the model; empty where there is none.
     cable_strengths
         By the cables' names (force).
     left_out
@@ -76,9 +83,8 @@ class Report:
     title: str
     about: Mapping[str, str]
     units: Units
-    model: ModelData
+    model: Model
     cases: Sequence[Case]
-    model_picture: bytes = b""
     cable_strengths: Mapping[str, float] = field(default_factory=dict)
     left_out: int = 0
 
@@ -100,7 +106,7 @@ class Report:
         about = list(self.about.items())
         if units.length or units.force:
             about.append(("Units", ", ".join(x for x in (units.length, units.force) if x)))
-        about += model_tables.versions(self.model)
+        about += model_tables.versions(self.model.data)
         sections = [
             Section("Summary", [self._verdict(), key_figures(self._cards()), self._utilisation()]),
             *self._model(),
@@ -126,7 +132,7 @@ class Report:
             results_tables.factors(cases, units),
             results_tables.overview(cases, units),
             results_tables.membrane(cases, units),
-            results_tables.envelope(cases, units, self.model.size),
+            results_tables.envelope(cases, units, self.model.data.size),
             results_tables.supports(cases, units),
             results_tables.verification(cases),
         ]
@@ -143,10 +149,14 @@ class Report:
 
     def _verdict(self) -> str:
         known = {case.name: case.verification for case in self.cases}
+        moved = [case.name for case in self.cases if not case.summary.in_equilibrium]
         failed = [name for name, one in known.items() if one is not None and not one.passed]
         missing = [name for name, one in known.items() if one is None]
         doubtful = [name for name, one in known.items() if one is not None and one.doubtful]
         count = f"{len(known)} combinations" if len(known) > 1 else "the state"
+        if moved:
+            why = "the scene has been changed since its last load step, or there was none"
+            return paragraph(f"Not in equilibrium: {', '.join(moved)}; {why}.", "verdict failed")
         if failed:
             return paragraph(f"Not verified: {', '.join(failed)} failed a check.", "verdict failed")
         if missing:
@@ -209,10 +219,9 @@ class Report:
         return bars(f"Least to largest tension{where}{self.units['force']}", found)
 
     def _model(self) -> list[Section]:
-        model, units = self.model, self.units
-        picture = []
-        if self.model_picture:
-            picture = [figure(self.model_picture, "The model in its base state", "model")]
+        model, units, picture = self.model.data, self.units, []
+        if self.model.picture:
+            picture = [figure(self.model.picture, self.model.caption, "model")]
         membrane = [model_tables.materials(model, units)]
         if model.strengths:
             membrane.append(model_tables.strengths(model, units))
@@ -240,7 +249,7 @@ class Report:
         ]
 
     def _results(self) -> list[Section]:
-        cases, units, size = self.cases, self.units, self.model.size
+        cases, units, size = self.cases, self.units, self.model.data.size
         found = []
         if len(cases) > 1:
             text = "Least and largest values over all combinations, and which of them governs."
@@ -272,6 +281,9 @@ class Report:
         if ponds.rows:
             found.append(Section("Ponds", [ponds]))
         more = [results_tables.anchors(cases, units), bar_tables.joints(cases, units)]
-        held = [results_tables.supports(cases, units), *(table for table in more if table.rows)]
+        held = [
+            results_tables.supports(cases, units, every=False),
+            *(table for table in more if table.rows),
+        ]
         found.append(Section("Supports and anchors", held))
         return found

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from crms_fenicsx.model.strengths import ALL, Strengths
 from crms_fenicsx.results.reactions import held_lengths
 from crms_fenicsx.results.summary import held_groups
 from crms_fenicsx.runtime.arrays import Array, Integers, floats
+from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.scene import Scene
 
 Row = tuple[str | int | float | None, ...]
@@ -109,6 +110,53 @@ def model_data(scene: Scene) -> ModelData:
         _loads(scene),
         _other(scene),
     )
+
+
+STATE = {
+    "materials": (), "supports": (3,), "cables": (2,), "bars": (3,), "joints": (2, 3, 4),
+    "loads": (3, 4, 5),
+}  # fmt: skip
+"""Tables of a model, with those of their columns that are of the state it is described in."""
+
+
+def merged(models: Mapping[str, ModelData]) -> ModelData:
+    """The descriptions of a scene that combinations were brought on with, as one.
+
+    Parameters
+    ----------
+    models
+        By the names of the combinations.
+
+    Raises
+    ------
+    InputError
+        Something of one name is not the same in two of them.
+    """
+    tables: dict[str, Any] = {}
+    for table, of_state in STATE.items():
+        found: dict[object, tuple[str, Row]] = {}
+        for names, model in models.items():
+            for row in getattr(model, table):
+                others, known = found.setdefault(row[0], (names, row))
+                a, b = ([x for k, x in enumerate(one) if k not in of_state] for one in (known, row))
+                if a != b:
+                    raise InputError(
+                        f"report: the {table} of the combinations {others} and {names} differ: "
+                        f"{tuple(a)} and {tuple(b)}; write a report of its own for each model."
+                    )
+        tables[table] = tuple(row for _, row in found.values())
+    texts: dict[str, dict[str, list[str]]] = {}
+    for names, model in models.items():
+        for name, text in model.other.items():
+            texts.setdefault(name, {}).setdefault(text, []).append(names)
+    other = {
+        name: "; ".join(
+            text if len(of) == len(models) else f"{', '.join(of)}: {text}"
+            for text, of in found.items()
+        )
+        for name, found in texts.items()
+    }
+    return replace(next(iter(models.values())), other=other, **tables)
 
 
 def _materials(scene: Scene, areas: Array) -> tuple[Row, ...]:

@@ -11,9 +11,9 @@ from mpi4py import MPI
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import collective
+from crms_fenicsx.runtime.readonly import ReadOnly
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.steps.load_cases import Combination
-from crms_fenicsx.steps.load_step import Step
 from crms_fenicsx.steps.snapshot import Snapshot
 
 
@@ -22,7 +22,8 @@ class Reporting:
 
     comm: MPI.Intracomm
     _scene: Scene
-    steps: list[Step]
+    scene: ReadOnly[Scene]
+    base: Snapshot | None
 
     @property
     @abstractmethod
@@ -57,9 +58,11 @@ class Reporting:
         cables, bars, ponds, reactions and the verification's verdicts; it loads nothing from
         elsewhere, is smaller than 5 MB, and prints on A4. The tables lie beside it: ``tent.html``
         has ``tent_membrane.csv``, ``tent_cables.csv`` and so on, with all digits. Results are those
-        of the states that the combinations led to; the scene's own state is as before. Bars whose
-        names differ in a number at their end, as those of a belt, share rows on the page if they
-        are ten or more.
+        of the states that the combinations led to, with the model and the base state that these
+        were brought on with, whatever the scene is now; strengths are the present ones. The scene's
+        own state is as before. Without combinations the page says in red if the scene has been
+        changed since its last load step. Bars whose names differ in a number at their end, as those
+        of a belt, share rows on the page if they are ten or more.
 
         Parameters
         ----------
@@ -87,8 +90,8 @@ class Reporting:
         Raises
         ------
         InputError
-            On all ranks and before anything is evaluated or written: an argument that cannot be
-            used, or a file that cannot be written.
+            On all ranks and before anything is written: an argument that cannot be used, a file
+            that cannot be written, or combinations of models that differ; it says in what.
 
         Examples
         --------
@@ -96,14 +99,16 @@ class Reporting:
         >>> solver.report("results/tent/report.html", found, title="Tent", unit="m", force="kN")
         """
         from crms_fenicsx.output.report.arguments import checked_plan, checked_states
-        from crms_fenicsx.output.report.writing import drawn, results_of, write_report
+        from crms_fenicsx.output.report.writing import drawn, model_of, results_of, write_report
 
-        listed = list(combinations) if isinstance(combinations, Mapping) else combinations
+        listed: object = combinations
+        if isinstance(combinations, Mapping):
+            listed = dict.fromkeys(combinations)
         checks.same(self.comm, "report", combinations=listed)
-        states = checked_states(self._scene, combinations)
+        states = checks.in_one_order(self.comm, checked_states(self._scene, combinations))
         plan = checked_plan(
             self.comm, self._scene, filename, title=title, about=about, unit=unit, force=force,
             cable_strengths=cable_strengths, pictures=pictures, view=view,
         )  # fmt: skip
-        cases = results_of(self, states)
-        write_report(self, plan, drawn(self, plan, states, cases, cases))
+        model, cases = model_of(self, plan, states), results_of(self, states)
+        write_report(self, plan, model, drawn(self, plan, states, cases, cases))

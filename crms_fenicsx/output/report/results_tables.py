@@ -6,13 +6,21 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from crms_fenicsx.model.strengths import ALL
+from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.output.report.case import Case
 from crms_fenicsx.output.report.tables import Cell, Table, per_cent, place
 from crms_fenicsx.results.quantities import QUANTITIES
-from crms_fenicsx.results.summary import SUMMED_UP, Extreme, PartSummary, SupportSummary
+from crms_fenicsx.results.summary import (
+    ALL_SUPPORTS,
+    SUMMED_UP,
+    Extreme,
+    PartSummary,
+    SupportSummary,
+)
 
 WHOLE = "whole membrane"
 BOTH = "supports, anchors and held joints"
+TOTAL = "all that meets there"
 NOISE = 1e-6
 """Components of a force below this part of the largest one are rounding."""
 
@@ -207,27 +215,37 @@ def cable_names(cases: Sequence[Case]) -> list[str]:
     return list(dict.fromkeys(name for case in cases for name in case.summary.cables))
 
 
-def supports(cases: Sequence[Case], units: Units) -> Table:
-    """Reactions of the supports, and their sum with those of anchors and joints."""
+def supports(cases: Sequence[Case], units: Units, *, every: bool = True) -> Table:
+    """Reactions of the supports with all that meets there, and the sum of them all.
+
+    Parts of it by name, if there are several: with `every` of all supports, else of points.
+    """
     rows: list[tuple[Cell, ...]] = []
     names = list(dict.fromkeys(name for case in cases for name in case.summary.supports))
-    for name in names if len(names) > 2 else names[:1]:  # of one group that is the sum as well
-        for case in cases:
-            one = case.summary.supports.get(name)
-            if one is not None:
-                scale = max(map(abs, case.summary.supports[name].total))
-                along = (one.mean, one.largest) if one.length > 0.0 else (None, None)
-                rows.append((name, case.name, *clean(one.total, scale, one), *along))
-    for case in cases:
-        total = case.summary.reaction
-        if total is not None:
-            rows.append((BOTH, case.name, *clean(total, max(map(abs, total))), None, None))
+    lists = [case.summary.supports for case in cases]
+    if len(names) == 2 and all(  # of one group that is the sum as well
+        set(one[names[0]].parts) == set(one[ALL_SUPPORTS].parts) for one in lists
+    ):
+        names = names[:1]
+    for name in names:
+        whole = name == ALL_SUPPORTS
+        for case, one in ((case, case.summary.supports.get(name)) for case in cases):
+            if one is None:
+                continue
+            label = BOTH if whole and one.parts else name
+            scale = max(map(abs, (*one.total, *one.membrane)))
+            along = (one.mean, one.largest) if one.length > 0.0 else (None, None)
+            rows.append((label, case.name, TOTAL, *clean(one.total, scale, one), *along))
+            if one.parts and not whole and (every or one.length == 0.0):
+                for part, force in {"membrane": one.membrane, **one.parts}.items():
+                    size = max(map(abs, (*one.total, *force)))
+                    rows.append((label, case.name, part, *clean(force, size), None, None))
     kN, line = units["force"], units["stress"]
     columns = (
-        "Support", "Combination", *(f"R{x}{kN}" for x in "xyz"), f"Per length, mean{line}",
+        "Support", "Combination", "On", *(f"R{x}{kN}" for x in "xyz"), f"Per length, mean{line}",
         f"Per length, largest{line}",
     )  # fmt: skip
-    return Table("Reactions: forces of the supports", columns, rows, "supports", headings=2)
+    return Table("Reactions: forces of the supports", columns, rows, "supports", headings=3)
 
 
 def anchors(cases: Sequence[Case], units: Units) -> Table:
@@ -260,7 +278,7 @@ def verification(cases: Sequence[Case]) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for case in cases:
         if case.verification is None:
-            rows.append((case.name, "not verified in this run", None, None, None, ""))
+            rows.append((case.name, _unchecked(case), None, None, None, ""))
             continue
         for check in case.verification.checks:
             verdict = "passed" if check.passed else "failed" if check.binding else "doubtful"
@@ -271,13 +289,18 @@ def verification(cases: Sequence[Case]) -> Table:
     return Table("Checks of the equilibria", columns, rows, "verification", headings=2)
 
 
+def _unchecked(case: Case) -> str:
+    """Why no checks are known of a case."""
+    return "not verified in this run" if case.summary.in_equilibrium else UNBALANCED
+
+
 def verdicts(cases: Sequence[Case]) -> Table:
     """What the checks say of each case."""
     rows: list[tuple[Cell, ...]] = []
     for case in cases:
         found = case.verification
         if found is None:
-            rows.append((case.name, None, "not verified in this run"))
+            rows.append((case.name, None, _unchecked(case)))
             continue
         names = [check.name for check in found.failed or found.doubtful]
         verdict = "failed: " if found.failed else "verified; crude in: " if names else "verified"
