@@ -46,9 +46,5 @@ def built(study: str, build: Build, mesh: MembraneMesh) -> Solver:
         solver = build(mesh)
         if not isinstance(solver, Solver):
             raise InputError(f"{study}: build returned {solver!r}; return a Solver.")
-        if not solver.steps:
-            raise InputError(
-                f"{study}: the solver that build returned has made no load step; call "
-                "solver.advance(...) in build."
-            )
+    solver.scene.require_equilibrium(study)
     return solver

@@ -224,7 +224,7 @@ def test_bad_input_is_refused(comm, name):
 BUILDS = {
     "no function": (3.0, "build = 3.0 is no function"),
     "nothing": (lambda mesh: None, "build returned None; return a Solver"),
-    "no step": (lambda mesh: Solver(Scene(mesh, FABRIC)), "has made no load step"),
+    "no step": (lambda mesh: Solver(Scene(mesh, FABRIC)), "no load step has found an equilibrium"),
 }
 
 
