@@ -220,7 +220,7 @@ class LoadedMembrane:
 
     def in_equilibrium(self) -> bool:
         """Internal: whether nothing has changed since the last load step. Collective."""
-        settled = self.versions.are_settled(self.membrane.u.x.array)
+        settled = self.versions.are_settled(self.membrane.owned_u)
         return bool(self.comm.allreduce(settled, op=MPI.LAND))
 
     def require_equilibrium(self, call: str) -> None:

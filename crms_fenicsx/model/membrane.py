@@ -143,6 +143,11 @@ class Membrane:
         """Current positions of the vertices by local degree of freedom, (n, 3), with ghosts."""
         return self.stress_free + self.u.x.array.reshape(-1, 3)
 
+    @property
+    def owned_u(self) -> Array:
+        """Displacements of this rank's own vertices, flat: ghosts follow those of other ranks."""
+        return self.u.x.array[: 3 * self.V.dofmap.index_map.size_local]
+
     def kept_shape(self) -> Array:
         """The current displacements of the vertices, (n, 3), to be kept; the same array for all
         that is put on the same shape (length)."""

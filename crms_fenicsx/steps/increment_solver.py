@@ -151,7 +151,7 @@ class IncrementSolver:
                 outcome = replace(outcome, converged=False, reason=str(verification))
         if outcome.converged:
             self.system.commit()
-            self.scene.versions.settle(self.scene.u.x.array, verification)
+            self.scene.versions.settle(self.scene.membrane.owned_u, verification)
         return outcome, verification
 
     def _turn_pressure(self, outcome: Outcome) -> Outcome:
