@@ -159,7 +159,8 @@ class FilledMembrane(LoadedMembrane):
         ------
         InputError
             On all ranks: a weight or a volume that is not positive, neither level nor volume or
-            both, a part that does not exist, cells without an upper side, or a name that is taken.
+            both, a part that does not exist, cells without an upper side or of which some face up
+            and some down, or a name that is taken.
 
         Notes
         -----

@@ -114,7 +114,8 @@ class LoadedMembrane:
         ------
         InputError
             On all ranks: a pressure that is not positive, coefficients that are not finite or of
-            another shape, a part that does not exist or is missing, or a name that is taken.
+            another shape, a part that does not exist or is missing, parts with common cells, or a
+            name that is taken.
 
         Examples
         --------
@@ -204,19 +205,22 @@ class LoadedMembrane:
         Raises
         ------
         InputError
-            On all ranks: a part that does not exist, or strengths that are not positive.
+            On all ranks: a part that does not exist, parts with common cells, or strengths that are
+            not positive.
 
         Examples
         --------
         >>> scene.set_strengths({"roof": (84.0, 80.0), "wall": (60.0, 57.0)})
         """
         checks.same(self.comm, "set_strengths", strengths=strengths)
-        parts = self.membrane.mesh.parts
-        self.membrane.strengths = checked_strengths("set_strengths", strengths, parts)
+        if isinstance(strengths, Mapping):
+            strengths = checks.in_one_order(self.comm, strengths)
+        found = checked_strengths("set_strengths", strengths, self.membrane.mesh)
+        self.membrane.strengths = found
 
     def in_equilibrium(self) -> bool:
         """Internal: whether nothing has changed since the last load step. Collective."""
-        settled = self.versions.are_settled(self.membrane.u.x.array)
+        settled = self.versions.are_settled(self.membrane.owned_u)
         return bool(self.comm.allreduce(settled, op=MPI.LAND))
 
     def require_equilibrium(self, call: str) -> None:

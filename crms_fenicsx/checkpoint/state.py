@@ -178,7 +178,7 @@ def restore(saved: Saved, scene: Scene) -> Run:
     scene.versions.change_model()
     scene.versions.change_state(above=contents.state_version)
     if contents.in_equilibrium:
-        scene.versions.settle(scene.u.x.array, None)
+        scene.versions.settle(scene.membrane.owned_u, None)
     else:
         scene.versions.unsettle()
     return run

@@ -240,6 +240,10 @@ class FinerMeshes(LoadCases, SolverResults):
         )  # fmt: skip
         levels = checked_levels(levels)
         self._scene.require_equilibrium("convergence")
+        if isinstance(points, Mapping):
+            points = checks.in_one_order(self._scene.comm, points)
+        if isinstance(quantities, Mapping):
+            quantities = checks.in_one_order(self._scene.comm, quantities)
         wanted = Quantities.checked(self._scene, points, reactions, stresses, quantities)
         solver, rows, cells, seconds = self, [wanted.of(self)], [_cells(self._scene)], [0.0]
         for _ in range(levels - 1):

@@ -10,6 +10,7 @@ import numpy as np
 
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.meshes.cell_geometry import cell_normals
+from crms_fenicsx.meshes.part_names import check_parts
 from crms_fenicsx.model.materials import IsotropicMembrane, MembraneMaterial, OrthotropicMembrane
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Integers
@@ -165,16 +166,14 @@ def _part_numbers(mesh: MembraneMesh, parts: list[str]) -> Integers:
     n = cells.size_local + cells.num_ghosts
     if parts == [WHOLE]:
         return np.zeros(n, dtype=np.int64)
-    count, number = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
+    check_parts(mesh, "find_form", "stress", parts)
+    number = np.full(n, -1)
     with raised_together(mesh.comm):
         for k, part in enumerate(parts):
-            own = checks.named("part", mesh.parts, part)
-            count[own] += 1
-            number[own] = k
-        for bad, what in ((count == 0, "no"), (count > 1, "more than one")):
-            if bad.any():
-                raise InputError(
-                    f"find_form: {np.count_nonzero(bad)} cells have {what} stress, with that of "
-                    f"{_names(dict.fromkeys(parts))}; give each cell one."
-                )
+            number[mesh.parts[part]] = k
+        if (number < 0).any():
+            raise InputError(
+                f"find_form: {np.count_nonzero(number < 0)} cells have no stress, with that of "
+                f"{_names(dict.fromkeys(parts))}; give each cell one."
+            )
     return number

@@ -7,6 +7,7 @@ import functools
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, ParamSpec
 
@@ -73,6 +74,21 @@ class MembraneMesh:
             if groups
         ]  # fmt: skip
         return f"MembraneMesh({'; '.join(words)})"
+
+    @cached_property
+    def overlaps(self) -> tuple[tuple[str, str], ...]:
+        """Names of each two parts with common cells, on all ranks. Collective at first."""
+        names, cells = sorted(self.parts), self.mesh.topology.index_map(2)
+        count = np.zeros(cells.size_local + cells.num_ghosts, dtype=np.int64)
+        for name in names:
+            count[self.parts[name]] += 1
+        several = np.flatnonzero(count > 1)  # most often none
+        inside = np.array([np.isin(several, self.parts[name]) for name in names], dtype=np.int64)
+        common = self.comm.allreduce(inside @ inside.T) if names else inside
+        return tuple(
+            (one, other)
+            for j, other in enumerate(names) for k, one in enumerate(names[:j]) if common[j, k]
+        )  # fmt: skip
 
     @property
     def comm(self) -> MPI.Intracomm:

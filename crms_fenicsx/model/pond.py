@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime.arrays import Booleans
-from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.runtime.errors import InputError, as_text, raised_together
 from crms_fenicsx.surface.triangles import double_areas
 
 UPRIGHT = 1e-6
@@ -64,16 +64,29 @@ class Pond:
         Raises
         ------
         InputError
-            On all ranks: they stand upright.
+            On all ranks: they stand upright, or some face up and others down.
         """
         own = membrane.mesh.mesh.topology.index_map(2).size_local
-        cells = membrane.V.dofmap.list[:own][self.cells(membrane)[:own]]
-        vectors = double_areas(membrane.positions()[cells])
-        local = np.array([vectors[:, 2].sum(), np.linalg.norm(vectors, axis=1).sum()])
+        on = np.flatnonzero(self.cells(membrane)[:own])
+        corners = membrane.positions()[membrane.V.dofmap.list[on]]
+        vectors = double_areas(corners)
+        areas = np.linalg.norm(vectors, axis=1)
+        local = np.array([vectors[:, 2].sum(), areas.sum()])
         plan, area = membrane.comm.allreduce(local, op=MPI.SUM)
         if abs(plan) <= UPRIGHT * area:
             raise InputError(
                 f"put_pond: the cells of {self.name!r} have no upper side; name the parts of the "
                 'roof, as in on=["roof"].'
             )
-        return 1 if plan > 0.0 else -1
+        side = 1 if plan > 0.0 else -1
+        with raised_together(membrane.comm):
+            turned = np.flatnonzero(side * vectors[:, 2] < -UPRIGHT * areas)
+            if len(turned):
+                parts = (f" in the part {name!r}" for name in self.parts or membrane.mesh.parts
+                         if on[turned[0]] in membrane.mesh.parts[name])  # fmt: skip
+                raise InputError(
+                    f"put_pond: some cells of {self.name!r} face the other way than most, as at "
+                    f"{as_text(corners[turned[0]].mean(axis=0))}{next(parts, '')}, where water "
+                    'would hang below them; name the parts that face up, as in on=["roof"].'
+                )
+        return side

@@ -140,13 +140,18 @@ class IncrementSolver:
             outcome = self._turn_pressure(outcome)
         if outcome.converged and any(load.blows for load in self.scene.loads):
             outcome = self._turn_wind(outcome)
+        hanging = next((pond for pond in self.scene.ponds if pond.volume < 0.0), None)
+        if outcome.converged and hanging is not None:
+            size = f"{hanging.volume:.3g}"
+            reason = f"the pond {hanging.name!r} has the volume {size}, over cells that face down"
+            outcome = replace(outcome, converged=False, reason=reason)
         if self._verifier is not None and outcome.converged:
             verification = self._verifier.check(self.system, outcome)
             if not verification.passed:
                 outcome = replace(outcome, converged=False, reason=str(verification))
         if outcome.converged:
             self.system.commit()
-            self.scene.versions.settle(self.scene.u.x.array, verification)
+            self.scene.versions.settle(self.scene.membrane.owned_u, verification)
         return outcome, verification
 
     def _turn_pressure(self, outcome: Outcome) -> Outcome:

@@ -101,7 +101,7 @@ def test_parts_without_stress(comm: MPI.Intracomm, idle: None) -> None:
     )
     for stress, match in (
         ({"one": 1.0}, "cells have no stress"),
-        ({"one": 1.0, "both": 2.0}, "more than one stress"),
+        ({"one": 1.0, "both": 2.0}, "shares cells with part"),
         ({"one": 1.0, "roof": 1.0}, "no part 'roof'"),
     ):
         with pytest.raises(InputError, match=match):

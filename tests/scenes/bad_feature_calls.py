@@ -30,7 +30,7 @@ def features(scene: Scene, other: Scene, solver: Solver) -> list[Call]:
     numbers = (3, None, "x", [1.0], {}, NAN)
     fans = FanControl("unknown", [0.0], [1.0])
     factors = [{"up": value} for value in NO_NUMBERS] + [{"unknown": 1.0}, {3: 1.0}, [1.0]]
-    cases = [{"a": one} for one in (*factors, 3, None, {}, {"pressure": "x"}, {"temperature": 1.0})]
+    cases = [{"a": one} for one in (*factors, 3, None, {"pressure": "x"}, {"temperature": 1.0})]
     lists = ([], "x", 3, [[1.0]], [NAN], [INF, 1.0], [1.0, 0.0], None, {})
     return [
         Call(
