@@ -44,7 +44,7 @@ def find_form(
     fixed: Sequence[str] | Mapping[str, str],
     lifted: Mapping[str, Lift] | None = None,
     cables: Sequence[FormCable] = (),
-    warp: Direction | Mapping[str, Direction] = (1.0, 0.0, 0.0),
+    warp: Direction | Mapping[str, Direction] | None = None,
     pressure: float | None = None,
     volume: float | None = None,
     rise: float | None = None,
@@ -70,7 +70,8 @@ def find_form(
     cables
         Cables along edges of the mesh.
     warp
-        Direction of the warp in space, or of each part; its projection on the surface counts.
+        Direction of the warp in space, or of each part; its projection on the surface counts. By
+        default along x. A scene of the form has it, whether the section forces differ or not.
     pressure
         Inner pressure (force per area) to the membrane's outer side. The rim must be held.
     volume
@@ -97,6 +98,8 @@ def find_form(
     Notes
     -----
     Some updates of the reference (see `Film`) lead from afar to where Newton's method converges.
+    It balances the forces across the surface and across cables; within the surface and along
+    cables it places the vertices. Then an elasticity holds these.
 
     Examples
     --------
