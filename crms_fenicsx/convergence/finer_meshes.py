@@ -232,6 +232,7 @@ class FinerMeshes(LoadCases, SolverResults):
         >>> study["tension ridge"].limit, study["tension ridge"].bar
         """
         from crms_fenicsx.convergence.quantities import Quantities
+        from crms_fenicsx.convergence.refusals import refuse
         from crms_fenicsx.convergence.study import Convergence, Quantity, checked_levels
 
         checks.same(
@@ -239,6 +240,7 @@ class FinerMeshes(LoadCases, SolverResults):
             stresses=stresses, quantities=quantities, project=project, terms=terms,
         )  # fmt: skip
         levels = checked_levels(levels)
+        refuse(self._scene, terms, "convergence")
         self._scene.require_equilibrium("convergence")
         if isinstance(points, Mapping):
             points = checks.in_one_order(self._scene.comm, points)
