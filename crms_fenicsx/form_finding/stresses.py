@@ -10,7 +10,7 @@ import numpy as np
 
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.meshes.cell_geometry import cell_normals
-from crms_fenicsx.meshes.part_names import check_parts
+from crms_fenicsx.meshes.part_names import outer_first
 from crms_fenicsx.model.materials import IsotropicMembrane, MembraneMaterial, OrthotropicMembrane
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Integers
@@ -196,11 +196,11 @@ def _part_numbers(mesh: MembraneMesh, parts: list[str]) -> Integers:
     n = cells.size_local + cells.num_ghosts
     if parts == [WHOLE]:
         return np.zeros(n, dtype=np.int64)
-    check_parts(mesh, "find_form", "stress", parts)
+    inner_last = outer_first(mesh, "find_form", "stress", parts)
     number = np.full(n, -1)
     with raised_together(mesh.comm):
-        for k, part in enumerate(parts):
-            number[mesh.parts[part]] = k
+        for part in inner_last:
+            number[mesh.parts[part]] = parts.index(part)
         if (number < 0).any():
             raise InputError(
                 f"find_form: {np.count_nonzero(number < 0)} cells have no stress, with that of "

@@ -76,19 +76,19 @@ class MembraneMesh:
         return f"MembraneMesh({'; '.join(words)})"
 
     @cached_property
-    def overlaps(self) -> tuple[tuple[str, str], ...]:
-        """Names of each two parts with common cells, on all ranks. Collective at first."""
-        names, cells = sorted(self.parts), self.mesh.topology.index_map(2)
-        count = np.zeros(cells.size_local + cells.num_ghosts, dtype=np.int64)
-        for name in names:
-            count[self.parts[name]] += 1
-        several = np.flatnonzero(count > 1)  # most often none
-        inside = np.array([np.isin(several, self.parts[name]) for name in names], dtype=np.int64)
+    def overlaps(self) -> Mapping[tuple[str, str], str | None]:
+        """Of each two parts with common cells the one inside the other, on all ranks; None where
+        neither is, or both are. Collective at first."""
+        names, n = sorted(self.parts), self.mesh.topology.index_map(2).size_local
+        inside = np.zeros((len(names), n), dtype=np.int64)
+        for row, name in zip(inside, names, strict=True):
+            row[self.parts[name][self.parts[name] < n]] = 1
         common = self.comm.allreduce(inside @ inside.T) if names else inside
-        return tuple(
-            (one, other)
-            for j, other in enumerate(names) for k, one in enumerate(names[:j]) if common[j, k]
-        )  # fmt: skip
+        found: dict[tuple[str, str], str | None] = {}
+        for j, k in zip(*map(np.ndarray.tolist, np.nonzero(np.tril(common, -1))), strict=True):
+            within = [names[i] for i in (j, k) if common[i, i] == common[j, k]]
+            found[names[k], names[j]] = within[0] if len(within) == 1 else None
+        return MappingProxyType(found)
 
     @property
     def comm(self) -> MPI.Intracomm:

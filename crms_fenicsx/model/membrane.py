@@ -13,7 +13,7 @@ from crms_fenicsx.dofs.vertex_places import vertex_places
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.meshes.cell_geometry import OpenEdges, area_vectors, open_edges
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
-from crms_fenicsx.meshes.part_names import check_parts
+from crms_fenicsx.meshes.part_names import outer_first
 from crms_fenicsx.model.materials import LINEAR, UFL_LAW, MembraneMaterial
 from crms_fenicsx.model.strengths import Strengths
 from crms_fenicsx.runtime import checks
@@ -331,10 +331,9 @@ def _assign_materials(
             f"Scene: material = {material!r} is none; give a membrane such as IsotropicMembrane, "
             "or a mapping from the mesh's parts to membranes."
         )
-    given = sorted(material.items(), key=lambda item: repr(item[0]))  # alike on all ranks
     n = mesh.mesh.topology.index_map(2).size_local + mesh.mesh.topology.index_map(2).num_ghosts
     tags = np.full(n, -1, dtype=np.int32)
-    check_parts(mesh, "Scene", "material", material)
+    given = [(part, material[part]) for part in outer_first(mesh, "Scene", "material", material)]
     with raised_together(mesh.comm):
         for k, (part, value) in enumerate(given):
             if not isinstance(value, MembraneMaterial):

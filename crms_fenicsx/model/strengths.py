@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from crms_fenicsx.meshes.membrane_mesh import MembraneMesh
-from crms_fenicsx.meshes.part_names import check_parts
+from crms_fenicsx.meshes.part_names import outer_first
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError
 
@@ -35,12 +36,13 @@ def checked_strengths(
     Raises
     ------
     InputError
-        A part that does not exist, parts with common cells, or strengths that are not two positive
-        numbers.
+        A part that does not exist, parts with common cells of which neither is inside the other, or
+        strengths that are not two positive numbers.
     """
-    given = strengths if isinstance(strengths, Mapping) else {ALL: strengths}
+    given: dict[str, Any] = {ALL: strengths}
     if isinstance(strengths, Mapping):
-        check_parts(mesh, call, "pair of strengths", strengths)
+        parts = outer_first(mesh, call, "pair of strengths", strengths)
+        given = {part: strengths[part] for part in parts}
     found = {}
     for part, pair in given.items():
         owner = repr(part) if isinstance(strengths, Mapping) else "the membrane"
