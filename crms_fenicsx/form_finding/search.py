@@ -182,6 +182,7 @@ class FormSearch:
             self.film.modulus *= 10.0
             return 0
         if not self.holding and not self.film.isotropic:
+            self._measure()
             self._hold()  # balanced across alone there may be no form
             return 0
         if not self.holding and self._damping < STRONGEST:
