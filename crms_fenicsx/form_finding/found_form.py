@@ -105,7 +105,7 @@ class FoundForm:
         if self.cables:
             tensions = span(list(self.tensions.values()))
             words.append(f"{counted(len(self.cables), 'cable')}, tension {tensions}")
-        words.append(f"deviation {self.deviation:.2g}")
+        words += [f"deviation {self.deviation:.2g}", f"disturbance {self.disturbance:.2g}"]
         return f"FoundForm({'; '.join(words)})"
 
     @property

@@ -19,7 +19,7 @@ from crms_fenicsx.runtime.progress import progress
 
 TOLERANCE = 1e-12
 """Unbalanced force, relative to the forces in the cells, and error of what is prescribed."""
-BALANCED, SMALL = 1e-7, 0.1
+BALANCED, SMALL = 1e-6, 0.1
 """Unbalanced force across the form from which on vertices are held: relative to the forces in the
 cells, and to the unbalanced force within it."""
 UPDATES, MOST = 2, 200
@@ -182,6 +182,7 @@ class FormSearch:
             self.film.modulus *= 10.0
             return 0
         if not self.holding and not self.film.isotropic:
+            self._measure()
             self._hold()  # balanced across alone there may be no form
             return 0
         if not self.holding and self._damping < STRONGEST:

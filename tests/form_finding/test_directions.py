@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from form_meshes import CORNERS, SIDES
+from form_meshes import CORNERS, SIDES, nodes
 from mpi4py import MPI
 from taylor import noise
 
 from crms_fenicsx import meshes
-from crms_fenicsx.form_finding.cables import FormCable, edge_lines
+from crms_fenicsx.form_finding import FormCable, find_form
+from crms_fenicsx.form_finding.cables import edge_lines
 from crms_fenicsx.form_finding.directions import Directions
 from crms_fenicsx.form_finding.film import SOFTEST, Film
 from crms_fenicsx.form_finding.linear_system import LinearSystem
@@ -88,3 +89,25 @@ def test_matrix_across(comm: MPI.Intracomm) -> None:
     found = system.times(way[:n])
     np.testing.assert_allclose(found, expected, atol=1e-7)
     system.destroy()
+
+
+def test_a_ridge_held_vertically_finds_its_place(comm: MPI.Intracomm) -> None:
+    """Between two eaves 8 apart it slides from a quarter of the span to its middle."""
+    n = 8
+    x = np.stack(np.meshgrid(np.linspace(0, 4, n + 1), np.linspace(0, 8, 2 * n + 1)), -1)
+    index = np.arange((n + 1) * (2 * n + 1)).reshape(2 * n + 1, n + 1)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    cells = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
+    lines = {"south": index[0], "north": index[-1], "west": index[:, 0], "east": index[:, -1]}
+    lines["ridge"] = index[n // 2]
+    edges = {name: np.stack([line[:-1], line[1:]], 1) for name, line in lines.items()}
+    form = find_form(
+        meshes.from_arrays(comm, x.reshape(-1, 2), cells, edges=edges), 2.0,
+        fixed={"south": "xyz", "north": "xyz", "west": "x", "east": "x", "ridge": "z"},
+        lifted={"ridge": (0.0, 0.0, 2.0)},
+    )  # fmt: skip
+    places = nodes(form)
+    top = places[places[:, 2] > 1.999]
+    np.testing.assert_allclose(top[:, 1], 4.0, atol=1e-3)
+    assert abs(form.area / (8.0 * np.hypot(4.0, 2.0)) - 1) < 1e-6
+    assert form.iterations <= 8
