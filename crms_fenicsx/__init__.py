@@ -22,12 +22,14 @@ from crms_fenicsx.runtime.errors import (
     ConvergenceError,
     FrictionWarning,
     InputError,
+    InstabilityWarning,
     MeshError,
     PathError,
     PathWarning,
     PenaltyWarning,
     PictureWarning,
     PondWarning,
+    SnapThroughWarning,
 )
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.solver import Solver
@@ -44,6 +46,7 @@ __all__ = [
     "Friction",
     "FrictionWarning",
     "InputError",
+    "InstabilityWarning",
     "IsotropicMembrane",
     "Joint",
     "LaidCable",
@@ -58,6 +61,7 @@ __all__ = [
     "PondWarning",
     "Rotation",
     "Scene",
+    "SnapThroughWarning",
     "Solver",
     "Step",
     "TaylorRates",

@@ -25,8 +25,9 @@ from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.model.bar import SHORTEST
 from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans, Indices
 
-SLACK = 1e-3
-"""Part of its axial stiffness that a slack guy has in H0."""
+SLACK, TOUCHING = 1e-3, 1e-12
+"""Part of its axial stiffness that a slack guy has in H0, and slack, relative to its length, within
+which it is at the point of being taut and has all of it."""
 
 
 @dataclass(frozen=True)
@@ -71,10 +72,13 @@ class BarEnergy(EnergyTerm):
     ----------
     lengths, forces : (n,)
         Lengths (length) and axial forces (force), tension positive, at the last evaluation.
+    least
+        Least axial force that the second derivatives know of (force); there may be none.
     """
 
     name = "bars"
     exact_hessian = True
+    least = -np.inf
 
     def __init__(self, table: BarTable) -> None:
         self.table = table
@@ -113,12 +117,16 @@ class BarEnergy(EnergyTerm):
 
     def add_hessian(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add the second derivatives."""
-        self._add(x, 0.0, -np.inf, A)
+        self._add(x, 0.0, self.least, A)
 
     def _add(self, x: Array, slack: float, least: float, A: PETSc.Mat) -> None:
         """Add stiffness, slack guys with a part of theirs, forces no less than some."""
         t = self.table
-        axial = np.where(t.tension_only & (self.lengths < t.L0), slack, 1.0) * t.EA / t.L0
+        axial = (
+            np.where(t.tension_only & (self.lengths < (1 - TOUCHING) * t.L0), slack, 1.0)
+            * t.EA
+            / t.L0
+        )
         lengths = self._least_lengths()
         across = np.maximum(self.forces, least) / lengths
         ways = self._X[t.ends] + x[t.ends]

@@ -43,7 +43,11 @@ class ConvergenceError(RuntimeError):
 
 
 class PathWarning(UserWarning):
-    """A cable's fold point has run into a mesh vertex: its path is blocked there."""
+    """A cable is where it cannot go on, or cannot be.
+
+    A fold point has run into a mesh vertex, where its path is blocked; or an end has come to lie
+    under the membrane.
+    """
 
 
 class FrictionWarning(UserWarning):
@@ -58,7 +62,19 @@ class PenaltyWarning(UserWarning):
     """A penalty factor outside the range in which folded elements are stable and do not lock."""
 
 
-class PondWarning(UserWarning):
+class SnapThroughWarning(UserWarning):
+    """No stable equilibria connect a load step's state to the one before.
+
+    Between them the structure has fallen, or been turned inside out. The warning says at which
+    loads.
+    """
+
+
+class InstabilityWarning(UserWarning):
+    """An equilibrium that is not stable: the least disturbance makes the structure leave it."""
+
+
+class PondWarning(InstabilityWarning):
     """Water on a membrane in an equilibrium that is not stable: it would gather on."""
 
 

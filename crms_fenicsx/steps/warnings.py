@@ -6,19 +6,28 @@ import warnings
 from collections.abc import Sequence
 
 from crms_fenicsx.equilibrium.state import State
-from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.model.pond import Pond
+from crms_fenicsx.model.state_warning import StateWarning
 from crms_fenicsx.runtime.errors import (
     ConvergenceError,
     FrictionWarning,
+    InstabilityWarning,
     PathWarning,
     PondWarning,
+    SnapThroughWarning,
 )
 from crms_fenicsx.scene import Scene
 
-CALLER = 4
+CALLER = 5
 """Level of the stack, from here, of who has called `Solver.advance`."""
+
+CATEGORIES: dict[str, type[UserWarning]] = {
+    "snap-through": SnapThroughWarning,
+    "instability": InstabilityWarning,
+    "pond": PondWarning,
+    "cable end": PathWarning,
+}
 
 
 def warn_of_friction(number: int, scene: Scene, before: State, unsettled: float) -> None:
@@ -73,17 +82,12 @@ def warn_of_blocked(number: int, scene: Scene) -> None:
             )
 
 
-def warn_of_ponds(number: int, system: System) -> None:
-    """Warn of water in an equilibrium that is not stable. Collective."""
-    if system.is_unstable_under_water() and system.scene.comm.rank == 0:
-        names = _names(system.scene.ponds)
-        warnings.warn(
-            f"step {number}: the equilibrium under {names} is not stable: where the membrane sinks "
-            "a little more water gathers than it can carry; give it more prestress or slope, or "
-            "the pond a volume instead of a level.",
-            PondWarning,
-            stacklevel=CALLER,
-        )
+def warn_of_state(number: int, scene: Scene, found: Sequence[StateWarning]) -> None:
+    """Warn of what was found of a step's state."""
+    for one in found:
+        if scene.comm.rank == 0:
+            text = f"step {number}: {one.text}"
+            warnings.warn(text, CATEGORIES[one.kind], stacklevel=CALLER)
 
 
 def _names(ponds: Sequence[Pond]) -> str:
