@@ -30,11 +30,15 @@ from crms_fenicsx.runtime.errors import (
     PictureWarning,
     PondWarning,
     SnapThroughWarning,
+    show_warnings,
 )
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.solver import Solver
 from crms_fenicsx.steps.load_step import Step
 from crms_fenicsx.steps.motion import Rotation
+
+show_warnings()
+del show_warnings
 
 __version__ = "0.2.0"
 __all__ = [

@@ -257,8 +257,9 @@ class Solver(FinerMeshes, Reporting, Drawing):
                     if increment < 0.5**self.max_halvings * (1 - 1e-9):
                         part = done / steps
                         failure = no_equilibrium(
-                            number, outcome, self.max_halvings, part, scene.ponds
-                        )
+                            number, outcome, self.max_halvings, part,
+                            target.ponds(scene, goal / steps), scene.ponds,
+                        )  # fmt: skip
                         self._keep(done, increment, str(failure))
                         raise failure
                     logger.info("halving the increment: %s", outcome.reason)

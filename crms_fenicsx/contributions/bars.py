@@ -19,6 +19,10 @@ from crms_fenicsx.model.bar import BarEnd, Joint
 from crms_fenicsx.runtime.arrays import Array, Indices
 from crms_fenicsx.scene import Scene
 
+HARDLY_SLACK = 1e-4
+"""Slack of a guy, relative to its length, with which it still counts as holding: as tight as the
+shortening of a mast under its load leaves guys that have no prestress."""
+
 
 class BarContribution(Contribution):
     """Bars, with the joints as further unknowns; the first rank has them all.
@@ -65,6 +69,15 @@ class BarContribution(Contribution):
         mine = blocks.joint_blocks if self.scene.comm.rank == 0 else blocks.joint_blocks[:0]
         self._loads = JointLoads(mine)
         return [self._bars, self._loads]
+
+    @contextmanager
+    def with_hardly_slack(self) -> Iterator[None]:
+        """Let guys that are about to be taut hold for a while: what they hold hardly moves."""
+        self._bars.loose = HARDLY_SLACK
+        try:
+            yield
+        finally:
+            del self._bars.loose
 
     @contextmanager
     def without_compression(self) -> Iterator[None]:

@@ -25,9 +25,8 @@ from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.model.bar import SHORTEST
 from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans, Indices
 
-SLACK, TOUCHING = 1e-3, 1e-12
-"""Part of its axial stiffness that a slack guy has in H0, and slack, relative to its length, within
-which it is at the point of being taut and has all of it."""
+SLACK = 1e-3
+"""Part of its axial stiffness that a slack guy has in H0."""
 
 
 @dataclass(frozen=True)
@@ -72,13 +71,14 @@ class BarEnergy(EnergyTerm):
     ----------
     lengths, forces : (n,)
         Lengths (length) and axial forces (force), tension positive, at the last evaluation.
-    least
-        Least axial force that the second derivatives know of (force); there may be none.
+    least, loose
+        Least axial force, and slack of guys, relative to their length, up to which they count as
+        taut, that the second derivatives know of; where stability is looked at they are others.
     """
 
     name = "bars"
     exact_hessian = True
-    least = -np.inf
+    least, loose = -np.inf, 0.0
 
     def __init__(self, table: BarTable) -> None:
         self.table = table
@@ -123,7 +123,7 @@ class BarEnergy(EnergyTerm):
         """Add stiffness, slack guys with a part of theirs, forces no less than some."""
         t = self.table
         axial = (
-            np.where(t.tension_only & (self.lengths < (1 - TOUCHING) * t.L0), slack, 1.0)
+            np.where(t.tension_only & (self.lengths < (1 - self.loose) * t.L0), slack, 1.0)
             * t.EA
             / t.L0
         )

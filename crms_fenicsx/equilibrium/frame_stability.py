@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from crms_fenicsx.energies.bars import TOUCHING
+from crms_fenicsx.contributions.bars import HARDLY_SLACK
 from crms_fenicsx.model.bar import SHORTEST, BarEnd, Joint, PlacedBar
 from crms_fenicsx.model.state_warning import StateWarning
 from crms_fenicsx.runtime.arrays import EPSILON, Array
@@ -78,7 +78,7 @@ class FrameStability:
         for bar in self.scene.bars:
             length = max(bar.length, SHORTEST * bar.L0)
             d = (bar.points[1] - bar.points[0]) / length
-            slack = bar.bar.tension_only and length < (1 - TOUCHING) * bar.L0
+            slack = bar.bar.tension_only and length < (1 - HARDLY_SLACK) * bar.L0
             across = bar.force / length
             block = ((not slack) * bar.bar.EA / bar.L0 - across) * np.outer(d, d)
             block += across * np.eye(3)

@@ -55,6 +55,8 @@ def _by_tangents(
     with ExitStack() as stack:
         if system.ponds is not None:
             stack.enter_context(system.ponds.raised())
+        if system.bars is not None:
+            stack.enter_context(system.bars.with_hardly_slack())
         tangent = ExactTangent(potential, h0, springs)
         for term in ponds:
             if tangent.negative == 0:

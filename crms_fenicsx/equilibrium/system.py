@@ -32,6 +32,10 @@ FAR = 0.01
 """Largest movement in a minimisation, relative to the membrane's size, from which on it is looked
 whether something has snapped through: most load steps of a structure that is up move less."""
 
+ENDLESS = 10.0
+"""Movement under water, relative to the membrane's size, from which on no equilibrium is awaited
+any more: no fabric stretches so far."""
+
 
 class System:
     """The potential of a scene, made of what its features contribute.
@@ -217,6 +221,8 @@ class System:
         assert self.minimizer is not None
         self.minimizer.atol = tiny_force(self.scene)
         self.minimizer.newton = self._solved
+        if self.ponds is not None:
+            self.minimizer.reach = ENDLESS * self.scene.membrane.size
         self._begin_step()
         start = self.potential.x.copy()
         try:

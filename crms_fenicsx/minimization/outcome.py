@@ -18,6 +18,9 @@ REASONS = {
     -8: "stopped by the user",
 }
 
+ENDLESS = "the membrane moves without end"
+"""Why a minimisation is given up that has gone too far."""
+
 DROWNED = (
     ", where forces cancel to their rounding ({:.2g}): a tension, a penalty or a stiffness is too "
     "large for the loads"

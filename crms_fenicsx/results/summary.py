@@ -12,6 +12,7 @@ from mpi4py import MPI
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.model.membrane import COMPONENTS, Membrane
 from crms_fenicsx.model.pond import Pond
+from crms_fenicsx.model.state_warning import StateWarning
 from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.results.bar_results import BarResults, bar_results, joint_reactions
 from crms_fenicsx.results.cable_results import CableResults, cable_results
@@ -114,6 +115,8 @@ class Summary:
         Forces with which held joints, anchors of bars among them, are held (force), by their names.
     ponds
         By their names, with their levels and volumes.
+    warnings
+        What load steps have warned of in this state, and of snap-throughs before it.
     """
 
     pressure: float
@@ -128,6 +131,7 @@ class Summary:
     bars: Mapping[str, BarResults]
     joints: Mapping[str, Vector]
     ponds: Mapping[str, Pond]
+    warnings: tuple[StateWarning, ...] = ()
 
     def __repr__(self) -> str:
         """A table: a row for each load, part, cable, bar and support."""
@@ -150,6 +154,7 @@ class Summary:
         rows += [("bar", name, f"force {bar.force:.4g}") for name, bar in self.bars.items()]
         for name, support in self.supports.items():
             rows.append(("support", name, f"total {as_text(support.total)}"))
+        rows += [("warning", one.kind, one.text) for one in self.warnings]
         wide = max(len(name) for _, name, _ in rows)
         return "\n".join(f"{kind:<14}{name:<{wide}}  {text}" for kind, name, text in rows)
 
@@ -202,6 +207,7 @@ def summary(system: System) -> Summary:
         bar_results(scene),
         joint_reactions(scene),
         {pond.name: pond for pond in scene.ponds},
+        scene.warnings,
     )
 
 

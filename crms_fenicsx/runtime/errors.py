@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import functools
+import logging
 import pickle
 import sys
 import time
@@ -80,6 +81,16 @@ class PondWarning(InstabilityWarning):
 
 class PictureWarning(UserWarning):
     """A mesh too large for a picture, which one process draws from all of it."""
+
+
+def show_warnings() -> None:
+    """Let Python show warnings again, which FFCx has sent to a log when nobody reads it."""
+    logger: logging.Logger | None = logging.getLogger("py.warnings")
+    while logger is not None:
+        if any(not isinstance(one, logging.NullHandler) for one in logger.handlers):
+            return
+        logger = logger.parent
+    logging.captureWarnings(False)
 
 
 def as_text(position: Sequence[float] | Array) -> str:

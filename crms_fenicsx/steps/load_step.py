@@ -53,6 +53,7 @@ class Step:
         words += [f"{self.seconds:.2g} s"]
         words += [counted(self.halvings, "halving")] if self.halvings else []
         if self.verification is not None:
-            words += [self.verification.verdict]
-        words += dict.fromkeys(one.kind for one in self.warnings)
+            words.append(self.verification.verdict)
+        else:
+            words += dict.fromkeys(one.kind for one in self.warnings)
         return f"Step({self.number}: {', '.join(words)})"

@@ -95,14 +95,36 @@ def _names(ponds: Sequence[Pond]) -> str:
 
 
 def no_equilibrium(
-    number: int, outcome: Outcome, max_halvings: int, done: float, ponds: Sequence[Pond]
-) -> ConvergenceError:
-    """Make the error of a step whose last attempt has failed; `done` of the loads are on."""
+    number: int, outcome: Outcome, max_halvings: int, done: float, failed: Sequence[Pond],
+    ponds: Sequence[Pond],
+) -> ConvergenceError:  # fmt: skip
+    """Make the error of a step whose last attempt has failed.
+
+    Parameters
+    ----------
+    number
+        The step's.
+    outcome
+        What the last attempt came to.
+    max_halvings
+        How often the increment was halved.
+    done
+        Part of the loads that are on.
+    failed, ponds
+        The ponds at the last loads tried, and at those that are on.
+    """
     water = "" if not ponds else (
         f" There may be none under {_names(ponds)}, where water gathers without end: a membrane of "
         "more prestress or slope carries more, a given volume stays as it is. Water that ends at "
         "an edge that is free has none: hold that, or name all parts that are under water."
     )  # fmt: skip
+    rising = [
+        f"{pond.name!r} between {now.factor:.5g} and {pond.factor:.5g}"
+        for pond, now in zip(failed, ponds, strict=True)
+        if pond.factor > now.factor
+    ]
+    if rising:
+        water = f" The limit of the factor is for {', '.join(rising)}.{water}"
     return ConvergenceError(
         f"step {number}: no equilibrium found, {outcome.reason}: unbalanced force "
         f"{outcome.residual:.3g}, tolerance {outcome.tolerance:.3g}, with the increment halved "
