@@ -142,10 +142,10 @@ class ExactTangent:
         """``K^-1`` on vectors, (k, 3 n_owned)."""
         b, y = self._matrix.createVecs()
         found = np.zeros_like(vectors)
-        for vector, solved in zip(vectors, found, strict=True):
+        for k, vector in enumerate(vectors):
             b.array[:] = vector
             self._pc.apply(b, y)
-            solved[:] = y.array_r
+            found[k, :] = y.array_r
         b.destroy()
         y.destroy()
         return found
