@@ -5,8 +5,7 @@ G C G^T, C > 0, there are (Haynsworth)
 
     n(K + G C G^T) = n(K) + p(C^-1 + G^T K^-1 G) - m,
 
-n and p the numbers of negative and positive eigenvalues, m that of the dyads. Where some are
-negative, inverse iteration of a few vectors finds ways on which the energy falls.
+n and p the numbers of negative and positive eigenvalues, m that of the dyads.
 """
 
 from __future__ import annotations
@@ -21,10 +20,6 @@ from crms_fenicsx.runtime.arrays import Array, Indices
 
 NEGATIVE_PIVOTS = 12
 """Where MUMPS's global information has their number."""
-
-VECTORS, TURNS = 4, 8
-"""How many vectors are iterated, and how often. The lowest eigenvalue of a state that has just lost
-its stability is the one next to zero."""
 
 
 class ExactTangent:
@@ -88,25 +83,6 @@ class ExactTangent:
         """Free the PETSc objects."""
         self._pc.destroy()
 
-    def falling_ways(self) -> Array:
-        """Find ways on which the energy falls, those of the least second derivatives. Collective.
-
-        Returns
-        -------
-        (k, n_owned, 3), at most 1 long at each block; none where none were found.
-        """
-        comm, n = self.potential.comm, self.potential.unknowns.n_owned
-        ways = np.random.default_rng(comm.rank).standard_normal((VECTORS, 3 * n))
-        ways *= ~self._held.ravel()
-        for _ in range(TURNS):
-            new = self._solve(ways)
-            values, factors = _ritz(self._products(new, ways), self._products(new, new))
-            ways = factors.T @ new
-        falling = ways[values < 0.0].reshape(-1, n, 3)
-        largest = np.linalg.norm(falling, axis=2).max(axis=1, initial=0.0)
-        comm.Allreduce(MPI.IN_PLACE, largest, op=MPI.MAX)
-        return np.asarray(falling / largest[:, None, None])
-
     def compliance(self, blocks: Indices) -> Array:
         """Displacements of blocks by unit forces on them, (3 k, 3 k) (length/force). Collective.
 
@@ -155,12 +131,3 @@ class ExactTangent:
         products = np.ascontiguousarray(a @ b.T)
         self.potential.comm.Allreduce(MPI.IN_PLACE, products, op=MPI.SUM)
         return products
-
-
-def _ritz(stiffness: Array, mass: Array) -> tuple[Array, Array]:
-    """Eigenvalues, the least first, and vectors, which have unit mass."""
-    sizes, vectors = np.linalg.eigh(mass)
-    good = sizes > 1e-12 * sizes[-1]
-    scaled = vectors[:, good] / np.sqrt(sizes[good])
-    values, turned = np.linalg.eigh(scaled.T @ ((stiffness + stiffness.T) / 2) @ scaled)
-    return values, scaled @ turned

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.contact.covered_ends import covered_ends
 from crms_fenicsx.energies.paper.step_history import StepHistory
+from crms_fenicsx.equilibrium.covered_ends import covered_ends
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System

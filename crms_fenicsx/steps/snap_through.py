@@ -112,7 +112,8 @@ class SnapThroughSearch:
     def _bent_halves(self, part: _Part, large: float) -> list[tuple[float, _Part]] | None:
         """The halves on which the energy is not convex, and how far things move in them.
 
-        Not the second one where things move far in the first. None where there is no equilibrium.
+        Not the second one where things move far in the first. None where no equilibrium is found in
+        the middle; where none is found from there, the end is the one that was reached before.
         """
         start, middle, found = part.start, (part.low + part.high) / 2, []
         for low, high in ((part.low, middle), (middle, part.high)):
@@ -120,8 +121,10 @@ class SnapThroughSearch:
             outcome = self.increments.solve(
                 self.target, self.first, start.state, low, high, self.steps
             ).outcome
-            if not outcome.converged:
+            if not outcome.converged and low == part.low:
                 return None
+            if not outcome.converged:
+                return [(self._way(start.state, part.end)[0], _Part(start, part.end, low, high))]
             end = Snapshot.of(self.scene, self.increments.tried)
             size = self._way(start.state, end.state)[0]
             if outcome.bent:

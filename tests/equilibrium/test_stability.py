@@ -97,7 +97,10 @@ def test_struts_in_a_line(comm: MPI.Intracomm) -> None:
         scene = sheet(comm)
         end = foot if foot[0] > 4.0 else scene.vertex_at(foot)
         joint = scene.add_joint((foot[0], foot[1], 2.0), name="knee")
-        bars = [scene.add_bar(Bar(1e4), end, joint), scene.add_bar(Bar(1e4), joint, (*foot[:2], 4.0))]
+        bars = [
+            scene.add_bar(Bar(1e4), end, joint),
+            scene.add_bar(Bar(1e4), joint, (*foot[:2], 4.0)),
+        ]
         step = advanced(Solver(scene), L0={bar: 2.05 for bar in bars})
         assert "gives way at 'knee'" in step.warnings[0].text
 
@@ -106,7 +109,7 @@ def test_refused_or_ignored(comm: MPI.Intracomm) -> None:
     scene = sheet(comm)
     mast(scene)
     solver = Solver(scene, stability="refuse")
-    with pytest.raises(ConvergenceError, match="'mast', under a compression of .*, gives way"):
+    with pytest.raises(ConvergenceError, match=r"'mast', under a compression of .*, gives way"):
         solver.advance(load=1.0)
     assert scene.factors["weight"] == 0.0
     solver.advance(load=-1.0)

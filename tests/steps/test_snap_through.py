@@ -80,7 +80,7 @@ def test_a_dome_turns_inside_out(comm: MPI.Intracomm, tmp_path: Path) -> None:
 
 def test_it_lies_on_a_floor(comm: MPI.Intracomm) -> None:
     """In other units, and without the advice to put one."""
-    solver = dome(comm, 5.0, unit=1e3)
+    solver = dome(comm, 4.0, unit=1e3)
     solver.scene.floor(0.0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SnapThroughWarning)
