@@ -168,7 +168,7 @@ class SnapThroughSearch:
     def _warning(self, part: _Part) -> StateWarning:
         """Say what has happened in a part of the increment. Collective."""
         before, after = part.start.state, part.end
-        low, high = part.low / self.steps, part.high / self.steps
+        low, high = float(part.low / self.steps), float(part.high / self.steps)
         loads = {
             name: (between(a, b, low), between(a, b, high)) for name, (a, b) in self._ways().items()
         }
