@@ -139,8 +139,9 @@ class FilledMembrane(LoadedMembrane):
         """Let water stand on the membrane; `Solver.advance` brings it on by its factor. Collective.
 
         It lies over all that is below its level, where the membrane's outer side faces up (of a
-        cushion on the upper foil), and presses on it the more the further it sinks. Water over a rim below the level does not run
-        off. Give either the level, as where water comes and goes, or the volume.
+        cushion on the upper foil), and presses on it the more the further it sinks. Water over a
+        rim below the level does not run off. Give either the level, as where water comes and goes,
+        or the volume.
 
         Parameters
         ----------

@@ -22,6 +22,7 @@ from crms_fenicsx.model.changed_materials import checked_materials
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.stage import Stage
+from crms_fenicsx.model.state_warning import StateWarning
 from crms_fenicsx.model.strengths import Strengths, checked_strengths
 from crms_fenicsx.model.versions import Versions, changes_model
 from crms_fenicsx.runtime import checks
@@ -49,12 +50,16 @@ class LoadedMembrane:
         "_loads", "call scene.put_load(...), scene.put_wind(...) or solver.advance(load=...)"
     )
     """The loads that have been put on the membrane, with their current factors."""
+    warnings: ReadOnly[tuple[StateWarning, ...]] = ReadOnly("_warnings", "call solver.advance(...)")
+    """What load steps have warned of in the current state; snap-throughs stay until it is left for
+    one before."""
 
     def __init__(self, membrane: Membrane) -> None:
         self.membrane = membrane
         self._loads: tuple[MembraneLoad, ...] = ()
         self.versions = Versions()
         """Internal: numbers of the model and the state, and which of them is an equilibrium."""
+        self._warnings: tuple[StateWarning, ...] = ()
 
     @collective
     def put_load(self, force: Traction, *, name: str = "load", per: Area = "surface") -> None:

@@ -251,6 +251,7 @@ def _contents(
         ),
         run=replace(run.with_cells(None), steps=steps),
         call=call,
+        warnings=scene.warnings,
     )
 
 
@@ -324,6 +325,7 @@ def _restore(scene: Scene, fields: Fields, saved: Saved, stages: Sequence[Stage]
     scene._floor_level, scene._air = contents.floor, contents.air
     scene._pressure, scene._ponds = contents.pressure, contents.ponds
     scene.energies, net = contents.energies, scene.net
+    scene._warnings = contents.warnings
     net.laid, net.removed_dissipation = contents.laid, contents.dissipated
     net.strip, net.cables = strip, _restored_cables(scene, contents, stages)
     net.crossings, net.arranged = contents.crossings, net.cables

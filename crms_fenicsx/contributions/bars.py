@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -13,9 +15,13 @@ from crms_fenicsx.energies.bars import BarEnergy, BarTable, JointLoads
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.minimization.damping import Damping, Springs
 from crms_fenicsx.minimization.potential import Potential
-from crms_fenicsx.model.bar import Joint
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.model.bar import BarEnd, Joint
+from crms_fenicsx.runtime.arrays import Array, Indices
 from crms_fenicsx.scene import Scene
+
+HARDLY_SLACK = 1e-4
+"""Slack of a guy, relative to its length, with which it still counts as holding: as tight as the
+shortening of a mast under its load leaves guys that have no prestress."""
 
 
 class BarContribution(Contribution):
@@ -63,6 +69,32 @@ class BarContribution(Contribution):
         mine = blocks.joint_blocks if self.scene.comm.rank == 0 else blocks.joint_blocks[:0]
         self._loads = JointLoads(mine)
         return [self._bars, self._loads]
+
+    @contextmanager
+    def with_hardly_slack(self) -> Iterator[None]:
+        """Let guys that are about to be taut hold for a while: what they hold hardly moves."""
+        self._bars.loose = HARDLY_SLACK
+        try:
+            yield
+        finally:
+            del self._bars.loose
+
+    @contextmanager
+    def without_compression(self) -> Iterator[None]:
+        """Let what compression takes off the stiffness sideways be there for a while."""
+        self._bars.least = 0.0
+        try:
+            yield
+        finally:
+            del self._bars.least
+
+    def blocks_of(self, ends: Sequence[BarEnd]) -> Indices:
+        """Blocks of ends of bars on the first rank; on others those of vertices are -1."""
+        at: dict[BarEnd, np.int32] = dict(
+            zip(self.scene.joints, self.blocks.joint_blocks, strict=True)
+        )
+        at |= dict(zip(self._vertices, self.blocks.vertex_blocks, strict=True))
+        return np.array([at[end] for end in ends], dtype=np.int32)
 
     def damping(self, of_cables: Damping | None) -> Damping:
         """What damps the quasi-Newton steps of bars' ends, and of cables.

@@ -267,5 +267,5 @@ def _cells(scene: Scene) -> int:
     return int(scene.mesh.mesh.topology.index_map(2).size_global)
 
 
-CARRIED = ("prefix", "rtol", "slide", "verify", "estimate")
+CARRIED = ("prefix", "rtol", "slide", "verify", "estimate", "stability")
 """Options of a solver that those on finer meshes have from the beginning."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from crms_fenicsx.model.state_warning import StateWarning
+
 
 @dataclass(frozen=True)
 class Check:
@@ -51,10 +53,21 @@ class Verification:
         All of them.
     seconds
         Wall time that they took.
+    warnings
+        What the state's user is warned of, though it is an equilibrium.
     """
 
     checks: tuple[Check, ...]
     seconds: float
+    warnings: tuple[StateWarning, ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        """In a few words."""
+        if self.failed:
+            return "not verified"
+        kinds = dict.fromkeys(one.kind for one in self.warnings)
+        return f"equilibrium, but {', '.join(kinds)}" if kinds else "verified"
 
     @property
     def failed(self) -> tuple[Check, ...]:
@@ -87,10 +100,10 @@ class Verification:
     def __repr__(self) -> str:
         """A table of all checks, or in one line those that have failed."""
         if self.failed:
-            return "not verified: " + "; ".join(map(str, self.failed))
+            return f"{self.verdict}: " + "; ".join(map(str, self.failed))
         rows = [
             f"  {check.name:<32}{check.value:9.2g} {'<=' if check.passed else '> '} {check.limit:g}"
             + (f"  ({check.where})" if check.where else "")
             for check in self.checks
         ]
-        return "\n".join(["verified", *rows])
+        return "\n".join([self.verdict, *map(str, self.warnings), *rows])

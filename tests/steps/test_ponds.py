@@ -22,6 +22,7 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
+from crms_fenicsx.minimization.potential import Potential
 
 TENSION, RADIUS = 2.0, 3.0
 SOFT = IsotropicMembrane(
@@ -105,6 +106,27 @@ def test_an_equilibrium_that_is_not_stable(comm: MPI.Intracomm, part: float) -> 
     assert step.outcome.iterations == 0
     told = comm.allreduce(sum(issubclass(one.category, PondWarning) for one in caught))
     assert told == (part > 1.0)
+
+
+def test_ponds_beyond_their_limit_are_refused_soon(
+    comm: MPI.Intracomm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where the fabric stretches a little: 8241 evaluations before, with the same limit."""
+    count, evaluate = [0], Potential.evaluate
+
+    def counted(potential: Potential) -> float:
+        count[0] += 1
+        return evaluate(potential)
+
+    monkeypatch.setattr(Potential, "evaluate", counted)
+    stretchy = IsotropicMembrane(E=1.0, nu=0.3, thickness=1.0, prestress=TENSION, wrinkling=False)
+    scene = clamped(meshes.ellipse(comm, RADIUS, RADIUS, 0.4), stretchy)
+    scene.put_pond(TENSION * (2.41 / RADIUS) ** 2, level=1e-3)
+    solver = Solver(scene)
+    with pytest.raises(ConvergenceError, match=r"the membrane moves without end.*The limit of the"):
+        solver.advance(load=1.0)
+    assert count[0] < 1500
+    assert scene.ponds[0].factor == pytest.approx((2.404826 / 2.41) ** 2, abs=0.02)
 
 
 def test_water_that_ends_at_a_free_edge(comm: MPI.Intracomm) -> None:
@@ -234,7 +256,7 @@ def cushion(comm: MPI.Intracomm, n: int = 4) -> Scene:
 
 
 def test_water_does_not_hang_below_cells(comm: MPI.Intracomm) -> None:
-    """Without parts water stands on the outer side that faces up; a part that faces down is named."""
+    """Without parts water stands where the outer side faces up; a part that faces down is named."""
     scene = cushion(comm)
     solver = Solver(scene)
     solver.advance(pressure=0.5)

@@ -159,6 +159,10 @@ class Report:
             return paragraph(f"Not in equilibrium: {', '.join(moved)}; {why}.", "verdict failed")
         if failed:
             return paragraph(f"Not verified: {', '.join(failed)} failed a check.", "verdict failed")
+        warned = {case.name: case.summary.warnings for case in self.cases}
+        told = [f"{name}: {one}" for name, found in warned.items() for one in found]
+        if told:
+            return paragraph(f"Equilibrium, but {'; '.join(told)}", "verdict failed")
         if missing:
             text = f"Not verified in this run: {', '.join(missing)}."
             return paragraph(text, "verdict doubtful")
