@@ -39,7 +39,7 @@ LIMITS = {
     "depth below the membrane": 1e-3,
     "held by a line of the mesh": 0.03,
     "held by vertices": 0.05,
-    "held by edges": 0.1,
+    "held by edges": 0.3,
     "friction beyond its bound": 0.1,
     "friction along beyond its bound": 0.01,
     "negative dissipation": 1e-12,

@@ -9,7 +9,7 @@ from crms_fenicsx.contact.contact_force import contact_forces, forces_at, wrap_a
 from crms_fenicsx.contact.lift_off import is_foot, may_lift, outward_pulls
 from crms_fenicsx.friction.gripped_nodes import held_nodes
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.tolerances import INSIDE
+from crms_fenicsx.model.tolerances import INSIDE, SAME_PLACE
 from crms_fenicsx.paths.held_vertices import UNEVEN, held_runs
 from crms_fenicsx.runtime.arrays import Booleans, Integers
 from crms_fenicsx.surface.points import EdgePoint
@@ -81,7 +81,8 @@ def forces(cable: LaidCable, shape: StripShape, free: float) -> dict[str, float]
         Norm of the forces on its points that nothing balances (force).
     """
     ways = np.diff(cable.positions[cable.contacts()], axis=0)
-    ways *= (cable.part_tensions / np.maximum(norm(ways), 1e-300))[:, None]
+    (long,) = np.nonzero(norm(ways) > SAME_PLACE * cable.length)  # others have no direction
+    ways = ways[long] * (cable.part_tensions[long] / norm(ways[long]))[:, None]
     turns = norm(np.diff(ways, axis=0))
     least = FLAT * cable.tension if is_tense(cable) else np.inf
     own = max(float(np.linalg.norm(turns)), least)
