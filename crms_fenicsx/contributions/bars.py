@@ -130,6 +130,18 @@ class BarContribution(Contribution):
         if self.scene.comm.rank == 0:
             loads[self.blocks.joint_blocks] += self._forces()
 
+    def add_pulls(self, forces: Array, factor: float) -> None:
+        """Add the bars' pulls on their ends, by where these are in space, to forces of blocks."""
+        if self.scene.comm.rank == 0:
+            pulls = np.array([bar.pull(bar.start) for bar in self.scene.bars]).reshape(-1, 3)
+            np.add.at(forces, self._bars.table.ends[:, 0], factor * pulls)
+            np.subtract.at(forces, self._bars.table.ends[:, 1], factor * pulls)
+
+    def found(self, potential: Potential) -> tuple[Array, Array]:
+        """Places (n, 2, 3) of the bars' ends and their forces (n,), as the first rank has them."""
+        places = potential.unknowns.X + potential.x
+        return places[self._bars.table.ends], self._bars.forces
+
     def locate(self, potential: Potential) -> None:
         """Give joints and bars the places that the first rank has. Collective."""
         joints, frame = self.blocks.joint_blocks, self.scene.frame

@@ -6,6 +6,16 @@ from dataclasses import dataclass
 
 from crms_fenicsx.model.state_warning import StateWarning
 
+NO_STRAIN = 1e-8
+"""Strain of a cable or a bar that is none: the solver may stop at forces as small."""
+
+ROUNDED = 1e-12
+"""Part of a length, or of the distance from the origin, that is rounding."""
+
+UNBALANCED = 1e-3
+"""Unbalanced forces of one part of a scene, relative to that part's own, from which on a state is
+doubtful: the solver stops by the largest forces of all, beside which a part's may be small."""
+
 
 @dataclass(frozen=True)
 class Check:
@@ -20,10 +30,11 @@ class Check:
     limit
         How far it may be.
     where
-        The cable for which it is worst; empty if it concerns the scene.
+        The cable, bar or joint for which it is worst; empty if it concerns the scene.
     binding
         Whether a state that fails is no result. What depends on how coarse the mesh is, as the
-        contact of single points, only makes it doubtful.
+        contact of single points, or on forces that are small beside the scene's, only makes it
+        doubtful.
     """
 
     name: str
@@ -76,7 +87,7 @@ class Verification:
 
     @property
     def doubtful(self) -> tuple[Check, ...]:
-        """The checks that say that the state is crude where they look."""
+        """The checks that say that the state is crude in what they look at."""
         return tuple(check for check in self.checks if not check.binding and not check.passed)
 
     @property

@@ -186,8 +186,8 @@ def test_static_and_kinetic_friction(comm, kinetic, static, mu):
 
 def test_an_idle_cable_does_not_creep(comm):
     """25 steps without any load. In the first the direction in which friction acts becomes that of
-    the new curve, and the cable, which has just slid by 100 elastic slips, settles by some more;
-    then it stays to rounding.
+    the new curve, and the cable, which has just slid by 100 elastic slips, settles by some more, in
+    the second by a part of a slip; then it stays to rounding.
     """
     way = circle()
     mu = 0.9 * way.ratio
@@ -201,9 +201,12 @@ def test_an_idle_cable_does_not_creep(comm):
     solver.advance(L0={cable: L0})
     assert np.abs(cable.positions - x).max() < 10 * eps
     x, heat = cable.positions.copy(), scene.dissipated
-    for _ in range(24):
+    solver.advance(L0={cable: L0})
+    assert np.abs(cable.positions - x).max() < 0.3 * eps
+    x = cable.positions.copy()
+    for _ in range(23):
         solver.advance(L0={cable: L0})
-    assert np.abs(cable.positions - x).max() < 0.15 * eps
+    assert np.abs(cable.positions - x).max() < 0.01 * eps
     # against what friction dissipates in a slip of eps along all of the cable
     assert 0.0 <= scene.dissipated - heat < 0.05 * eps * mu * cable.tension * way.length
     assert max(step.outcome.solves for step in solver.steps[-10:]) <= 2

@@ -39,7 +39,8 @@ NOTES = (
     "over a few triangles.",
     "Each equilibrium is checked independently of the solver: virtual work by differences of the "
     "energy, balance of supports and loads, tensions and places of cables. A check that is "
-    "doubtful tells that the mesh is coarse there, not that the state is no equilibrium.",
+    "doubtful tells that the mesh is coarse there, or that forces of one part are too small beside "
+    "the others to be known well, not that the state is no equilibrium.",
 )
 """How to read the results."""
 PER_PICTURE = 1000
