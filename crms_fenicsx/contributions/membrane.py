@@ -14,7 +14,7 @@ from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.energies.paper.step_membrane import StepMembraneEnergy
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.minimization.potential import Potential
-from crms_fenicsx.runtime.arrays import Indices
+from crms_fenicsx.runtime.arrays import EPSILON, Indices
 from crms_fenicsx.scene import Scene
 
 
@@ -96,9 +96,13 @@ def hold(scene: Scene, unknowns: Unknowns) -> None:
 
 
 def tiny_force(scene: Scene) -> float:
-    """Return a force that is nothing without any load; with one, forces are told from its own."""
+    """Return a force that is nothing without any load; with one, forces are told from its own.
+
+    It is what rounding of coordinates as large as the membrane leaves of the force of one cell. A
+    cable on a stiff membrane may pull with little more.
+    """
     if scene.pressure != 0.0 or any(load.factor * load.intensity != 0.0 for load in scene.loads):
         return 0.0
     materials = scene.materials.values()
     section = max(m.reference_modulus + float(m.prestress_vector.max()) for m in materials)
-    return 1e-12 * section * scene.membrane.size
+    return 4 * EPSILON * section * scene.membrane.size
