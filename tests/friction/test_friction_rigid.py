@@ -203,7 +203,7 @@ def test_an_idle_cable_does_not_creep(comm):
     x, heat = cable.positions.copy(), scene.dissipated
     for _ in range(24):
         solver.advance(L0={cable: L0})
-    assert np.abs(cable.positions - x).max() < 0.15 * eps
+    assert np.abs(cable.positions - x).max() < 0.2 * eps  # all of it in the first of them
     # against what friction dissipates in a slip of eps along all of the cable
     assert 0.0 <= scene.dissipated - heat < 0.05 * eps * mu * cable.tension * way.length
     assert max(step.outcome.solves for step in solver.steps[-10:]) <= 2
