@@ -22,7 +22,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.minimization.membrane_multigrid import (
+    EXACT_SHIFT,
     MULTIGRID,
+    SHIFT,
     MembraneMultigrid,
     block_traces,
     set_defaults,
@@ -203,7 +205,7 @@ class InitialHessian:
         sizes = np.array([traces.max(initial=0.0), unknowns.n_rails])
         unknowns.comm.Allreduce(MPI.IN_PLACE, sizes, op=MPI.MAX)
         largest = float(sizes[0]) if sizes[0] > 0 else 1.0
-        self.shift = shift_diagonal(A, traces)
+        self.shift = shift_diagonal(A, traces, EXACT_SHIFT if exact else SHIFT)
         if sizes[1]:
             stiffen_across_rails(A, unknowns, largest)
         rows = np.flatnonzero(held) + 3 * unknowns.start

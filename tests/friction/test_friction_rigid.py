@@ -327,3 +327,17 @@ print([name for name in names if "crms_fenicsx." + name in sys.modules])
     done = run(code)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(("mu", "steps"), [(0.1, 1), (0.16, 6)])
+def test_a_stiff_membrane_neither_holds_nor_releases_a_cable(comm, mu, steps):
+    """Its stiffness is 1e10 times the forces of friction of a soft cable. In the first of six steps
+    the cable loses all its tension, and with that all friction, in none of the next."""
+    way = curve(SURFACES["cylinder"], 0.2, 1.0)
+    scene, cable = rigid(comm, way, band(way, H, 1, "lattice"), mu, EA=0.03)
+    solver, L = Solver(scene), cable.length
+    for k in range(steps):
+        step = solver.advance(L0={cable: L * (1 - 0.01 * (k + 1) / steps)})
+    exact = way.sideways(way.slid(mu).points).mean()
+    assert way.sideways(cable.positions).mean() == pytest.approx(exact, rel=0.03)
+    assert step.outcome.evaluations < 200
