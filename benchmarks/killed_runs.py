@@ -4,11 +4,11 @@
 
 A small run with two cables, load steps in three calls of `advance`, pictures in between and
 checkpoints is ended by SIGKILL, most times on one process, every fourth time on three, of which one
-or all are killed. Half of the moments are random times, the others random times after a random
-write has begun. Then each file that has its name is read in full, and the run resumed: some are
-killed again, those on three processes are resumed on another number of them. What comes out is
-compared with a run that nobody has killed. Prints where the kills fell and what was found, and
-fails if a file is damaged or a result differs.
+or all are killed, or mpirun alone. Half of the moments are random times, the others random times
+after a random write has begun. Then each file that has its name is read in full, and the run
+resumed: some are killed again, those on three processes are resumed on another number of them. What
+comes out is compared with a run that nobody has killed. Prints where the kills fell and what was
+found, and fails if a file is damaged or a result differs.
 """
 
 from __future__ import annotations
@@ -161,16 +161,30 @@ def kill(
             begun = time.monotonic()
         time.sleep(0.0005)
     doing, _ = phase_of(folder / "phase")
-    one = ranks > 1 and rng.random() < 0.5
-    victims = [int(rng.integers(ranks))] if one else list(range(ranks))
+    own = [int(path.read_text()) for path in folder.glob("pid*")]
+    choices = [own] if ranks == 1 else [own, [int(rng.choice(own))], [process.pid]]
+    victims = choices[int(rng.integers(len(choices)))]
     ended = process.poll() is not None
-    for rank in [] if ended else victims:
+    for victim in [] if ended else victims:
         try:
-            os.kill(int((folder / f"pid{rank}").read_text()), signal.SIGKILL)
+            os.kill(victim, signal.SIGKILL)
         except ProcessLookupError:
             ended = True
-    process.communicate(timeout=60)  # the other ranks end as well
+    process.communicate(timeout=60)
+    deadline = time.monotonic() + 60.0
+    while any(map(alive, own)):  # the other ranks end as well
+        if time.monotonic() > deadline:
+            raise RuntimeError(f"of the processes {own} some go on after {victims} were killed")
+        time.sleep(0.01)
     return None if ended else doing
+
+
+def alive(process: int) -> bool:
+    """Whether a process runs: it is there, and not only waiting for its parent to notice."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
 
 
 def damaged(folder: Path) -> list[str]:

@@ -21,17 +21,23 @@ from crms_fenicsx.runtime.errors import (
     ConvergenceError,
     FrictionWarning,
     InputError,
+    InstabilityWarning,
     MeshError,
     PathError,
     PathWarning,
     PenaltyWarning,
     PictureWarning,
     PondWarning,
+    SnapThroughWarning,
+    show_warnings,
 )
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.solver import Solver
 from crms_fenicsx.steps.load_step import Step
 from crms_fenicsx.steps.motion import Rotation
+
+show_warnings()
+del show_warnings
 
 __version__ = "0.2.0"
 __all__ = [
@@ -43,6 +49,7 @@ __all__ = [
     "Friction",
     "FrictionWarning",
     "InputError",
+    "InstabilityWarning",
     "IsotropicMembrane",
     "Joint",
     "LaidCable",
@@ -57,6 +64,7 @@ __all__ = [
     "PondWarning",
     "Rotation",
     "Scene",
+    "SnapThroughWarning",
     "Solver",
     "Step",
     "TaylorRates",

@@ -135,9 +135,10 @@ class FilledMembrane(LoadedMembrane):
     ) -> None:
         """Let water stand on the membrane; `Solver.advance` brings it on by its factor. Collective.
 
-        It lies over all that is below its level, on the side of the membrane that faces up, and
-        presses on it the more the further it sinks. Water over a rim below the level does not run
-        off. Give either the level, as where water comes and goes, or the volume.
+        It lies over all that is below its level, where the membrane's outer side faces up (of a
+        cushion on the upper foil), and presses on it the more the further it sinks. Water over a
+        rim below the level does not run off. Give either the level, as where water comes and goes,
+        or the volume.
 
         Parameters
         ----------
@@ -148,7 +149,8 @@ class FilledMembrane(LoadedMembrane):
         volume
             Amount of water (length cubed); its level follows.
         on
-            Parts of the mesh that it stands on; all of it by default. Walls below a roof have none.
+            Parts of the mesh that it stands on, on the side that faces up; without it all cells
+            whose outer side faces up when stress-free.
         name
             What load steps and results know it by.
 
@@ -156,7 +158,8 @@ class FilledMembrane(LoadedMembrane):
         ------
         InputError
             On all ranks: a weight or a volume that is not positive, neither level nor volume or
-            both, a part that does not exist, cells without an upper side, or a name that is taken.
+            both, a part that does not exist, cells without an upper side or of which some face up
+            and some down, or a name that is taken.
 
         Notes
         -----

@@ -20,6 +20,7 @@ from crms_fenicsx.energies.dead_load import (
 from crms_fenicsx.model.changed_materials import checked_materials
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.model.state_warning import StateWarning
 from crms_fenicsx.model.strengths import Strengths, checked_strengths
 from crms_fenicsx.model.versions import Versions, changes_model
 from crms_fenicsx.runtime import checks
@@ -47,12 +48,16 @@ class LoadedMembrane:
         "_loads", "call scene.put_load(...), scene.put_wind(...) or solver.advance(load=...)"
     )
     """The loads that have been put on the membrane, with their current factors."""
+    warnings: ReadOnly[tuple[StateWarning, ...]] = ReadOnly("_warnings", "call solver.advance(...)")
+    """What load steps have warned of in the current state; snap-throughs stay until it is left for
+    one before."""
 
     def __init__(self, membrane: Membrane) -> None:
         self.membrane = membrane
         self._loads: tuple[MembraneLoad, ...] = ()
         self.versions = Versions()
         """Internal: numbers of the model and the state, and which of them is an equilibrium."""
+        self._warnings: tuple[StateWarning, ...] = ()
 
     @collective
     def put_load(self, force: Traction, *, name: str = "load", per: Area = "surface") -> None:
@@ -112,7 +117,8 @@ class LoadedMembrane:
         ------
         InputError
             On all ranks: a pressure that is not positive, coefficients that are not finite or of
-            another shape, a part that does not exist or is missing, or a name that is taken.
+            another shape, a part that does not exist or is missing, parts with common cells, or a
+            name that is taken.
 
         Examples
         --------
@@ -202,19 +208,22 @@ class LoadedMembrane:
         Raises
         ------
         InputError
-            On all ranks: a part that does not exist, or strengths that are not positive.
+            On all ranks: a part that does not exist, parts with common cells, or strengths that are
+            not positive.
 
         Examples
         --------
         >>> scene.set_strengths({"roof": (84.0, 80.0), "wall": (60.0, 57.0)})
         """
         checks.same(self.comm, "set_strengths", strengths=strengths)
-        parts = self.membrane.mesh.parts
-        self.membrane.strengths = checked_strengths("set_strengths", strengths, parts)
+        if isinstance(strengths, Mapping):
+            strengths = checks.in_one_order(self.comm, strengths)
+        found = checked_strengths("set_strengths", strengths, self.membrane.mesh)
+        self.membrane.strengths = found
 
     def in_equilibrium(self) -> bool:
         """Internal: whether nothing has changed since the last load step. Collective."""
-        settled = self.versions.are_settled(self.membrane.u.x.array)
+        settled = self.versions.are_settled(self.membrane.owned_u)
         return bool(self.comm.allreduce(settled, op=MPI.LAND))
 
     def require_equilibrium(self, call: str) -> None:

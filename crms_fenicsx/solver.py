@@ -5,7 +5,9 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path as FilePath
+from typing import Literal
 from weakref import WeakMethod
 
 import numpy as np
@@ -38,11 +40,12 @@ from crms_fenicsx.steps.load_step import Step
 from crms_fenicsx.steps.loading import checked_target
 from crms_fenicsx.steps.motion import Move
 from crms_fenicsx.steps.options import checked_options
+from crms_fenicsx.steps.snap_through import SnapThroughSearch
 from crms_fenicsx.steps.warnings import (
     no_equilibrium,
     warn_of_blocked,
     warn_of_friction,
-    warn_of_ponds,
+    warn_of_state,
 )
 
 logger = logging.getLogger("crms_fenicsx")
@@ -86,6 +89,10 @@ class Solver(LoadCases, SolverResults, Reporting, Drawing):
     estimate
         Whether the history has columns with the estimated error of each step's energy, see
         `estimate_error`.
+    stability
+        What to do about an equilibrium that bars, joints or ponds make one that is not stable:
+        "warn", by an `InstabilityWarning`; "refuse" it, like a step that did not converge; or
+        "ignore" it, without looking.
 
     Attributes
     ----------
@@ -122,12 +129,14 @@ class Solver(LoadCases, SolverResults, Reporting, Drawing):
         slide: bool = True,
         verify: bool = True,
         estimate: bool = False,
+        stability: Literal["warn", "refuse", "ignore"] = "warn",
     ) -> None:
         if not isinstance(scene, Scene):
             raise InputError(f"Solver: scene is of type {type(scene).__name__}; give a Scene.")
         self._options = options = checked_options(
             scene.comm, results=results, resume=resume, prefix=prefix, rtol=rtol,
             max_halvings=max_halvings, slide=slide, verify=verify, estimate=estimate,
+            stability=stability,
         )  # fmt: skip
         self._scene, self.comm = scene, scene.comm
         self._increments = IncrementSolver(scene, options)
@@ -230,6 +239,7 @@ class Solver(LoadCases, SolverResults, Reporting, Drawing):
         first = State.of(scene)
         loads = plain_loads(pressure, target.moves, L0, load, steps, air)
         done, increment = self._resumed(loads)
+        search = SnapThroughSearch(self._increments, target, first, steps)
         halvings, began = 0, time.perf_counter()
         spent: Outcome | None = None
         with postponed(scene.comm), progress(scene.comm, steps, "load steps") as bar:
@@ -238,10 +248,10 @@ class Solver(LoadCases, SolverResults, Reporting, Drawing):
             while done < steps - 1e-9:
                 stop_together(scene.comm)
                 goal = min(done + increment, np.floor(done + 1e-9) + 1.0)
-                before = State.of(scene)
-                outcome, verification = self._increments.solve(
-                    target, first, before, done, goal, steps
-                )
+                before, history = State.of(scene), scene.step_history
+                balanced = scene.in_equilibrium()
+                found = self._increments.solve(target, first, before, done, goal, steps)
+                outcome = found.outcome
                 spent = outcome if spent is None else spent + outcome
                 number = len(self.steps) + 1
                 if not outcome.converged:
@@ -249,25 +259,39 @@ class Solver(LoadCases, SolverResults, Reporting, Drawing):
                     if increment < 0.5**self.max_halvings * (1 - 1e-9):
                         part = done / steps
                         failure = no_equilibrium(
-                            number, outcome, self.max_halvings, part, scene.ponds
-                        )
+                            number, outcome, self.max_halvings, part,
+                            target.ponds(scene, goal / steps), scene.ponds,
+                        )  # fmt: skip
                         self._keep(done, increment, str(failure))
                         raise failure
                     logger.info("halving the increment: %s", outcome.reason)
                     continue
-                seconds, energies = time.perf_counter() - began, dict(scene.energies)
-                step = Step(number, spent, energies, seconds, halvings, verification)
-                self.steps.append(step)
-                if not self.slide:
-                    warn_of_blocked(number, scene)
-                warn_of_friction(number, scene, before, outcome.unsettled)
-                warn_of_ponds(number, self.system)
+                if outcome.bent:
+                    found = search.complete(found, before, history, done, goal, balanced)
+                step = Step(
+                    number, spent, dict(scene.energies), time.perf_counter() - began, halvings,
+                    found.verification, found.warnings,
+                )  # fmt: skip
+                self._accept(step, before, outcome.unsettled)
                 if abs(goal - round(goal)) < 1e-9:
                     bar.advance(1, f"energy {step.energy:.6g}")
                 done, increment = goal, min(2 * (goal - done), 1.0)
                 self._record(step, done, increment)
                 began, spent, halvings = time.perf_counter(), None, 0
         return self.steps[-1]
+
+    def _accept(self, step: Step, before: State, unsettled: float) -> None:
+        """Take over a step from a state, and warn of what is crude or in doubt in its state."""
+        scene, lasting = self.scene, [one for one in before.warnings if one.lasts]
+        scene._warnings = (*lasting, *step.warnings)
+        if step.verification is not None:
+            step = replace(step, verification=replace(step.verification, warnings=scene.warnings))
+        self.steps.append(step)
+        scene.versions.settle(scene.membrane.owned_u, step.verification)
+        if not self.slide:
+            warn_of_blocked(step.number, scene)
+        warn_of_friction(step.number, scene, before, unsettled)
+        warn_of_state(step.number, scene, step.warnings)
 
     def _resumed(self, loads: Plain) -> tuple[float, float]:
         """Bring scene and solver to where a call to `advance` has come to before. Collective.

@@ -22,7 +22,8 @@ DOORS = (
     "energies.membrane cables.deformed_surface paths.held_vertices paths.laying "
     "paths.vertex_trials scene contributions equilibrium.search equilibrium.friction_loop "
     "equilibrium.path_loop equilibrium.system minimization.minimizer verification.cable_checks "
-    "verification.verifier output.report.reporting study.groups"
+    "verification.cable_forces verification.verifier steps.increment_solver "
+    "output.report.reporting study.groups"
 ).split()
 """Where functions may import modules of the package: kernels, friction, and what most runs do not
 need."""

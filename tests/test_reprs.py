@@ -92,7 +92,7 @@ SHOWN: dict[str, tuple[Callable[[], Any], str]] = {
         rf"Snapshot\(energy {NUMBER}; 1 cable, tension {NUMBER}\)",
     ),
     "history": (lambda: solved().history, r"History\(1 row; step, halvings, .*seconds\)"),
-    "form": (form, rf"FoundForm\(area 16; deviation {NUMBER}\)"),
+    "form": (form, rf"FoundForm\(area 16; deviation {NUMBER}; disturbance {NUMBER}\)"),
 }
 
 

@@ -30,7 +30,10 @@ ENERGY, FORCE, BALANCE = 1e-6, 1e-4, 1e-6
 """Relative differences of energies and forces of the same answer, and of forces that balance."""
 LOOSE = 300.0
 """How much more they may be where friction stops a cable anywhere within its tolerance."""
-WARNINGS = (errors.FrictionWarning, errors.PathWarning, errors.PenaltyWarning, errors.PondWarning)
+WARNINGS = (
+    errors.FrictionWarning, errors.InstabilityWarning, errors.PathWarning, errors.PenaltyWarning,
+    errors.SnapThroughWarning,
+)  # fmt: skip
 Numbers = dict[str, list[float]]
 
 

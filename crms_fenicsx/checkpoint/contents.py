@@ -16,6 +16,7 @@ from crms_fenicsx.model.cable_state import CableState
 from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.model.sealed_air import SealedAir
+from crms_fenicsx.model.state_warning import StateWarning
 from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.steps.load_step import Step
@@ -130,6 +131,8 @@ class Contents:
         Of its step history without the cells.
     call
         The call of `Solver.advance` that the checkpoint belongs to; None if to none.
+    warnings
+        As in the scene.
     """
 
     scene: Plain
@@ -153,6 +156,7 @@ class Contents:
     bars: tuple[SavedBar, ...]
     run: Run
     call: Plain | None
+    warnings: tuple[StateWarning, ...]
 
     def check(self, n_vertices: int) -> None:
         """Refuse what does not fit together, or a mesh with some number of vertices.

@@ -168,7 +168,7 @@ def restore(saved: Saved, scene: Scene) -> Run:
     scene.versions.change_model()
     scene.versions.change_state(above=contents.state_version)
     if contents.in_equilibrium:
-        scene.versions.settle(scene.u.x.array, None)
+        scene.versions.settle(scene.membrane.owned_u, None)
     else:
         scene.versions.unsettle()
     return run
@@ -218,6 +218,7 @@ def _contents(
         ),
         run=replace(run.with_cells(None), steps=steps),
         call=call,
+        warnings=scene.warnings,
     )
 
 
@@ -279,6 +280,7 @@ def _restore(scene: Scene, fields: Fields, saved: Saved) -> None:
     scene._floor_level, scene._air = contents.floor, contents.air
     scene._pressure, scene._ponds = contents.pressure, contents.ponds
     scene.energies, net = contents.energies, scene.net
+    scene._warnings = contents.warnings
     net.laid, net.removed_dissipation = contents.laid, contents.dissipated
     net.strip, net.cables = strip, _restored_cables(scene, contents)
     net.crossings, net.arranged = contents.crossings, net.cables

@@ -96,19 +96,26 @@ def contact_forces(cable: LaidCable, shape: StripShape) -> ContactForces:
 
 
 def wrap_angles(cable: LaidCable, shape: StripShape) -> Array:
-    """Angle by which the cable wraps the membrane at each node, (n,).
+    """Angle by which the cable wraps what it presses on at each node, (n,).
 
-    It is the turn around the membrane that the normal contact force comes from, without the turn
-    sideways, and smoothed like that force; zero where the membrane would be pulled.
+    On the membrane it is the turn that the normal contact force comes from, without the turn
+    sideways, and smoothed like that force; zero where the membrane would be pulled. The pocket of a
+    free edge also holds the cable sideways, and there the whole turn counts.
     """
-    angles, wrap = np.zeros((2, len(cable.nodes)))
     nodes, before, after = _turns_on_membrane(cable)
-    up, _ = directions(cable, nodes, shape, before, after)
-    angles[nodes] = 2 * np.arcsin(np.clip(dot(before - after, up) / 2, -1.0, 1.0))
-    line = np.zeros_like(angles)
+    up, left = directions(cable, nodes, shape, before, after)
+    ways = [up, left] if cable.in_edge else [up]
+    parts = np.array([dot(before - after, way) for way in ways])
+    chord = np.linalg.norm(parts, axis=0)  # of the unit circle
+    parts *= 2 * np.arcsin(np.minimum(chord / 2, 1.0)) / np.where(chord > 0.0, chord, 1.0)
+    angles = np.zeros((len(ways), len(cable.nodes)))
+    wrap = np.zeros_like(angles)
+    angles[:, nodes] = parts
+    line = np.zeros(len(cable.nodes))
     for run in runs(cable):
-        smooth_line_load(cable, run, shape, angles, wrap, line)
-    return np.abs(wrap) if cable.sleeve else np.maximum(wrap, 0.0)
+        for way in range(len(ways)):
+            smooth_line_load(cable, run, shape, angles[way], wrap[way], line)
+    return np.asarray(np.linalg.norm(wrap, axis=0)) if cable.sleeve else np.maximum(wrap[0], 0.0)
 
 
 def paper_forces(cable: LaidCable) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -13,9 +15,13 @@ from crms_fenicsx.energies.bars import BarEnergy, BarTable, JointLoads
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.minimization.damping import Damping, Springs
 from crms_fenicsx.minimization.potential import Potential
-from crms_fenicsx.model.bar import Joint
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.model.bar import BarEnd, Joint
+from crms_fenicsx.runtime.arrays import Array, Indices
 from crms_fenicsx.scene import Scene
+
+HARDLY_SLACK = 1e-4
+"""Slack of a guy, relative to its length, with which it still counts as holding: as tight as the
+shortening of a mast under its load leaves guys that have no prestress."""
 
 
 class BarContribution(Contribution):
@@ -64,6 +70,32 @@ class BarContribution(Contribution):
         self._loads = JointLoads(mine)
         return [self._bars, self._loads]
 
+    @contextmanager
+    def with_hardly_slack(self) -> Iterator[None]:
+        """Let guys that are about to be taut hold for a while: what they hold hardly moves."""
+        self._bars.loose = HARDLY_SLACK
+        try:
+            yield
+        finally:
+            del self._bars.loose
+
+    @contextmanager
+    def without_compression(self) -> Iterator[None]:
+        """Let what compression takes off the stiffness sideways be there for a while."""
+        self._bars.least = 0.0
+        try:
+            yield
+        finally:
+            del self._bars.least
+
+    def blocks_of(self, ends: Sequence[BarEnd]) -> Indices:
+        """Blocks of ends of bars on the first rank; on others those of vertices are -1."""
+        at: dict[BarEnd, np.int32] = dict(
+            zip(self.scene.joints, self.blocks.joint_blocks, strict=True)
+        )
+        at |= dict(zip(self._vertices, self.blocks.vertex_blocks, strict=True))
+        return np.array([at[end] for end in ends], dtype=np.int32)
+
     def damping(self, of_cables: Damping | None) -> Damping:
         """What damps the quasi-Newton steps of bars' ends, and of cables.
 
@@ -97,6 +129,18 @@ class BarContribution(Contribution):
         """Add the loads on this rank's joints to forces of blocks, (n_local, 3)."""
         if self.scene.comm.rank == 0:
             loads[self.blocks.joint_blocks] += self._forces()
+
+    def add_pulls(self, forces: Array, factor: float) -> None:
+        """Add the bars' pulls on their ends, by where these are in space, to forces of blocks."""
+        if self.scene.comm.rank == 0:
+            pulls = np.array([bar.pull(bar.start) for bar in self.scene.bars]).reshape(-1, 3)
+            np.add.at(forces, self._bars.table.ends[:, 0], factor * pulls)
+            np.subtract.at(forces, self._bars.table.ends[:, 1], factor * pulls)
+
+    def found(self, potential: Potential) -> tuple[Array, Array]:
+        """Places (n, 2, 3) of the bars' ends and their forces (n,), as the first rank has them."""
+        places = potential.unknowns.X + potential.x
+        return places[self._bars.table.ends], self._bars.forces
 
     def locate(self, potential: Potential) -> None:
         """Give joints and bars the places that the first rank has. Collective."""

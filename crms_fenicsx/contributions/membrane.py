@@ -17,6 +17,9 @@ from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.runtime.arrays import Indices
 from crms_fenicsx.scene import Scene
 
+NOTHING, AXIAL_NOTHING = 1e-12, 1e-8
+"""Strains, of a membrane as large as the scene and of cables and bars, whose forces are nothing."""
+
 
 class MembraneContribution(Contribution):
     """Strain energy of the plain cells; its forms are compiled once.
@@ -96,9 +99,14 @@ def hold(scene: Scene, unknowns: Unknowns) -> None:
 
 
 def tiny_force(scene: Scene) -> float:
-    """Return a force that is nothing without any load; with one, forces are told from its own."""
+    """Return a force that is nothing without any load; with one, forces are told from its own.
+
+    However stiff the membrane is, it is nothing to a cable in tension, or to a bar, either.
+    """
     if scene.pressure != 0.0 or any(load.factor * load.intensity != 0.0 for load in scene.loads):
         return 0.0
     materials = scene.materials.values()
     section = max(m.reference_modulus + float(m.prestress_vector.max()) for m in materials)
-    return 1e-12 * section * scene.membrane.size
+    axial = [cable.cable.EA for cable in scene.cables if cable.taut]
+    axial += [bar.bar.EA for bar in scene.bars]
+    return min([NOTHING * section * scene.membrane.size, *(AXIAL_NOTHING * EA for EA in axial)])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -14,12 +16,13 @@ from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.folded_pressure import Facets
 from crms_fenicsx.energies.ponding import Ponding
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.minimization.initial_hessian import InitialHessian
 from crms_fenicsx.minimization.potential import Potential
-from crms_fenicsx.minimization.stability import negative_eigenvalues
 from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
+
+TOUCH = 1e-9
+"""Distance from the water's level, relative to the membrane's size, within which it is touched."""
 
 
 class PondContribution(Contribution):
@@ -88,28 +91,27 @@ class PondContribution(Contribution):
         for term in self.ponds:
             term.add_pressure(potential.x, g, factor)
 
-    def is_unstable(self, potential: Potential, h0: InitialHessian) -> bool:
-        """Whether the energy falls from an equilibrium, and would not without ponds. Collective.
+    @contextmanager
+    def raised(self) -> Iterator[None]:
+        """Raise given levels by next to nothing: a dry roof at its level is about to be wet."""
+        known = [term.pond for term in self.ponds]
+        for term, pond in zip(self.ponds, known, strict=True):
+            if pond.given == "level":
+                term.pond = replace(pond, level=pond.level + TOUCH * self.scene.membrane.size)
+        try:
+            yield
+        finally:
+            for term, pond in zip(self.ponds, known, strict=True):
+                term.pond = pond
 
-        Parameters
-        ----------
-        potential
-            In the equilibrium.
-        h0
-            Has to be rebuilt afterwards.
-        """
-        ponds = [term.pond for term in self.ponds]
-        if not any(pond.factor for pond in ponds):
-            return False
-        with_water = negative_eigenvalues(potential, h0)
-        if with_water == 0:
-            return False
-        for term, pond in zip(self.ponds, ponds, strict=True):
-            term.pond = replace(pond, factor=0.0)
-        without = negative_eigenvalues(potential, h0)
-        for term, pond in zip(self.ponds, ponds, strict=True):
+    @contextmanager
+    def without(self, term: Ponding) -> Iterator[None]:
+        """Let a pond weigh nothing for a while."""
+        pond, term.pond = term.pond, replace(term.pond, factor=0.0)
+        try:
+            yield
+        finally:
             term.pond = pond
-        return with_water > without
 
     def force_per_area(self, potential: Potential) -> float:
         """Weight of the water over the membrane's area (force per area). Collective."""

@@ -71,10 +71,14 @@ class BarEnergy(EnergyTerm):
     ----------
     lengths, forces : (n,)
         Lengths (length) and axial forces (force), tension positive, at the last evaluation.
+    least, loose
+        Least axial force, and slack of guys, relative to their length, up to which they count as
+        taut, that the second derivatives know of; where stability is looked at they are others.
     """
 
     name = "bars"
     exact_hessian = True
+    least, loose = -np.inf, 0.0
 
     def __init__(self, table: BarTable) -> None:
         self.table = table
@@ -113,12 +117,16 @@ class BarEnergy(EnergyTerm):
 
     def add_hessian(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add the second derivatives."""
-        self._add(x, 0.0, -np.inf, A)
+        self._add(x, 0.0, self.least, A)
 
     def _add(self, x: Array, slack: float, least: float, A: PETSc.Mat) -> None:
         """Add stiffness, slack guys with a part of theirs, forces no less than some."""
         t = self.table
-        axial = np.where(t.tension_only & (self.lengths < t.L0), slack, 1.0) * t.EA / t.L0
+        axial = (
+            np.where(t.tension_only & (self.lengths < (1 - self.loose) * t.L0), slack, 1.0)
+            * t.EA
+            / t.L0
+        )
         lengths = self._least_lengths()
         across = np.maximum(self.forces, least) / lengths
         ways = self._X[t.ends] + x[t.ends]

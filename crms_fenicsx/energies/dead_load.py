@@ -20,6 +20,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.meshes.cell_geometry import area_vectors
+from crms_fenicsx.meshes.part_names import outer_first
 from crms_fenicsx.meshes.triangles import double_areas, norm
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime import checks
@@ -220,15 +221,10 @@ def _coefficients(coefficient: Coefficient, membrane: Membrane, shape: _Shape) -
         return _values("put_wind", "coefficients", coefficient, shape, shape.areas.shape)
     if not isinstance(coefficient, Mapping):
         return np.array(checks.finite("put_wind: coefficient", coefficient))
+    parts = outer_first(membrane.mesh, "put_wind", "pressure coefficient", coefficient)
     values = np.full(len(shape.areas), np.nan)
-    for part, value in coefficient.items():
-        number = checks.finite(f"put_wind: coefficient of {part!r}", value)
-        if part not in membrane.mesh.parts:
-            known = ", ".join(sorted(membrane.mesh.parts)) or "(none)"
-            raise InputError(
-                f"put_wind: coefficient names the part {part!r}, but the mesh has the parts "
-                f"{known}; name these."
-            )
+    for part in parts:
+        number = checks.finite(f"put_wind: coefficient of {part!r}", coefficient[part])
         cells = membrane.mesh.parts[part]
         values[cells[cells < len(values)]] = number
     if np.isnan(values).any():

@@ -21,11 +21,17 @@ from petsc4py import PETSc
 from crms_fenicsx.dofs.block_patterns import ElementPattern
 from crms_fenicsx.dofs.elements import ElementTable
 from crms_fenicsx.dofs.preallocation import RowSizes
-from crms_fenicsx.energies.edge_fractions import add_slip_forces, edge_fractions
+from crms_fenicsx.energies.edge_fractions import (
+    add_slip_curvature,
+    add_slip_forces,
+    edge_fractions,
+    slip_stiffness,
+)
 from crms_fenicsx.energies.smooth_coulomb import (
     friction_energy,
     friction_potentials,
     secant_stiffness,
+    tangent_stiffness,
 )
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
@@ -110,16 +116,23 @@ class LateralFriction(EnergyTerm):
     def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
         """Add the stiffness ``force / slip`` against the slip; see `secant_stiffness`."""
         t = self.table
-        secant = secant_stiffness(self.slips, t.bound, t.eps)
-        start = 0
-        for k, value in enumerate(secant * t.slope**2):
-            own = self._gradients[t.pointers[k] : t.pointers[k + 1]]
-            n = len(own)
-            self.pattern.values[start : start + n * n] = value * np.einsum(
-                "ai,bj->abij", own, own
-            ).reshape(n * n, 3, 3)
-            start += n * n
+        self._stiffen(secant_stiffness(self.slips, t.bound, t.eps))
         self.pattern.add(A, self.unknowns)
+
+    def add_hessian(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+        """Add the second derivatives: what slides far has no stiffness against the slip."""
+        t = self.table
+        self._stiffen(tangent_stiffness(self.slips, t.bound, t.eps))
+        add_slip_curvature(
+            self.unknowns.X, x, t.pointers, t.blocks, t.place, self._fractions, self._gradients,
+            self._force * t.slope, self.pattern.values,
+        )  # fmt: skip
+        self.pattern.add(A, self.unknowns)
+
+    def _stiffen(self, stiffness: Array) -> None:
+        """Put a stiffness against the slips, (n,) (force/length), into the pattern's values."""
+        t, values = self.table, self.pattern.values
+        slip_stiffness(t.pointers, t.blocks, self._gradients, stiffness * t.slope**2, values)
 
     def elements_on(self, chosen: Booleans) -> Slips | None:
         """Nodes with chosen blocks on their edges."""

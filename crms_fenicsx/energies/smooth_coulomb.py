@@ -46,3 +46,8 @@ def secant_stiffness(slip: Array, bound: Array, eps: Array) -> Array:
     """
     y = np.abs(slip) / eps
     return np.asarray(bound / eps * np.where(y < 1.0, 2.0 - y, 1.0 / np.maximum(y, 1.0)))
+
+
+def tangent_stiffness(slip: Array, bound: Array, eps: Array) -> Array:
+    """Second derivatives of the potentials by the slips, (n,) (force/length)."""
+    return np.asarray(2 * bound / eps * np.maximum(1 - np.abs(slip) / eps, 0.0))

@@ -14,6 +14,7 @@ from crms_fenicsx.contact.lift_off import sunk
 from crms_fenicsx.equilibrium.contact_loop import ContactLoop
 from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.minimization.outcome import Outcome
+from crms_fenicsx.paths.crossing_trials import CrossingTrials
 from crms_fenicsx.paths.path_change import PathChange
 from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.paths.vertex_trials import Trial, VertexTrials
@@ -28,6 +29,10 @@ of sound states are below 0.01 on meshes of 9 cells a side.
 
 TENSE = 0.01
 """Kinks (rad) from which on the fold points of a cable with friction are put back in place."""
+
+CLEAR = 1e-7
+"""Energy, relative to the sum of all kinds, by which another way of crossing cables must be lower:
+rough states of the same way differ by less."""
 
 MAX_PATHS = 60
 """How many sets of paths are tried in one load step before it is given up."""
@@ -85,6 +90,7 @@ class PathLoop:
             Whether a state near the equilibrium is enough.
         """
         tried, trials = self.tried, VertexTrials(self.change, self.tried)
+        others = CrossingTrials(self.change, tried)
         best = self._try(h0_prestress, rough)
         total, flips = best.outcome, best.flips
         laid_again: set[int] = set()
@@ -92,6 +98,7 @@ class PathLoop:
         settled = True  # the potential is that of the best paths, and the scene its equilibrium
         while best.outcome.converged:
             moved: list[Trial] = []
+            other = False
             if not flips:
                 caught: set[int] = set()
                 if settled:
@@ -104,15 +111,15 @@ class PathLoop:
                     laid_again |= caught
                     self.retracer.lay_again(caught)
                 else:
-                    scale = sum(map(abs, self.scene.energies.values()))
                     if tries < MAX_PATHS:
-                        moved = trials.next(best.energy, scale)
-                    if not moved and not settled:
+                        moved = trials.next(best.energy, self._scale())
+                        other = not moved and others.next()
+                    if not moved and not other and not settled:
                         self.system.rebuild()
                         total = total + self.contacts.solve((0.0,), lambda: True)
                         best, settled = replace(best, outcome=total), True
                         continue
-                    if not moved:
+                    if not moved and not other:
                         flips = self._pass_vertices(None)
                         if not flips and not self._straighten_kinks():
                             break
@@ -124,12 +131,16 @@ class PathLoop:
             self.system.rebuild()
             new = self._try((0.0,), rough=True)
             total = total + new.outcome
-            if new.outcome.converged and new.energy < best.energy:
+            least = CLEAR * self._scale() if other else 0.0
+            if new.outcome.converged and new.energy < best.energy - least:
                 best, flips, settled = new, new.flips, True
-                if moved:
+                if moved or other:
                     laid_again.clear()
+                    others.accept()
                 continue
-            if not moved:
+            if other:
+                others.reject()
+            elif not moved:
                 tried.count_misled()
             elif trials.halve(moved):
                 tried.refused = refused
@@ -200,6 +211,10 @@ class PathLoop:
         from crms_fenicsx.paths.friction_release import straighten_kinks
 
         return straighten_kinks(self.change, self.tried, self.system.caught_nodes(TENSE))
+
+    def _scale(self) -> float:
+        """Sum of the sizes of all kinds of energy (force x length)."""
+        return sum(map(abs, self.scene.energies.values()))
 
     def _caught(self, limit: float) -> set[int]:
         """Numbers of the cables that kink edges by more than a limit (rad), or are tangled."""

@@ -11,6 +11,7 @@ from crms_fenicsx.model.cable_state import CableNode, CableState
 from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.model.sealed_air import SealedAir
+from crms_fenicsx.model.state_warning import StateWarning
 from crms_fenicsx.model.versions import Version
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
@@ -31,6 +32,7 @@ class State:
     crossings: tuple[Crossing, ...]
     joints: tuple[JointState, ...]
     bars: tuple[BarState, ...]
+    warnings: tuple[StateWarning, ...]
 
     @classmethod
     def of(cls, scene: Scene) -> State:
@@ -47,6 +49,7 @@ class State:
             scene.net.crossings,
             tuple(joint.state for joint in scene.joints),
             tuple(bar.state for bar in scene.bars),
+            scene.warnings,
         )
 
     def restore_positions(self, scene: Scene) -> None:
@@ -74,7 +77,7 @@ class State:
         scene.u.x.array[:] = self.u
         scene._pressure, scene._air = self.pressure, self.air
         scene._loads, scene._ponds = self.loads, self.ponds
-        scene.energies = dict(self.energies)
+        scene.energies, scene._warnings = dict(self.energies), self.warnings
         self._restore_frame(scene)
         for cable, was in zip(scene.cables, self.cables, strict=True):
             cable.state = was

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.contributions.added_terms import AddedTermsContribution, force_per_area
@@ -12,16 +15,26 @@ from crms_fenicsx.contributions.contribution import Contribution
 from crms_fenicsx.contributions.loads import MembraneLoadsContribution, PressureContribution
 from crms_fenicsx.contributions.membrane import MembraneContribution, hold, tiny_force
 from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.minimization.chord import is_convex_from
 from crms_fenicsx.minimization.minimizer import Minimizer
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.model.crossing import NodeId
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
     from crms_fenicsx.contributions.bars import BarContribution
     from crms_fenicsx.contributions.cables import CableContribution
     from crms_fenicsx.contributions.ponds import PondContribution
+
+FAR = 0.01
+"""Largest movement in a minimisation, relative to the membrane's size, from which on it is looked
+whether something has snapped through: most load steps of a structure that is up move less."""
+
+ENDLESS = 10.0
+"""Movement under water, relative to the membrane's size, from which on no equilibrium is awaited
+any more: no fabric stretches so far."""
 
 
 class System:
@@ -207,27 +220,29 @@ class System:
         assert self.minimizer is not None
         self.minimizer.atol = tiny_force(self.scene)
         self.minimizer.newton = self._solved
+        if self.ponds is not None:
+            self.minimizer.reach = ENDLESS * self.scene.membrane.size
         self._begin_step()
+        start = self.potential.x.copy()
         try:
             outcome = self.minimizer.solve(h0_prestress, interrupt)
-            self._solved = outcome.converged
-            return outcome
         except PETSc.Error as error:
             if error.__cause__ is not None:  # an error in a callback, or an interrupt
                 raise error.__cause__ from None
             raise
+        self._solved = outcome.converged
+        far = outcome.converged and self._moved(start) > FAR * self.scene.membrane.size
+        return replace(outcome, bent=far and not is_convex_from(self.potential, start))
 
-    def is_unstable_under_water(self) -> bool:
-        """Whether ponds make the present state one that is not stable.
-
-        Collective; see `PondContribution.is_unstable`.
-        """
-        if self.ponds is None:
-            return False
-        assert self.minimizer is not None
-        unstable = self.ponds.is_unstable(self.potential, self.minimizer.h0)
-        self.reset_h0()
-        return unstable
+    def _moved(self, start: Array) -> float:
+        """Largest movement (length) of a vertex or joint since a start. Collective."""
+        way = self.potential.x - start
+        points = [way[: self.unknowns.n_vertices]]
+        if self.bars is not None:
+            points.append(way[self.bars.blocks.joint_blocks])
+        squares = np.concatenate([np.einsum("ni,ni->n", some, some) for some in points])
+        largest = float(squares.max(initial=0.0))
+        return float(self.scene.comm.allreduce(largest, op=MPI.MAX)) ** 0.5
 
     def caught_nodes(self, limit: float) -> set[NodeId]:
         """Fold points at which a folded edge has a kink of more than a limit (rad). Collective."""

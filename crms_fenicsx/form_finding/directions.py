@@ -12,7 +12,7 @@ from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime.arrays import Array
 
 LYING = 0.1
-"""Largest part of a normal in the free directions of a vertex that moves within the surface."""
+"""Part of a direction that supports leave free, up to which there is none."""
 
 
 class Directions:
@@ -62,22 +62,20 @@ class Directions:
     def take(self) -> None:
         """Take the directions of the current shape. Collective."""
         film, free = self._film, self.free[:, :, None] * np.eye(3)
-        normal = _unit(film.growth())
-        lying = np.linalg.norm(np.where(self.free, normal, 0.0), axis=1) < LYING
-        normal = _unit(np.where(self.free & ~lying[:, None], normal, 0.0))
-        tangent = np.zeros_like(normal)
-        for line in self._lines:
-            tangent += film.gathered(line.tangents(len(film.start)))
-        tangent = _unit(np.where(self.free & self.on_cable[:, None], _unit(tangent), 0.0))
+        normal = self._freed(film.growth())
+        along = sum((line.tangents(len(film.start)) for line in self._lines), 0.0 * film.start)
+        tangent = self._freed(film.gathered(along)) * self.on_cable[:, None]
+        held = self.on_cable | self._joint
         self.across = normal[:, :, None] * normal[:, None, :]
-        on_line = self.on_cable | self._joint
-        self.across[on_line] = (free - tangent[:, :, None] * tangent[:, None, :])[on_line]
+        self.across[held] = (free - tangent[:, :, None] * tangent[:, None, :])[held]
         self.within = free - self.across
         self.counted = np.where(self.guided[:, None, None], free, self.across)
         self.along = np.where(self.on_cable[:, None, None], self.within, 0.0)
 
-
-def _unit(vectors: Array) -> Array:
-    """The vectors (n, 3) as unit vectors, those without a length as zero."""
-    lengths = np.linalg.norm(vectors, axis=1)
-    return np.asarray(vectors / np.where(lengths > 0.0, lengths, 1.0)[:, None])
+    def _freed(self, vectors: Array) -> Array:
+        """Free parts of vectors (n, 3) as unit vectors, zero where hardly any part is free."""
+        lengths = np.linalg.norm(vectors, axis=1)
+        parts = np.where(self.free, vectors, 0.0)
+        sizes = np.linalg.norm(parts, axis=1)
+        sizes = np.where(sizes > LYING * lengths, sizes, np.inf)
+        return np.asarray(parts / sizes[:, None])

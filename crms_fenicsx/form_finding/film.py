@@ -95,10 +95,8 @@ class Film:
         if not self.isotropic:
             along = inverse * ufl.as_vector([ufl.dot(a, d) for a in F])
             S += (s1 - s2) * J / ufl.dot(along, C * along) * ufl.outer(along, along)
-        S = (
-            self._stressed * S
-            + self._holding * (s1 + s2) / 4 * ufl.sqrt(ufl.det(G)) * lifted * (C - G) * lifted
-        )
+        elastic = (s1 + s2) / 4 * ufl.sqrt(ufl.det(G)) * lifted * (C - G) * lifted
+        S = self._stressed * S + self._holding * elastic
         v, w = ufl.TestFunction(self.V), ufl.TrialFunction(self.V)
         dv, dw = ([ufl.dot(ufl.grad(f), e) for e in basis] for f in (v, w))
         pairs = [(i, j) for i in (0, 1) for j in (0, 1)]

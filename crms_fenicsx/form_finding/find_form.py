@@ -34,6 +34,8 @@ logger = logging.getLogger("crms_fenicsx")
 TOLD, COARSE = 0.05, 0.1
 """Difference of section forces from those prescribed, relative to the largest of them, that is
 told, and that a mesh may make; where those along warp and weft differ, by as much on top."""
+DISTURBED = 0.01
+"""Relative change of area and forces by what holds the vertices that is told."""
 
 
 @collective
@@ -44,7 +46,7 @@ def find_form(
     fixed: Sequence[str] | Mapping[str, str],
     lifted: Mapping[str, Lift] | None = None,
     cables: Sequence[FormCable] = (),
-    warp: Direction | Mapping[str, Direction] = (1.0, 0.0, 0.0),
+    warp: Direction | Mapping[str, Direction] | None = None,
     pressure: float | None = None,
     volume: float | None = None,
     rise: float | None = None,
@@ -70,7 +72,8 @@ def find_form(
     cables
         Cables along edges of the mesh.
     warp
-        Direction of the warp in space, or of each part; its projection on the surface counts.
+        Direction of the warp in space, or of each part; its projection on the surface counts. By
+        default along x. A scene of the form has it, whether the section forces differ or not.
     pressure
         Inner pressure (force per area) to the membrane's outer side. The rim must be held.
     volume
@@ -97,6 +100,8 @@ def find_form(
     Notes
     -----
     Some updates of the reference (see `Film`) lead from afar to where Newton's method converges.
+    It balances the forces across the surface and across cables; within the surface and along
+    cables it places the vertices. Then an elasticity holds these.
 
     Examples
     --------
@@ -129,13 +134,13 @@ def find_form(
     shape = moved(mesh, membrane.V, membrane.positions())
     residual = film.section_forces(search.holding) - prescribed.tensors(shape)
     deviation = largest_part(residual, film.largest, mesh.comm)
-    _check_deviation(deviation, prescribed, mesh)
     found = tuple(
         FormCableFound(line.cable.group, line.tension, line.length, places_of(membrane, line.ids))
         for line in lines
     )
     reactions = group_sums(membrane, supports, search.support_forces)
     disturbance = _disturbance(membrane, supports, search)
+    _check_deviation(deviation, disturbance, prescribed, mesh)
     return FoundForm(
         shape, prescribed, residual, deviation, disturbance, supports, reactions, found,
         film.area(),
@@ -184,7 +189,9 @@ def _disturbance(membrane: Membrane, supports: Iterable[str], search: FormSearch
     return max(float(changed.max()), moved_by / largest if largest else 0.0)
 
 
-def _check_deviation(deviation: float, stress: PrescribedStress, mesh: MembraneMesh) -> None:
+def _check_deviation(
+    deviation: float, disturbance: float, stress: PrescribedStress, mesh: MembraneMesh
+) -> None:
     """Refuse forms that stand by other section forces than those prescribed."""
     forces = np.array(list(stress.forces.values()))
     incompatible = float(np.ptp(forces, axis=1).max() / forces.max())
@@ -193,7 +200,15 @@ def _check_deviation(deviation: float, stress: PrescribedStress, mesh: MembraneM
             f"find_form: the nearest form has section forces that differ by {deviation:.0%} from "
             f"those prescribed; {NO_FORM} Or the mesh is too coarse for its curvature."
         )
-    if deviation > TOLD and mesh.comm.rank == 0:
+    if mesh.comm.rank > 0:
+        return
+    if disturbance > DISTURBED:
+        logger.warning(
+            "find_form: residual section forces change the area, cables, pressure or supports' "
+            "forces of the form by up to %.1f %%: take a finer mesh, or a start mesh nearer to it",
+            100 * disturbance,
+        )
+    if deviation > TOLD:
         logger.warning(
             "find_form: section forces of the form differ from those prescribed by up to %.0f %%: "
             "the mesh is coarse, or different ones along warp and weft do not balance each other",

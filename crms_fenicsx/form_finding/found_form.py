@@ -105,7 +105,7 @@ class FoundForm:
         if self.cables:
             tensions = span(list(self.tensions.values()))
             words.append(f"{counted(len(self.cables), 'cable')}, tension {tensions}")
-        words.append(f"deviation {self.deviation:.2g}")
+        words += [f"deviation {self.deviation:.2g}", f"disturbance {self.disturbance:.2g}"]
         return f"FoundForm({'; '.join(words)})"
 
     @property
@@ -136,8 +136,10 @@ class FoundForm:
         Parameters
         ----------
         material
-            Material of the membrane, or of each part; its prestress is replaced by the section
-            forces of the form, and where these differ along warp and weft its warp direction.
+            Material of the membrane, or of each part. Its prestress is replaced by the section
+            forces of the form, and its warp by the one given to `find_form`, or where these forces
+            differ along warp and weft by the form's; it must not name another. Where nothing of
+            this names a warp, the material's stays.
         cables
             What the cables are made of, one for all or each by name.
         bars
@@ -148,8 +150,8 @@ class FoundForm:
         Raises
         ------
         InputError
-            On all ranks: materials that do not fit, a cable that is missing or not known, or bars
-            that do not balance the form.
+            On all ranks: materials that do not fit or name another warp, a cable that is missing
+            or not known, or bars that do not balance the form.
 
         Examples
         --------

@@ -133,8 +133,8 @@ class LinearSystem:
         return self._way.array.reshape(-1, 3).copy()
 
     def bordered(
-        self, forces: Array, columns: list[Array], rows: list[Array], diagonal: list[float],
-        gaps: Array, start: Array,
+        self, forces: Array, start: Array, columns: list[Array], rows: list[Array],
+        diagonal: list[float], gaps: Array,
     ) -> tuple[Array, list[Array], Array]:  # fmt: skip
         """Solve with unknowns that have an equation each, by block elimination. Collective.
 
@@ -142,12 +142,12 @@ class LinearSystem:
         ----------
         forces
             Forces (n, 3).
+        start
+            Displacements (n, 3) that are prescribed.
         columns, rows, diagonal
             Forces (n, 3) of the other unknowns, and derivatives of their equations.
         gaps
             Errors of these equations.
-        start
-            Displacements (n, 3) that are prescribed.
 
         Returns
         -------

@@ -19,14 +19,17 @@ from crms_fenicsx.runtime.progress import progress
 
 TOLERANCE = 1e-12
 """Unbalanced force, relative to the forces in the cells, and error of what is prescribed."""
-BALANCED, SMALL = 1e-7, 0.1
+BALANCED, SMALL = 1e-6, 0.1
 """Unbalanced force across the form from which on vertices are held: relative to the forces in the
 cells, and to the unbalanced force within it."""
-UPDATES, MOST = 3, 200
+UPDATES, MOST = 2, 200
 """Updates of the reference before Newton's method is tried, and most iterations of either."""
 FALLEN, FALLING = 0.5, 0.9
 """Largest part of the residual that an iteration of Newton's method leaves, to be any good: alone,
 and where an elasticity damps it."""
+MUCH = 0.05
+"""Largest section force of the elasticity that holds vertices, relative to those prescribed, from
+which on they are let go once more."""
 WEAKEST, STRONGEST = 1.0, 10.0
 """Modulus of the elasticity that damps Newton's method, as those that hold vertices."""
 THINNEST = 1e-3
@@ -96,6 +99,7 @@ class FormSearch:
         """Those of the form before the vertices were held."""
         self._damping = 0.0
         self._held_at = self._state()
+        self._share = np.inf
 
     def _begin(self, line: EdgeLine) -> None:
         """Give a cable a tension to begin with: what is not known for an arc of its length."""
@@ -140,6 +144,9 @@ class FormSearch:
                     updates = self._try_harder(before, wait)
                     wait = max(wait, updates)
                     found = self._measure()
+                if self.holding and found <= TOLERANCE and self._may_move_on():
+                    self.holding, self.film.modulus = False, SOFTEST
+                    found = self._measure()
                 error = self._hold() if self._may_hold(newton and updates == 0) else found
                 if error < best:
                     bar.advance(np.log10(best / max(error, TOLERANCE)), f"residual {error:.1e}")
@@ -149,6 +156,17 @@ class FormSearch:
     def _may_hold(self, newton: bool) -> bool:
         """Whether the form is found but for the places of vertices within it."""
         return newton and not self.holding and self._across < max(BALANCED, SMALL * self._within)
+
+    def _may_move_on(self) -> bool:
+        """Whether vertices that were held moved to where less of what holds them is needed.
+
+        Collective.
+        """
+        film = self.film
+        share = film.section_forces(True) - film.section_forces(False)
+        own = float(np.abs(share).max(initial=0.0)) / film.largest
+        before, self._share = self._share, self.comm.allreduce(own, op=MPI.MAX)
+        return film.isotropic and MUCH < self._share < FALLING * before
 
     def _hold(self) -> float:
         """Hold the vertices within the form where they are; return the residual. Collective."""
@@ -162,6 +180,10 @@ class FormSearch:
         self._go_back(self._held_at if self.holding else before)
         if self.holding and self.film.modulus < STIFFEST:
             self.film.modulus *= 10.0
+            return 0
+        if not self.holding and not self.film.isotropic:
+            self._measure()
+            self._hold()  # balanced across alone there may be no form
             return 0
         if not self.holding and self._damping < STRONGEST:
             self._damping = max(10.0 * self._damping, WEAKEST)
@@ -260,9 +282,8 @@ class FormSearch:
             forces = forces + self.system.times(start)
         self.system.factorise()
         columns, rows, diagonal = self._border(pulls, growth)
-        way, ways, change = self.system.bordered(
-            -forces, columns, rows, diagonal, self._gaps, start
-        )
+        border = (columns, rows, diagonal, self._gaps)
+        way, ways, change = self.system.bordered(-forces, start, *border)
         for k, line in enumerate(self._found):
             change[k] = np.clip(change[k], (1 / JUMP - 1) * line.tension, JUMP * line.tension)
             line.tension += float(change[k])

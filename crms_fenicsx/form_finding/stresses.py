@@ -10,6 +10,7 @@ import numpy as np
 
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.meshes.cell_geometry import cell_normals
+from crms_fenicsx.meshes.part_names import outer_first
 from crms_fenicsx.model.materials import IsotropicMembrane, MembraneMaterial, OrthotropicMembrane
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Integers
@@ -22,7 +23,9 @@ Materials = MembraneMaterial | Mapping[str, MembraneMaterial]
 WHOLE = ""
 """What stands for the whole membrane where parts have names."""
 NORMAL = 1e-10
-"""Cosine below one at which a direction is normal to a cell."""
+"""Cosine below one at which directions are the same, or one is normal to a cell."""
+ALONG_X = (1.0, 0.0, 0.0)
+"""The warp where none is given, of a form and of a material."""
 
 
 @dataclass(frozen=True)
@@ -34,19 +37,22 @@ class PrescribedStress:
     forces
         Section forces (s1, s2) (force per length) by part; by `WHOLE` of the whole membrane.
     warps
-        Warp directions in space by part.
+        Warp directions in space by part; None where none is given: along x, if it matters.
     cell_forces, directions
         Both of the local cells, (n, 2) and (n, 3).
     """
 
     forces: dict[str, tuple[float, float]]
-    warps: dict[str, Direction]
+    warps: dict[str, Direction | None]
     cell_forces: Array
     directions: Array
 
     @classmethod
     def of(
-        cls, mesh: MembraneMesh, stress: Stress, warp: Direction | Mapping[str, Direction]
+        cls,
+        mesh: MembraneMesh,
+        stress: Stress,
+        warp: Direction | Mapping[str, Direction] | None,
     ) -> PrescribedStress:
         """Check what the user gave. Collective.
 
@@ -58,19 +64,25 @@ class PrescribedStress:
         """
         by_part = dict(stress) if isinstance(stress, Mapping) else {WHOLE: stress}
         forces = {part: _pair(part, value) for part, value in by_part.items()}
-        given = dict(warp) if isinstance(warp, Mapping) else dict.fromkeys(forces, warp)
+        given: dict[str, Direction | None] = (
+            dict(warp) if isinstance(warp, Mapping) else dict.fromkeys(forces, warp)
+        )
         if given.keys() != forces.keys():
             raise InputError(
                 f"find_form: warp is given for {_names(given)}, but stress for {_names(forces)}; "
                 "give both for the same parts, or one direction for all."
             )
         for part, direction in given.items():
+            if direction is None:
+                continue
             if not checks.vector(f"find_form: warp{_of(part)}", direction).any():
                 raise InputError(
                     f"find_form: warp{_of(part)} = {direction} is no direction; one is not zero."
                 )
         number = _part_numbers(mesh, list(forces))
-        values, ways = np.array(list(forces.values())), np.array(list(given.values()), dtype=float)
+        values = np.array(list(forces.values()))
+        along = [ALONG_X if given[part] is None else given[part] for part in forces]
+        ways = np.array(along, dtype=float)
         found = cls(forces, given, values[number], ways[number])
         found._check_warps(mesh)
         return found
@@ -131,15 +143,34 @@ class PrescribedStress:
                 "whose prestress cannot be set; give an IsotropicMembrane or OrthotropicMembrane."
             )
         s1, s2 = self.forces[part]
-        if s1 == s2:
-            return dataclasses.replace(material, prestress=s1)
         if isinstance(material, IsotropicMembrane):
+            if s1 == s2:
+                return dataclasses.replace(material, prestress=s1)
             raise InputError(
                 f"FoundForm.scene: the material{_of(owner)} is isotropic, but has the section "
                 f"forces {(s1, s2)} along warp and weft; give an OrthotropicMembrane."
             )
-        x, y, z = (float(value) for value in self.warps[part])
-        return dataclasses.replace(material, prestress=(s1, s2), warp=(x, y, z))
+        prestress = s1 if s1 == s2 else (s1, s2)
+        given = self.warps[part]
+        if given is None and s1 == s2:
+            return dataclasses.replace(material, prestress=prestress)
+        x, y, z = (float(value) for value in (ALONG_X if given is None else given))
+        if not _named_alike(material.warp, (x, y, z)):
+            raise InputError(
+                f"FoundForm.scene: the material{_of(owner)} has the warp {material.warp}, but the "
+                f"form {(x, y, z)}; give it to find_form only."
+            )
+        return dataclasses.replace(material, prestress=prestress, warp=(x, y, z))
+
+
+def _named_alike(own: object, form: tuple[float, float, float]) -> bool:
+    """Whether a material names no warp (that along x is what it has if none is given), or the
+    form's."""
+    if callable(own):
+        return False
+    a, b = np.asarray(own, dtype=float), np.asarray(form)
+    size = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return bool(np.array_equal(a, ALONG_X) or abs(a @ b) >= (1 - NORMAL) * size)
 
 
 def _of(part: str) -> str:
@@ -165,16 +196,14 @@ def _part_numbers(mesh: MembraneMesh, parts: list[str]) -> Integers:
     n = cells.size_local + cells.num_ghosts
     if parts == [WHOLE]:
         return np.zeros(n, dtype=np.int64)
-    count, number = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
+    inner_last = outer_first(mesh, "find_form", "stress", parts)
+    number = np.full(n, -1)
     with raised_together(mesh.comm):
-        for k, part in enumerate(parts):
-            own = checks.named("part", mesh.parts, part)
-            count[own] += 1
-            number[own] = k
-        for bad, what in ((count == 0, "no"), (count > 1, "more than one")):
-            if bad.any():
-                raise InputError(
-                    f"find_form: {np.count_nonzero(bad)} cells have {what} stress, with that of "
-                    f"{_names(dict.fromkeys(parts))}; give each cell one."
-                )
+        for part in inner_last:
+            number[mesh.parts[part]] = parts.index(part)
+        if (number < 0).any():
+            raise InputError(
+                f"find_form: {np.count_nonzero(number < 0)} cells have no stress, with that of "
+                f"{_names(dict.fromkeys(parts))}; give each cell one."
+            )
     return number

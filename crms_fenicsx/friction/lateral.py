@@ -29,11 +29,18 @@ NOISE = 1e-6
 LEAST_STRAIN = 1e-4
 """Strain of a cable that sets the force by which it is first taken to stick."""
 
+LEAST_RISE = 1e-3
+"""Rise of the tension, relative to it, with which bounds grow: less is that of an idle cable, from
+the smoothing of lengths."""
+
 
 def start_step(cable: LaidCable, shape: StripShape) -> None:
     """Prepare a cable for a load step, if it has friction.
 
-    Of one that has not been in tension yet no bound is known: it is taken to stick first.
+    Of one that has not been in tension yet no bound is known: it is taken to stick first. So that
+    one that is tightened does as well, bounds grow in advance with the tension that it has where it
+    lies: with those of the last step's tension it could slide until it is slack, a state that no
+    friction holds and that keeps itself.
     """
     if cable.cable.sideways is None:
         return
@@ -46,10 +53,15 @@ def start_step(cable: LaidCable, shape: StripShape) -> None:
         bounds = friction.mu * paper_forces(cable)[held_nodes(cable)]
         ways = _ways(cable, grip, shape)
         cable.update(grip=replace(grip, bounds=bounds, moving=ways, known=True))
-    elif not grip.known:
-        elongation = polyline_length(cable.positions[cable.contacts()]) / cable.L0 - 1
-        force = max(cable.tension, cable.cable.EA * max(elongation, LEAST_STRAIN))
-        cable.update(grip=replace(grip, bounds=np.full(len(grip.supports), force)))
+        return
+    elongation = polyline_length(cable.positions[cable.contacts()]) / cable.L0 - 1
+    expected = cable.cable.EA * elongation
+    rises = expected > (1 + LEAST_RISE) * cable.tension
+    if not grip.known or (rises and not (cable.tension > 0.0 and grip.bounds.any())):
+        force = max(cable.tension, expected, cable.cable.EA * LEAST_STRAIN)
+        cable.update(grip=replace(grip, bounds=np.full(len(grip.supports), force), known=False))
+    elif rises:
+        cable.update(grip=replace(grip, bounds=grip.bounds * (expected / cable.tension)))
 
 
 def _ways(cable: LaidCable, grip: Grip, shape: StripShape) -> Array:

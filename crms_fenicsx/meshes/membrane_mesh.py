@@ -7,6 +7,7 @@ import functools
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, ParamSpec
 
@@ -73,6 +74,21 @@ class MembraneMesh:
             if groups
         ]  # fmt: skip
         return f"MembraneMesh({'; '.join(words)})"
+
+    @cached_property
+    def overlaps(self) -> Mapping[tuple[str, str], str | None]:
+        """Of each two parts with common cells the one inside the other, on all ranks; None where
+        neither is, or both are. Collective at first."""
+        names, n = sorted(self.parts), self.mesh.topology.index_map(2).size_local
+        inside = np.zeros((len(names), n), dtype=np.int64)
+        for row, name in zip(inside, names, strict=True):
+            row[self.parts[name][self.parts[name] < n]] = 1
+        common = self.comm.allreduce(inside @ inside.T) if names else inside
+        found: dict[tuple[str, str], str | None] = {}
+        for j, k in zip(*map(np.ndarray.tolist, np.nonzero(np.tril(common, -1))), strict=True):
+            within = [names[i] for i in (j, k) if common[i, i] == common[j, k]]
+            found[names[k], names[j]] = within[0] if len(within) == 1 else None
+        return MappingProxyType(found)
 
     @property
     def comm(self) -> MPI.Intracomm:

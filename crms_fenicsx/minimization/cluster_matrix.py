@@ -8,7 +8,7 @@ from scipy.linalg import lapack
 
 from crms_fenicsx.dofs.block_patterns import BlockPattern
 from crms_fenicsx.dofs.cluster_layout import ClusterLayout
-from crms_fenicsx.minimization.membrane_multigrid import SHIFT
+from crms_fenicsx.minimization.membrane_multigrid import EXACT_SHIFT, SHIFT
 from crms_fenicsx.runtime.arrays import Array, Indices, Integers
 
 
@@ -60,10 +60,11 @@ class ClusterMatrix:
         starts = self._offsets[cluster] + 3 * (self._local[i] * strides + self._local[j])
         return sources, weights, starts, strides
 
-    def close(self) -> None:
+    def close(self, exact: bool = False) -> None:
         """Shift the diagonal a little, and decouple what is not free to move.
 
-        A cluster's shift is from its own stiffness, whichever others are here.
+        A cluster's shift is from its own stiffness, whichever others are here; it is less for
+        second derivatives.
         """
         layout, n = self.layout, self.layout.n_clusters
         traces = np.maximum(self._values[self._diagonal].sum(axis=1), 0.0)
@@ -71,7 +72,8 @@ class ClusterMatrix:
         logs = np.bincount(layout.cluster[stiff], np.log(traces[stiff]), n)
         count = np.bincount(layout.cluster[stiff], minlength=n)
         means = np.exp(logs / np.maximum(count, 1))[layout.cluster]
-        self._values[self._diagonal] += SHIFT * (traces + means)[:, None]
+        part = EXACT_SHIFT if exact else SHIFT
+        self._values[self._diagonal] += part * (traces + means)[:, None]
         for block, component in np.argwhere(layout.held):
             K, at = self._matrix_at(block)
             K[at + component] = K[:, at + component] = 0.0

@@ -22,7 +22,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.minimization.membrane_multigrid import (
+    EXACT_SHIFT,
     MULTIGRID,
+    SHIFT,
     MembraneMultigrid,
     block_traces,
     set_defaults,
@@ -93,6 +95,8 @@ class InitialHessian:
     ----------
     matrix : PETSc.Mat
         K.
+    shift : (n_owned,)
+        What was last added to the diagonals of K's owned blocks (force/length).
     """
 
     def __init__(self, potential: Potential, prefix: str) -> None:
@@ -126,6 +130,7 @@ class InitialHessian:
         self._outer: PETSc.KSP | None = None
         self._new = True
         self._stiffness: Array = np.zeros(0)
+        self.shift: Array = np.zeros(0)
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
@@ -200,7 +205,7 @@ class InitialHessian:
         sizes = np.array([traces.max(initial=0.0), unknowns.n_rails])
         unknowns.comm.Allreduce(MPI.IN_PLACE, sizes, op=MPI.MAX)
         largest = float(sizes[0]) if sizes[0] > 0 else 1.0
-        shift_diagonal(A, traces)
+        self.shift = shift_diagonal(A, traces, EXACT_SHIFT if exact else SHIFT)
         if sizes[1]:
             stiffen_across_rails(A, unknowns, largest)
         rows = np.flatnonzero(held) + 3 * unknowns.start

@@ -225,4 +225,4 @@ class LocalPotential:
         for term, sums in zip(self.terms, self._sums, strict=True):
             (term.add_hessian if exact else term.add_stiffness)(self.x, sums, A)
             term.add_dyads(self.x, sums, A)
-        A.close()
+        A.close(exact)

@@ -34,6 +34,11 @@ SHIFT = 1e-9
 of all. The largest trace alone, that of a cable's segment much shorter than a cell, would slow down
 the soft sideways motion of whole cables."""
 
+EXACT_SHIFT = 1e-12
+"""The same for second derivatives, which are of use only if definite without it: so much more than
+their rounding. On a stiff membrane a cable is held sideways by less than `SHIFT` of the stiffness
+of the edges that it folds, and Newton's method would take a hundredth of its steps."""
+
 MULTIGRID = {
     "mg_levels_pc_type": "bjacobi",
     "mg_levels_sub_pc_type": "icc",
@@ -61,16 +66,21 @@ def block_traces(matrix: PETSc.Mat, held: npt.NDArray[np.bool_]) -> Array:
     return traces
 
 
-def shift_diagonal(matrix: PETSc.Mat, traces: Array) -> None:
-    """Add to a matrix's diagonal a small part of the owned blocks' traces, (n,), and their mean."""
+def shift_diagonal(matrix: PETSc.Mat, traces: Array, part: float = SHIFT) -> Array:
+    """Add to a matrix's diagonal a small part of the owned blocks' traces, (n,), and their mean.
+
+    Returns what was added to each block, (n,).
+    """
     some = np.log(traces[traces > 0.0])
     total = np.array([some.sum(), len(some)])
     matrix.getComm().tompi4py().Allreduce(MPI.IN_PLACE, total)
     mean = float(np.exp(total[0] / total[1])) if total[1] else 1.0
     added = matrix.createVecLeft()
-    added.array[:] = np.repeat(SHIFT * (np.maximum(traces, 0.0) + mean), 3)
+    shift: Array = part * (np.maximum(traces, 0.0) + mean)
+    added.array[:] = np.repeat(shift, 3)
     matrix.setDiagonal(added, PETSc.InsertMode.ADD_VALUES)
     added.destroy()
+    return shift
 
 
 def tell_rigid_motions(matrix: PETSc.Mat, potential: Potential) -> None:

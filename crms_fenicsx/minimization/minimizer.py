@@ -110,8 +110,9 @@ class Minimizer:
     ) -> None:
         self.potential = potential
         self.rtol, self.atol, self.max_stages = rtol, atol, max_stages
-        self.newton = True
-        """Whether Newton's method may take over where quasi-Newton stages come to little."""
+        self.newton, self.reach = True, math.inf
+        """Whether Newton's method may take over where quasi-Newton stages come to little, and how
+        far vertices may be from where they are stress-free (length)."""
         comm = potential.comm
         self.h0 = InitialHessian(potential, prefix + "h0_")
         self._x, self._g, self._x0, self._g0, self._step = (
@@ -379,6 +380,10 @@ class Minimizer:
             return REASONS[-4]
         if self._interrupted:
             return "interrupted"
+        x = self.potential.x[: self.potential.unknowns.n_vertices]
+        far = self.reach < math.inf and float(np.abs(x).max(initial=0.0)) > self.reach
+        if self.potential.comm.allreduce(far, op=MPI.LOR):
+            return endings.ENDLESS
         return "converged" if residual <= tolerance else ""
 
     def _choose_method(self, stages: float, residual: float) -> None:

@@ -18,6 +18,9 @@ REASONS = {
     -8: "stopped by the user",
 }
 
+ENDLESS = "the membrane moves without end"
+"""Why a minimisation is given up that has gone too far."""
+
 DROWNED = (
     ", where forces cancel to their rounding ({:.2g}): a tension, a penalty or a stiffness is too "
     "large for the loads"
@@ -52,6 +55,9 @@ class Outcome:
         circles and were left at that.
     scale
         The scene's own force, to which the tolerance is relative unless rounding is larger.
+    bent
+        Whether the energy was found not to be convex on the way of a minimisation: something may
+        have snapped through.
     """
 
     converged: bool
@@ -67,6 +73,7 @@ class Outcome:
     passes: int = 0
     unsettled: float = 0.0
     scale: float = 0.0
+    bent: bool = False
 
     def __repr__(self) -> str:
         """In a line."""
@@ -92,4 +99,5 @@ class Outcome:
             self.passes + other.passes,
             other.unsettled,
             other.scale,
+            self.bent or other.bent,
         )

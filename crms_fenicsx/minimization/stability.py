@@ -16,46 +16,118 @@ from petsc4py import PETSc
 
 from crms_fenicsx.minimization.initial_hessian import WORKSPACE, InitialHessian
 from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.runtime.arrays import Array, Indices
 
 NEGATIVE_PIVOTS = 12
 """Where MUMPS's global information has their number."""
 
 
-def negative_eigenvalues(potential: Potential, h0: InitialHessian) -> int:
-    """Number of ways in which the energy falls from an equilibrium. Collective.
+class ExactTangent:
+    """The second derivatives of a potential at its state, factorised. Collective.
 
     Parameters
     ----------
     potential
-        In an equilibrium; it is evaluated there.
+        It is evaluated in its state.
     h0
         Its matrix is used, and has to be rebuilt afterwards.
+    springs : (n_owned,)
+        Stiffness, of either sign, that is added to the diagonal of some owned blocks, and what
+        `h0` puts there taken away (force/length); NaN at all others.
+
+    Attributes
+    ----------
+    negative
+        Number of ways in which the energy falls.
     """
-    potential.evaluate()
-    held, n = h0.assemble(exact=True), potential.unknowns.n_owned
-    h0.matrix.setOption(PETSc.Mat.Option.SPD, False)
-    h0.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-    pc = PETSc.PC().create(potential.comm)
-    pc.setOperators(h0.matrix)
-    pc.setType(PETSc.PC.Type.CHOLESKY)
-    pc.setFactorSolverType("mumps")
-    pc.setFactorSetUpSolverType()
-    pc.getFactorMatrix().setMumpsIcntl(14, WORKSPACE)
-    pc.setUp()
-    negative = int(pc.getFactorMatrix().getMumpsInfog(NEGATIVE_PIVOTS))
-    dyads = list(potential.dyads())
-    columns, products = np.zeros((len(dyads), 3 * n)), np.zeros((len(dyads), len(dyads)))
-    column, solved = h0.matrix.createVecs()
-    for k, (term, number, _) in enumerate(dyads):
-        potential.dyad_column(term, number)
-        potential.g[:n][held] = 0.0
-        columns[k] = potential.g[:n].ravel()
-    for k in range(len(dyads)):
-        column.array[:] = columns[k]
-        pc.apply(column, solved)
-        products[k] = columns @ solved.array
-    for thing in (pc, column, solved):
-        thing.destroy()
-    potential.comm.Allreduce(MPI.IN_PLACE, products, op=MPI.SUM)
-    inner = np.diag([1 / value for _, _, value in dyads]) + (products + products.T) / 2
-    return negative + int(np.sum(np.linalg.eigvalsh(inner) > 0.0)) - len(dyads)
+
+    def __init__(
+        self, potential: Potential, h0: InitialHessian, springs: Array | None = None
+    ) -> None:
+        self.potential = potential
+        potential.evaluate()
+        self._held, A = h0.assemble(exact=True), h0.matrix
+        if springs is not None:
+            diagonal = A.getDiagonal()
+            free = ~np.isnan(springs)[:, None] & ~self._held
+            change = (np.nan_to_num(springs) - h0.shift)[:, None]
+            diagonal.array[:] += np.where(free, change, 0.0).ravel()
+            A.setDiagonal(diagonal)
+            diagonal.destroy()
+        A.setOption(PETSc.Mat.Option.SPD, False)
+        A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self._matrix, self._pc = A, PETSc.PC().create(potential.comm)
+        self._pc.setOperators(A)
+        self._pc.setType(PETSc.PC.Type.CHOLESKY)
+        self._pc.setFactorSolverType("mumps")
+        self._pc.setFactorSetUpSolverType()
+        self._pc.getFactorMatrix().setMumpsIcntl(14, WORKSPACE)
+        self._pc.setUp()
+        self._pc.setReusePreconditioner(True)  # the matrix may become another one
+        negative = int(self._pc.getFactorMatrix().getMumpsInfog(NEGATIVE_PIVOTS))
+        values = [(term, number, value) for term, number, value in potential.dyads()]
+        n = potential.unknowns.n_owned
+        self._columns = np.zeros((len(values), 3 * n))
+        for column, (term, number, _) in zip(self._columns, values, strict=True):
+            potential.dyad_column(term, number)
+            potential.g[:n][self._held] = 0.0
+            column[:] = potential.g[:n].ravel()
+        self._solved = self._apply(self._columns)
+        products = self._products(self._columns, self._solved)
+        self._stiffness = np.array([value for _, _, value in values])
+        self._inner = np.diag(1 / self._stiffness) + (products + products.T) / 2
+        positive = int(np.sum(np.linalg.eigvalsh(self._inner) > 0.0))
+        self.negative = negative + positive - len(values)
+
+    def destroy(self) -> None:
+        """Free the PETSc objects."""
+        self._pc.destroy()
+
+    def compliance(self, blocks: Indices) -> Array:
+        """Displacements of blocks by unit forces on them, (3 k, 3 k) (length/force). Collective.
+
+        Parameters
+        ----------
+        blocks : (k,)
+            Local blocks on the first rank; of others only their number counts.
+        """
+        potential, unknowns = self.potential, self.potential.unknowns
+        n, first = unknowns.n_owned, potential.comm.rank == 0
+        found: Array = np.zeros((3 * len(blocks), 3 * len(blocks)))
+        for k in range(3 * len(blocks)):
+            potential.g[:] = 0.0
+            if first:
+                potential.g[blocks[k // 3], k % 3] = 1.0
+            unknowns.gather_forces(potential.g_vector, potential.g)
+            force = np.where(self._held, 0.0, potential.g[:n]).reshape(1, -1)
+            potential.g[:n] = self._solve(force).reshape(n, 3)
+            unknowns.update_ghosts(potential.g_vector)
+            if first:
+                found[k, :] = potential.g[blocks].ravel()
+        return np.asarray(potential.comm.bcast((found + found.T) / 2))
+
+    def _solve(self, vectors: Array) -> Array:
+        """The inverse with the dyads on vectors, (k, 3 n_owned)."""
+        found = self._apply(vectors)
+        if len(self._columns):
+            shares = np.linalg.solve(self._inner, self._products(self._solved, vectors))
+            found -= shares.T @ self._solved
+        return found
+
+    def _apply(self, vectors: Array) -> Array:
+        """``K^-1`` on vectors, (k, 3 n_owned)."""
+        b, y = self._matrix.createVecs()
+        found = np.zeros_like(vectors)
+        for k, vector in enumerate(vectors):
+            b.array[:] = vector
+            self._pc.apply(b, y)
+            found[k, :] = y.array_r
+        b.destroy()
+        y.destroy()
+        return found
+
+    def _products(self, a: Array, b: Array) -> Array:
+        """Products of vectors, (k, m)."""
+        products = np.ascontiguousarray(a @ b.T)
+        self.potential.comm.Allreduce(MPI.IN_PLACE, products, op=MPI.SUM)
+        return products

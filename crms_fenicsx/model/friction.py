@@ -25,10 +25,12 @@ class Friction:
         Coefficient for a cable that is at rest, `mu` or more; None: as `mu`.
     along
         Coefficient against sliding along the cable's axis; with one the tension varies along the
-        cable, between two nodes by ``exp(along * angle)`` at most (`LaidCable.tensions`). It sticks
-        and slides independently of `mu`: where a cable does both, the limit of the friction force
-        is a box and not a circle. An unstressed length that changes is taken in or let out at the
-        cable's last end. 0: the cable slides along itself freely, assumption 6 of the paper.
+        cable, between two nodes by ``exp(along * angle)`` at most (`LaidCable.tensions`). The angle
+        is the turn around the membrane; in the pocket of a free edge, which pulls in the surface as
+        well, the whole turn. It sticks and slides independently of `mu`: where a cable does both,
+        the limit of the friction force is a box and not a circle. An unstressed length that changes
+        is taken in or let out at the cable's last end. 0: the cable slides along itself freely,
+        assumption 6 of the paper.
     law
         "coulomb": stick and slip. "step": the paper's friction element (section 3.3), whose force
         keeps its direction and size in a load step (assumption 7), so that nothing can stick: a

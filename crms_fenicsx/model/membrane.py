@@ -13,6 +13,7 @@ from crms_fenicsx.dofs.vertex_places import vertex_places
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.meshes.cell_geometry import OpenEdges, area_vectors, open_edges
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
+from crms_fenicsx.meshes.part_names import outer_first
 from crms_fenicsx.model.materials import LINEAR, UFL_LAW, MembraneMaterial
 from crms_fenicsx.model.strengths import Strengths
 from crms_fenicsx.runtime import checks
@@ -76,6 +77,7 @@ class Membrane:
     ) -> None:
         require_real()
         self.mesh, self.comm = mesh, mesh.comm
+        _ = mesh.overlaps  # known from now on, wherever parts are named
         self.cell_tags, self.materials = _assign_materials(mesh, material)
         self.first_materials = dict(self.materials)
         named = material if isinstance(material, Mapping) else {}
@@ -139,6 +141,11 @@ class Membrane:
     def positions(self) -> Array:
         """Current positions of the vertices by local degree of freedom, (n, 3), with ghosts."""
         return self.stress_free + self.u.x.array.reshape(-1, 3)
+
+    @property
+    def owned_u(self) -> Array:
+        """Displacements of this rank's own vertices, flat: ghosts follow those of other ranks."""
+        return self.u.x.array[: 3 * self.V.dofmap.index_map.size_local]
 
     def check_finite(self, purpose: str) -> None:
         """Refuse to go on from a displacement that is not finite.
@@ -314,28 +321,16 @@ def _assign_materials(
             f"Scene: material = {material!r} is none; give a membrane such as IsotropicMembrane, "
             "or a mapping from the mesh's parts to membranes."
         )
-    given = sorted(material.items(), key=lambda item: repr(item[0]))  # alike on all ranks
     n = mesh.mesh.topology.index_map(2).size_local + mesh.mesh.topology.index_map(2).num_ghosts
     tags = np.full(n, -1, dtype=np.int32)
+    given = [(part, material[part]) for part in outer_first(mesh, "Scene", "material", material)]
     with raised_together(mesh.comm):
         for k, (part, value) in enumerate(given):
-            if part not in mesh.parts:
-                raise InputError(
-                    f"Scene: the mesh has no part {part!r}; it has "
-                    f"{', '.join(sorted(mesh.parts)) or 'none'}."
-                )
             if not isinstance(value, MembraneMaterial):
                 raise InputError(
                     f"Scene: the material of part {part!r} is {value!r}, no MembraneMaterial."
                 )
-            own = mesh.parts[part]
-            if np.any(tags[own] >= 0):
-                shared = next(p for p, _ in given[:k] if np.isin(mesh.parts[p], own).any())
-                raise InputError(
-                    f"Scene: part {part!r} shares cells with part {shared!r}, which has a material "
-                    "as well; give each cell one material."
-                )
-            tags[own] = k
+            tags[mesh.parts[part]] = k
         if np.any(tags < 0):
             raise InputError(
                 f"Scene: {np.count_nonzero(tags < 0)} cells have no material; give one for "

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
+from crms_fenicsx.meshes.membrane_mesh import MembraneMesh
+from crms_fenicsx.meshes.part_names import outer_first
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError
 
@@ -17,7 +20,7 @@ ALL = ""
 
 
 def checked_strengths(
-    call: str, strengths: Strengths | Mapping[str, Strengths], parts: Collection[str]
+    call: str, strengths: Strengths | Mapping[str, Strengths], mesh: MembraneMesh
 ) -> dict[str, Strengths]:
     """Strengths by part, or under `ALL` those of the whole membrane.
 
@@ -27,20 +30,21 @@ def checked_strengths(
         What they are given to, for messages.
     strengths
         One pair, or one of each part by its name.
-    parts
-        Names of the mesh's parts.
+    mesh
+        The mesh.
 
     Raises
     ------
     InputError
-        A part that does not exist, or strengths that are not two positive numbers.
+        A part that does not exist, parts with common cells of which neither is inside the other, or
+        strengths that are not two positive numbers.
     """
-    given = strengths if isinstance(strengths, Mapping) else {ALL: strengths}
+    given: dict[str, Any] = {ALL: strengths}
+    if isinstance(strengths, Mapping):
+        parts = outer_first(mesh, call, "pair of strengths", strengths)
+        given = {part: strengths[part] for part in parts}
     found = {}
     for part, pair in given.items():
-        if part not in parts and isinstance(strengths, Mapping):
-            known = ", ".join(sorted(parts)) or "(none)"
-            raise InputError(f"{call}: the mesh has no part {part!r}; it has the parts {known}.")
         owner = repr(part) if isinstance(strengths, Mapping) else "the membrane"
         if np.shape(pair) != (2,):
             raise InputError(

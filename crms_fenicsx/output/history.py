@@ -13,6 +13,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from crms_fenicsx.output.csv_text import escaped, unescaped
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import absolute, make_writable, read_text, readable, replaced
 from crms_fenicsx.runtime.text import counted
@@ -27,7 +28,8 @@ class History:
     """Rows of named values; the file is complete after each row.
 
     A row may bring new columns (a cable that is laid later); rows without them hold NaN there, or
-    "" in a column of text. Floats are written with all their digits.
+    "" in a column of text. Floats are written with all their digits, and texts that a spreadsheet
+    would take for a formula with an apostrophe before them, which `read` takes away.
 
     Parameters
     ----------
@@ -186,9 +188,9 @@ class History:
                     f"{len(columns)} columns; was it edited?"
                 )
         history = cls(None, MPI.COMM_SELF)
-        history._columns = columns
+        history._columns = [unescaped(column) for column in columns]
         history._rows = [{} for _ in rows]
-        for index, column in enumerate(columns):
+        for index, column in enumerate(history._columns):
             values = _parsed([row[index] for row in rows])
             for target, value in zip(history._rows, values, strict=True):
                 if value != "":
@@ -219,9 +221,9 @@ def _plain(column: str, value: object) -> Value:
     raise InputError(f"column {column!r} got {value!r}; give an int, a float or text")
 
 
-def _line(values: object) -> str:
+def _line(values: Iterable[object]) -> str:
     buffer = io.StringIO()
-    csv.writer(buffer, lineterminator="\n").writerow(values)  # type: ignore[arg-type]
+    csv.writer(buffer, lineterminator="\n").writerow(map(escaped, values))
     return buffer.getvalue()
 
 
@@ -233,4 +235,4 @@ def _parsed(texts: list[str]) -> list[Value]:
             continue
         if not any("_" in text for text in texts):  # Python reads "1_2" as 12
             return values
-    return list(texts)
+    return [unescaped(text) for text in texts]

@@ -45,6 +45,7 @@ class Recorder:
         pressure), "tension", "length" and "L0" of each cable by its name ("tension cable 1"; with
         friction along it also "tension cable 1 start" and "... end"), "force", "bar length" and
         "bar L0" of each bar by its name,
+        "warnings" (what a step has warned of, once one has),
         "blocked points" (fold points that have run into a vertex), and what the solve took:
         "iterations",
         "evaluations", "factorizations", "solves", "flips", "residual" (force), "seconds". With
@@ -164,6 +165,8 @@ class Recorder:
             row[f"bar L0 {bar.name}"] = bar.L0
         if scene.cables or "blocked points" in self.history.columns:
             row["blocked points"] = sum(len(cable.blocked) for cable in scene.cables)
+        if step.warnings:
+            row["warnings"] = "; ".join(map(str, step.warnings))
         row["iterations"] = outcome.iterations
         row["evaluations"] = outcome.evaluations
         row["factorizations"] = outcome.factorizations

@@ -33,6 +33,8 @@ class TriedPaths:
     left
         Runs of vertices that were left, and taken again: 1 for those left to the cable's left or
         -1, and the vertices.
+    ways
+        Other ways of crossing cables; see `crms_fenicsx.paths.crossing_trials`.
     at : (n, 3)
         Where the cable was at the end of a load step (length); one that has hardly moved since is
         still compared to where it was, so that it cannot creep away.
@@ -52,6 +54,7 @@ class TriedPaths:
 
     refused: dict[str, set[Corridor]] = field(default_factory=dict)
     left: dict[str, set[tuple[int, ...]]] = field(default_factory=dict)
+    ways: dict[str, set[tuple[object, ...]]] = field(default_factory=dict)
     at: dict[str, Array] = field(default_factory=dict)
     L0: dict[str, float] = field(default_factory=dict)
     released: set[ContactKey] = field(default_factory=set)
@@ -78,7 +81,7 @@ class TriedPaths:
 
     def forget(self, name: str) -> None:
         """Forget all of a cable."""
-        for table in (self.refused, self.left, self.at, self.L0):
+        for table in (self.refused, self.left, self.ways, self.at, self.L0):
             table.pop(name, None)
         for keys in (self.released, self.settled):
             keys -= {key for key in keys if name in key}
@@ -101,6 +104,7 @@ class TriedPaths:
             if self.has_moved(cable):
                 self.refused.pop(cable.name, None)
                 self.left.pop(cable.name, None)
+                self.ways.pop(cable.name, None)
                 self._forget_ways(cable.name)
 
     def has_moved(self, cable: LaidCable) -> bool:

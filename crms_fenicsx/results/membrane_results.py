@@ -126,7 +126,8 @@ class MembraneResults:
         Raises
         ------
         InputError
-            A part that does not exist, strengths that are not positive, or none at all.
+            A part that does not exist, parts with common cells, strengths that are not positive, or
+            none at all.
 
         Examples
         --------
@@ -134,7 +135,7 @@ class MembraneResults:
         """
         given = self.membrane.strengths
         if strengths is not None:
-            given = checked_strengths("utilisation", strengths, self.parts)
+            given = checked_strengths("utilisation", strengths, self.membrane.mesh)
         elif not given:
             raise InputError(
                 "utilisation: there are no strengths; give them, or call "

@@ -14,6 +14,7 @@ from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes.triangles import double_areas, norm
 from crms_fenicsx.model.membrane import COMPONENTS, Membrane
 from crms_fenicsx.model.pond import Pond
+from crms_fenicsx.model.state_warning import StateWarning
 from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.results.bar_results import BarResults, bar_results, joint_reactions
@@ -128,6 +129,8 @@ class Summary:
     in_equilibrium
         Whether the scene had not been changed since its last load step; if it had, forces of cables
         and bars and the energy may be those of before, and nothing is in balance.
+    warnings
+        What load steps have warned of in this state, and of snap-throughs before it.
     """
 
     pressure: float
@@ -143,6 +146,7 @@ class Summary:
     joints: Mapping[str, Vector]
     ponds: Mapping[str, Pond]
     in_equilibrium: bool
+    warnings: tuple[StateWarning, ...] = ()
 
     def __repr__(self) -> str:
         """A table: a row for each load, part, cable, bar and support."""
@@ -166,6 +170,7 @@ class Summary:
         rows += [("bar", name, f"force {bar.force:.4g}") for name, bar in self.bars.items()]
         for name, support in self.supports.items():
             rows.append(("support", name, f"total {as_text(support.total)}"))
+        rows += [("warning", one.kind, one.text) for one in self.warnings]
         wide = max(len(name) for _, name, _ in rows)
         return "\n".join(f"{kind:<14}{name:<{wide}}  {text}" for kind, name, text in rows)
 
@@ -212,6 +217,7 @@ def summary(system: System) -> Summary:
         joint_reactions(scene),
         {pond.name: pond for pond in scene.ponds},
         results.in_equilibrium,
+        scene.warnings,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import functools
+import logging
 import pickle
 import sys
 import time
@@ -43,7 +44,11 @@ class ConvergenceError(RuntimeError):
 
 
 class PathWarning(UserWarning):
-    """A cable's fold point has run into a mesh vertex: its path is blocked there."""
+    """A cable is where it cannot go on, or cannot be.
+
+    A fold point has run into a mesh vertex, where its path is blocked; or an end has come to lie
+    under the membrane.
+    """
 
 
 class FrictionWarning(UserWarning):
@@ -58,12 +63,34 @@ class PenaltyWarning(UserWarning):
     """A penalty factor outside the range in which folded elements are stable and do not lock."""
 
 
-class PondWarning(UserWarning):
+class SnapThroughWarning(UserWarning):
+    """No stable equilibria connect a load step's state to the one before.
+
+    Between them the structure has fallen, or been turned inside out. The warning says at which
+    loads.
+    """
+
+
+class InstabilityWarning(UserWarning):
+    """An equilibrium that is not stable: the least disturbance makes the structure leave it."""
+
+
+class PondWarning(InstabilityWarning):
     """Water on a membrane in an equilibrium that is not stable: it would gather on."""
 
 
 class PictureWarning(UserWarning):
     """A mesh too large for a picture, which one process draws from all of it."""
+
+
+def show_warnings() -> None:
+    """Let Python show warnings again, which FFCx has sent to a log when nobody reads it."""
+    logger: logging.Logger | None = logging.getLogger("py.warnings")
+    while logger is not None:
+        if any(not isinstance(one, logging.NullHandler) for one in logger.handlers):
+            return
+        logger = logger.parent
+    logging.captureWarnings(False)
 
 
 def as_text(position: Sequence[float] | Array) -> str:

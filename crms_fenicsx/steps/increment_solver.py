@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from copy import deepcopy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.energies.paper.step_history import StepHistory
+from crms_fenicsx.equilibrium.covered_ends import covered_ends
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.state_warning import StateWarning
 from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.steps.loading import Target, has_free_rim
@@ -22,6 +24,26 @@ from crms_fenicsx.steps.snapshot import Snapshot
 from crms_fenicsx.steps.starting_prestress import starting_prestress
 from crms_fenicsx.verification.report import Verification
 from crms_fenicsx.verification.verifier import Verifier
+
+
+@dataclass(frozen=True)
+class Increment:
+    """What came of an increment.
+
+    Attributes
+    ----------
+    outcome
+        Of its solves.
+    verification
+        What checks of the state say; None where there were none.
+    warnings
+        What makes the state one that is not stable, and cables' ends under the membrane.
+    """
+
+    outcome: Outcome
+    verification: Verification | None = None
+    warnings: tuple[StateWarning, ...] = ()
+
 
 MOST_TURNS = 50
 """Solves of an increment with wind, or with the paper's pressure on a membrane with free edges."""
@@ -99,7 +121,7 @@ class IncrementSolver:
 
     def solve(
         self, target: Target, first: State, before: State, done: float, goal: float, steps: int
-    ) -> tuple[Outcome, Verification | None]:
+    ) -> Increment:
         """Go on with the loads, and find and check the equilibrium there. Collective.
 
         Where there is none, where a check fails and after an error, also an interrupt, the scene is
@@ -116,23 +138,20 @@ class IncrementSolver:
         done, goal, steps
             Steps that are done before and after the increment, and those of the whole call.
 
-        Returns
-        -------
-        Outcome, and what the verification says; None where there was none.
         """
         history = self.scene.step_history
         try:
             target.apply(self.scene, first, done / steps, goal / steps)
             prestress = starting_prestress(self.system, target, (goal - done) / steps)
-            outcome, verification = self._solve(prestress)
+            found = self._solve(prestress)
         except BaseException:
             self._go_back(before, history)
             raise
-        if not outcome.converged:
+        if not found.outcome.converged:
             self._go_back(before, history)
-        return outcome, verification
+        return found
 
-    def _solve(self, h0_prestress: tuple[float, ...]) -> tuple[Outcome, Verification | None]:
+    def _solve(self, h0_prestress: tuple[float, ...]) -> Increment:
         if self._verifier is not None:
             self._verifier.begin()
         outcome, verification = self.search.find(h0_prestress), None
@@ -140,14 +159,32 @@ class IncrementSolver:
             outcome = self._turn_pressure(outcome)
         if outcome.converged and any(load.blows for load in self.scene.loads):
             outcome = self._turn_wind(outcome)
+        hanging = next((pond for pond in self.scene.ponds if pond.volume < 0.0), None)
+        if outcome.converged and hanging is not None:
+            size = f"{hanging.volume:.3g}"
+            reason = f"the pond {hanging.name!r} has the volume {size}, over cells that face down"
+            outcome = replace(outcome, converged=False, reason=reason)
         if self._verifier is not None and outcome.converged:
             verification = self._verifier.check(self.system, outcome)
             if not verification.passed:
                 outcome = replace(outcome, converged=False, reason=str(verification))
+        warnings = self._warnings(outcome) if outcome.converged else ()
+        if self._options.stability == "refuse":
+            unstable = [one.text for one in warnings if one.is_unstable]
+            if unstable:
+                outcome = replace(outcome, converged=False, reason=unstable[0])
         if outcome.converged:
             self.system.commit()
-            self.scene.versions.settle(self.scene.u.x.array, verification)
-        return outcome, verification
+        return Increment(outcome, verification, warnings)
+
+    def _warnings(self, outcome: Outcome) -> tuple[StateWarning, ...]:
+        """What to warn of in the state found. Collective."""
+        found = list(covered_ends(self.scene))
+        if self._options.stability != "ignore" and (self.system.bars or self.system.ponds):
+            from crms_fenicsx.equilibrium.stability import instabilities
+
+            found += instabilities(self.system, outcome.tolerance)
+        return tuple(found)
 
     def _turn_pressure(self, outcome: Outcome) -> Outcome:
         """Repeat a step with the paper's pressure until its forces are normal to the end state.

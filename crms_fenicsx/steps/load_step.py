@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from crms_fenicsx.minimization.outcome import Outcome
+from crms_fenicsx.model.state_warning import StateWarning
 from crms_fenicsx.runtime.text import counted
 from crms_fenicsx.verification.report import Verification
 
@@ -28,6 +29,9 @@ class Step:
     verification
         What checks of the state say that do without the solver; None if it was told not to make
         any. It is not saved with a run.
+    warnings
+        What was warned of in this step: a snap-through and between which loads it was, an
+        equilibrium that is not stable, ends of cables under the membrane.
     """
 
     number: int
@@ -36,6 +40,7 @@ class Step:
     seconds: float
     halvings: int
     verification: Verification | None = field(default=None, compare=False)
+    warnings: tuple[StateWarning, ...] = ()
 
     @property
     def energy(self) -> float:
@@ -48,5 +53,7 @@ class Step:
         words += [f"{self.seconds:.2g} s"]
         words += [counted(self.halvings, "halving")] if self.halvings else []
         if self.verification is not None:
-            words += ["verified" if self.verification.passed else "not verified"]
+            words.append(self.verification.verdict)
+        else:
+            words += dict.fromkeys(one.kind for one in self.warnings)
         return f"Step({self.number}: {', '.join(words)})"

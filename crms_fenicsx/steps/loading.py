@@ -14,6 +14,7 @@ from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.model.bar import PlacedBar
 from crms_fenicsx.model.fan_control import FanControl
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, as_text, raised_together
 from crms_fenicsx.scene import Scene
@@ -64,18 +65,22 @@ class Target:
             else load
             for load in scene.loads
         )
-        scene._ponds = tuple(
-            replace(pond, factor=between(*self.factors[pond.name], share))
-            if pond.name in self.factors
-            else pond
-            for pond in scene.ponds
-        )
+        scene._ponds = self.ponds(scene, share)
         self.pressure.apply(scene, share)
         self.movements.apply(scene, first, before, share)
         for c, start, end in self.lengths:
             scene.cables[c].update(L0=start + share * (end - start))
         for b, start, end in self.bar_lengths:
             scene.bars[b].update(L0=start + share * (end - start))
+
+    def ponds(self, scene: Scene, share: float) -> tuple[Pond, ...]:
+        """A scene's ponds at a share of the way."""
+        return tuple(
+            replace(pond, factor=between(*self.factors[pond.name], share))
+            if pond.name in self.factors
+            else pond
+            for pond in scene.ponds
+        )
 
 
 def checked_target(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from mpi4py import MPI
 
@@ -23,6 +24,7 @@ class Options:
     slide: bool
     verify: bool
     estimate: bool
+    stability: Literal["warn", "refuse", "ignore"] = "warn"
 
 
 def checked_options(
@@ -36,6 +38,7 @@ def checked_options(
     slide: bool,
     verify: bool,
     estimate: bool,
+    stability: Literal["warn", "refuse", "ignore"],
 ) -> Options:
     """Check options that a user gives to a solver. Collective.
 
@@ -47,6 +50,7 @@ def checked_options(
     checks.same(
         comm, "Solver", results=results, resume=resume, prefix=prefix, rtol=rtol,
         max_halvings=max_halvings, slide=slide, verify=verify, estimate=estimate,
+        stability=stability,
     )  # fmt: skip
     if not 0 < checks.finite("Solver: rtol", rtol) < 1:
         raise InputError(f"Solver: rtol = {rtol} must lie between 0 and 1, as 1e-9 does.")
@@ -63,6 +67,10 @@ def checked_options(
             f"Solver: resume = {resume}, but no results: give a folder, where checkpoints go, "
             'as in results="results/dome".'
         )
+    if stability not in ("warn", "refuse", "ignore"):
+        raise InputError(
+            f"Solver: stability = {stability!r} is not known; use 'warn', 'refuse' or 'ignore'."
+        )
     halvings = checks.whole("Solver: max_halvings", max_halvings, 0)
     flags = bool(slide), bool(verify), bool(estimate)
-    return Options(folder, resume, prefix, float(rtol), halvings, *flags)
+    return Options(folder, resume, prefix, float(rtol), halvings, *flags, stability)

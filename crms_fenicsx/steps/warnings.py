@@ -6,19 +6,28 @@ import warnings
 from collections.abc import Sequence
 
 from crms_fenicsx.equilibrium.state import State
-from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.model.pond import Pond
+from crms_fenicsx.model.state_warning import StateWarning
 from crms_fenicsx.runtime.errors import (
     ConvergenceError,
     FrictionWarning,
+    InstabilityWarning,
     PathWarning,
     PondWarning,
+    SnapThroughWarning,
 )
 from crms_fenicsx.scene import Scene
 
-CALLER = 4
+CALLER = 5
 """Level of the stack, from here, of who has called `Solver.advance`."""
+
+CATEGORIES: dict[str, type[UserWarning]] = {
+    "snap-through": SnapThroughWarning,
+    "instability": InstabilityWarning,
+    "pond": PondWarning,
+    "cable end": PathWarning,
+}
 
 
 def warn_of_friction(number: int, scene: Scene, before: State, unsettled: float) -> None:
@@ -73,17 +82,12 @@ def warn_of_blocked(number: int, scene: Scene) -> None:
             )
 
 
-def warn_of_ponds(number: int, system: System) -> None:
-    """Warn of water in an equilibrium that is not stable. Collective."""
-    if system.is_unstable_under_water() and system.scene.comm.rank == 0:
-        names = _names(system.scene.ponds)
-        warnings.warn(
-            f"step {number}: the equilibrium under {names} is not stable: where the membrane sinks "
-            "a little more water gathers than it can carry; give it more prestress or slope, or "
-            "the pond a volume instead of a level.",
-            PondWarning,
-            stacklevel=CALLER,
-        )
+def warn_of_state(number: int, scene: Scene, found: Sequence[StateWarning]) -> None:
+    """Warn of what was found of a step's state."""
+    for one in found:
+        if scene.comm.rank == 0:
+            text = f"step {number}: {one.text}"
+            warnings.warn(text, CATEGORIES[one.kind], stacklevel=CALLER)
 
 
 def _names(ponds: Sequence[Pond]) -> str:
@@ -91,14 +95,36 @@ def _names(ponds: Sequence[Pond]) -> str:
 
 
 def no_equilibrium(
-    number: int, outcome: Outcome, max_halvings: int, done: float, ponds: Sequence[Pond]
-) -> ConvergenceError:
-    """Make the error of a step whose last attempt has failed; `done` of the loads are on."""
+    number: int, outcome: Outcome, max_halvings: int, done: float, failed: Sequence[Pond],
+    ponds: Sequence[Pond],
+) -> ConvergenceError:  # fmt: skip
+    """Make the error of a step whose last attempt has failed.
+
+    Parameters
+    ----------
+    number
+        The step's.
+    outcome
+        What the last attempt came to.
+    max_halvings
+        How often the increment was halved.
+    done
+        Part of the loads that are on.
+    failed, ponds
+        The ponds at the last loads tried, and at those that are on.
+    """
     water = "" if not ponds else (
         f" There may be none under {_names(ponds)}, where water gathers without end: a membrane of "
         "more prestress or slope carries more, a given volume stays as it is. Water that ends at "
         "an edge that is free has none: hold that, or name all parts that are under water."
     )  # fmt: skip
+    rising = [
+        f"{pond.name!r} between {now.factor:.5g} and {pond.factor:.5g}"
+        for pond, now in zip(failed, ponds, strict=True)
+        if pond.factor > now.factor
+    ]
+    if rising:
+        water = f" The limit of the factor is for {', '.join(rising)}.{water}"
     return ConvergenceError(
         f"step {number}: no equilibrium found, {outcome.reason}: unbalanced force "
         f"{outcome.residual:.3g}, tolerance {outcome.tolerance:.3g}, with the increment halved "

@@ -16,25 +16,22 @@ from mpi4py import MPI
 from crms_fenicsx.cables.numbering import CableNumbering
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.contact.contact_force import contact_forces, wrap_angles
-from crms_fenicsx.contact.lift_off import is_foot, may_lift, outward_pulls
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.friction.gripped_nodes import held_nodes
 from crms_fenicsx.meshes.triangles import norm
 from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.tolerances import INSIDE
-from crms_fenicsx.paths.held_vertices import held_runs
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.surface.points import Edge, EdgePoint
-from crms_fenicsx.verification.report import Check
+from crms_fenicsx.verification.cable_forces import contacts, forces, is_tense
+from crms_fenicsx.verification.report import ROUNDED, UNBALANCED, Check
 
 LIMITS = {
     "ends of cable off their place": 1e-9,
     "nodes off their edges": 1e-6,
     "breaks in the path": 0.0,
     "crossing cables apart": 1e-9,
-    "tension against length": 1e-9,
+    "unbalanced forces of cables": UNBALANCED,
+    "tension against length": 1e-6,
     "compression": 0.0,
     "slack cable too short": 1e-9,
     "pull at the ends": 1e-6,
@@ -42,25 +39,23 @@ LIMITS = {
     "depth below the membrane": 1e-3,
     "held by a line of the mesh": 0.03,
     "held by vertices": 0.05,
-    "friction beyond its bound": 0.06,
-    "friction along beyond its bound": 3e-3,
+    "held by edges": 0.3,
+    "friction beyond its bound": 0.1,
+    "friction along beyond its bound": 0.01,
     "negative dissipation": 1e-12,
 }
-"""What is checked of each cable, and how far it may be from true: places relative to the scene or
-the edge, lengths to the unstressed length, tensions to the axial stiffness, other forces to the
-tension, or to the membrane's own nodal forces where those are larger. A cable pulls where it
+"""What is checked of each cable, and how far it may be from true, relative to that cable alone:
+places to its length or to the edge, its length to its elongation, other forces to its tension or to
+those with which it presses on the membrane; see docs/theory/verification.md. A cable pulls where it
 touched down on a point at which it was let go in the same step: there it stays. What holds a cable
-sideways is relative to the force with which it presses there, or on the whole: it would be 0.1 on a
-line of the mesh half a cell beside its place."""
-
-IN_LINE = 3
-"""Vertices in a row from which on they are a line of the mesh."""
+sideways would be 0.1 of its press on a line of the mesh half a cell beside its place."""
 
 CRUDE = {
     "pull on the membrane", "depth below the membrane", "friction beyond its bound",
-    "held by vertices",
+    "held by vertices", "held by edges", "unbalanced forces of cables",
 }  # fmt: skip
-"""Checks that depend on how coarse the mesh is: a state that fails them is doubtful."""
+"""Checks that depend on how coarse the mesh is, or on how small the forces are beside the scene's,
+by which the solver stops: a state that fails them is doubtful."""
 
 
 @dataclass(frozen=True)
@@ -119,19 +114,17 @@ class CableVerifier:
         self._numbering: CableNumbering | None = None
         self._nodes: list[_Nodes] = []
 
-    def check(self, system: System, ends: Array, force: float) -> list[Check]:
+    def check(self, system: System, ends: Array) -> list[Check]:
         """Check all cables. Collective.
 
         Parameters
         ----------
         system
-            The potential that was minimised, with the forces of supports in its gradient.
+            The potential that was minimised, with the unbalanced forces, and those of supports, in
+            its gradient.
         ends : (n, 2, 3)
             Where the cables' first and last nodes were told to be.
-        force
-            The scene's force: norm of one kind of nodal forces.
         """
-        nodal = force / np.sqrt(system.unknowns.n_global)
         assert system.cables is not None
         scene, numbering = system.scene, system.cables.numbering
         if numbering is not self._numbering:
@@ -139,22 +132,21 @@ class CableVerifier:
             points = {edge: len(members) for edge, members in numbering.on_edge.items()}
             self._nodes = [_Nodes.of(cable, numbering.strip, points) for cable in scene.cables]
         shape = scene.net.strip_shape()
-        parts, pulls = _parts_and_pulls(system)
+        parts, pulls, free = _parts_and_forces(system)
         found: dict[str, tuple[float, str]] = {}
         joints = {joint.name: joint.position for joint in scene.joints}
         for c, (cable, nodes) in enumerate(zip(scene.cables, self._nodes, strict=True)):
             for k, name in enumerate(cable.joints):
                 if name is not None:
                     ends[c, k] = joints[name]
-            values = _places(cable, nodes, ends[c], scene.membrane.size, shape)
+            values = _places(cable, nodes, ends[c], shape)
             values["breaks in the path"] = float(nodes.breaks)
             if cable.taut:
                 values |= _tensions(cable, parts[c])
                 values["pull at the ends"] = pulls[c]
                 if not cable.sleeve:
-                    values |= _contacts(cable, nodes, shape, nodal)
-                values |= _held(cable, shape, nodal)
-                values |= _friction(cable, shape, nodal)
+                    values |= contacts(cable, nodes.on, nodes.on_edge, shape)
+                values |= forces(cable, shape, free[c])
             elif cable.cable.law == "total":
                 short = np.linalg.norm(np.diff(cable.positions[cable.contacts()], axis=0), axis=1)
                 strain = float(short.sum()) / cable.L0 - 1
@@ -164,11 +156,11 @@ class CableVerifier:
                 if value >= found.get(name, (0.0, ""))[0]:
                     found[name] = value, cable.name
         apart = [
-            float(np.linalg.norm(np.diff([c.positions[k] for c, k in pair], axis=0)))
-            for pair in _crossings(scene.cables, scene.net.crossings)
+            float(np.linalg.norm(a.positions[i] - b.positions[k])) / min(a.length, b.length)
+            for (a, i), (b, k) in _crossings(scene.cables, scene.net.crossings)
         ]
         if apart:
-            found["crossing cables apart"] = max(apart) / scene.membrane.size, ""
+            found["crossing cables apart"] = max(apart), ""
         names = [name for name in LIMITS if name in found]
         worst = np.array([found[name][0] for name in names])
         scene.comm.Allreduce(MPI.IN_PLACE, worst, op=MPI.MAX)
@@ -178,18 +170,19 @@ class CableVerifier:
         ]
 
 
-def _parts_and_pulls(system: System) -> tuple[list[Array], list[float]]:
-    """For each cable the lengths of its parts between contacts, and an error of its ends' forces.
+def _parts_and_forces(system: System) -> tuple[list[Array], list[float], list[float]]:
+    """For each cable the lengths of its parts between contacts, and errors of its forces.
 
     Lengths are the smoothed ones that the potential has, of the positions that the cables have.
-    The error is that of the tension along the end, as its anchor carries it, relative to it.
-    Collective.
+    Errors are that of the tension along the end, as its anchor carries it, relative to it, and the
+    norm of the forces on its points that nothing balances (force). Collective.
     """
     assert system.cables is not None
     cables, tables = system.scene.cables, system.cables.tables
-    numbering = system.cables.numbering
+    numbering, g = system.cables.numbering, system.potential.g
+    held = system.unknowns.held
     starts = np.cumsum([0] + [len(cable.nodes) for cable in cables])
-    local = np.zeros(starts[-1] + 2 * len(cables))
+    local = np.zeros(starts[-1] + 3 * len(cables))
     if tables is not None and len(tables.links):
         x = np.concatenate([cable.positions for cable in cables])
         first, second = tables.links.T
@@ -199,33 +192,36 @@ def _parts_and_pulls(system: System) -> tuple[list[Array], list[float]]:
         short = eps * (3 / 8 + 3 / 4 * u**2 - 1 / 8 * u**4)
         np.add.at(local, first, np.where(d < eps, short, d))
     for c, cable in enumerate(cables):
+        errors = local[starts[-1] + 3 * c :][:3]
         for i, end in enumerate((cable.start, cable.end)):
             k = cable.node_of(end.which)
             given = cable.nodes[k].kind == "anchor" and cable.joints[i] is None
             if cable.taut and given and numbering.is_mine(c, k):
                 beside = cable.positions[cable.contacts()[1 if i == 0 else -2]]
                 if np.linalg.norm(cable.positions[k] - beside) > 1e-6 * cable.length:
-                    force = system.potential.g[numbering.block(c, k)]
+                    force = g[numbering.block(c, k)]
                     error = np.linalg.norm(force - end.reaction)
-                    local[starts[-1] + 2 * c + i] = error / max(cable.tension, 1e-300)
+                    errors[i] = error / max(cable.tension, 1e-300)
+        if cable.taut:
+            mine = [k for k in cable.contacts()[1:-1] if numbering.is_mine(c, k)]
+            blocks = [numbering.block(c, k) for k in mine]
+            errors[2] = np.sum(np.where(held[blocks], 0.0, g[blocks]) ** 2)
     total = np.zeros_like(local)
     system.scene.comm.Allreduce(local, total)
     parts = []
     for c, cable in enumerate(cables):
         parts.append(total[starts[c] : starts[c + 1]][cable.contacts()[:-1]])
-    errors = total[starts[-1] :].reshape(-1, 2).max(axis=1)
-    # What is not told apart from rounding of the length is no error of a small tension.
-    return parts, [
-        float(e) if cable.tension > 1e-9 * cable.cable.EA else 0.0
-        for e, cable in zip(errors, cables, strict=True)
+    sums = total[starts[-1] :].reshape(-1, 3)
+    pulls = [
+        float(e) if is_tense(cable) else 0.0
+        for e, cable in zip(sums[:, :2].max(axis=1), cables, strict=True)
     ]
+    return parts, pulls, [float(free) ** 0.5 for free in sums[:, 2]]
 
 
-def _places(
-    cable: LaidCable, nodes: _Nodes, ends: Array, size: float, shape: StripShape
-) -> dict[str, float]:
+def _places(cable: LaidCable, nodes: _Nodes, ends: Array, shape: StripShape) -> dict[str, float]:
     """Distances of the nodes from where they say that they are."""
-    x = cable.positions
+    x, length = cable.positions, max(cable.length, 1e-300)
     away = [
         float(np.linalg.norm(x[k] - ends[k])) for k in (0, -1) if cable.nodes[k].kind == "anchor"
     ]
@@ -233,8 +229,13 @@ def _places(
     corners = shape.current[np.searchsorted(shape.strip.vertices, nodes.ids)]
     s = cable.fractions
     weights = np.where(nodes.slides[:, None], np.stack([1 - s, s, 0 * s], axis=1), nodes.weights)
+    # Of nodes on vertices the edge is another one, which may be much longer.
     edge = norm(corners[:, 1] - corners[:, 0])
-    edge = np.where(edge > 0.0, edge, size)
+    some = [k for k in np.flatnonzero(nodes.weights[:, 0] == 1.0) if touches[k]]
+    supports = [p.support for k in some if (p := cable.nodes[k].point) is not None]
+    if supports:
+        edge[some] = shape.normals_and_sizes(supports)[1]
+    edge = np.where(edge > 0.0, edge, cable.length)
     straight = touches & ~nodes.slides
     folds = touches & nodes.slides
     if cable.taut:  # what lies on an edge that folds is at a share of the edge's length
@@ -253,13 +254,18 @@ def _places(
         [off[straight], share[folds & (nodes.on_edge == 1)], outside[folds], [0.0]]
     )
     return {
-        "ends of cable off their place": max(away, default=0.0) / size,
+        "ends of cable off their place": max(max(away, default=0.0) - _rounding(x), 0.0) / length,
         "nodes off their edges": float(errors.max()),
     }
 
 
+def _rounding(positions: Array) -> float:
+    """What rounding of coordinates makes of a distance (length)."""
+    return ROUNDED * float(np.abs(positions).max(initial=0.0))
+
+
 def _tensions(cable: LaidCable, parts: Array) -> dict[str, float]:
-    """Tensions against the lengths of the cable's parts."""
+    """Tensions against the lengths of the cable's parts, relative to the elongation."""
     EA, L0, length = cable.cable.EA, cable.L0, float(parts.sum()) - cable.excess
     spans: Array = np.zeros(0)
     of_part: Integers = np.zeros(0, dtype=np.int64)
@@ -269,10 +275,13 @@ def _tensions(cable: LaidCable, parts: Array) -> dict[str, float]:
         passed = np.searchsorted(gripped_nodes(cable), cable.contacts()[:-1], side="right")
         of_part = passed.astype(np.int64)
         spans = np.asarray(np.bincount(of_part, parts), dtype=np.float64)
+    rounding = ROUNDED + _rounding(cable.positions) / L0
     start = cable.step_start
     if start is not None:
         force = start.tension + EA / start.length * (length - start.length)
-        return {"tension against length": abs(cable.tension - force) / EA}
+        error = max(abs(cable.tension - force) / EA - rounding, 0.0)
+        strain = max(abs(cable.tension), abs(force)) / EA
+        return {"tension against length": error / max(strain, 1e-300)}
     errors = [abs(cable.tension / EA - max(length / L0 - 1, 0.0)), abs(cable.length - length) / L0]
     if cable.axial is not None and len(spans):
         unstressed = np.diff([0.0, *cable.axial.arcs, L0 + cable.excess])
@@ -280,92 +289,11 @@ def _tensions(cable: LaidCable, parts: Array) -> dict[str, float]:
         told = unstressed * np.bincount(of_part, cable.part_tensions) / np.bincount(of_part) / EA
         by_law = np.maximum(spans - unstressed, 0.0)
         errors.append(float(np.abs(told - by_law).max()) / L0)
+    strain = max(abs(cable.tension) / EA, length / L0 - 1, 1e-300)
     return {
-        "tension against length": max(errors),
+        "tension against length": max(max(errors) - rounding, 0.0) / strain,
         "compression": max(-float(cable.tensions.min()), -cable.tension) / EA,
     }
-
-
-def _contacts(cable: LaidCable, nodes: _Nodes, shape: StripShape, nodal: float) -> dict[str, float]:
-    """How hard the cable pulls the membrane outward, and how deep it runs below it."""
-    pull = depth = 0.0
-    on = [k for k in may_lift(cable) if not cable.lifted[k]]
-    supports = [p.support for k in on if (p := cable.nodes[k].point) is not None]
-    if on:
-        pull = float(outward_pulls(cable, on, *shape.normals_and_sizes(supports)).max())
-        pull *= cable.tension / max(cable.tension, nodal)
-    contacts = np.array(cable.contacts())
-    lifted = [k for k in np.flatnonzero(cable.lifted) if nodes.on[k] and not is_foot(cable, int(k))]
-    for k in lifted:
-        point, s = cable.nodes[k].point, float(cable.fractions[k])
-        assert point is not None
-        if isinstance(point, EdgePoint) and (nodes.on_edge[k] or not INSIDE < s < 1 - INSIDE):
-            continue
-        after = int(np.searchsorted(contacts, k))
-        span = norm(cable.positions[contacts[after - 1 : after + 1]] - cable.positions[k])
-        if span.min() <= 1e-9 * cable.length:  # its edge lies beyond an end of the span
-            continue
-        place = shape.mean(*cable.interpolation(int(k)))
-        normal, cell = shape.normals_and_sizes([point.support])
-        depth = max(depth, -float((cable.positions[k] - place) @ normal[0]) / float(cell[0]))
-    return {"pull on the membrane": max(pull, 0.0), "depth below the membrane": depth}
-
-
-def _held(cable: LaidCable, shape: StripShape, nodal: float) -> dict[str, float]:
-    """The forces with which the mesh holds a cable sideways, to those with which the cable presses.
-
-    A cable that is at rest because it lies on vertices, or has run into them, is not where it would
-    be on another mesh. At single ones that depends on how coarse the mesh is.
-    """
-    values = {"held by a line of the mesh": 0.0, "held by vertices": 0.0}
-    runs = held_runs(cable, shape)
-    if runs:
-        ways = np.diff(cable.positions[cable.contacts()], axis=0)
-        ways *= (cable.part_tensions / np.maximum(norm(ways), 1e-300))[:, None]
-        press = float(norm(np.diff(ways, axis=0)).sum())
-        values["held by vertices"] = sum(run.excess for run in runs) / max(press, nodal)
-        lines = [run.excess / max(run.press, nodal) for run in runs if len(run.vertices) >= IN_LINE]
-        values["held by a line of the mesh"] = max(lines, default=0.0)
-    return values
-
-
-def _friction(cable: LaidCable, shape: StripShape, nodal: float) -> dict[str, float]:
-    """Friction forces, as the cable's way in space says, against contact forces; and heat."""
-    values: dict[str, float] = {}
-    friction = cable.cable.sideways
-    if friction is None and cable.axial is None:
-        return values
-    from crms_fenicsx.friction.axial import gripped_nodes
-    from crms_fenicsx.friction.lateral import energies
-
-    if friction is not None and cable.has_coulomb and cable.grip is not None:
-        forces = contact_forces(cable, shape)
-        bounds = friction.at_rest * forces.bearing
-        # At a held edge the cable may turn by so much that its sides there and on the stress-free
-        # membrane, on which slip is measured, are not the same.
-        free = [
-            k
-            for k in held_nodes(cable)
-            if cable.nodes[k].kind == "fold"
-            and k not in cable.blocked
-            and cable.nodes[k].crossing is None
-        ]
-        excess = np.maximum(np.abs(forces.lateral[free]) - bounds[free], 0.0).sum()
-        values["friction beyond its bound"] = float(excess) / max(cable.tension, nodal)
-        heat = energies(cable, shape)[1]
-        values["negative dissipation"] = -heat / max(cable.tension * cable.length, 1e-300)
-    if cable.axial is not None and len(cable.axial.spans):
-        nodes, tensions = gripped_nodes(cable), cable.part_tensions
-        at = np.searchsorted(cable.contacts(), nodes)
-        before, after = tensions[at - 1], tensions[at]
-        angles = cable.cable.along * wrap_angles(cable, shape)[nodes]
-        bounds = 2 * np.sqrt(before * after) * np.sinh(angles / 2)
-        excess = np.max(np.abs(after - before) - bounds, initial=0.0)
-        largest = max(float(tensions.max()), 1e-300)
-        values["friction along beyond its bound"] = float(excess) / largest
-        heat = -cable.axial.loss / max(cable.tension * cable.length, 1e-300)
-        values["negative dissipation"] = max(values.get("negative dissipation", 0.0), heat)
-    return values
 
 
 def _crossings(

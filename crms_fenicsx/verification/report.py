@@ -4,6 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from crms_fenicsx.model.state_warning import StateWarning
+
+NO_STRAIN = 1e-8
+"""Strain of a cable or a bar that is none: the solver may stop at forces as small."""
+
+ROUNDED = 1e-12
+"""Part of a length, or of the distance from the origin, that is rounding."""
+
+UNBALANCED = 1e-3
+"""Unbalanced forces of one part of a scene, relative to that part's own, from which on a state is
+doubtful: the solver stops by the largest forces of all, beside which a part's may be small."""
+
 
 @dataclass(frozen=True)
 class Check:
@@ -18,10 +30,11 @@ class Check:
     limit
         How far it may be.
     where
-        The cable for which it is worst; empty if it concerns the scene.
+        The cable, bar or joint for which it is worst; empty if it concerns the scene.
     binding
         Whether a state that fails is no result. What depends on how coarse the mesh is, as the
-        contact of single points, only makes it doubtful.
+        contact of single points, or on forces that are small beside the scene's, only makes it
+        doubtful.
     """
 
     name: str
@@ -51,10 +64,21 @@ class Verification:
         All of them.
     seconds
         Wall time that they took.
+    warnings
+        What the state's user is warned of, though it is an equilibrium.
     """
 
     checks: tuple[Check, ...]
     seconds: float
+    warnings: tuple[StateWarning, ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        """In a few words."""
+        if self.failed:
+            return "not verified"
+        kinds = dict.fromkeys(one.kind for one in self.warnings)
+        return f"equilibrium, but {', '.join(kinds)}" if kinds else "verified"
 
     @property
     def failed(self) -> tuple[Check, ...]:
@@ -63,7 +87,7 @@ class Verification:
 
     @property
     def doubtful(self) -> tuple[Check, ...]:
-        """The checks that say that the state is crude where they look."""
+        """The checks that say that the state is crude in what they look at."""
         return tuple(check for check in self.checks if not check.binding and not check.passed)
 
     @property
@@ -87,10 +111,10 @@ class Verification:
     def __repr__(self) -> str:
         """A table of all checks, or in one line those that have failed."""
         if self.failed:
-            return "not verified: " + "; ".join(map(str, self.failed))
+            return f"{self.verdict}: " + "; ".join(map(str, self.failed))
         rows = [
             f"  {check.name:<32}{check.value:9.2g} {'<=' if check.passed else '> '} {check.limit:g}"
             + (f"  ({check.where})" if check.where else "")
             for check in self.checks
         ]
-        return "\n".join(["verified", *rows])
+        return "\n".join([self.verdict, *map(str, self.warnings), *rows])

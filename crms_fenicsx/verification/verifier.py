@@ -19,13 +19,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from mpi4py import MPI
 
+from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes.cell_geometry import area_vectors
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.results.reactions import pressed_facets
 from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans
 from crms_fenicsx.scene import Scene
-from crms_fenicsx.verification.report import Check, Verification
+from crms_fenicsx.verification.plain_vertices import plain_vertices, section_forces
+from crms_fenicsx.verification.report import UNBALANCED, Check, Verification
 
 if TYPE_CHECKING:
     from crms_fenicsx.verification.cable_checks import CableVerifier
@@ -55,10 +57,13 @@ VISIBLE = 0.1
 """Part of that which rounding may be, unless displacements would become too large."""
 BALANCE = 1e-7
 """Largest difference of forces that must be equal, relative to their size."""
-PLACE = 1e-9
-"""Largest distance of points from where they must be, relative to the scene's size."""
+PLACE = 1e-12
+"""Largest distance of points from where they must be, relative to the scene's size, or to its
+distance from the origin if that is larger: they are told, and not found."""
 SPREAD = 8.0
 """Standard deviations in which a sum of unbalanced forces with random signs lies."""
+BY_OTHER_MEANS = "pressure", "dead load", "pond", "bars"
+"""Terms whose forces the balance does not take from them."""
 NEGLIGIBLE = 1e-300
 """Forces below this have no size that others could be relative to."""
 
@@ -109,12 +114,16 @@ class Verifier:
         if not checks[0].passed:  # what follows would divide by what is not there
             return Verification(tuple(checks), time.perf_counter() - began)
         checks += self._balance(system, outcome, force)
+        if system.bars is not None:
+            from crms_fenicsx.verification.frame_checks import check_frame
+
+            checks += check_frame(system, system.bars)
         if self.scene.cables:
             if self._cables is None:
                 from crms_fenicsx.verification.cable_checks import CableVerifier
 
                 self._cables = CableVerifier()
-            checks += self._cables.check(system, self._prescribed[1], force)
+            checks += self._cables.check(system, self._prescribed[1])
         if all(check.passed for check in checks if check.binding):
             checks.append(self._virtual_work(system, outcome, force))
         found = Verification(tuple(checks), time.perf_counter() - began)
@@ -159,7 +168,7 @@ class Verifier:
         if unknowns.bounds is not None:
             fixed |= potential.x[:n] <= unknowns.bounds[0][:n]
         shake[fixed] = 0.0
-        rounding = EPSILON * np.sqrt(cells) * self._cancelling(modulus, prestress)
+        rounding = EPSILON * np.sqrt(cells) * self._cancelling()
         # Displacements so large that rounding hides nothing; where the energy is not smooth what it
         # makes of them falls with their size.
         size = min(max(step, rounding / (VISIBLE * VIRTUAL_WORK * force)), largest)
@@ -176,7 +185,7 @@ class Verifier:
             size /= FINER
         return found
 
-    def _cancelling(self, modulus: float, prestress: float) -> float:
+    def _cancelling(self) -> float:
         """What rounding of energies counts with (force x length).
 
         That of places counts with the forces, not with their energies: N A and T L. Plain cells
@@ -187,9 +196,7 @@ class Verifier:
         if not scene.cables:
             largest = float(np.abs(scene.u.x.array).max(initial=0.0))
             reach = 4 * self.comm.allreduce(largest, op=MPI.MAX) / scene.membrane.size
-        forces = prestress * scene.membrane.size
-        forces += np.sqrt(2 * modulus * abs(energies.get("membrane", 0.0)))
-        forces *= reach * scene.membrane.size
+        forces = section_forces(scene) * reach * scene.membrane.size
         forces += sum(abs(cable.tension) * cable.length for cable in scene.cables)
         forces += sum(abs(bar.force) * bar.length for bar in scene.bars)
         return float(forces + sum(abs(energy) for energy in energies.values()))
@@ -252,11 +259,16 @@ class Verifier:
         n, size = unknowns.n_owned, scene.membrane.size
         x = unknowns.X + potential.x
         loads = self._loads(system)
-        g = potential.g  # free between two solves
+        plain, g = plain_vertices(system), potential.g  # free between two solves
+        g[:] = -loads
+        unknowns.gather_forces(potential.g_vector, g)
+        on_plain = np.sum(g[plain] ** 2)
         g[:] = -loads
         for term in potential.terms:
-            if term.name not in ("pressure", "dead load", "pond") and term not in scene.terms:
+            if term.name not in BY_OTHER_MEANS and term not in scene.terms:
                 term.add_gradient(potential.x, potential.sums_of(term), g)
+        if system.bars is not None:
+            system.bars.add_pulls(g, -1.0)
         unknowns.gather_forces(potential.g_vector, g)
         supports = np.where(unknowns.held[:n], g[:n], 0.0)
         supports += self._obstacle(system)
@@ -266,18 +278,39 @@ class Verifier:
         supports[rails] -= g[rails]
         free = g[:n] - supports
         free[rails] = g[rails]
-        moved, _ = self._prescribed
         local = np.concatenate([
             supports.sum(axis=0), _moment(x[:n] - scene.membrane.centre, supports),
             loads.sum(axis=0), _moment(x - scene.membrane.centre, loads),
-            [np.abs(supports).sum() + np.abs(loads).sum(), np.sum(free * free)],
+            [np.abs(supports).sum(), np.abs(loads).sum(), np.sum(free * free)],
+            [np.sum(free[plain] ** 2), on_plain],
         ])  # fmt: skip
         total = np.zeros_like(local)
         self.comm.Allreduce(local, total)
         # The sum of m unbalanced forces of random signs.
-        unbalanced = SPREAD * outcome.residual
-        all_forces = max(float(total[12]), force)
-        limit = BALANCE + unbalanced / all_forces
+        rounding = SPREAD * potential.rounding()
+        unbalanced = SPREAD * outcome.residual + rounding + EPSILON * SPREAD * float(total[12])
+        all_loads = max(float(total[13]), force)
+        limit = BALANCE + unbalanced / all_loads
+        own = max(float(np.sqrt(total[16])) or section_forces(scene), NEGLIGIBLE)
+        worst = self._off_places(unknowns)
+        checks = [
+            Check("unbalanced forces", float(np.sqrt(total[14])) / force,
+                  BALANCE + SPREAD * outcome.residual / force),
+            Check("unbalanced forces of the membrane", float(np.sqrt(total[15])) / own,
+                  UNBALANCED + rounding / own, binding=False),
+            Check("sum of supports and loads", _norm(total[:3] + total[6:9]) / all_loads, limit),
+            Check("way of the supports", worst[0] / worst[2], PLACE),
+        ]  # fmt: skip
+        if not self._has_friction_elements:
+            moment = _norm(total[3:6] + total[9:12])
+            checks.append(Check("moment of supports and loads", moment / (all_loads * size), limit))
+        if scene.floor_level is not None:
+            checks.append(Check("depth below the floor", worst[1] / worst[2], PLACE))
+        return checks
+
+    def _off_places(self, unknowns: Unknowns) -> Array:
+        """How far supports are off, how deep the membrane is below the floor, and how far away."""
+        scene, (moved, _) = self.scene, self._prescribed
         away = float(
             np.max(np.abs(scene.u.x.array.reshape(-1, 3)[scene.held] - moved), initial=0.0)
         )
@@ -287,22 +320,10 @@ class Verifier:
         if scene.floor_level is not None:
             heights = scene.positions()[~scene.held[:, 2], 2]
             under = float(np.max(scene.floor_level - heights, initial=0.0))
-        worst = np.nan_to_num([away, under], nan=np.inf)  # of which MPI's maximum is undefined
+        far = max(scene.membrane.size, float(np.abs(unknowns.X).max(initial=0.0)))
+        worst = np.nan_to_num([away, under, far], nan=np.inf)  # of which MPI's maximum is undefined
         self.comm.Allreduce(MPI.IN_PLACE, worst, op=MPI.MAX)
-        checks = [
-            Check("unbalanced forces", float(np.sqrt(total[13])) / force,
-                  BALANCE + SPREAD * outcome.residual / force),
-            Check("sum of supports and loads", _norm(total[:3] + total[6:9]) / all_forces, limit),
-            Check("way of the supports", worst[0] / size, PLACE),
-        ]  # fmt: skip
-        if not self._has_friction_elements:
-            moment = _norm(total[3:6] + total[9:12])
-            checks.append(
-                Check("moment of supports and loads", moment / (all_forces * size), limit)
-            )
-        if scene.floor_level is not None:
-            checks.append(Check("depth below the floor", worst[1] / size, PLACE))
-        return checks
+        return worst
 
     @property
     def _has_friction_elements(self) -> bool:

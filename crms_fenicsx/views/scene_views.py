@@ -108,7 +108,7 @@ class SceneViews(BracedMembrane):
             forces = span([bar.force for bar in self.bars])
             words.append(f"{counted(len(self.bars), 'bar')}, force {forces}")
         solved = self.versions.current.equilibrium is not None
-        if solved and not self.versions.are_settled(self.membrane.u.x.array):
+        if solved and not self.versions.are_settled(self.membrane.owned_u):
             words.append(UNBALANCED)
         return f"Scene({'; '.join(words)})"
 

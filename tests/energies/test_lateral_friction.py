@@ -209,6 +209,22 @@ def test_stiffness_is_semidefinite_and_above_the_tangent():
         assert f.dot(along, f.times(0 * f.X, along)) >= tangent * (1 - 1e-3)
 
 
+def test_hessian():
+    """Of nodes that stick and that slide, on edges that bend: against differences of gradients."""
+    X, _, table = random_slips()
+    f = TermOnPoints(LateralFriction(table), X)
+    f.term.add_stiffness = f.term.add_hessian
+    kinds = set()
+    for seed in range(5):
+        x, d = 0.02 * np.random.default_rng(seed).normal(size=(2, *X.shape))
+        up, down = (f.value(x + s * 1e-5 * d)[1] for s in (1, -1))
+        np.testing.assert_allclose(
+            f.times(x, d), (up - down) / 2e-5, rtol=0, atol=1e-6 * np.abs(up - down).max() / 2e-5
+        )
+        kinds |= {bool(sticks) for sticks in np.abs(f.term.slips) < f.term.table.eps}
+    assert kinds == {True, False}
+
+
 def frozen_slips(scene):
     """Slips of all cables, as linear functions of the places on the edges."""
     shape = scene.net.strip_shape()

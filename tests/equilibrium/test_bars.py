@@ -1,5 +1,7 @@
 """Bars against closed forms: snap-through, a guyed mast, tents on masts; bad input; runs go on."""
 
+import warnings
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 
@@ -10,10 +12,12 @@ from crms_fenicsx import (
     Bar,
     Cable,
     InputError,
+    InstabilityWarning,
     IsotropicMembrane,
     PathError,
     Rotation,
     Scene,
+    SnapThroughWarning,
     Solver,
     meshes,
 )
@@ -49,6 +53,16 @@ def load_of(w):
     return -2 * EA * (length - L0) / L0 * z / length
 
 
+@contextmanager
+def told(comm, expected):
+    """Expect a warning of a snap-through, or none, and no other warning."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        yield
+    kinds = [one.category for one in caught]
+    assert kinds == [SnapThroughWarning] * (expected and comm.rank == 0)
+
+
 def test_von_mises_truss_snaps_through(comm):
     """On the closed curve before and after its limit load, which lies between 99 and 101 %."""
     scene, top = truss(comm)
@@ -56,8 +70,14 @@ def test_von_mises_truss_snaps_through(comm):
     w = np.linspace(0.0, H, 100001)
     limit = load_of(w).max()
     for part, below in ((0.4, True), (0.8, True), (0.99, True), (1.01, False), (2.0, False)):
-        step = solver.advance(load={"P": part * limit})
+        with told(comm, part == 1.01):
+            step = solver.advance(load={"P": part * limit})
         assert step.verification.passed
+        if step.warnings:
+            low, high = step.warnings[0].loads["P"]
+            assert low < 1.002 * limit
+            assert high > 0.998 * limit
+            assert high - low < 0.006 * limit
         found = H - top.position[2]
         assert load_of(found) == pytest.approx(part * limit, rel=1e-8)
         assert (found < H) == below
@@ -70,7 +90,8 @@ def test_von_mises_truss_snaps_through(comm):
     # back: it stays below until the load pulls it up again by as much
     solver.advance(load={"P": 0.0}, steps=2)
     assert top.position[2] == pytest.approx(-H, rel=1e-8)
-    solver.advance(load={"P": -1.01 * limit})
+    with told(comm, True):
+        solver.advance(load={"P": -1.01 * limit})
     assert top.position[2] > H
 
 
@@ -173,10 +194,16 @@ def test_the_verification_finds_joints_out_of_balance(comm):
 
     verifier.begin()
     assert check().passed
+    x = system.potential.x.copy()
     system.potential.x[system.bars.blocks.block("top"), 0] += 1e-6
+    found = check()  # the potential's bars are not the scene's
+    assert not found.passed and "forces of bars" in str(found)
+    system.locate_cables()
     found = check()
     assert not found.passed and "unbalanced forces" in str(found)
-    system.read_scene()
+    system.potential.x[:] = x
+    system.potential.place()
+    system.locate_cables()
     assert check().passed
     top.update(position=top.position + np.array([0.0, 1e-6, 0.0]))
     found = check()
@@ -355,7 +382,11 @@ def test_joints_that_nothing_holds_are_refused(comm):
         solver.advance()
     assert not solver.steps
     scene.add_bar(Bar(1.0), other, scene.vertex_at((2.0, 2.0, 0.0)))
-    solver.advance()
+    with warnings.catch_warnings(record=True) as caught:  # a chain that nothing loads
+        warnings.simplefilter("always")
+        step = solver.advance()
+    assert [one.category for one in caught] == [InstabilityWarning] * (comm.rank == 0)
+    assert "nothing holds '" in step.warnings[0].text
 
 
 def test_bad_input(comm):

@@ -186,8 +186,8 @@ def test_static_and_kinetic_friction(comm, kinetic, static, mu):
 
 def test_an_idle_cable_does_not_creep(comm):
     """25 steps without any load. In the first the direction in which friction acts becomes that of
-    the new curve, and the cable, which has just slid by 100 elastic slips, settles by some more;
-    then it stays to rounding.
+    the new curve, and the cable, which has just slid by 100 elastic slips, settles by some more, in
+    the second by a part of a slip; then it stays to rounding.
     """
     way = circle()
     mu = 0.9 * way.ratio
@@ -201,9 +201,12 @@ def test_an_idle_cable_does_not_creep(comm):
     solver.advance(L0={cable: L0})
     assert np.abs(cable.positions - x).max() < 10 * eps
     x, heat = cable.positions.copy(), scene.dissipated
-    for _ in range(24):
+    solver.advance(L0={cable: L0})
+    assert np.abs(cable.positions - x).max() < 0.3 * eps
+    x = cable.positions.copy()
+    for _ in range(23):
         solver.advance(L0={cable: L0})
-    assert np.abs(cable.positions - x).max() < 0.15 * eps
+    assert np.abs(cable.positions - x).max() < 0.01 * eps
     # against what friction dissipates in a slip of eps along all of the cable
     assert 0.0 <= scene.dissipated - heat < 0.05 * eps * mu * cable.tension * way.length
     assert max(step.outcome.solves for step in solver.steps[-10:]) <= 2
@@ -324,3 +327,17 @@ print([name for name in names if "crms_fenicsx." + name in sys.modules])
     done = run(code)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(("mu", "steps"), [(0.1, 1), (0.16, 6)])
+def test_a_stiff_membrane_neither_holds_nor_releases_a_cable(comm, mu, steps):
+    """Its stiffness is 1e10 times the forces of friction of a soft cable. In the first of six steps
+    the cable loses all its tension, and with that all friction, in none of the next."""
+    way = curve(SURFACES["cylinder"], 0.2, 1.0)
+    scene, cable = rigid(comm, way, band(way, H, 1, "lattice"), mu, EA=0.03)
+    solver, L = Solver(scene), cable.length
+    for k in range(steps):
+        step = solver.advance(L0={cable: L * (1 - 0.01 * (k + 1) / steps)})
+    exact = way.sideways(way.slid(mu).points).mean()
+    assert way.sideways(cable.positions).mean() == pytest.approx(exact, rel=0.03)
+    assert step.outcome.evaluations < 200

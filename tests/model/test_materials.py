@@ -247,7 +247,7 @@ def test_warp_that_is_no_direction(warp):
 
 
 def test_material_for_a_part_that_does_not_exist(comm):
-    with pytest.raises(InputError, match="no part 'roof'; it has left, right"):
+    with pytest.raises(InputError, match="no part 'roof'; it has the parts left, right"):
         Scene(irregular_square(comm), {"left": ISOTROPIC, "roof": FABRIC})
 
 

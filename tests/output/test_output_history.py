@@ -1,5 +1,7 @@
 """The history of a run: rows, columns that come later, and a file that is always whole."""
 
+import csv
+import io
 import os
 from pathlib import Path
 
@@ -9,6 +11,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.output import History
 from crms_fenicsx.output.history import Value
+from crms_fenicsx.output.report.tables import Table
 from crms_fenicsx.runtime.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("comm")
@@ -201,3 +204,32 @@ def test_bad_reading(tmp_path: Path) -> None:
 def test_text_with_underscores_is_no_number(tmp_path: Path) -> None:
     (tmp_path / "h.csv").write_text("name\n1_2\n")
     assert History.read(tmp_path / "h.csv")["name"].tolist() == ["1_2"]
+
+
+NAMES = ["=1+1", "+1", "-5", "@A1", "\tx", "\rx", "'quoted", "plain", "a=b"]
+
+
+def test_texts_are_no_formulas(tmp_path: Path) -> None:
+    """As names of loads and cables may be; they are read back as they were given."""
+    history = History(tmp_path / "h.csv", MPI.COMM_SELF)
+    for k, name in enumerate(NAMES):
+        history.append({"step": k, "case": name, "energy": -float(k)})
+    history.append({"step": 9, "=cmd()": 2.5})
+    with (tmp_path / "h.csv").open(newline="") as file:
+        cells = list(csv.reader(file))
+    written = [row[1] for row in cells[1:-1]]
+    assert all(text[0] not in "=+-@\t\r" for text in [*written, *cells[0]])
+    assert written[-2:] == ["plain", "a=b"]
+    assert cells[2][2] == "-1.0"  # numbers stay numbers
+    again = History.read(tmp_path / "h.csv")
+    assert again.columns == history.columns
+    assert again["case"].tolist() == [*NAMES, ""]
+    assert again["energy"][:9].tolist() == [-float(k) for k in range(9)]
+
+
+def test_texts_of_report_tables_are_no_formulas() -> None:
+    table = Table("T", ("=A", "B"), [(name, -1.5) for name in NAMES], "t")
+    cells = list(csv.reader(io.StringIO(table.csv(), newline="")))
+    assert all(row[0][0] not in "=+-@\t\r" for row in cells)
+    assert {row[1] for row in cells[1:]} == {"-1.5"}
+    assert "=1+1" in table.html()

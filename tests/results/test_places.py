@@ -7,7 +7,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from cabled_square import clamped
-from crms_fenicsx.convergence.quantities import displacements
 from mpi4py import MPI
 
 from crms_fenicsx import (
@@ -23,6 +22,7 @@ from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.results.reactions import held_lengths
 from crms_fenicsx.results.summary import ALL_SUPPORTS, OTHER_SUPPORTS
 from crms_fenicsx.runtime.compat import geometry_dofmap
+from crms_fenicsx.study.quantities import displacements
 from crms_fenicsx.surface.points import EdgePoint
 
 R, P = 5.0, 0.4

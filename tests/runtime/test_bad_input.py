@@ -364,7 +364,6 @@ def two_parts(comm) -> meshes.MembraneMesh:
         ({"left": 300.0}, ("'left'", "300.0", "Membrane")),
         ({"left": MATERIAL}, ("cells have no material", "every part")),
         ({}, ("cells have no material", "every part")),
-        ({"left": MATERIAL, "all": MATERIAL}, ("'all'", "shares cells", "one material")),
     ],
 )
 def test_materials_of_parts(comm, material: Any, words: tuple[str, ...]) -> None:

@@ -189,3 +189,15 @@ def test_a_rank_that_is_late_with_its_error(scene: Scene, monkeypatch) -> None:
         scene.fix(marker)
     with pytest.raises(InputError):  # no message is left over
         scene.fix("rim")
+
+
+def test_warnings_are_shown_though_ffcx_logs_them():
+    """Unless somebody reads that log."""
+    show = "import crms_fenicsx, warnings; warnings.warn('look here')"
+    read = "import logging; logging.basicConfig(format='LOG %(message)s'); " + show
+    for program, log in ((show, False), (read, True)):
+        done = subprocess.run(
+            [sys.executable, "-c", program], capture_output=True, text=True, check=True
+        )
+        assert "look here" in done.stderr
+        assert ("LOG" in done.stderr) == log

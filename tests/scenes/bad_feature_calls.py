@@ -30,7 +30,7 @@ def features(scene: Scene, other: Scene, solver: Solver) -> list[Call]:
     numbers = (3, None, "x", [1.0], {}, NAN)
     fans = FanControl("unknown", [0.0], [1.0])
     factors = [{"up": value} for value in NO_NUMBERS] + [{"unknown": 1.0}, {3: 1.0}, [1.0]]
-    cases = [{"a": one} for one in (*factors, 3, None, {}, {"pressure": "x"}, {"temperature": 1.0})]
+    cases = [{"a": one} for one in (*factors, 3, None, {"pressure": "x"}, {"temperature": 1.0})]
     lists = ([], "x", 3, [[1.0]], [NAN], [INF, 1.0], [1.0, 0.0], None, {})
     return [
         Call(
@@ -125,6 +125,11 @@ def features(scene: Scene, other: Scene, solver: Solver) -> list[Call]:
                 "steps": (*NO_COUNTS, 0),
             },
         ),
-        Call("refine", solver.refine, {}, {"project": [n for n in numbers if n is not None]}),
+        Call(
+            "refine",
+            lambda project: meshes.refine(solver.scene.mesh, project=project),
+            {},
+            {"project": [n for n in numbers if n is not None]},
+        ),
         Call("held", other.add_joint, {"position": UP}, {"held": (*NO_TEXTS[2:], "xq", "XY")}),
     ]  # fmt: skip

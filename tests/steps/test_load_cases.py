@@ -228,3 +228,36 @@ def test_to_look_at_a_state_does_not_arrange_its_crossings_anew(
     solver.summary()
     assert len(scene.net.crossings) == 2, "one has been laid"
     assert solver.advance().verification is not None
+
+
+def test_rank_0_gives_the_order(comm: MPI.Intracomm, tmp_path: Path) -> None:
+    """Of combinations, their loads, and what is compared on finer meshes."""
+    last = comm.rank == comm.size - 1
+    table = {
+        "snow": {"snow": 0.5, "weight": 0.5, "pressure": 0.012}, "LC0": {}, "light": {"weight": 0.5}
+    }  # fmt: skip
+    turned = {name: dict(reversed(given.items())) for name, given in reversed(table.items())}
+    solver, other = Solver(sheet(comm)), Solver(sheet(comm))
+    energies = []
+    for one, given in ((solver, table), (other, turned if last else table)):
+        one.advance(pressure=0.01)
+        one.scene.put_load(SNOW, name="snow", per="plan")
+        one.scene.put_load(WEIGHT, name="weight", per="material")
+        found = one.combine(given)
+        assert list(found) == comm.bcast(list(given))
+        energies.append([case.step.energy for case in found.values()])
+        mine = dict(reversed(found.items())) if last else found
+        one.report(Path(comm.bcast(str(tmp_path))) / "r.html", mine, pictures=[])
+    if comm.size > 1:  # the very same numbers
+        assert energies[0] == energies[1]
+    assert min(np.ptp(energies, axis=1)) > 0.0
+
+
+def test_a_combination_of_nothing_is_the_base_state(comm: MPI.Intracomm) -> None:
+    solver = roof(comm)
+    before, energy = tensions(solver), solver.scene.energy
+    found = solver.combine({"LC0": {}, "snow": {"snow": 1.0}})
+    np.testing.assert_allclose(list(found["LC0"].snapshot.tensions.values()), before, rtol=1e-6)
+    assert found["LC0"].step.energy == pytest.approx(energy, rel=1e-9)
+    assert found["LC0"].base is found["snow"].base
+    assert tensions(solver) == before

@@ -22,6 +22,7 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
+from crms_fenicsx.minimization.potential import Potential
 
 TENSION, RADIUS = 2.0, 3.0
 SOFT = IsotropicMembrane(
@@ -105,6 +106,27 @@ def test_an_equilibrium_that_is_not_stable(comm: MPI.Intracomm, part: float) -> 
     assert step.outcome.iterations == 0
     told = comm.allreduce(sum(issubclass(one.category, PondWarning) for one in caught))
     assert told == (part > 1.0)
+
+
+def test_ponds_beyond_their_limit_are_refused_soon(
+    comm: MPI.Intracomm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where the fabric stretches a little: 8241 evaluations before, with the same limit."""
+    count, evaluate = [0], Potential.evaluate
+
+    def counted(potential: Potential) -> float:
+        count[0] += 1
+        return evaluate(potential)
+
+    monkeypatch.setattr(Potential, "evaluate", counted)
+    stretchy = IsotropicMembrane(E=1.0, nu=0.3, thickness=1.0, prestress=TENSION, wrinkling=False)
+    scene = clamped(meshes.ellipse(comm, RADIUS, RADIUS, 0.4), stretchy)
+    scene.put_pond(TENSION * (2.41 / RADIUS) ** 2, level=1e-3)
+    solver = Solver(scene)
+    with pytest.raises(ConvergenceError, match=r"the membrane moves without end.*The limit of the"):
+        solver.advance(load=1.0)
+    assert count[0] < 1500
+    assert scene.ponds[0].factor == pytest.approx((2.404826 / 2.41) ** 2, abs=0.02)
 
 
 def test_water_that_ends_at_a_free_edge(comm: MPI.Intracomm) -> None:
@@ -203,3 +225,63 @@ def test_bad_input(comm: MPI.Intracomm) -> None:
     wall = clamped(mesh)
     with pytest.raises(InputError, match="'pond' have no upper side"):
         wall.put_pond(10.0, level=0.0)
+
+
+def cushion(comm: MPI.Intracomm, n: int = 4) -> Scene:
+    """Two foils over a square that meet at its edges, the lower one facing down."""
+    x = np.linspace(0.0, 6.0, n + 1)
+    inner = [(i, j) for j in range(1, n) for i in range(1, n)]
+    rise = {(i, j): 0.3 * np.sin(np.pi * i / n) * np.sin(np.pi * j / n) for i, j in inner}
+    top = {(i, j): (n + 1) * j + i for j in range(n + 1) for i in range(n + 1)}
+    low = top | {ij: (n + 1) ** 2 + k for k, ij in enumerate(inner)}
+    points = [(x[i], x[j], rise.get((i, j), 0.0)) for i, j in top]
+    points += [(x[i], x[j], -rise[i, j]) for i, j in inner]
+    up, down = [], []
+    for i, j in ((i, j) for j in range(n) for i in range(n)):
+        for cells, at in ((up, top), (down, low)):
+            a, b, c, d = (at[ij] for ij in ((i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)))
+            pairs = ((a, b, c), (a, c, d)) if (i < n / 2) == (j < n / 2) else ((a, b, d), (b, c, d))
+            cells += pairs
+    mesh = meshes.from_arrays(
+        comm, points, up + down,
+        parts={
+            "top": np.arange(len(up)), "bottom": len(up) + np.arange(len(down)),
+            "half": len(up) + np.arange(len(down) // 2),
+        },
+        outside={"top": (0, 0, 1.0), "bottom": (0, 0, -1.0)},
+    )  # fmt: skip
+    scene = Scene(mesh, IsotropicMembrane(E=1e3, nu=0.3, thickness=1.0))
+    scene.fix(lambda x: np.isclose(abs(x[:2] - 3.0).max(axis=0), 3.0))
+    return scene
+
+
+def test_water_does_not_hang_below_cells(comm: MPI.Intracomm) -> None:
+    """Without parts water stands where the outer side faces up; a part that faces down is named."""
+    scene = cushion(comm)
+    solver = Solver(scene)
+    solver.advance(pressure=0.5)
+    before = scene.versions.current
+    with pytest.raises(InputError, match=r"'pond' face the other way .* in the part 'half'"):
+        scene.put_pond(1.0, level=0.1, on=["top", "half"])
+    assert scene.versions.current == before
+    scene.put_pond(1.0, level=0.1, on=["top"])
+    assert solver.advance(load=1.0).verification.passed
+    volume = scene.ponds[0].volume
+    assert volume > 0.0
+    scene.remove_load("pond")
+    scene.put_pond(1.0, level=0.1)
+    assert solver.advance(load=1.0).verification.passed
+    assert scene.ponds[0].volume == pytest.approx(volume, rel=1e-8)
+
+
+def test_cells_that_turn_over_under_water_are_no_equilibrium(comm: MPI.Intracomm) -> None:
+    """Which only one that begins there can come to."""
+    scene = drum(comm, 1.0)
+    scene.put_pond(1e-3, level=1.0)
+    solver = Solver(scene, max_halvings=0)
+    x, u = scene.membrane.stress_free, scene.u.x.array.reshape(-1, 3)
+    inside = np.hypot(x[:, 0], x[:, 1]) < 0.9 * RADIUS
+    u[inside, 0], u[~inside, 2] = -2.5 * x[inside, 0], 3.0
+    scene.held[:] = True
+    with pytest.raises(ConvergenceError, match="the pond 'pond' has the volume -"):
+        solver.advance(load=1.0)

@@ -143,6 +143,14 @@ def test_levels_do_not_depend_on_who_owns_what(comm):
     assert two["energy"].remark == "two levels show no order: 2 assumed"
 
 
+def test_quantities_go_in_the_order_of_the_first_rank(comm):
+    names = {"a": lambda solver: 1.0, "b": lambda solver: solver.scene.volume}
+    last = comm.rank == comm.size - 1
+    given = dict(reversed(names.items())) if last else names
+    study = convergence(square, grid(comm, 2), 2, quantities=given)
+    assert study["a"].values == (1.0, 1.0)
+
+
 def test_stresses_of_parts(comm):
     solver = square(grid(comm, 4))
     study = convergence(square, grid(comm, 4), 2, stresses=["membrane"])

@@ -39,7 +39,8 @@ NOTES = (
     "over a few triangles.",
     "Each equilibrium is checked independently of the solver: virtual work by differences of the "
     "energy, balance of supports and loads, tensions and places of cables. A check that is "
-    "doubtful tells that the mesh is coarse there, not that the state is no equilibrium.",
+    "doubtful tells that the mesh is coarse there, or that forces of one part are too small beside "
+    "the others to be known well, not that the state is no equilibrium.",
 )
 """How to read the results."""
 PER_PICTURE = 1000
@@ -159,6 +160,10 @@ class Report:
             return paragraph(f"Not in equilibrium: {', '.join(moved)}; {why}.", "verdict failed")
         if failed:
             return paragraph(f"Not verified: {', '.join(failed)} failed a check.", "verdict failed")
+        warned = {case.name: case.summary.warnings for case in self.cases}
+        told = [f"{name}: {one}" for name, found in warned.items() for one in found]
+        if told:
+            return paragraph(f"Equilibrium, but {'; '.join(told)}", "verdict failed")
         if missing:
             text = f"Not verified in this run: {', '.join(missing)}."
             return paragraph(text, "verdict doubtful")

@@ -304,6 +304,8 @@ def verdicts(cases: Sequence[Case]) -> Table:
             continue
         names = [check.name for check in found.failed or found.doubtful]
         verdict = "failed: " if found.failed else "verified; crude in: " if names else "verified"
+        if case.summary.warnings and not found.failed:
+            verdict, names = "equilibrium, but ", [str(one) for one in case.summary.warnings]
         rows.append((case.name, len(found.checks), verdict + ", ".join(names)))
     return Table("Verdicts", ("Combination", "Checks", "Verdict"), rows)
 

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from html import escape
 from itertools import groupby
 
+from crms_fenicsx.output.csv_text import escaped
+
 Cell = str | int | float | None
 """None is an empty cell: there is no such value."""
 
@@ -96,11 +98,11 @@ class Table:
         return f"<tr>{''.join(cells)}</tr>"
 
     def csv(self) -> str:
-        """The table as comma-separated values, numbers with all their digits."""
+        """The table as comma-separated values, numbers with all their digits, texts as such."""
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")
-        writer.writerow(self.columns)
-        writer.writerows(["" if x is None else x for x in row] for row in self.rows)
+        writer.writerow(map(escaped, self.columns))
+        writer.writerows(["" if x is None else escaped(x) for x in row] for row in self.rows)
         return buffer.getvalue()
 
 

@@ -1,0 +1,169 @@
+"""Forces of cables against those with which they press on the membrane, and their contacts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.contact.contact_force import contact_forces, forces_at, wrap_angles
+from crms_fenicsx.contact.lift_off import is_foot, may_lift, outward_pulls
+from crms_fenicsx.friction.gripped_nodes import held_nodes
+from crms_fenicsx.meshes.triangles import norm
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.tolerances import INSIDE, SAME_PLACE
+from crms_fenicsx.paths.held_vertices import UNEVEN, held_runs
+from crms_fenicsx.runtime.arrays import Booleans, Integers
+from crms_fenicsx.surface.points import EdgePoint
+from crms_fenicsx.verification.report import NO_STRAIN
+
+SMOOTH = 0.3
+"""Coefficient of friction below which what is beyond its bounds is relative to the press: cells
+that are not alike carry some 0.02 of that sideways, more than little friction does."""
+
+FLAT = 1e-3
+"""Turn (rad) of a cable that presses on nothing."""
+
+IN_LINE = 3
+"""Vertices in a row from which on they are a line of the mesh."""
+
+
+def is_tense(cable: LaidCable) -> bool:
+    """Whether its tension is told apart from none."""
+    return cable.tension > NO_STRAIN * cable.cable.EA
+
+
+def contacts(
+    cable: LaidCable, on_mesh: Booleans, on_edge: Integers, shape: StripShape
+) -> dict[str, float]:
+    """How hard the cable pulls the membrane outward, and how deep it runs below it.
+
+    Parameters
+    ----------
+    cable
+        A cable in tension.
+    on_mesh, on_edge : (n,)
+        Whether its nodes have a place on the mesh, and how many points that touch lie on the edge.
+    shape
+        Positions of the vertices around.
+    """
+    pull = depth = 0.0
+    on = [k for k in may_lift(cable) if not cable.lifted[k]]
+    supports = [p.support for k in on if (p := cable.nodes[k].point) is not None]
+    if on and is_tense(cable):
+        pull = float(outward_pulls(cable, on, *shape.normals_and_sizes(supports)).max())
+    touched = np.array(cable.contacts())
+    lifted = [k for k in np.flatnonzero(cable.lifted) if on_mesh[k] and not is_foot(cable, int(k))]
+    for k in lifted:
+        point, s = cable.nodes[k].point, float(cable.fractions[k])
+        assert point is not None
+        if isinstance(point, EdgePoint) and (on_edge[k] or not INSIDE < s < 1 - INSIDE):
+            continue
+        after = int(np.searchsorted(touched, k))
+        span = norm(cable.positions[touched[after - 1 : after + 1]] - cable.positions[k])
+        if span.min() <= 1e-9 * cable.length:  # its edge lies beyond an end of the span
+            continue
+        place = shape.mean(*cable.interpolation(int(k)))
+        normal, cell = shape.normals_and_sizes([point.support])
+        depth = max(depth, -float((cable.positions[k] - place) @ normal[0]) / float(cell[0]))
+    return {"pull on the membrane": max(pull, 0.0), "depth below the membrane": depth}
+
+
+def forces(cable: LaidCable, shape: StripShape, free: float) -> dict[str, float]:
+    """Forces on a cable to those with which it presses on the membrane: see `_held`, `_friction`.
+
+    Parameters
+    ----------
+    cable
+        A cable in tension.
+    shape
+        Positions of the vertices around.
+    free
+        Norm of the forces on its points that nothing balances (force).
+    """
+    ways = np.diff(cable.positions[cable.contacts()], axis=0)
+    (long,) = np.nonzero(norm(ways) > SAME_PLACE * cable.length)  # others have no direction
+    ways = ways[long] * (cable.part_tensions[long] / norm(ways[long]))[:, None]
+    turns = norm(np.diff(ways, axis=0))
+    least = FLAT * cable.tension if is_tense(cable) else np.inf
+    own = max(float(np.linalg.norm(turns)), least)
+    values = {"unbalanced forces of cables": free / own}
+    press = max(float(turns.sum()), least)
+    values |= _held(cable, shape, press)
+    if cable.slides_freely and not cable.in_edge:
+        values["held by edges"] = _beside_edges(cable, shape) / press
+    return values | _friction(cable, shape, least)
+
+
+def _held(cable: LaidCable, shape: StripShape, press: float) -> dict[str, float]:
+    """The forces with which the mesh holds a cable sideways, to those with which the cable presses.
+
+    A cable that is at rest because it lies on vertices, or has run into them, is not where it would
+    be on another mesh. At single ones that depends on how coarse the mesh is.
+    """
+    values = {"held by a line of the mesh": 0.0, "held by vertices": 0.0}
+    runs = held_runs(cable, shape)
+    if runs:
+        values["held by vertices"] = sum(run.excess for run in runs) / press
+        lines = [run.excess / press for run in runs if len(run.vertices) >= IN_LINE]
+        values["held by a line of the mesh"] = max(lines, default=0.0)
+    return values
+
+
+def _beside_edges(cable: LaidCable, shape: StripShape) -> float:
+    """Sum of the forces sideways at points that slide freely along their edges (force).
+
+    The edge itself carries them where it is much stiffer than the cable is tight; what cells make
+    of them that are not alike is left out.
+    """
+    nodes = [
+        k
+        for k in held_nodes(cable)
+        if cable.nodes[k].kind == "fold"
+        and cable.nodes[k].crossing is None
+        and k not in cable.blocked
+    ]
+    press, pull = forces_at(cable, nodes, shape)
+    return float(np.maximum(np.abs(pull) - UNEVEN * np.abs(press), 0.0).sum())
+
+
+def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, float]:
+    """Friction forces, as the cable's way in space says, against contact forces; and heat.
+
+    What is beyond the bounds is relative to the force with which the cable presses, on the whole.
+    """
+    values: dict[str, float] = {}
+    friction = cable.cable.sideways
+    if friction is None and cable.axial is None:
+        return values
+    from crms_fenicsx.friction.axial import gripped_nodes
+    from crms_fenicsx.friction.lateral import energies
+
+    if friction is not None and cable.has_coulomb and cable.grip is not None:
+        forces = contact_forces(cable, shape)
+        bounds = friction.at_rest * forces.bearing
+        # At a held edge the cable may turn by so much that its sides there and on the stress-free
+        # membrane, on which slip is measured, are not the same.
+        free = [
+            k
+            for k in held_nodes(cable)
+            if cable.nodes[k].kind == "fold"
+            and k not in cable.blocked
+            and cable.nodes[k].crossing is None
+        ]
+        excess = np.maximum(np.abs(forces.lateral[free]) - bounds[free], 0.0).sum()
+        most = max(friction.at_rest, SMOOTH) * float(forces.bearing.sum())
+        values["friction beyond its bound"] = float(excess) / max(most, least)
+        heat = energies(cable, shape)[1]
+        values["negative dissipation"] = -heat / max(cable.tension * cable.length, 1e-300)
+    if cable.axial is not None and len(cable.axial.spans):
+        nodes, tensions = gripped_nodes(cable), cable.part_tensions
+        at = np.searchsorted(cable.contacts(), nodes)
+        before, after = tensions[at - 1], tensions[at]
+        angles = cable.cable.along * wrap_angles(cable, shape)[nodes]
+        bounds = 2 * np.sqrt(before * after) * np.sinh(angles / 2)
+        excess = np.maximum(np.abs(after - before) - bounds, 0.0).sum()
+        whole = max(float(bounds.sum()), least)
+        values["friction along beyond its bound"] = float(excess) / whole
+        heat = -cable.axial.loss / max(cable.tension * cable.length, 1e-300)
+        values["negative dissipation"] = max(values.get("negative dissipation", 0.0), heat)
+    return values
