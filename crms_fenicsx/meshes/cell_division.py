@@ -93,10 +93,10 @@ def refine(
     >>> fine = meshes.refine(meshes.spherical_cap(comm, radius=20.0, height=10.0, size=2.0))
     >>> meshes.refine(mesh, mesh.parts["corner"])
     """
+    checks.same(mesh.comm, "refine", whole=cells is None, project=project)
     with raised_together(mesh.comm):
         chosen = None if cells is None else _checked_cells(mesh, cells)
         onto = mesh.project if project is None else _checked(project)
-    checks.same(mesh.comm, "refine", whole=chosen is None)
     bisected = None if chosen is None else _bisected(mesh, chosen)
     surface, ranks = gathered(mesh)
     none = np.zeros((0, 3), dtype=np.int64)

@@ -67,7 +67,7 @@ def adapt(
     >>> solver.estimate_error().relative
     """
     comm = comm_of("adapt", mesh)
-    checks.same(comm, "adapt", tolerance=tolerance, levels=levels, share=share)
+    checks.same(comm, "adapt", tolerance=tolerance, levels=levels, share=share, project=project)
     tolerance = checks.positive("adapt: tolerance", tolerance)
     levels = checks.whole("adapt: levels", levels, 1)
     solver = built("adapt", build, mesh)

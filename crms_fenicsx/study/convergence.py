@@ -239,11 +239,15 @@ def convergence(
     comm = comm_of("convergence", mesh)
     checks.same(
         comm, "convergence", levels=levels, points=points, reactions=reactions, stresses=stresses,
-        quantities=quantities,
+        quantities=quantities, project=project,
     )  # fmt: skip
     if levels == 1:
         raise InputError("convergence: levels = 1 compares nothing; give 2 or more, best 3.")
     levels = checks.whole("convergence: levels", levels, 2)
+    if isinstance(points, Mapping):
+        points = checks.in_one_order(comm, points)
+    if isinstance(quantities, Mapping):
+        quantities = checks.in_one_order(comm, quantities)
     rows, cells, seconds = [], [], []
     for level in range(levels):
         began = time.perf_counter()

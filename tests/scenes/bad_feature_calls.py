@@ -16,7 +16,7 @@ from bad_calls import (
 )
 from dolfinx import fem
 
-from crms_fenicsx import Bar, Cable, FanControl, Scene, Solver
+from crms_fenicsx import Bar, Cable, FanControl, Scene, Solver, meshes
 
 
 def features(scene: Scene, other: Scene, solver: Solver) -> list[Call]:
