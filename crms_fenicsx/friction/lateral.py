@@ -21,8 +21,9 @@ from crms_fenicsx.friction.gripped_nodes import held_nodes, succession, supports
 from crms_fenicsx.friction.lateral_iteration import SLIDES
 from crms_fenicsx.friction.slip import material_curve, node_slips
 from crms_fenicsx.model.friction_history import Grip
-from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.surface.triangles import norm
 
 NOISE = 1e-6
 """Sideways force, relative to the tension, that is none."""
@@ -54,14 +55,26 @@ def start_step(cable: LaidCable, shape: StripShape) -> None:
         ways = _ways(cable, grip, shape)
         cable.update(grip=replace(grip, bounds=bounds, moving=ways, known=True))
         return
-    elongation = polyline_length(cable.positions[cable.contacts()]) / cable.L0 - 1
-    expected = cable.cable.EA * elongation
+    expected = _tension_in_place(cable)
     rises = expected > (1 + LEAST_RISE) * cable.tension
     if not grip.known or (rises and not (cable.tension > 0.0 and grip.bounds.any())):
         force = max(cable.tension, expected, cable.cable.EA * LEAST_STRAIN)
         cable.update(grip=replace(grip, bounds=np.full(len(grip.supports), force), known=False))
     elif rises:
         cable.update(grip=replace(grip, bounds=grip.bounds * (expected / cable.tension)))
+
+
+def _tension_in_place(cable: LaidCable) -> float:
+    """Tension of a cable where the last step has left it, between ends that may have moved (force).
+
+    By its length of then: a crossing that it has got since is not in equilibrium yet.
+    """
+    length, places = cable.length, cable.positions[cable.contacts()]
+    if cable.ends_before is not None:
+        beside = places[[1, -2]]
+        chords = norm(places[[0, -1]] - beside) - norm(cable.ends_before - beside)
+        length += float(chords.sum())
+    return cable.cable.EA * (length / cable.L0 - 1)
 
 
 def _ways(cable: LaidCable, grip: Grip, shape: StripShape) -> Array:

@@ -21,7 +21,7 @@ from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import BEYOND
 from crms_fenicsx.paths.held_vertices import Run
 from crms_fenicsx.paths.path_change import PathChange
-from crms_fenicsx.paths.tried_paths import TriedPaths
+from crms_fenicsx.paths.tried_paths import TriedPaths, WayKey
 from crms_fenicsx.paths.vertex_passing import pass_run
 from crms_fenicsx.surface.points import Edge
 
@@ -54,7 +54,7 @@ class Way:
     """
 
     cable: int
-    key: tuple[object, ...]
+    key: WayKey
     take: Callable[[], bool]
 
 
@@ -129,7 +129,7 @@ class CrossingTrials:
                 runs = (Run((vertex,), to_left, 0.0, 0.0) for to_left in (True, False))
                 return any(pass_run(self.change, c, run) for run in runs)
 
-            yield Way(c, ("side", vertex), take)
+            yield Way(c, ("side", "", (vertex,), False), take)
 
     def _exchanges(self) -> Iterator[Way]:
         """Over edges beside a crossing that both cables cross, so that this is beyond the edge."""
@@ -186,7 +186,7 @@ class CrossingTrials:
                 return True
 
             if press < LIGHT:
-                yield Way(c, ("open", key), take)
+                yield Way(c, ("open", *key, False), take)
 
 
 def _shared_edges(crossing: Crossing) -> list[Edge]:

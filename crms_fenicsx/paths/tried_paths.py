@@ -13,10 +13,15 @@ from crms_fenicsx.geodesics.corridor import Corridor
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.paths.path_parts import is_crossed
 from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.surface.points import Support
 
 MISLED, MISLED_AT_CROSSINGS = 2, 1
 """How often in a load step geodesics may propose paths of higher energy, before only the forces of
 vertices tell where cables go; and where cables cross, of which geodesics know little."""
+
+WayKey = tuple[str, str, Support, bool]
+"""What another way of crossing cables is known by: its kind, the other cable if there is one, the
+vertex or the ends of the edge, and which of two orders."""
 
 STILL = 1e-4
 """Movement, relative to a cable's length, within which rejected paths stay rejected."""
@@ -54,7 +59,7 @@ class TriedPaths:
 
     refused: dict[str, set[Corridor]] = field(default_factory=dict)
     left: dict[str, set[tuple[int, ...]]] = field(default_factory=dict)
-    ways: dict[str, set[tuple[object, ...]]] = field(default_factory=dict)
+    ways: dict[str, set[WayKey]] = field(default_factory=dict)
     at: dict[str, Array] = field(default_factory=dict)
     L0: dict[str, float] = field(default_factory=dict)
     released: set[ContactKey] = field(default_factory=set)

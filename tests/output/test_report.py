@@ -36,7 +36,7 @@ def tent(comm: MPI.Intracomm, on_one_rank: bool = False) -> Solver:
     scene.put_wind(0.5, -0.6)
     solver = Solver(scene)
     solver.advance(pressure=0.4)
-    scene.lay_cable(Cable(EA=2000.0), [(0.0, 5.0), (8.0, 5.5)], tension=2.0, name="ridge")
+    scene.lay_cable(Cable(EA=2000.0), [(0.0, 5.0), (8.0, 5.5)], tension=8.0, name="ridge")
     solver.advance()
     scene.set_strengths({"roof": (30.0, 25.0)})
     return solver
