@@ -20,10 +20,10 @@ from crms_fenicsx.energies.smooth_coulomb import friction_energy
 from crms_fenicsx.friction.gripped_nodes import held_nodes, succession, supports_of
 from crms_fenicsx.friction.lateral_iteration import SLIDES
 from crms_fenicsx.friction.slip import material_curve, node_slips
+from crms_fenicsx.meshes.triangles import norm
 from crms_fenicsx.model.friction_history import Grip
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.surface.triangles import norm
 
 NOISE = 1e-6
 """Sideways force, relative to the tension, that is none."""
