@@ -127,7 +127,7 @@ def features(scene: Scene, other: Scene, solver: Solver) -> list[Call]:
         ),
         Call(
             "refine",
-            lambda project: meshes.refine(solver.scene.mesh, project=project),
+            lambda project=None: meshes.refine(solver.scene.mesh, project=project),
             {},
             {"project": [n for n in numbers if n is not None]},
         ),
