@@ -86,9 +86,15 @@ def checked(solver: Solver, spoil: Callable[[], None] | None = None) -> Verifica
     return verifier.check(solver.system, solver.steps[-1].outcome)
 
 
-def names(verification: Verification) -> set[str]:
+def names(verification: Verification | None) -> set[str]:
     """What is not as it must be."""
+    assert verification is not None
     return {check.name for check in (*verification.failed, *verification.doubtful)}
+
+
+def alarms(solver: Solver) -> set[str]:
+    """What was not as it must be when the state was found."""
+    return names(solver.steps[-1].verification)
 
 
 def moved(solver: Solver, block: int, way: np.ndarray) -> None:
