@@ -208,7 +208,7 @@ def end_axial_step(cable: LaidCable, shape: StripShape) -> None:
         cable.update(axial=replace(initial_state(cable, shape), dissipated=dissipated))
         return
     held = np.where(grip.bounds > 0, np.clip(grip.slips, -grip.elastic, grip.elastic), 0.0)
-    if cable.has_cone:  # what is left elastically has the same force on its own
+    if cable.cable.cone:  # what is left elastically has the same force on its own
         slides = grip.elastic < grip.eps
         force = np.abs(coulomb_forces(grip.slips, grip.bounds, np.maximum(grip.eps, EPSILON)))
         bounds, eps = np.where(slides, [force, grip.elastic], [grip.bounds, grip.eps])

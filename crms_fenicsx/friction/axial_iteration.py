@@ -78,7 +78,7 @@ class AxialIteration:
             return 0.0
         # What counts is the tension: as nodes move along their edges, neighbours share differently.
         changes = bounds - grip.bounds
-        if cable.has_cone:  # where other slips are the law has another width
+        if cable.cable.cone:  # where other slips are the law has another width
             before = np.where(grip.bounds > 0.0, grip.eps, 1.0)
             changes = coulomb_forces(law.slips, bounds, eps)
             changes -= coulomb_forces(grip.slips, grip.bounds, before)
@@ -94,7 +94,7 @@ class AxialIteration:
                 before = np.where(grip.bounds > 0.0, grip.eps, eps)
                 eps = (1 - part) * before + part * np.where(wrap > 0.0, eps, before)
                 bounds = (1 - part) * grip.bounds + part * bounds
-            elastic = elastic if cable.has_cone else eps
+            elastic = elastic if cable.cable.cone else eps
             cable.update(
                 axial=replace(grip, bounds=bounds, eps=eps, elastic=elastic, tensions=tensions)
             )
@@ -107,7 +107,7 @@ class AxialIteration:
         slips, unstressed = grip.slips.copy(), np.zeros(len(grip.spans))
         full = full_slips(cable, places.size, wrap)
         L0 = cable.L0 + cable.excess
-        if not cable.has_cone or cable.grip is None:
+        if not cable.cable.cone or cable.grip is None:
             find_slips(LAW, grip.spans, places.rest, L0, wrap, full, slips, unstressed)
             return _Law(wrap, full, full, slips, unstressed)
         sideways = slips_sideways(cable, cable.grip, shape, places.nodes)

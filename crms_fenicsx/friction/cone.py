@@ -144,7 +144,7 @@ def law_sideways(cable: LaidCable, grip: Grip, shape: StripShape) -> SidewaysLaw
     """What friction along the cable takes of that sideways at the grip's nodes; None: nothing."""
     friction, axial = cable.cable.sideways, cable.axial
     assert friction is not None
-    if not cable.has_cone or axial is None or not len(axial.spans):
+    if not cable.cable.cone or axial is None or not len(axial.spans):
         return None
     nodes = held_nodes(cable)
     row_of = {support: row for row, support in enumerate(axial.supports)}

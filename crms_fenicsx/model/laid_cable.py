@@ -228,12 +228,6 @@ class LaidCable:
         return self.cable.sideways is None
 
     @property
-    def has_cone(self) -> bool:
-        """Whether friction sideways and along the cable have one limit."""
-        friction = self.cable.sideways
-        return friction is not None and friction.cone
-
-    @property
     def has_coulomb(self) -> bool:
         """Whether friction with stick and slip holds it sideways."""
         friction = self.cable.sideways
