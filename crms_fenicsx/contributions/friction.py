@@ -88,7 +88,7 @@ class FrictionContribution(Contribution):
             spans, nodes = capstan.spans_of(c), capstan.nodes_of(c)
             unstressed, slips = capstan.unstressed[spans], capstan.slips[nodes]
             store_solution(cable, sums[spans], unstressed, tensions[spans], slips, float(lost[c]))
-        energies["cables"] -= float(stored.sum() + lost.sum())
+        energies["cables"] -= capstan.friction_potential
         energies["friction"] = energies.get("friction", 0.0) + float(stored.sum())
 
     def commit(self) -> None:

@@ -29,7 +29,11 @@ from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.capstan_chain import ENERGY, find_slips
 from crms_fenicsx.energies.edge_fractions import add_slip_forces, edge_fractions
 from crms_fenicsx.energies.segments import add_segment_forces, segment_lengths, segment_stiffness
-from crms_fenicsx.energies.smooth_coulomb import friction_energy, secant_stiffness
+from crms_fenicsx.energies.smooth_coulomb import (
+    friction_energy,
+    secant_stiffness,
+    stored_and_lost,
+)
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import Array, Indices
 
@@ -45,8 +49,8 @@ class Grips:
     ----------
     offset : (n_nodes,)
         Unstressed arc that rests at place zero of a node's edge (length).
-    bound, eps : (n_nodes,)
-        B (force), and the slip at which it is reached (length).
+    bound, eps, elastic : (n_nodes,)
+        B (force), the slip at which it is reached, and the most elastic slip (length).
     slips : (n_nodes,)
         Where to begin to look for the slips (length).
     slope : (n,)
@@ -56,6 +60,7 @@ class Grips:
     offset: Array
     bound: Array
     eps: Array
+    elastic: Array
     slips: Array
     slope: Array
 
@@ -192,18 +197,20 @@ class CapstanTension(EnergyTerm):
         return np.add.reduceat(energies, self.chains.starts[:-1])
 
     def friction(self, sums: Array) -> tuple[Array, Array]:
-        """The energy that friction stores and dissipates, of each cable (force x length).
-
-        Of the potential B eps f(s/eps) the part up to the slip eps is elastic.
-        """
+        """The energy that friction stores and dissipates, of each cable (force x length)."""
         self._solve(sums)
-        grips, slips = self.grips, np.abs(self.slips)
         stored, lost = np.zeros((2, len(self.chains.EA)))
-        loss = grips.bound * np.maximum(slips - grips.eps, 0.0)
         for c in range(len(lost)):
-            lost[c] = loss[self.nodes_of(c)].sum()
-            stored[c] = max(self._friction[c] - lost[c], 0.0)
+            at, grips = self.nodes_of(c), self.grips
+            stored[c], lost[c] = stored_and_lost(
+                self.slips[at], grips.bound[at], grips.eps[at], grips.elastic[at]
+            )
         return stored, lost
+
+    @property
+    def friction_potential(self) -> float:
+        """Potential of friction in the energy last worked out (force x length)."""
+        return float(self._friction.sum())
 
     def energy(self, sums: Array) -> float:
         """Strain energy and friction potential (force x length)."""

@@ -38,6 +38,30 @@ def friction_potentials(slip, bound, eps):  # type: ignore[no-untyped-def]
     return potentials
 
 
+def coulomb_forces(slip: Array, bound: Array, eps: Array) -> Array:
+    """Friction force of each node, (n,) (force)."""
+    y = np.minimum(np.abs(slip) / eps, 1.0)
+    return np.asarray(np.copysign(bound * y * (2.0 - y), slip))
+
+
+def stored_and_lost(slip: Array, bound: Array, eps: Array, elastic: Array) -> tuple[float, float]:
+    """Energy that friction stores elastically, and that it dissipates (force x length).
+
+    Parameters
+    ----------
+    slip, bound, eps, elastic : (n,)
+        Slips, and of the law the friction force, the slip at which it is reached, and the part of
+        the slip that is elastic at most. The force grows over the elastic part as it does in the
+        law of a node that slides in one direction, whose elastic part is eps.
+    """
+    force = np.abs(coulomb_forces(slip, bound, eps))
+    back = np.minimum(np.abs(slip), elastic)
+    y = np.minimum(back / eps, 1.0)
+    return float(np.sum(force * back * (1.0 - y / 3.0) / (2.0 - y))), float(
+        np.sum(force * (np.abs(slip) - back))
+    )
+
+
 def secant_stiffness(slip: Array, bound: Array, eps: Array) -> Array:
     """Stiffness ``force / slip`` of nodes, (n,) (force/length).
 

@@ -22,13 +22,14 @@ import numpy as np
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import edge_directions, turns
 from crms_fenicsx.contact.lift_off import is_foot
+from crms_fenicsx.energies.smooth_coulomb import coulomb_forces
 from crms_fenicsx.friction.gripped_nodes import held_nodes, succession
 from crms_fenicsx.friction.slip import material_place
 from crms_fenicsx.meshes.triangles import arc_lengths
 from crms_fenicsx.model.friction_history import AxialGrip, MaterialCurve
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import SAME_PLACE
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import EPSILON, Array
 from crms_fenicsx.surface.points import Support
 
 LEAST_PART = 0.01
@@ -61,7 +62,7 @@ def initial_state(cable: LaidCable, shape: StripShape) -> AxialGrip:
     supports = _supports(cable)
     curve, rest = _curve(cable, shape, [], np.zeros(0))
     none, zero = np.zeros(0), np.zeros(len(supports))
-    return AxialGrip(curve, rest, supports, zero, zero, none, none, none, zero)
+    return AxialGrip(curve, rest, supports, zero, zero, zero, none, none, none, zero)
 
 
 def _supports(cable: LaidCable) -> tuple[Support, ...]:
@@ -104,12 +105,15 @@ def remap_axial(cable: LaidCable) -> None:
     if grip is None or (now := _supports(cable)) == grip.supports:
         return
     stays, rows, heirs = succession(grip.supports, now)
-    bounds, eps, slips = np.zeros((3, len(now)))
-    bounds[stays], eps[stays], slips[stays] = grip.bounds[rows], grip.eps[rows], grip.slips[rows]
-    for gone, new in heirs:
-        bounds[new] += grip.bounds[gone].sum() / len(new)
-        eps[new] += grip.eps[gone].sum() / len(new)
-    cable.update(axial=replace(grip, supports=now, bounds=bounds, eps=eps, slips=slips))
+    old = np.array([grip.bounds, grip.eps, grip.elastic, grip.slips])
+    new = np.zeros((4, len(now)))
+    new[:, stays] = old[:, rows]
+    for gone, heir in heirs:
+        new[:3, heir] += old[:3, gone].sum(axis=1, keepdims=True) / len(heir)
+    bounds, eps, elastic, slips = new
+    cable.update(
+        axial=replace(grip, supports=now, bounds=bounds, eps=eps, elastic=elastic, slips=slips)
+    )
 
 
 def reference_arcs(cable: LaidCable, shape: StripShape) -> RestPlaces:
@@ -203,7 +207,12 @@ def end_axial_step(cable: LaidCable, shape: StripShape) -> None:
     if not cable.taut:
         cable.update(axial=replace(initial_state(cable, shape), dissipated=dissipated))
         return
-    held = np.where(grip.bounds > 0, np.clip(grip.slips, -grip.eps, grip.eps), 0.0)
+    held = np.where(grip.bounds > 0, np.clip(grip.slips, -grip.elastic, grip.elastic), 0.0)
+    if cable.cable.cone:  # what is left elastically has the same force on its own
+        slides = grip.elastic < grip.eps
+        force = np.abs(coulomb_forces(grip.slips, grip.bounds, np.maximum(grip.eps, EPSILON)))
+        bounds, eps = np.where(slides, [force, grip.elastic], [grip.bounds, grip.eps])
+        grip = replace(grip, bounds=bounds, eps=np.where(eps > 0.0, eps, grip.eps))
     curve, rest = _curve(cable, shape, gripped_nodes(cable), grip.arcs - held)
     axial = replace(grip, curve=curve, rest=rest, slips=held, loss=0.0, dissipated=dissipated)
     cable.update(axial=axial)

@@ -2,21 +2,48 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import wrap_angles
 from crms_fenicsx.energies.capstan_chain import LAW, find_slips
+from crms_fenicsx.energies.smooth_coulomb import coulomb_forces
 from crms_fenicsx.friction.aitken import AitkenRelaxation
-from crms_fenicsx.friction.axial import LEAST_PART, between_contacts, reference_arcs
+from crms_fenicsx.friction.axial import LEAST_PART, RestPlaces, between_contacts, reference_arcs
+from crms_fenicsx.friction.cone import Slip, full_slips, law_along, slips_sideways
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 
 SETTLED = 1e-4
 """Change of the tensions, relative to the sum of the bounds, below which these have settled. What
 is sharper than sideways costs one short pass here."""
+
+
+MOST_TURNS, TURNED = 30, 1e-6
+"""How often the direction of the friction force is taken from the slips that it leads to, and
+their change, relative to the largest one, below which it has been found."""
+
+
+@dataclass(frozen=True)
+class _Law:
+    """Coulomb's law along a cable, solved.
+
+    Attributes
+    ----------
+    most, eps, elastic : (n,)
+        Most logarithm of the ratio of tensions at nodes, and the slips (length) at which it is
+        reached and that are elastic at most.
+    slips : (n,), unstressed : (n + 1,)
+        Slips and unstressed lengths of the spans (length).
+    """
+
+    most: Array
+    eps: Array
+    elastic: Array
+    slips: Array
+    unstressed: Array
 
 
 class AxialIteration:
@@ -38,36 +65,60 @@ class AxialIteration:
 
         cable, grip = self.cable, self.cable.axial
         assert grip is not None
-        strain = cable.length / cable.L0 - 1
-        if not cable.taut or strain <= 0.0 or len(grip.spans) != len(grip.supports) + 1:
+        if not cable.taut or cable.length <= cable.L0 or len(grip.spans) != len(grip.supports) + 1:
             return 0.0
-        friction, EA = cable.cable.friction, cable.cable.EA
-        places = reference_arcs(cable, shape)
+        places, EA = reference_arcs(cable, shape), cable.cable.EA
         wrap = cable.cable.along * wrap_angles(cable, shape)[places.nodes]
-        # The slip of a node that just holds, relative to what its force stretches one cell by: so
-        # sticking is much stiffer than the cable on every mesh, however stiff the cable is.
-        eps = np.where(wrap > 0, friction.tolerance * places.size * wrap * strain, 1.0)  # type: ignore[union-attr]
-        slips, unstressed = grip.slips.copy(), np.zeros(len(grip.spans))
-        L0 = cable.L0 + cable.excess
-        find_slips(LAW, grip.spans, places.rest, L0, wrap, eps, slips, unstressed)
-        strains = (grip.spans - unstressed) / unstressed
-        bounds = EA * capstan_bounds(np.sqrt(strains[1:] * strains[:-1]), wrap, slips / eps)
+        law = self._law(places, wrap, shape)
+        strains = (grip.spans - law.unstressed) / law.unstressed
+        mean, eps = np.sqrt(strains[1:] * strains[:-1]), law.eps
+        bounds = EA * capstan_bounds(mean, law.most, law.slips / eps)
         total, used = float(bounds.sum()), float(grip.bounds.sum())
         if used == 0.0 == total:
             return 0.0
         # What counts is the tension: as nodes move along their edges, neighbours share differently.
-        error = np.abs(np.cumsum(bounds - grip.bounds)).max()
+        changes = bounds - grip.bounds
+        if cable.cable.cone:  # where other slips are the law has another width
+            before = np.where(grip.bounds > 0.0, grip.eps, 1.0)
+            changes = coulomb_forces(law.slips, bounds, eps)
+            changes -= coulomb_forces(grip.slips, grip.bounds, before)
+            total = float(EA * capstan_bounds(mean, wrap, np.zeros(len(wrap))).sum())
+        error = np.abs(np.cumsum(changes)).max()
         change = float(error) / max(total, 1e-3 * used)
         if change > self.settled:  # the state found stays the one that belongs to its bounds
             tensions = between_contacts(cable, EA * strains)
+            elastic = law.elastic
             if used > 0.0:
                 part = self._pace.factor(grip.supports, bounds - grip.bounds)
                 # Where nothing holds the cable, now or before, eps has no meaning.
                 before = np.where(grip.bounds > 0.0, grip.eps, eps)
                 eps = (1 - part) * before + part * np.where(wrap > 0.0, eps, before)
                 bounds = (1 - part) * grip.bounds + part * bounds
-            cable.update(axial=replace(grip, bounds=bounds, eps=eps, tensions=tensions))
+            elastic = elastic if cable.cable.cone else eps
+            cable.update(
+                axial=replace(grip, bounds=bounds, eps=eps, elastic=elastic, tensions=tensions)
+            )
         return change
+
+    def _law(self, places: RestPlaces, wrap: Array, shape: StripShape) -> _Law:
+        """Solve Coulomb's law along the cable for the lengths of its spans."""
+        cable, grip = self.cable, self.cable.axial
+        assert grip is not None
+        slips, unstressed = grip.slips.copy(), np.zeros(len(grip.spans))
+        full = full_slips(cable, places.size, wrap)
+        L0 = cable.L0 + cable.excess
+        if not cable.cable.cone or cable.grip is None:
+            find_slips(LAW, grip.spans, places.rest, L0, wrap, full, slips, unstressed)
+            return _Law(wrap, full, full, slips, unstressed)
+        sideways = slips_sideways(cable, cable.grip, shape, places.nodes)
+        for _ in range(MOST_TURNS):
+            before, along = slips.copy(), Slip.of(cable.cable.along, slips, full)
+            bound, width, elastic = law_along(sideways, along)
+            most, eps = wrap * bound, full * width
+            find_slips(LAW, grip.spans, places.rest, L0, most, eps, slips, unstressed)
+            if np.abs(slips - before).max(initial=0.0) <= TURNED * np.abs(slips).max(initial=0.0):
+                break
+        return _Law(most, eps, full * elastic, slips, unstressed)
 
 
 def capstan_bounds(mean: Array, wrap: Array, y: Array) -> Array:

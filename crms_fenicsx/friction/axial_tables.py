@@ -64,6 +64,7 @@ def grip_table(numbering: CableNumbering, shape: StripShape) -> Grips:
         joined([p.offset for p in places.values()]),
         bound,
         np.where(bound > 0.0, joined([grip.eps for grip in grips]), 1.0),
+        np.where(bound > 0.0, joined([grip.elastic for grip in grips]), 1.0),
         joined([grip.slips for grip in grips]),
         np.array([places[c].slope[i] for _, c, i, _ in _fold_points(numbering)]),
     )

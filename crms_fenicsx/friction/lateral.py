@@ -16,12 +16,12 @@ import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces, paper_forces
-from crms_fenicsx.energies.smooth_coulomb import friction_energy
+from crms_fenicsx.energies.smooth_coulomb import stored_and_lost
 from crms_fenicsx.friction.gripped_nodes import held_nodes, succession, supports_of
 from crms_fenicsx.friction.lateral_iteration import SLIDES
-from crms_fenicsx.friction.slip import material_curve, node_slips
+from crms_fenicsx.friction.slip import material_curve, node_slips, slip_forces
 from crms_fenicsx.meshes.triangles import norm
-from crms_fenicsx.model.friction_history import Grip
+from crms_fenicsx.model.friction_history import Grip, SidewaysLaw
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 
@@ -110,27 +110,32 @@ def remap(cable: LaidCable) -> None:
         strongest = int(np.argmax(np.abs(grip.moving[gone])))
         for k in new:
             moving[k] = moving[k] or grip.moving[gone][strongest]
-    cable.update(grip=replace(grip, supports=now, bounds=bounds, moving=moving))
+    cone = None
+    if grip.cone is not None:
+        old = np.array([grip.cone.bound, grip.cone.width, grip.cone.elastic])
+        law = np.ones((3, len(now)))
+        law[:, stays] = old[:, rows]
+        for gone, new in heirs:
+            if gone.stop > gone.start and not set(new) & set(stays):
+                law[:, new] = old[:, gone].mean(axis=1, keepdims=True)
+        cone = SidewaysLaw(*law)
+    cable.update(grip=replace(grip, supports=now, bounds=bounds, moving=moving, cone=cone))
 
 
 def energies(cable: LaidCable, shape: StripShape) -> tuple[float, float]:
     """Energy that a cable's friction stores, and that it dissipates in the step so far.
 
-    Of the potential ``F eps f(s/eps)`` (see `lateral_friction`) the part up to the slip eps
-    is elastic.
+    Of the slip the part up to eps (see `lateral_friction`) is elastic, with a cone less.
     """
     friction, grip = cable.cable.sideways, cable.grip
     if friction is None or grip is None or not cable.taut:
         return 0.0, 0.0
     slips = node_slips(cable, grip.curve, shape)
-    bounds = np.array([grip.at(support) for support in slips.supports])
+    rows = [grip.row_of[support] for support in slips.supports]
     if friction.law == "step":
-        rows = [grip.row_of[support] for support in slips.supports]
-        return 0.0, float(np.sum(bounds * grip.moving[rows] * slips.slip))
-    eps = friction.tolerance * slips.size
-    lost = float(np.sum(bounds * np.maximum(np.abs(slips.slip) - eps, 0.0)))
-    total = friction_energy(slips.slip, bounds, eps, np.zeros_like(eps))
-    return max(total - lost, 0.0), lost
+        return 0.0, float(np.sum(grip.bounds[rows] * grip.moving[rows] * slips.slip))
+    bounds, eps, elastic = grip.law(rows, friction.tolerance * slips.size)
+    return stored_and_lost(slips.slip, bounds, eps, elastic)
 
 
 def friction_forces(cable: LaidCable, shape: StripShape) -> Array:
@@ -146,9 +151,7 @@ def friction_forces(cable: LaidCable, shape: StripShape) -> Array:
     if friction.law == "step":
         forces[rows] = grip.bounds[rows] * grip.moving[rows]
     else:
-        own, eps = np.zeros(len(rows)), friction.tolerance * slips.size
-        friction_energy(slips.slip, grip.bounds[rows], eps, own)
-        forces[rows] = own
+        forces[rows] = slip_forces(friction, grip, slips)
     return np.asarray(forces)
 
 
@@ -162,8 +165,9 @@ def end_step(cable: LaidCable, shape: StripShape) -> None:
     moving: dict[int, float] = {}
     if cable.taut:
         slips = node_slips(cable, grip.curve, shape)
-        eps = friction.tolerance * slips.size
-        elastic = dict(zip(slips.nodes, np.clip(slips.slip, -eps, eps), strict=True))
+        rows = [grip.row_of[support] for support in slips.supports]
+        most = grip.law(rows, friction.tolerance * slips.size)[2]
+        elastic = dict(zip(slips.nodes, np.clip(slips.slip, -most, most), strict=True))
         slid = np.sign(slips.slip) * (np.abs(slips.slip) > SLIDES * slips.size)
         moving = dict(zip(slips.nodes, slid, strict=True))
     curve = material_curve(cable, shape, elastic, moving)
@@ -172,6 +176,7 @@ def end_step(cable: LaidCable, shape: StripShape) -> None:
         curve=curve,
         moving=np.zeros_like(grip.moving),
         known=grip.known and cable.taut,
+        cone=None,  # what is left elastically has the same force on its own
         dissipated=grip.dissipated + dissipated,
     )
     cable.update(grip=ended)

@@ -9,8 +9,9 @@ import numpy as np
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces
 from crms_fenicsx.friction.aitken import AitkenRelaxation
+from crms_fenicsx.friction.cone import law_sideways
 from crms_fenicsx.friction.gripped_nodes import held_nodes
-from crms_fenicsx.friction.slip import node_slips
+from crms_fenicsx.friction.slip import node_slips, slip_forces
 from crms_fenicsx.model.friction_history import Grip
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
@@ -66,6 +67,13 @@ class LateralIteration:
             found, moving = _bounds(cable, grip, shape, settled=True)
             self.change = _change(grip.bounds, found)
         total, used = float(found.sum()), float(grip.bounds.sum())
+        coupled = replace(grip, cone=law_sideways(cable, grip, shape))
+        if coupled.cone is not None and used > 0.0:
+            friction = cable.cable.sideways
+            assert friction is not None
+            slips = node_slips(cable, grip.curve, shape)
+            changes = slip_forces(friction, coupled, slips) - slip_forces(friction, grip, slips)
+            self.change = max(self.change, float(np.abs(changes).sum()) / used)
         if self.change <= SETTLED:  # the state found stays the one that belongs to its bounds
             return self.change
         if not grip.known or np.any(moving != grip.moving):  # another law from here on
@@ -75,7 +83,7 @@ class LateralIteration:
             change = found / total - shares
             part = self._pace.factor(grip.supports, change)
             found = np.asarray(self._add_up(used, total) * (shares + part * change))
-        cable.update(grip=replace(grip, bounds=found, moving=moving, known=True))
+        cable.update(grip=replace(coupled, bounds=found, moving=moving, known=True))
         return self.change
 
     def _add_up(self, used: float, found: float) -> float:

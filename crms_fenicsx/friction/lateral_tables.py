@@ -24,6 +24,8 @@ def slip_table(numbering: CableNumbering, shape: StripShape) -> Slips:
     pointers, places, rows = [0], [], []
     blocks: list[int] = []
     for c, _, friction, grip, slips in _slips(numbering, shape, "coulomb"):
+        held = [grip.row_of[edge] for edge in slips.supports]
+        bounds, eps, _ = grip.law(held, friction.tolerance * slips.size)
         for i, (k, edge) in enumerate(zip(slips.nodes, slips.supports, strict=True)):
             if numbering.strip.owner_of(edge) != numbering.rank:
                 continue
@@ -31,8 +33,7 @@ def slip_table(numbering: CableNumbering, shape: StripShape) -> Slips:
             blocks += line
             pointers.append(len(blocks))
             places.append(line.index(numbering.block(c, k)))
-            eps = friction.tolerance * slips.size[i]
-            rows.append((slips.slope[i], slips.offset[i], grip.at(edge), eps))
+            rows.append((slips.slope[i], slips.offset[i], bounds[i], eps[i]))
     slope, offset, bound, eps_of = np.array(rows, dtype=float).reshape(-1, 4).T.copy()
     return Slips(
         np.array(pointers, dtype=np.int32), np.array(blocks, dtype=np.int32),

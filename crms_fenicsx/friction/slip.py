@@ -15,8 +15,10 @@ import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import runs
+from crms_fenicsx.energies.smooth_coulomb import coulomb_forces
 from crms_fenicsx.meshes.triangles import arc_lengths, cross
-from crms_fenicsx.model.friction_history import MaterialCurve
+from crms_fenicsx.model.friction import Friction
+from crms_fenicsx.model.friction_history import Grip, MaterialCurve
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import Support
@@ -118,3 +120,10 @@ def node_slips(cable: LaidCable, curve: MaterialCurve, shape: StripShape) -> Nod
     moving[known] = curve.moving_at(at, parts)
     slip = slope * fractions + offset
     return NodeSlips(nodes, supports, slope, offset, slip, size, moving)
+
+
+def slip_forces(friction: Friction, grip: Grip, slips: NodeSlips) -> Array:
+    """Friction forces with stick and slip of sliding nodes, (n,) (force)."""
+    rows = [grip.row_of[support] for support in slips.supports]
+    bounds, eps, _ = grip.law(rows, friction.tolerance * slips.size)
+    return coulomb_forces(slips.slip, bounds, eps)

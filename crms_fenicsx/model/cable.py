@@ -55,3 +55,8 @@ class Cable:
     def along(self) -> float:
         """Coefficient of friction along its axis."""
         return self.friction.along if isinstance(self.friction, Friction) else 0.0
+
+    @property
+    def cone(self) -> bool:
+        """Whether friction sideways and along its axis have one limit."""
+        return isinstance(self.friction, Friction) and self.friction.cone

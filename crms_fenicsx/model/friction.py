@@ -27,10 +27,13 @@ class Friction:
         Coefficient against sliding along the cable's axis; with one the tension varies along the
         cable, between two nodes by ``exp(along * angle)`` at most (`LaidCable.tensions`). The angle
         is the turn around the membrane; in the pocket of a free edge, which pulls in the surface as
-        well, the whole turn. It sticks and slides independently of `mu`: where a cable does both,
-        the limit of the friction force is a box and not a circle. An unstressed length that changes
-        is taken in or let out at the cable's last end. 0: the cable slides along itself freely,
-        assumption 6 of the paper.
+        well, the whole turn. An unstressed length that changes is taken in or let out at the
+        cable's last end. 0: the cable slides along itself freely, assumption 6 of the paper.
+    cone
+        How the limits sideways, ``mu N``, and along, ``along N``, of a contact force N go together.
+        False: each on its own, a box; the force of a cable that slides obliquely is too large by
+        up to 1.41. True: an ellipse, with `along` equal to `mu` Coulomb's cone, and a cable slides
+        in the direction that dissipates most. It takes more passes.
     law
         "coulomb": stick and slip. "step": the paper's friction element (section 3.3), whose force
         keeps its direction and size in a load step (assumption 7), so that nothing can stick: a
@@ -43,8 +46,9 @@ class Friction:
     Raises
     ------
     InputError
-        A coefficient that is negative, `static` below `mu`, an unknown law, or a tolerance that
-        is not between 0 and 0.1.
+        A coefficient that is negative, `static` below `mu`, an unknown law, `cone` without `mu`
+        and `along`, with a static coefficient or with the law "step", or a tolerance that is not
+        between 0 and 0.1.
     """
 
     mu: float
@@ -52,6 +56,7 @@ class Friction:
     along: float = 0.0
     law: Literal["coulomb", "step"] = "coulomb"
     tolerance: float = 3e-3
+    cone: bool = False
 
     def __post_init__(self) -> None:
         for name in ("mu", "along"):
@@ -71,6 +76,17 @@ class Friction:
                 'Friction: law = "step" knows neither a static coefficient nor friction along the '
                 f"cable, but static = {self.static}, along = {self.along}; leave them out, or use "
                 '"coulomb".'
+            )
+        if self.cone and (self.law == "step" or min(self.mu, self.along) == 0):
+            raise InputError(
+                f"Friction: cone = True couples the friction forces sideways and along the cable, "
+                f'but mu = {self.mu}, along = {self.along}, law = "{self.law}"; give both '
+                'coefficients with the law "coulomb", or leave cone out.'
+            )
+        if self.cone and self.static not in (None, self.mu):
+            raise InputError(
+                f"Friction: cone = True knows no static coefficient, but static = {self.static}; "
+                "leave one of them out."
             )
         tolerance = checks.positive("Friction: tolerance", self.tolerance)
         if tolerance > MOST_TOLERANCE:

@@ -96,6 +96,23 @@ class MaterialCurve:
 
 
 @dataclass(frozen=True)
+class SidewaysLaw:
+    """How the cone changes the law sideways of nodes, relative to that of the box, (n,) each.
+
+    Attributes
+    ----------
+    bound, width
+        Most friction force, and the slip at which it is reached.
+    elastic
+        Most elastic slip.
+    """
+
+    bound: Annotated[Array, "n"]
+    width: Annotated[Array, "n"]
+    elastic: Annotated[Array, "n"]
+
+
+@dataclass(frozen=True)
 class Grip:
     """Friction of a laid cable in a load step.
 
@@ -113,6 +130,8 @@ class Grip:
         Energy that friction has dissipated up to the step's start (force x length).
     known
         Whether the bounds come from a state, and not from a first guess.
+    cone
+        What friction along the cable takes of that sideways; None: nothing.
     """
 
     curve: MaterialCurve
@@ -121,6 +140,22 @@ class Grip:
     moving: Annotated[Array, "n"]
     dissipated: float = 0.0
     known: bool = False
+    cone: SidewaysLaw | None = None
+
+    def law(self, rows: list[int], eps: Array) -> tuple[Array, Array, Array]:
+        """Bounds (force), slips at which they are reached, and most elastic slips (length).
+
+        Parameters
+        ----------
+        rows
+            Nodes, by number.
+        eps
+            Slips at which friction is fully mobilised in pure sliding sideways (length).
+        """
+        bounds, own = self.bounds[rows], self.cone
+        if own is None:
+            return bounds, eps, eps
+        return bounds * own.bound[rows], eps * own.width[rows], eps * own.elastic[rows]
 
     def at(self, support: Support) -> float:
         """Bound of a node (force)."""
@@ -147,6 +182,8 @@ class AxialGrip:
     bounds, eps : (n,)
         Most friction force of each (force; times the stretch there, so that its work is that on
         the unstressed arc), and the slip at which it is reached (length).
+    elastic : (n,)
+        Most elastic slip (length): `eps`, with a cone less.
     tensions : (m,)
         Tension between the nodes that the cable touches, in the state last solved (force).
     spans : (n + 1,), arcs, slips : (n,)
@@ -163,6 +200,7 @@ class AxialGrip:
     supports: Annotated[tuple[Support, ...], "n"]
     bounds: Annotated[Array, "n"]
     eps: Annotated[Array, "n"]
+    elastic: Annotated[Array, "n"]
     tensions: Annotated[Array, "m"]
     spans: Annotated[Array, "s"]
     arcs: Annotated[Array, "a"]

@@ -12,7 +12,7 @@ from crms_fenicsx.meshes.triangles import norm
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import INSIDE, SAME_PLACE
 from crms_fenicsx.paths.held_vertices import UNEVEN, held_runs
-from crms_fenicsx.runtime.arrays import Booleans, Integers
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.surface.points import EdgePoint
 from crms_fenicsx.verification.report import NO_STRAIN
 
@@ -141,6 +141,8 @@ def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, fl
     if friction is not None and cable.has_coulomb and cable.grip is not None:
         forces = contact_forces(cable, shape)
         bounds = friction.at_rest * forces.bearing
+        if friction.cone:
+            bounds[held_nodes(cable)] *= _left_sideways(cable, shape)
         # At a held edge the cable may turn by so much that its sides there and on the stress-free
         # membrane, on which slip is measured, are not the same.
         free = [
@@ -167,3 +169,17 @@ def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, fl
         heat = -cable.axial.loss / max(cable.tension * cable.length, 1e-300)
         values["negative dissipation"] = max(values.get("negative dissipation", 0.0), heat)
     return values
+
+
+def _left_sideways(cable: LaidCable, shape: StripShape) -> Array:
+    """Part of the friction bounds sideways that the tensions along a cable leave of the cone."""
+    nodes = held_nodes(cable)
+    left = np.ones(len(nodes))
+    if cable.axial is None or not len(cable.axial.spans):
+        return left
+    at = np.searchsorted(cable.contacts(), nodes)
+    most = cable.cable.along * wrap_angles(cable, shape)[nodes]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.abs(np.log(cable.part_tensions[at] / cable.part_tensions[at - 1])) / most
+    share = np.where(most > 0.0, np.minimum(share, 1.0), 0.0)
+    return np.asarray(np.sqrt(1 - share**2))

@@ -43,6 +43,8 @@ class Surface:
         Of F at x; and its second derivative along t, t.H(x).t.
     middle, course
         Parameters of the middle of the curves on it, and their angle to the u lines there.
+    inside
+        Whether the membrane's outer side is the inside, where F < 0; cables there are in sleeves.
     """
 
     place: Callable[[Floats, Floats], Floats]
@@ -51,6 +53,7 @@ class Surface:
     bend: Callable[[Floats, Floats], float]
     middle: tuple[float, float]
     course: float
+    inside: bool = False
 
 
 def ellipsoid(a: float, b: float, c: float, middle: tuple[float, float], course: float) -> Surface:
@@ -95,7 +98,19 @@ def sphere(latitude: float) -> Surface:
     return ellipsoid(1.0, 1.0, 1.0, (0.0, latitude), 0.0)
 
 
-def cylinder() -> Surface:
+def hyperboloid() -> Surface:
+    """Angle u about the z axis, where it bends outward; along v it bends inward: a saddle."""
+    return Surface(
+        lambda u, v: np.stack([np.cosh(v) * np.cos(u), np.cosh(v) * np.sin(u), np.sinh(v)], -1),
+        lambda x: (np.arctan2(x[..., 1], x[..., 0]), np.arcsinh(x[..., 2])),
+        lambda x: 2 * x * (1.0, 1.0, -1.0),
+        lambda x, t: float(2 * (t[0] ** 2 + t[1] ** 2 - t[2] ** 2)),
+        (0.0, 0.0),
+        0.2,
+    )
+
+
+def cylinder(inside: bool = False) -> Surface:
     """Angle u about the y axis, v along it; on top."""
     return Surface(
         lambda u, v: np.stack([np.sin(u), v, np.cos(u)], axis=-1),
@@ -104,6 +119,7 @@ def cylinder() -> Surface:
         lambda x, t: float(2 * (t[0] ** 2 + t[2] ** 2)),
         (0.0, 0.0),
         0.3,
+        inside,
     )
 
 
@@ -111,6 +127,8 @@ SURFACES = {
     "cylinder": cylinder(),
     "ellipsoid": ellipsoid(1.0, 0.8, 0.6, (0.3, 0.6), 0.2),
     "torus": torus(1.0, 0.5, (0.0, 0.0), 0.2),
+    "saddle": hyperboloid(),
+    "concave cylinder": cylinder(inside=True),
 }
 
 
@@ -281,8 +299,10 @@ def rigid(
 ) -> tuple[Scene, LaidCable]:
     """A rigid surface with a cable along a curve, or another path, tied to it at its ends."""
     outside = way.surface.gradient(way.points[len(way.points) // 2])
+    outside *= -1.0 if way.surface.inside else 1.0
     membrane = meshes.from_arrays(comm, *mesh, outside=tuple(float(x) for x in outside))
     scene = Scene(membrane, STIFF)
     scene.fix(lambda x: np.full(x.shape[1], True))
     route = way.points[::16] if path is None else path  # chords of it are 1e-4 off the curve
-    return scene, scene.lay_cable(Cable(EA=EA, friction=friction), route)
+    sleeve = way.surface.inside
+    return scene, scene.lay_cable(Cable(EA=EA, friction=friction), route, sleeve=sleeve)

@@ -46,6 +46,8 @@ def roped(
     jitter: float = 0.0,
     scale: float = 1.0,
     force: float = 1.0,
+    mu: float = 0.0,
+    cone: bool = False,
 ) -> tuple[Scene, LaidCable]:
     """A rope over a drum; `scale` and `force` are the units of length and force."""
     scene = Scene(
@@ -56,7 +58,7 @@ def roped(
     angle = np.linspace(-WRAP / 2, WRAP / 2, 41)
     path = np.column_stack([np.full(41, 0.03), np.sin(angle), np.cos(angle)])
     path = np.vstack([path[0] - (0, 0, FREE), path, path[-1] - (0, 0, FREE)])
-    friction = Friction(0.0, along=along)
+    friction = Friction(mu, along=along, cone=cone)
     cable = scene.lay_cable(
         Cable(EA * force, friction=friction),
         scale * path,

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from cable_edits import put
 from cabled_square import PRESSURE, clamped, sheet
 from mpi4py import MPI
+from spoilt_states import checked, names
 
 from crms_fenicsx import (
     Cable,
@@ -19,7 +18,6 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.verification.report import Verification
 from crms_fenicsx.verification.verifier import Verifier
 
 pytestmark = pytest.mark.usefixtures("comm")
@@ -32,21 +30,6 @@ def roped(comm: MPI.Intracomm, friction: float | Friction = 0.0) -> Solver:
     solver = Solver(scene)
     solver.advance(pressure=PRESSURE)
     return solver
-
-
-def checked(solver: Solver, spoil: Callable[[], None] | None = None) -> Verification:
-    """The verification of the state that a solver is in, once something has been spoiled."""
-    verifier = Verifier(solver.scene)
-    solver.system.potential.sum_up()
-    verifier.begin()
-    if spoil is not None:
-        spoil()
-    return verifier.check(solver.system, solver.steps[-1].outcome)
-
-
-def names(verification: Verification) -> set[str]:
-    """What is not as it must be."""
-    return {check.name for check in (*verification.failed, *verification.doubtful)}
 
 
 def test_sound_states_pass(comm: MPI.Intracomm) -> None:
