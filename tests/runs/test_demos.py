@@ -37,7 +37,13 @@ def test_every_demo_is_tested() -> None:
     assert {path.stem for path in (ROOT / "demos").glob("*.py")} == set(PROMISED)
 
 
-@pytest.mark.parametrize("demo", PROMISED)
+DENTED = pytest.mark.filterwarnings("ignore::crms_fenicsx.runtime.errors.SnapThroughWarning")
+"""On cells of 6 m the hall dents all at once under snow."""
+
+
+@pytest.mark.parametrize(
+    "demo", [pytest.param(one, marks=[DENTED] * (one == "air_hall")) for one in PROMISED]
+)
 def test_demo(
     comm: MPI.Intracomm,
     demo: str,
