@@ -290,7 +290,7 @@ class Solver(LoadCases, SolverResults, Reporting, Drawing):
         scene.versions.settle(scene.membrane.owned_u, step.verification)
         if not self.slide:
             warn_of_blocked(step.number, scene)
-        warn_of_friction(step.number, scene, before, unsettled, step.verification)
+        warn_of_friction(step.number, scene, before, unsettled)
         warn_of_state(step.number, scene, step.warnings)
 
     def _resumed(self, loads: Plain) -> tuple[float, float]:

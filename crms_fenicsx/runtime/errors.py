@@ -55,8 +55,7 @@ class FrictionWarning(UserWarning):
     """Friction forces that are crude.
 
     Those of the paper's law have pushed a cable back, as sticking is beyond it; or forces went
-    round in circles, as the state answers a small change of them by a large one; or folded edges
-    hold a cable by more than its friction can.
+    round in circles, as the state answers a small change of them by a large one.
     """
 
 

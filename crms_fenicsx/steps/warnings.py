@@ -18,7 +18,6 @@ from crms_fenicsx.runtime.errors import (
     SnapThroughWarning,
 )
 from crms_fenicsx.scene import Scene
-from crms_fenicsx.verification.report import Verification
 
 CALLER = 5
 """Level of the stack, from here, of who has called `Solver.advance`."""
@@ -31,10 +30,8 @@ CATEGORIES: dict[str, type[UserWarning]] = {
 }
 
 
-def warn_of_friction(
-    number: int, scene: Scene, before: State, unsettled: float, found: Verification | None
-) -> None:
-    """Warn of friction forces not settled, beyond their bounds, or that have done work on a cable.
+def warn_of_friction(number: int, scene: Scene, before: State, unsettled: float) -> None:
+    """Warn of friction forces that have not settled, or that have done work on a cable.
 
     The paper's friction element pushes a cable back that should stick.
 
@@ -48,19 +45,9 @@ def warn_of_friction(
         The scene's state before the step.
     unsettled
         Error of the friction forces, relative to their sum.
-    found
-        What checks of the state say; None where there were none.
     """
     if scene.comm.rank > 0:
         return
-    for check in found.doubtful if found is not None else ():
-        if check.name == "friction beyond its bound":
-            warnings.warn(
-                f"step {number}: folded edges hold a cable sideways by more than its friction can: "
-                f"{check}; make the mesh finer along it.",
-                FrictionWarning,
-                stacklevel=CALLER,
-            )
     if unsettled > 0.0:
         warnings.warn(
             f"step {number}: friction forces went round in circles and are right to "
