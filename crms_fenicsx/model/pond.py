@@ -76,8 +76,8 @@ class Pond:
         own = membrane.mesh.mesh.topology.index_map(2).size_local
         if not self.parts:
             heights = cell_normals(membrane.mesh.mesh)[:own, 2]
-            ends = np.array([heights.max(initial=-1.0), -heights.min(initial=1.0)])
-            up, down = membrane.comm.allreduce(ends, op=MPI.MAX)
+            up = membrane.comm.allreduce(float(heights.max(initial=-1.0)), op=MPI.MAX)
+            down = membrane.comm.allreduce(float(-heights.min(initial=1.0)), op=MPI.MAX)
             if max(up, down) <= UPRIGHT:
                 raise InputError(self._no_side())
             return 1 if up > UPRIGHT else -1
