@@ -248,8 +248,8 @@ def test_rank_0_gives_the_order(comm: MPI.Intracomm, tmp_path: Path) -> None:
         energies.append([case.step.energy for case in found.values()])
         mine = dict(reversed(found.items())) if last else found
         one.report(Path(comm.bcast(str(tmp_path))) / "r.html", mine, pictures=[])
-    if comm.size > 1:  # the very same numbers
-        assert energies[0] == energies[1]
+    if comm.size > 1:  # but for what rounds otherwise in each factorisation on several processes
+        np.testing.assert_allclose(energies[0], energies[1], rtol=1e-13)
     assert min(np.ptp(energies, axis=1)) > 0.0
 
 
