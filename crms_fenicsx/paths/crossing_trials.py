@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from crms_fenicsx.contact.active_set import ContactKey
-from crms_fenicsx.contact.lift_off import lift, may_lift, outward_pulls
+from crms_fenicsx.contact.gap import Gap
+from crms_fenicsx.contact.lift_off import captured, lift, may_lift, outward_pulls, touch
 from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import BEYOND
@@ -34,6 +35,9 @@ MOST = 12
 
 NEAR = 0.05
 """Part of an edge within which a cable that slides past a vertex may pass it on the other side."""
+
+LOW = 0.125
+"""Height above the membrane, relative to the cells' size, up to which a cable may touch it."""
 
 LIGHT = 0.04
 """Turn of the cable (rad) at a contact up to which this may be open as well."""
@@ -79,7 +83,7 @@ class CrossingTrials:
         if not 0 < len(self.net.crossings) <= FEW:
             return False
         self._contacts = set(self.tried.released), set(self.tried.settled)
-        for way in [*self._exchanges(), *self._sides(), *self._open()]:
+        for way in [*self._exchanges(), *self._sides(), *self._open(), *self._closed()]:
             known = self.tried.ways.setdefault(self.net.cables[way.cable].name, set())
             if self._left > 0 and way.key not in known:
                 known.add(way.key)
@@ -187,6 +191,31 @@ class CrossingTrials:
 
             if press < LIGHT:
                 yield Way(c, ("open", *key, False), take)
+
+    def _closed(self) -> Iterator[Way]:
+        """With a contact more at the end of a span, the lowest above the membrane first."""
+        shape = self.net.strip_shape()
+        found = []
+        for c in self._crossed():
+            cable = self.net.cables[c]
+            off = cable.lifted
+            if not off.any():
+                continue
+            for k, gap in captured(cable, shape, {}, LOW).items():
+                if not (off[k - 1] and off[k + 1]):
+                    found.append((gap.gap, c, k, gap))
+        for _, c, k, gap in sorted(found, key=lambda one: one[:3]):
+            cable = self.net.cables[c]
+            key = cable.name, cable.nodes[k].support
+
+            def take(
+                cable: LaidCable = cable, k: int = k, gap: Gap = gap, key: ContactKey = key
+            ) -> bool:
+                touch(cable, {k: gap})
+                self.tried.released.discard(key)
+                return True
+
+            yield Way(c, ("closed", *key, False), take)
 
 
 def _shared_edges(crossing: Crossing) -> list[Edge]:

@@ -38,12 +38,16 @@ but steep for a short while, as next to a bifurcation, they leave half."""
 
 @dataclass(frozen=True)
 class _Part:
-    """A part of an increment: the states at its ends, and how many steps are done there."""
+    """A part of an increment: the states at its ends, and how many steps are done there.
+
+    `solved` says whether the end was found from this start, or from an earlier one.
+    """
 
     start: Snapshot
     end: State
     low: float
     high: float
+    solved: bool = True
 
 
 class SnapThroughSearch:
@@ -103,8 +107,11 @@ class SnapThroughSearch:
                     return None
                 size, part = max(halves, key=lambda one: one[0])
                 sizes.append(size)
+            calm = not part.solved and self._is_calm(part)
         finally:
             self.increments.go_back_to(end)
+        if calm:
+            return None
         if sizes[-1] < LEFT * sizes[-min(len(sizes), 3)] or (part.low == began and not balanced):
             return None
         return self._warning(part)
@@ -113,10 +120,15 @@ class SnapThroughSearch:
         """The halves on which the energy is not convex, and how far things move in them.
 
         Not the second one where things move far in the first. None where no equilibrium is found in
-        the middle; where none is found from there, the end is the one that was reached before.
+        the middle; where none is found from there, the end is the one that was reached before. The
+        second half is not solved as long as the way in it stays large: a jump takes the most
+        iterations of all.
         """
         start, middle, found = part.start, (part.low + part.high) / 2, []
         for low, high in ((part.low, middle), (middle, part.high)):
+            left = self._way(start.state, part.end)[0]
+            if low == middle and not found and left >= large:
+                return [(left, _Part(start, part.end, low, high, solved=False))]
             self.increments.go_back_to(start)
             outcome = self.increments.solve(
                 self.target, self.first, start.state, low, high, self.steps
@@ -124,7 +136,7 @@ class SnapThroughSearch:
             if not outcome.converged and low == part.low:
                 return None
             if not outcome.converged:
-                return [(self._way(start.state, part.end)[0], _Part(start, part.end, low, high))]
+                return [(left, _Part(start, part.end, low, high))]
             end = Snapshot.of(self.scene, self.increments.tried)
             size = self._way(start.state, end.state)[0]
             if outcome.bent:
@@ -133,6 +145,14 @@ class SnapThroughSearch:
                 break
             start = end
         return found
+
+    def _is_calm(self, part: _Part) -> bool:
+        """Whether the energy is convex all the way from a part's start. Collective."""
+        self.increments.go_back_to(part.start)
+        outcome = self.increments.solve(
+            self.target, self.first, part.start.state, part.low, part.high, self.steps
+        ).outcome
+        return outcome.converged and not outcome.bent
 
     def _is_fine(self, part: _Part) -> bool:
         """Whether the ends of a part tell each load well enough."""
