@@ -52,9 +52,9 @@ def loaded(comm: MPI.Intracomm, number: int, over: bool) -> tuple[float, float]:
 
 
 # What the cables are laid on, and the energy that another order of the loads has led to before.
-@pytest.mark.parametrize(("number", "least"), [(511, -58.3501), (505, 64.2605)])
+@pytest.mark.parametrize(("number", "least"), [(511, -58.3501), (505, 64.2605), (527, 73.8845)])
 def test_ways_of_crossing_cables_do_not_depend_on_the_loads_before(number: int, least: float):
-    """A cable beside a vertex and off the membrane, and a crossing beside an edge."""
+    """A cable beside a vertex and off the membrane, a crossing beside an edge, a span cut short."""
     energies = []
     for over in (False, True):
         energy, scale = loaded(MPI.COMM_SELF, number, over)
