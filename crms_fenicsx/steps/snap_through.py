@@ -124,7 +124,8 @@ class SnapThroughSearch:
         second half is not solved as long as the way in it stays large: a jump takes the most
         iterations of all.
         """
-        start, middle, found = part.start, (part.low + part.high) / 2, []
+        found: list[tuple[float, _Part]] = []
+        start, middle = part.start, (part.low + part.high) / 2
         for low, high in ((part.low, middle), (middle, part.high)):
             left = self._way(start.state, part.end)[0]
             if low == middle and not found and left >= large:
