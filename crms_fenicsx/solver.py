@@ -296,9 +296,7 @@ class Solver(LoadCases, SolverResults, Reporting, Drawing):
     def _resumed(self, loads: Plain) -> tuple[float, float]:
         """Bring scene and solver to where a call to `advance` has come to before. Collective.
 
-        Returns
-        -------
-        Number of increments that are done, and the next one; 0 and 1 for a new call.
+        Returns number of increments that are done, and the next one; 0 and 1 for a new call.
         """
         if self._journal is None:
             return 0.0, 1.0

@@ -20,25 +20,11 @@ from crms_fenicsx.runtime.errors import InputError
 class CableNet:
     """The laid cables of a membrane, the same on all ranks.
 
-    Parameters
-    ----------
-    membrane
-        What the cables lie on.
-
-    Attributes
-    ----------
-    cables
-        In the order of laying.
-    strip
-        Cells around the cables' paths; None before the first cable is laid.
-    crossings
-        Where cables in tension cross.
-    arranged
-        The cables whose crossings were arranged.
-    laid
-        How many cables have been laid, those that have been removed included.
-    removed_dissipation
-        Energy that friction of the cables that have been removed has dissipated (force x length).
+    Attributes: `cables`: in the order of laying; `strip`: cells around the cables' paths; None
+    before the first cable is laid; `crossings`: where cables in tension cross; `arranged`: the
+    cables whose crossings were arranged; `laid`: how many cables have been laid, those that have
+    been removed included; `removed_dissipation`: energy that friction of the cables that have been
+    removed has dissipated (force x length).
     """
 
     def __init__(self, membrane: Membrane) -> None:
@@ -61,13 +47,7 @@ class CableNet:
         return not all(cable.slides_freely for cable in self.cables)
 
     def cable(self, name: str) -> LaidCable:
-        """The cable with a name.
-
-        Raises
-        ------
-        InputError
-            There is none.
-        """
+        """The cable with a name."""
         return checks.named("cable", {cable.name: cable for cable in self.cables}, name)
 
     def strip_shape(self) -> StripShape:
@@ -76,15 +56,7 @@ class CableNet:
         return StripShape.of(self.membrane, self.strip)
 
     def grow_strip(self, vertices: npt.ArrayLike, rings: int = 1) -> None:
-        """Add the cells around some vertices to the strip. Collective.
-
-        Parameters
-        ----------
-        vertices
-            Ids, the same on all ranks.
-        rings
-            How many rings of cells to add.
-        """
+        """Add the cells around some vertices to the strip. Collective."""
         self.strip = grown(self.membrane, self.strip or EMPTY, vertices, rings)
 
     def arrange_crossings(self) -> None:
@@ -101,18 +73,7 @@ class CableNet:
         self.laid += 1
 
     def remove(self, cable: LaidCable | str) -> None:
-        """Take a cable away, and the crossings of others with it. Collective.
-
-        Parameters
-        ----------
-        cable
-            One of `cables`, or its name.
-
-        Raises
-        ------
-        InputError
-            On all ranks: there is no such cable.
-        """
+        """Take a cable away, and the crossings of others with it. Collective."""
         gone = self.cable(cable) if isinstance(cable, str) else cable
         if not isinstance(gone, LaidCable) or gone not in self.cables:
             raise InputError(

@@ -12,20 +12,10 @@ from crms_fenicsx.surface.polygons import Polygons, split_polygons
 class CutCells:
     """This rank's folded cells, those with points on a side, and the chords through their inside.
 
-    Parameters
-    ----------
-    numbering
-        The cables.
-
-    Attributes
-    ----------
-    rows : (n,)
-        Rows of the cells in the strip, ascending.
-    chords_of : (n + 1,)
-        Where the chords of each cell begin among the m chords.
-    chords : (m + 1,), (k,)
-        Rows of the nodes on each chord from rim to rim, in CSR form: pointers, rows. Between its
-        two ends a chord has the crossings on it.
+    Attributes: `rows` (n,): rows of the cells in the strip, ascending; `chords_of` (n + 1,): where
+    the chords of each cell begin among the m chords; `chords` (m + 1,), (k,): rows of the nodes on
+    each chord from rim to rim, in CSR form: pointers, rows. Between its two ends a chord has the
+    crossings on it.
     """
 
     def __init__(self, numbering: CableNumbering) -> None:
@@ -56,17 +46,8 @@ class CutCells:
     def pieces(self, some: Integers, vertices: Integers, nodes: Integers) -> Polygons:
         """Polygons into which the chords cut some cells.
 
-        Parameters
-        ----------
-        some
-            Places of the cells among `rows`, (n,).
-        vertices, nodes
-            Numbers, in the caller's arrays, of the strip's vertices and of the cables' nodes.
-
-        Returns
-        -------
-        The polygons in the membrane's orientation, with the place in `some` of the cell of each.
-        Points on sides that no chord leaves are corners too.
+        Shapes: some (n,). Returns the polygons in the membrane's orientation, with the place in
+        `some` of the cell of each. Points on sides that no chord leaves are corners too.
         """
         cut = np.diff(self.chords_of)[some]
         chord = runs(self.chords_of[some], cut)

@@ -34,15 +34,6 @@ def arrange(
     """Find the crossings of the cables in tension, and insert their points into the cables.
 
     What the last solve has found of a cable's points stays where these are as before.
-
-    Parameters
-    ----------
-    cables
-        All cables; their nodes are replaced where crossings come or go.
-    strip
-        Cells around them.
-    known
-        The crossings before: which of them are separated is kept.
     """
     before = [cable.state for cable in cables]
     for cable in cables:

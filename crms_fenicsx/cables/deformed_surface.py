@@ -13,19 +13,13 @@ from crms_fenicsx.surface.polygons import Polygons, best_fan
 
 @dataclass(frozen=True)
 class FoldedShape:
-    """This rank's folded cells, cut along their cables.
+    """This rank's folded cells, cut along their cables."""
 
-    Attributes
-    ----------
-    points, stress_free : (n, 3)
-        Current and stress-free places (length): the vertices by local degree of freedom, then the
-        cable points on edges of folded cells.
-    pieces
-        Polygons, oriented as the membrane, with the local number of the cell they are part of.
-    """
-
+    # points, stress_free: (n, 3) current and stress-free places (length): the vertices by local
+    # degree of freedom, then the cable points on edges of folded cells
     points: Array
     stress_free: Array
+    # polygons, oriented as the membrane, with the local number of the cell they are part of
     pieces: Polygons
 
     @property
@@ -36,25 +30,16 @@ class FoldedShape:
 
 @dataclass(frozen=True)
 class CurrentSurface:
-    """This rank's part of the current surface.
+    """This rank's part of the current surface."""
 
-    Attributes
-    ----------
-    points, stress_free : (n, 3)
-        Current and stress-free places (length) of vertices and cable points.
-    triangles : (m, 3)
-        Corners as rows of `points`, oriented as the membrane.
-    parents : (m,)
-        Local number of the cell that each triangle is, or is a part of.
-    inner : (h, 2)
-        Sides of triangles as rows of `points` that are neither edges of the mesh nor folds: they
-        cut a piece of a folded cell into triangles.
-    """
-
+    # points, stress_free: (n, 3) current and stress-free places (length) of vertices and cable
+    # points
     points: Array
     stress_free: Array
-    triangles: Integers
-    parents: Integers
+    triangles: Integers  # (m, 3) corners as rows of `points`, oriented as the membrane
+    parents: Integers  # (m,) local number of the cell that each triangle is, or is a part of
+    # (h, 2) sides of triangles as rows of `points` that are neither edges of the mesh nor folds:
+    # they cut a piece of a folded cell into triangles
     inner: Integers
 
 

@@ -29,32 +29,21 @@ NEAR_ANCHOR = 1e-3
 
 @dataclass(frozen=True)
 class CableTables:
-    """What this rank computes for the cables in tension.
+    """What this rank computes for the cables in tension."""
 
-    Attributes
-    ----------
-    segments : (n, 2), eps : (n,), cable : (n,)
-        Segments of the cables' polylines, their smoothing, and the cable's place among the taut.
-    links : (n, 2)
-        Rows of the two nodes that the segments join, in the table of nodes.
-    folded : FoldedCells
-        Cells with folded sides.
-    kinks : (k, 4), kink_cells : (k,), kink_nodes : (k,)
-        Where chords meet sides at fold points that are free: corner blocks, row of `folded`, row of
-        the fold point in the table of nodes.
-    facets : Facets
-        Facets of the folded cells under pressure.
-    """
-
+    # segments (n, 2), eps (n,), cable (n,): segments of the cables' polylines, their smoothing, and
+    # the cable's place among the taut
     segments: Indices
     eps: Array
     cable: Indices
-    links: Integers
-    folded: FoldedCells
+    links: Integers  # (n, 2) rows of the two nodes that the segments join, in the table of nodes
+    folded: FoldedCells  # cells with folded sides
+    # kinks (k, 4), kink_cells (k,), kink_nodes (k,): where chords meet sides at fold points that
+    # are free: corner blocks, row of `folded`, row of the fold point in the table of nodes
     kinks: Indices
     kink_cells: Integers
     kink_nodes: Integers
-    facets: Facets
+    facets: Facets  # facets of the folded cells under pressure
 
     def penalty(self, factor: float, moduli: Array) -> FoldAngles:
         """Weighted penalty with mu = factor x E t x A; `moduli` (n,) is E t of the folded cells."""

@@ -26,15 +26,7 @@ class Meeting(NamedTuple):
 
 
 class Meetings:
-    """Finds where links cross that lie in the same cell, or on an edge with points.
-
-    Parameters
-    ----------
-    cables
-        All cables, without crossings.
-    strip
-        Cells around them.
-    """
+    """Finds where links cross that lie in the same cell, or on an edge with points."""
 
     def __init__(self, cables: Sequence[LaidCable], strip: Strip) -> None:
         self.strip, self.nodes = strip, NodeTable(cables)

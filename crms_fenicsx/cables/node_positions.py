@@ -16,15 +16,7 @@ from crms_fenicsx.runtime.arrays import Array, Integers, pointers, runs
 
 
 class NodePositions:
-    """Finds where the nodes of all cables are, by tables of them, one cable after the other.
-
-    Parameters
-    ----------
-    numbering
-        The cables; what they touch and which of them are in tension stays as it is.
-    unknowns
-        The layout that the numbering has made.
-    """
+    """Finds where the nodes of all cables are, by tables of them, one cable after the other."""
 
     def __init__(self, numbering: CableNumbering, unknowns: Unknowns) -> None:
         self.numbering, self.unknowns = numbering, unknowns
@@ -135,10 +127,8 @@ class NodePositions:
 class _Lines:
     """Polylines of three or more points each, given by rows of a table of places in CSR form.
 
-    Attributes
-    ----------
-    inner, first, last : (n,)
-        The rows of all their inner points, and of the ends of the polylines that these are on.
+    Attributes: `inner`, `first`, `last` (n,): the rows of all their inner points, and of the ends
+    of the polylines that these are on.
     """
 
     def __init__(self, starts: Integers, members: npt.NDArray[np.integer]) -> None:

@@ -21,26 +21,12 @@ NUMBERS = dict(
 class NodeTable:
     """The nodes of some cables, n in all; what they are, not where they are in space.
 
-    Parameters
-    ----------
-    cables
-        The cables.
-
-    Attributes
-    ----------
-    starts : (number of cables + 1,)
-        Rows at which the cables begin.
-    cable, place : (n,)
-        Numbers of the cable and of the node in it.
-    kind, crossing : (n,)
-        As of `CableNode`; -1 without a crossing.
-    support, weights : (n, 3)
-        Vertices (ids) on which a node lies or between which, -1 after the last one, and their
-        weights on the unfolded mesh, 0 there.
-    size : (n,)
-        How many these are; 0 for anchors.
-    taut, lifted, slides : (n,)
-        Whether the node is one of a cable in tension, is lifted, slides on an edge.
+    Attributes: `starts`: rows at which the cables begin; `cable`, `place` (n,): numbers of the
+    cable and of the node in it; `kind`, `crossing` (n,): as of `CableNode`; -1 without a crossing;
+    `support`, `weights` (n, 3): vertices (ids) on which a node lies or between which, -1 after the
+    last one, and their weights on the unfolded mesh, 0 there; `size` (n,): how many these are; 0
+    for anchors; `taut`, `lifted`, `slides` (n,): whether the node is one of a cable in tension, is
+    lifted, slides on an edge.
     """
 
     def __init__(self, cables: Sequence[LaidCable]) -> None:

@@ -30,54 +30,24 @@ from crms_fenicsx.surface.points import Edge
 
 @dataclass(frozen=True)
 class Links:
-    """The straight parts of the cables' polylines, from a node that one touches to the next, n.
+    """The straight parts of the cables' polylines, from a node that one touches to the next, n."""
 
-    Attributes
-    ----------
-    first, second : (n,)
-        Rows of the two nodes in the table of nodes.
-    on : (n,)
-        Number of the cell or edge of the strip that a link lies on; -1 off the membrane.
-    around : (n,)
-        The same; off the membrane that of what its first node lies on.
-    owner : (n,)
-        The rank that computes it.
-    """
-
-    first: Integers
+    first: Integers  # first, second: (n,) rows of the two nodes in the table of nodes
     second: Integers
+    # (n,) number of the cell or edge of the strip that a link lies on; -1 off the membrane
     on: Integers
-    around: Integers
-    owner: Integers
+    around: Integers  # (n,) the same; off the membrane that of what its first node lies on
+    owner: Integers  # (n,) the rank that computes it
 
 
 class CableNumbering:
     """Numbering of the points of all cables of a scene.
 
-    Parameters
-    ----------
-    cables
-        The laid cables, the same on all ranks.
-    strip
-        Cells around their paths.
-    u
-        Vertex displacements.
-
-    Attributes
-    ----------
-    nodes
-        The table of all nodes.
-    on : (nodes,)
-        Number of what each node lies on among the strip's simplices; -1 for anchors.
-    number : (nodes,)
-        Number of each node's point, which the two sides of a crossing share. -1 for vertices and
-        lifted nodes.
-    owners : (points,)
-        Owning ranks of the points.
-    links
-        The links between nodes.
-    blocks, node_blocks : (points,), (nodes,)
-        Local blocks of points and of nodes, -1 where this rank has none; from `unknowns` on.
+    Attributes: `nodes`: the table of all nodes; `on` (nodes,): number of what each node lies on
+    among the strip's simplices; -1 for anchors; `number` (nodes,): number of each node's point,
+    which the two sides of a crossing share. -1 for vertices and lifted nodes; `owners` (points,):
+    owning ranks of the points; `links`: the links between nodes; `blocks`, `node_blocks` (points,),
+    (nodes,): local blocks of points and of nodes, -1 where this rank has none; from `unknowns` on.
     """
 
     def __init__(self, cables: Sequence[LaidCable], strip: Strip, u: fem.Function) -> None:

@@ -18,27 +18,11 @@ from crms_fenicsx.surface.points import Edge, EdgePoint
 class PointsOnEdges:
     """Chosen points of cables on each edge, as arrays.
 
-    Parameters
-    ----------
-    table
-        All nodes.
-    chosen : (nodes,)
-        Those to look at.
-    on, fractions : (nodes,)
-        Numbers of what they lie on, and their places on edges.
-    size
-        How many numbers there are.
-
-    Attributes
-    ----------
-    edges : (n,)
-        Numbers of the edges with points.
-    nodes : (m,)
-        Rows of the points, edge after edge, each from its first vertex to its last.
-    starts, counts : (size,)
-        Where those of each edge begin there, and how many there are; 0 points on all else.
-    place : (nodes,)
-        Place of each along its edge, from 0; -1 for all other nodes.
+    Attributes: `edges` (n,): numbers of the edges with points; `nodes` (m,): rows of the points,
+    edge after edge, each from its first vertex to its last; `starts`, `counts` (size,): where those
+    of each edge begin there, and how many there are; 0 points on all else; `place` (nodes,): place
+    of each along its edge, from 0; -1 for all other nodes. Shapes: chosen (nodes,), on, fractions
+    (nodes,).
     """
 
     def __init__(
@@ -81,16 +65,7 @@ def points_by_edge(
 ) -> dict[Edge, list[tuple[float, int, int]]]:
     """Points of cables in tension on each edge, sorted from its first vertex to its last.
 
-    Parameters
-    ----------
-    cables
-        All cables.
-    nodes
-        Those to look at, as in `nodes_on_edges`; None: all.
-
-    Returns
-    -------
-    Places on the edge (fractions) and numbers of cables and nodes; without lifted ones.
+    Returns places on the edge (fractions) and numbers of cables and nodes; without lifted ones.
     """
     found = {
         edge: sorted(
@@ -106,15 +81,7 @@ def bends(
     nodes: Mapping[Edge, Sequence[tuple[int, int]]] | None = None,
     but: LaidCable | None = None,
 ) -> dict[Edge, list[Array]]:
-    """Positions (3,) of the points on each edge, in order; see `points_by_edge`.
-
-    Parameters
-    ----------
-    cables, nodes
-        As there.
-    but
-        A cable to leave out.
-    """
+    """Positions (3,) of the points on each edge, in order; see `points_by_edge`."""
     return {
         edge: [cables[c].positions[k] for _, c, k in points if cables[c] is not but]
         for edge, points in points_by_edge(cables, nodes).items()

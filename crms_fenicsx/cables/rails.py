@@ -15,16 +15,7 @@ from crms_fenicsx.runtime.arrays import Array, Indices
 class Rails:
     """The rails of cables in tension that this rank knows.
 
-    Parameters
-    ----------
-    cables
-        All cables.
-    members : (n,)
-        Numbers of the rails' cables and nodes.
-    blocks : (n,)
-        Their local blocks.
-    ends : (n, 2)
-        Local blocks of the ends of their edges.
+    Shapes: members (n,), blocks (n,), ends (n, 2).
     """
 
     def __init__(

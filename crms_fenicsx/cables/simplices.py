@@ -13,27 +13,12 @@ _CORNERS = np.array([[1, 0, 0], [2, 0, 0], [3, 0, 0], [1, 2, 0], [1, 3, 0], [2, 
 class Simplices:
     """The m vertices, edges and cells of n cells, with the cells around each.
 
-    Parameters
-    ----------
-    cells : (n, 3)
-        Vertex ids.
-    owner : (n,)
-        Owning ranks of the cells.
-
-    Attributes
-    ----------
-    vertices : (k,)
-        Ids of all vertices, ascending.
-    cells : (n, 3)
-        The cells as rows of `vertices`, each in its own order.
-    corners : (m, 3)
-        Rows of `vertices` on which a simplex lies, ascending; -1 after the last one.
-    pointers : (m + 1,), rows
-        The cells around the simplices, ascending for each.
-    owner : (m,)
-        The rank that owns what lies on a simplex: the lowest one with a cell there.
-    sides, forward : (n, 3)
-        The edge from each corner of a cell to the next, and whether it leads there.
+    Attributes: `vertices` (k,): ids of all vertices, ascending; `cells` (n, 3): the cells as rows
+    of `vertices`, each in its own order; `corners` (m, 3): rows of `vertices` on which a simplex
+    lies, ascending; -1 after the last one; `pointers` (m + 1,), rows: the cells around the
+    simplices, ascending for each; `owner` (m,): the rank that owns what lies on a simplex: the
+    lowest one with a cell there; `sides`, `forward` (n, 3): the edge from each corner of a cell to
+    the next, and whether it leads there. Shapes: cells (n, 3), owner (n,).
     """
 
     def __init__(self, cells: Integers, owner: Integers) -> None:

@@ -20,29 +20,18 @@ from crms_fenicsx.surface.points import Edge
 
 @dataclass(frozen=True)
 class Strip:
-    """Cells with the ids of their vertices, their owners and their numbers there.
+    """Cells with the ids of their vertices, their owners and their numbers there."""
 
-    Attributes
-    ----------
-    cells : (n, 3)
-        Vertex ids (numbers in the mesh as it was given), each cell's in its own order; the cells
-        as `ascending` orders them, so that sums over cells round alike on any number of ranks.
-    owner, local : (n,)
-        Owning rank and the cell's local number on it.
-    complete
-        Ids of the vertices all of whose cells are here.
-    held_edges
-        Edges (a, b), a < b, of these cells that are held over their whole length.
-    hidden
-        Cells (a, b, c), a < b < c, behind a seam: cables fold them at the seam, but do not lie on
-        them.
-    """
-
+    # (n, 3) vertex ids (numbers in the mesh as it was given), each cell's in its own order; the
+    # cells as `ascending` orders them, so that sums over cells round alike on any number of ranks
     cells: Integers
-    owner: Integers
+    owner: Integers  # owner, local: (n,) owning rank and the cell's local number on it
     local: Integers
-    complete: frozenset[int] = frozenset()
+    complete: frozenset[int] = frozenset()  # ids of the vertices all of whose cells are here
+    # edges (a, b), a < b, of these cells that are held over their whole length
     held_edges: frozenset[tuple[int, int]] = frozenset()
+    # cells (a, b, c), a < b < c, behind a seam: cables fold them at the seam, but do not lie on
+    # them
     hidden: frozenset[tuple[int, int, int]] = frozenset()
 
     @cached_property

@@ -17,12 +17,8 @@ from crms_fenicsx.runtime.arrays import Array
 class StripShape:
     """Positions of a strip's vertices, on all ranks.
 
-    Attributes
-    ----------
-    strip
-        The cells.
-    current, stress_free : (k, 3)
-        Positions (length) of `strip.vertices`.
+    Attributes: `strip`: the cells; `current`, `stress_free` (k, 3): positions (length) of
+    `strip.vertices`.
     """
 
     def __init__(self, strip: Strip, current: Array, stress_free: Array) -> None:
@@ -79,17 +75,8 @@ class StripShape:
     def normals_and_sizes(self, supports: Sequence[tuple[int, ...]]) -> tuple[Array, Array]:
         """Normals and sizes of the membrane at vertices, edges or cells: of the cells around.
 
-        Parameters
-        ----------
-        supports
-            Ids of their vertices, (m,).
-
-        Returns
-        -------
-        normals : (m, 3)
-            Current unit normals.
-        sizes : (m,)
-            Square roots of twice the cells' mean areas (length).
+        Shapes: supports (m,). Returns normals (m, 3): current unit normals; sizes (m,): square
+        roots of twice the cells' mean areas (length).
         """
         around = [self.strip.outer_rows(support) for support in supports]
         counts = np.array([len(rows) for rows in around], dtype=np.int64)

@@ -46,21 +46,7 @@ def _without_nan(value: Any) -> Any:
 
 
 def decode(kind: type[Kind], data: object) -> Kind:
-    """A dataclass from what `encode` has made of it.
-
-    Parameters
-    ----------
-    kind
-        The class. Hints ``Annotated[Array, "n", 3]`` say an array's shape, with names of sizes that
-        are the same in all fields; of a tuple they say the length.
-    data
-        Data from JSON.
-
-    Raises
-    ------
-    ArithmeticError, LookupError, TypeError, ValueError
-        The data are not of this class.
-    """
+    """A dataclass from what `encode` has made of it."""
     hints = _hints(kind)  # type: ignore[arg-type]
     if not isinstance(data, dict) or data.keys() != hints.keys():
         found = sorted(data) if isinstance(data, dict) else data

@@ -25,24 +25,12 @@ from crms_fenicsx.surface.points import Support
 
 @dataclass(frozen=True)
 class Run:
-    """What a solver knows of its load steps, besides the scene.
+    """What a solver knows of its load steps, besides the scene."""
 
-    Attributes
-    ----------
-    steps
-        The accepted steps.
-    rows
-        Rows of the history.
-    step_history
-        What the step-wise laws know; None where there are none.
-    tried
-        Paths that cables have not taken; None before any were tried.
-    """
-
-    steps: list[Step]
-    rows: list[Mapping[str, int | float | str]]
-    step_history: StepHistory | None
-    tried: TriedPaths | None
+    steps: list[Step]  # the accepted steps
+    rows: list[Mapping[str, int | float | str]]  # rows of the history
+    step_history: StepHistory | None  # what the step-wise laws know; None where there are none
+    tried: TriedPaths | None  # paths that cables have not taken; None before any were tried
 
     def with_cells(self, cells: Array | None) -> Run:
         """The run with a state of the cells, (n, 6), in what its step-wise laws know."""
@@ -86,86 +74,45 @@ class SavedBar:
 
 @dataclass(frozen=True)
 class SavedLoad:
-    """A load on the membrane without its fields; see `MembraneLoad`.
-
-    Attributes
-    ----------
-    follows
-        Whether it follows the surface's normals.
-    """
+    """A load on the membrane without its fields; see `MembraneLoad`."""
 
     name: str
     intensity: float
-    follows: bool
+    follows: bool  # whether it follows the surface's normals
     factor: float
     joints: dict[str, tuple[float, float, float]]
 
 
 @dataclass(frozen=True)
 class Contents:
-    """All that a checkpoint holds but for the fields.
+    """All that a checkpoint holds but for the fields."""
 
-    Attributes
-    ----------
-    scene
-        What tells the scene from others, see `fingerprint`.
-    held_edges
-        How many edges are held.
-    digests
-        Of the files with the fields, by their names.
-    pressure, air, floor, dissipated, energies
-        As in the scene.
-    state_version
-        As in the scene's versions.
-    in_equilibrium
-        Whether nothing had changed since the last load step.
-    laid
-        How many cables have been laid.
-    loads
-        Those on the membrane but for their forces.
-    ponds
-        As in the scene.
-    strip
-        Ids of the vertices all whose cells are known to the cables.
-    run
-        Of its step history without the cells.
-    call
-        The call of `Solver.advance` that the checkpoint belongs to; None if to none.
-    warnings
-        As in the scene.
-    """
-
-    scene: Plain
-    held_edges: int
-    digests: dict[str, str]
-    pressure: float
+    scene: Plain  # what tells the scene from others, see `fingerprint`
+    held_edges: int  # how many edges are held
+    digests: dict[str, str]  # of the files with the fields, by their names
+    pressure: float  # pressure, air, floor, dissipated, energies: as in the scene
     air: SealedAir | None
-    state_version: int
-    in_equilibrium: bool
+    state_version: int  # as in the scene's versions
+    in_equilibrium: bool  # whether nothing had changed since the last load step
     floor: float | None
-    laid: int
+    laid: int  # how many cables have been laid
     dissipated: float
     energies: dict[str, float]
     materials: tuple[dict[str, Any], ...]
-    loads: tuple[SavedLoad, ...]
-    ponds: tuple[Pond, ...]
-    strip: tuple[int, ...]
+    loads: tuple[SavedLoad, ...]  # those on the membrane but for their forces
+    ponds: tuple[Pond, ...]  # as in the scene
+    strip: tuple[int, ...]  # ids of the vertices all whose cells are known to the cables
     cables: tuple[SavedCable, ...]
     crossings: tuple[Crossing, ...]
     joints: tuple[SavedJoint, ...]
     bars: tuple[SavedBar, ...]
-    run: Run
+    run: Run  # of its step history without the cells
+    # the call of `Solver.advance` that the checkpoint belongs to; None if to none
     call: Plain | None
-    warnings: tuple[StateWarning, ...]
+    warnings: tuple[StateWarning, ...]  # as in the scene
 
     def check(self, n_vertices: int) -> None:
-        """Refuse what does not fit together, or a mesh with some number of vertices.
-
-        Raises
-        ------
-        ValueError
-            It says what.
-        """
+        """Refuse what does not fit together, or a mesh with some number of vertices."""
         if self.laid < len(self.cables):
             raise ValueError(f"{self.laid} cables were laid, but {len(self.cables)} are there")
         for load in self.loads:

@@ -22,26 +22,14 @@ from crms_fenicsx.scene import Scene
 
 @dataclass(frozen=True)
 class Fields:
-    """Fields by this rank's degrees of freedom and edges, ghosts included.
+    """Fields by this rank's degrees of freedom and edges, ghosts included."""
 
-    Attributes
-    ----------
-    u : (n, 3)
-        Displacements (length).
-    held : (n, 3) bool
-        Held components.
-    held_edges : (m,) bool
-        Edges that are held over their whole length.
-    forces : (n, 3) each
-        What this rank gives to its vertices of each load (force).
-    suctions : (m,) each, or None
-        Force per area of this rank's cells of each load that follows their normals.
-    """
-
-    u: Array
-    held: Booleans
-    held_edges: Booleans
+    u: Array  # (n, 3) displacements (length)
+    held: Booleans  # (n, 3) bool held components
+    held_edges: Booleans  # (m,) bool edges that are held over their whole length
+    # (n, 3) each what this rank gives to its vertices of each load (force)
     forces: tuple[Array, ...]
+    # (m,) each, or None force per area of this rank's cells of each load that follows their normals
     suctions: tuple[Array | None, ...]
 
     @classmethod
@@ -56,9 +44,7 @@ class Fields:
 def write_fields(folder: Path, scene: Scene) -> tuple[int, dict[str, str]]:
     """Write the scene's fields, and where its vertices are when stress-free. Collective.
 
-    Returns
-    -------
-    How many edges are held, and the digests of the files by their names.
+    Returns how many edges are held, and the digests of the files by their names.
     """
     fields, comm = Fields.of(scene), scene.comm
     vertices = scene.V.dofmap.index_map
@@ -87,26 +73,7 @@ def write_fields(folder: Path, scene: Scene) -> tuple[int, dict[str, str]]:
 def read_fields(
     folder: Path, scene: Scene, edges: int, digests: Mapping[str, str], loads: Sequence[bool]
 ) -> Fields:
-    """Read the fields that belong to this rank's part of the mesh. Collective.
-
-    Parameters
-    ----------
-    folder
-        Where they are.
-    scene
-        Its mesh is that of the fields.
-    edges
-        How many edges are held.
-    digests
-        Of the files, by their names.
-    loads
-        Whether each load follows the surface's normals.
-
-    Raises
-    ------
-    InputError
-        On all ranks: files that are damaged, or vertices that are elsewhere.
-    """
+    """Read the fields that belong to this rank's part of the mesh. Collective."""
     comm, ids = scene.comm, scene.membrane.vertex_ids
     vertices = scene.V.dofmap.index_map
     own, shape = vertices.size_local, (vertices.size_global, 3)

@@ -19,15 +19,7 @@ from crms_fenicsx.scene import Scene
 def fingerprint(scene: Scene) -> dict[str, Any]:
     """Describe what a script must build alike, but for where the vertices are. Collective.
 
-    Returns
-    -------
-    dict
-        By name, in the order in which differences are worth telling; made of numbers and texts.
-
-    Raises
-    ------
-    InputError
-        The scene has a term of the user's with a history, which no checkpoint keeps.
+    Returns by name, in the order in which differences are worth telling; made of numbers and texts.
     """
     refuse_history(scene)
     mesh = scene.mesh.mesh
@@ -50,13 +42,7 @@ def fingerprint(scene: Scene) -> dict[str, Any]:
 
 
 def refuse_history(scene: Scene) -> None:
-    """Refuse to make checkpoints of a scene with terms whose history they would not keep.
-
-    Raises
-    ------
-    InputError
-        It names the first such term.
-    """
+    """Refuse to make checkpoints of a scene with terms whose history they would not keep."""
     for term in scene.terms:
         if term.has_history:
             raise InputError(
@@ -66,13 +52,7 @@ def refuse_history(scene: Scene) -> None:
 
 
 def check_same(saved: dict[str, Any], scene: Scene) -> None:
-    """Compare a scene with a fingerprint. Collective.
-
-    Raises
-    ------
-    InputError
-        They are of different scenes; it names the first difference.
-    """
+    """Compare a scene with a fingerprint. Collective."""
     for name, value in fingerprint(scene).items():
         was = saved.get(name)
         if not _same(was, value):

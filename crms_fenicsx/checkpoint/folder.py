@@ -34,25 +34,7 @@ def complete(folder: Path) -> Path:
 def replaced_folder(folder: Path, comm: MPI.Intracomm, mark: str) -> Iterator[Path]:
     """Fill a folder beside `folder` in the block; then it takes its place. Collective.
 
-    Parameters
-    ----------
-    folder
-        An absolute path; it is created where it is missing.
-    comm
-        Its ranks work together; what is raised in the block is raised on all of them.
-    mark
-        Name of a file that says that a folder may be replaced, and is written last.
-
-    Yields
-    ------
-    Path
-        What to fill with files; all but that one are on the disk when the block ends.
-
-    Raises
-    ------
-    InputError
-        On all ranks: there is something else, or the system refuses to write. What was at
-        `folder` is then as before.
+    Yields what to fill with files; all but that one are on the disk when the block ends.
     """
     partial, aside = partial_of(folder), _aside(folder)
     with raised_together(comm), explained(folder):

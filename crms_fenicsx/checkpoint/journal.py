@@ -36,42 +36,16 @@ _OURS = re.compile(rf"({re.escape(PARTIAL)}|{re.escape(ASIDE)})?(\d{{4,9}})")
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a call has come.
+    """How far a call has come."""
 
-    Attributes
-    ----------
-    done
-        Number of its increments that are done; with a part if increments were halved.
-    increment
-        The next one, 1 if it is whole.
-    failure
-        Why it has given up; None if it has not.
-    """
-
+    # number of its increments that are done; with a part if increments were halved
     done: float = 0.0
-    increment: float = 1.0
-    failure: str | None = None
+    increment: float = 1.0  # the next one, 1 if it is whole
+    failure: str | None = None  # why it has given up; None if it has not
 
 
 class Journal:
-    """Keeps what the calls of `Solver.advance` have come to.
-
-    Parameters
-    ----------
-    folder
-        Where the calls' folders go.
-    comm
-        Its ranks work together.
-    options
-        Of the solver, plain data: what must be the same when a script is started again.
-    resume
-        Whether to go on from what is there. Else the first load step replaces it.
-
-    Raises
-    ------
-    InputError
-        On all ranks: the folder cannot be written.
-    """
+    """Keeps what the calls of `Solver.advance` have come to."""
 
     def __init__(self, folder: Path, comm: MPI.Intracomm, options: Plain, resume: bool) -> None:
         self.folder, self.comm, self.options = folder.resolve(), comm, options
@@ -87,24 +61,8 @@ class Journal:
     def begin(self, scene: Scene, loads: Plain) -> tuple[Progress, Run | None]:
         """Begin a call, and bring the scene to where it has come to before. Collective.
 
-        Parameters
-        ----------
-        scene
-            As it is before the loads.
-        loads
-            What the call was given, as plain data, its number of steps among it.
-
-        Returns
-        -------
-        progress, run
-            How far the call has come, and the load steps so far; none where it is computed from
-            its beginning.
-
-        Raises
-        ------
-        InputError
-            On all ranks: there was another call, the scene was another one or has a term with a
-            history, or the checkpoint cannot be read.
+        Returns how far the call has come, and the load steps so far; none where it is computed from
+        its beginning.
         """
         refuse_history(scene)
         steps = loads["steps"]
@@ -160,13 +118,7 @@ class Journal:
                         _remove(path, self.folder / match[2])
 
     def keep(self, scene: Scene, run: Run, progress: Progress) -> None:
-        """Write the checkpoint of a load step of the call. Collective.
-
-        Raises
-        ------
-        InputError
-            On all ranks: it cannot be written; the one before is then still there.
-        """
+        """Write the checkpoint of a load step of the call. Collective."""
         self.make_way()
         save(self._place(), scene, run, self._call | {"progress": encode(progress)})
 

@@ -44,17 +44,7 @@ FORMAT = "crms_fenicsx checkpoint 8"
 
 
 def save(folder: str | Path, scene: Scene, run: Run, call: Plain | None = None) -> None:
-    """Write a checkpoint; see `Solver.save`. Collective.
-
-    Parameters
-    ----------
-    folder
-        Where to; it is replaced when the new one is complete.
-    scene, run
-        What is kept.
-    call
-        The call of `Solver.advance` that it belongs to, plain data; None if to none.
-    """
+    """Write a checkpoint; see `Solver.save`. Collective."""
     checks.same(scene.comm, "save", folder=folder)
     place = checks.file("save: folder", folder).resolve()
     with replaced_folder(place, scene.comm, STATE) as partial:
@@ -81,28 +71,14 @@ def _digest(content: str) -> str:
 
 @dataclass(frozen=True)
 class Saved:
-    """What has been read of a checkpoint, the same on all ranks.
+    """What has been read of a checkpoint, the same on all ranks."""
 
-    Attributes
-    ----------
-    file
-        The file.
-    contents
-        All that it holds.
-    """
-
-    file: Path
-    contents: Contents
+    file: Path  # the file
+    contents: Contents  # all that it holds
 
 
 def read(folder: Path, comm: MPI.Intracomm) -> Saved:
-    """Read a checkpoint, but for its fields. Collective.
-
-    Raises
-    ------
-    InputError
-        On all ranks: there is none, or it is damaged.
-    """
+    """Read a checkpoint, but for its fields. Collective."""
     data: Plain = {}
     with raised_together(comm):
         if comm.rank == 0:
@@ -115,10 +91,7 @@ def read(folder: Path, comm: MPI.Intracomm) -> Saved:
 def load(folder: str | Path, scene: Scene) -> Run:
     """Bring a scene to the state of a checkpoint; see `Solver.load`. Collective.
 
-    Returns
-    -------
-    Run
-        What its solver must know.
+    Returns what its solver must know.
     """
     checks.same(scene.comm, "load", folder=folder)
     place = checks.file("load: folder", folder).resolve()
@@ -128,22 +101,7 @@ def load(folder: str | Path, scene: Scene) -> Run:
 def restore(saved: Saved, scene: Scene) -> Run:
     """Bring a scene to the state of a checkpoint. Collective.
 
-    Parameters
-    ----------
-    saved
-        What `read` has read.
-    scene
-        Its cables, joints and bars are replaced; ones of the same name stay the objects.
-
-    Returns
-    -------
-    Run
-        What its solver must know.
-
-    Raises
-    ------
-    InputError
-        On all ranks: it is another scene's, or damaged. The scene is then as before.
+    Returns what its solver must know.
     """
     comm, contents, place = scene.comm, saved.contents, saved.file.parent
     run, digests = contents.run, contents.digests

@@ -29,14 +29,10 @@ MAX_SWITCHES = 6
 
 
 class ContactMemory(Protocol):
-    """What is known of the contacts in the last load step.
+    """What is known of the contacts in the last load step."""
 
-    Attributes
-    ----------
-    released, settled
-        Where contacts have been released, and where they then stay closed however the cable pulls.
-    """
-
+    # released, settled: where contacts have been released, and where they then stay closed however
+    # the cable pulls
     released: set[ContactKey]
     settled: set[ContactKey]
 
@@ -45,15 +41,7 @@ class ContactMemory(Protocol):
 
 
 class ActiveSet:
-    """Decides what is active in one solve.
-
-    Parameters
-    ----------
-    net
-        The cables and crossings, which are changed.
-    memory
-        None where cables stay in their cells.
-    """
+    """Decides what is active in one solve."""
 
     def __init__(self, net: CableNet, memory: ContactMemory | None) -> None:
         self.net, self._memory = net, memory

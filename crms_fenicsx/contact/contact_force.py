@@ -64,20 +64,11 @@ class ContactForces:
 def contact_forces(cable: LaidCable, shape: StripShape) -> ContactForces:
     """Contact forces of a cable in its current shape, with its current tension.
 
-    Parameters
-    ----------
-    cable
-        A cable.
-    shape
-        Positions of the vertices around.
-
-    Notes
-    -----
     With e the direction of the edge at a node, t1 and t2 those of the cable before and after, and t
     their mean, ``normal = -(T2 t2 - T1 t1) . n`` with n = e x t to the outside; the tensions T1 and
-    T2 differ where friction along the cable holds it. Where cables cross, the
-    upper one presses on the lower and not on the membrane: what the lower hands on is in its own
-    forces beside the crossing.
+    T2 differ where friction along the cable holds it. Where cables cross, the upper one presses on
+    the lower and not on the membrane: what the lower hands on is in its own forces beside the
+    crossing.
     """
     n = len(cable.nodes)
     normal, lateral, bearing = np.zeros((3, n))
@@ -147,19 +138,7 @@ def paper_forces(cable: LaidCable) -> Array:
 def forces_at(cable: LaidCable, nodes: Sequence[int], shape: StripShape) -> tuple[Array, Array]:
     """Forces of a cable on the membrane at some of the nodes that it touches.
 
-    Parameters
-    ----------
-    cable
-        A cable in tension.
-    nodes
-        Nodes, (m,); neither ends of the cable nor crossings.
-    shape
-        Positions of the vertices around.
-
-    Returns
-    -------
-    normal, lateral : (m,)
-        As in `ContactForces` (force).
+    Shapes: nodes (m,). Returns normal, lateral (m,): as in `ContactForces` (force).
     """
     turned, before, after = _turns(cable)
     wanted = np.asarray(nodes, dtype=np.int64)
@@ -213,22 +192,8 @@ def directions(
 ) -> tuple[Array, Array]:  # fmt: skip
     """Outward normals at nodes, square to edge and cable, and directions to the cable's left.
 
-    At a vertex the normal halves the angle between the two sides of the membrane.
-
-    Parameters
-    ----------
-    cable
-        A cable.
-    nodes
-        Nodes on the mesh, (m,).
-    shape
-        Positions of the vertices around.
-    before, after : (m, 3)
-        Directions of the cable before and after them.
-
-    Returns
-    -------
-    (m, 3) unit vectors, and (m, 3).
+    At a vertex the normal halves the angle between the two sides of the membrane. Shapes: nodes
+    (m,), before, after (m, 3). Returns (m, 3) unit vectors, and (m, 3).
     """
     if len(nodes) == 0:
         return np.zeros((0, 3)), np.zeros((0, 3))
@@ -260,16 +225,7 @@ def _left_at_vertices(
 
     Where the membrane on the two sides pulls equally hard, square to the cable, the sum of the two
     pulls has no part in this direction, whichever cells are there. At the membrane's boundary the
-    direction given is returned.
-
-    Parameters
-    ----------
-    vertices
-        Ids, (m,).
-    shape
-        Positions of the vertices around.
-    along, left : (m, 3)
-        Directions of the cable, and to its left, square to it.
+    direction given is returned. Shapes: vertices (m,), along, left (m, 3).
     """
     strip = shape.strip
     around = [strip.outer_rows((vertex,)) for vertex in vertices]

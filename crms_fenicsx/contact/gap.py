@@ -17,30 +17,17 @@ from crms_fenicsx.runtime.arrays import Array
 
 
 class Gap(NamedTuple):
-    """The place of the membrane under a free span, at one of the cable's nodes.
+    """The place of the membrane under a free span, at one of the cable's nodes."""
 
-    Attributes
-    ----------
-    gap
-        Height of the span above it, along the membrane's normal (length).
-    fraction
-        On the edge; NaN at a vertex.
-    place, above : (3,)
-        The place, and the point of the span above it.
-    inside
-        Whether the place is on the edge and the point on the span, both within their ends. A span
-        that passes a vertex on the other side, just beyond the edge's end, counts as well: paths
-        keep that far off vertices, so that they need not tell the two sides.
-    past
-        The vertex at the edge's end beyond which the span passes, not far off it; -1 if it does
-        not.
-    """
-
-    gap: float
-    fraction: float
-    place: Array
+    gap: float  # height of the span above it, along the membrane's normal (length)
+    fraction: float  # on the edge; NaN at a vertex
+    place: Array  # place, above: (3,) the place, and the point of the span above it
     above: Array
+    # whether the place is on the edge and the point on the span, both within their ends. A span
+    # that passes a vertex on the other side, just beyond the edge's end, counts as well: paths keep
+    # that far off vertices, so that they need not tell the two sides.
     inside: bool
+    # the vertex at the edge's end beyond which the span passes, not far off it; -1 if it does not
     past: int = -1
 
 
@@ -56,21 +43,7 @@ def under(
     bends: Sequence[Array] = (),
     reach: float = PAST,
 ) -> Gap:
-    """The place of the membrane on a node's edge or vertex that a free span passes.
-
-    Parameters
-    ----------
-    node
-        A vertex, or a point of an edge.
-    span
-        The ends of the span.
-    shape
-        Positions of the vertices around.
-    bends
-        Positions of the fold points that other cables have on the edge, in order.
-    reach
-        Part of the edge up to which a span may pass beyond its end for the place to say so.
-    """
+    """The place of the membrane on a node's edge or vertex that a free span passes."""
     assert node.point is not None
     support = node.point.support
     normal = shape.normal(support)

@@ -54,22 +54,8 @@ def outward_pulls(cable: LaidCable, nodes: Sequence[int], normals: Array, reache
 
     Points close together, as those around a vertex, share one contact: what counts is the turn of
     the cable between a distance `reach` before and after the node, but not that at a crossing,
-    where another cable presses.
-
-    Parameters
-    ----------
-    cable
-        A cable.
-    nodes
-        Nodes that it touches, none of them an end, (n,).
-    normals : (n, 3)
-        Unit normals of the membrane.
-    reaches : (n,)
-        Lengths.
-
-    Returns
-    -------
-    (n,) forces, positive outward; -1 where the cable lies on its anchor, or on another cable.
+    where another cable presses. Shapes: nodes (n,), normals (n, 3), reaches (n,). Returns (n,)
+    forces, positive outward; -1 where the cable lies on its anchor, or on another cable.
     """
     contacts = cable.contacts()
     x, i = cable.positions[contacts], np.searchsorted(contacts, nodes)
@@ -91,17 +77,7 @@ def outward_pulls(cable: LaidCable, nodes: Sequence[int], normals: Array, reache
 
 
 def released(cable: LaidCable, shape: StripShape, covered: Set[int] = frozenset()) -> list[int]:
-    """Nodes at which the cable pulls the membrane outward.
-
-    Parameters
-    ----------
-    cable
-        A cable on the membrane.
-    shape
-        Positions of the vertices around.
-    covered
-        Vertices at which another cable lies on top of it.
-    """
+    """Nodes at which the cable pulls the membrane outward."""
     if cable.sleeve:
         return []
     nodes, lifted = cable.nodes, flags(cable.lifted)

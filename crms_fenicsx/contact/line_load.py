@@ -27,21 +27,9 @@ def smoothed(
 ) -> Array:
     """Smoothed forces from the start of their stretch of cable up to some places, (m,).
 
-    Parameters
-    ----------
-    arc, forces : (n,)
-        Where they act (length), and the forces.
-    at : (m,)
-        Places (length).
-    width
-        Width of the box filter that is applied twice (length).
-    ends
-        Where the stretch begins and ends (length).
-
-    Notes
-    -----
     Two boxes make a hat. What it would spread beyond an end is reflected there, so that the sum
-    stays.
+    stays. Shapes and units: arc, forces (n,) (length), at (m,) (length), width (length), ends
+    (length).
     """
     start, end = ends
     images = np.concatenate([arc, 2 * start - arc, 2 * end - arc])

@@ -53,23 +53,7 @@ def project_span(
 ) -> list[SurfacePoint] | None:
     """The points of the membrane's edges under a span, in order.
 
-    Parameters
-    ----------
-    shape
-        Positions of the vertices around.
-    first, start
-        The node on the membrane where the span begins, and where it is.
-    last, end
-        The node where it ends, on the membrane or an anchor off it.
-
-    Returns
-    -------
-    The points between the two; None if the way from the one does not lead to the other.
-
-    Raises
-    ------
-    MissingCells
-        Some cells on the way are not known.
+    Returns the points between the two; None if the way from the one does not lead to the other.
     """
     assert first.point is not None
     plane = _Plane(shape, start, end, shape.normal(first.point.support))
@@ -135,9 +119,7 @@ def with_span_projections(
 ) -> tuple[list[SurfacePoint], list[bool]] | None:
     """The path of a cable with the projections of its spans renewed: points, and which are lifted.
 
-    Returns
-    -------
-    None where nothing has changed.
+    Returns None where nothing has changed.
     """
     nodes, contacts = cable.nodes, cable.contacts()
     renewed: dict[int, list[SurfacePoint]] = {}  # by the contact before them

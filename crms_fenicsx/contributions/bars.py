@@ -27,15 +27,7 @@ shortening of a mast under its load leaves guys that have no prestress."""
 class BarContribution(Contribution):
     """Bars, with the joints as further unknowns; the first rank has them all.
 
-    Parameters
-    ----------
-    scene
-        The scene.
-
-    Attributes
-    ----------
-    blocks
-        Where joints and vertices are in the layout that it makes.
+    Attributes: `blocks`: where joints and vertices are in the layout that it makes.
     """
 
     def __init__(self, scene: Scene) -> None:

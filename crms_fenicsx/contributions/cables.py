@@ -37,35 +37,12 @@ to its unstressed length."""
 class CableContribution(Contribution):
     """Tension of the cables as they lie now; made anew when they are laid, tighten or slacken.
 
-    Parameters
-    ----------
-    scene
-        The scene; its crossings have been arranged.
-    membrane
-        The cells that cables in tension fold are taken from it.
-    pressure
-        Pressure on the plain cells.
-    frame
-        Blocks of joints and of vertices at ends of bars; None without any.
-
-    Attributes
-    ----------
-    numbering
-        Numbering of the cables' points.
-    unknowns
-        The layout with these points.
-    node_positions
-        Copies the positions of the points to the cables.
-    taut
-        The cables in tension.
-    tables
-        This rank's elements of the cables in tension; None without any.
-    folds
-        Contribution of the folded cells.
-    tension, sliding
-        Term of the cables in tension that slide along themselves freely, and these.
-    capstan, gripped
-        Term of those that friction holds along their axis, and these.
+    Attributes: `numbering`: numbering of the cables' points; `unknowns`: the layout with these
+    points; `node_positions`: copies the positions of the points to the cables; `taut`: the cables
+    in tension; `tables`: this rank's elements of the cables in tension; None without any; `folds`:
+    contribution of the folded cells; `tension`, `sliding`: term of the cables in tension that slide
+    along themselves freely, and these; `capstan`, `gripped`: term of those that friction holds
+    along their axis, and these.
     """
 
     def __init__(

@@ -13,11 +13,6 @@ class Contribution:
     """One feature of a scene: its terms, and what goes between them and the scene.
 
     Every method does nothing by default. All are called on all ranks, in the order of the terms.
-
-    Parameters
-    ----------
-    scene
-        The scene.
     """
 
     def __init__(self, scene: Scene) -> None:

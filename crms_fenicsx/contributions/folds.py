@@ -30,23 +30,8 @@ from crms_fenicsx.scene import Scene
 class FoldContribution(Contribution):
     """Terms of the folded cells, which have left those of the plain cells.
 
-    Parameters
-    ----------
-    scene
-        The scene.
-    membrane, pressure
-        What acts on the plain cells.
-    numbering
-        The cables.
-    tables
-        This rank's folded cells; None if no cable is in tension.
-
-    Attributes
-    ----------
-    energy
-        Strain energy of the folded cells, if there are any.
-    wind
-        Wind on them; None if there are none, or no wind.
+    Attributes: `energy`: strain energy of the folded cells, if there are any; `wind`: wind on them;
+    None if there are none, or no wind.
     """
 
     wind: FoldedWind | None = None

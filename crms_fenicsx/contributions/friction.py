@@ -20,17 +20,8 @@ from crms_fenicsx.scene import Scene
 class FrictionContribution(Contribution):
     """Terms of friction sideways, and the state of all friction.
 
-    Parameters
-    ----------
-    scene
-        The scene.
-    cables
-        The cables; their term of tension has the friction along their axis in it.
-
-    Attributes
-    ----------
-    stick_slip, elements
-        Terms of Coulomb's law and of the paper's friction elements; None without such cables.
+    Attributes: `stick_slip`, `elements`: terms of Coulomb's law and of the paper's friction
+    elements; None without such cables.
     """
 
     def __init__(self, scene: Scene, cables: CableContribution) -> None:

@@ -29,26 +29,11 @@ if TYPE_CHECKING:
 class PressureContribution(Contribution):
     """Pressure on the plain cells, and on what closes the volume where the rim slides in planes.
 
-    Parameters
-    ----------
-    scene
-        The scene; with the paper's pressure its history is taken over.
-    membrane
-        Says which cells are plain.
-
-    Attributes
-    ----------
-    cells : Function
-        1 in the plain cells under pressure, else 0.
-    value : Constant
-        The pressure (force per area); 1 where the air is sealed, and another one knows it.
-    term
-        Pressure on these cells; None before there has been any.
-    sealed
-        Pressure of sealed air, of which `term` is a part; None if there is none.
-    folded_volume : (1,)
-        Volume gained under folded cells in the steps before, with the paper's pressure
-        (length cubed).
+    Attributes: `cells`: 1 in the plain cells under pressure, else 0; `value`: the pressure (force
+    per area); 1 where the air is sealed, and another one knows it; `term`: pressure on these cells;
+    None before there has been any; `sealed`: pressure of sealed air, of which `term` is a part;
+    None if there is none; `folded_volume` (1,): volume gained under folded cells in the steps
+    before, with the paper's pressure (length cubed).
     """
 
     def __init__(self, scene: Scene, membrane: MembraneContribution) -> None:

@@ -24,20 +24,9 @@ NOTHING, AXIAL_NOTHING = 1e-12, 1e-8
 class MembraneContribution(Contribution):
     """Strain energy of the plain cells; its forms are compiled once.
 
-    Parameters
-    ----------
-    scene
-        The scene; with the step-wise strain its history is taken over.
-
-    Attributes
-    ----------
-    energy
-        The term.
-    folded_energy : (1,)
-        Strain energy of folded cells in the steps before, with the step-wise strain
-        (force x length).
-    has_folds
-        Whether some rank has folded cells.
+    Attributes: `energy`: the term; `folded_energy` (1,): strain energy of folded cells in the steps
+    before, with the step-wise strain (force x length); `has_folds`: whether some rank has folded
+    cells.
     """
 
     def __init__(self, scene: Scene) -> None:

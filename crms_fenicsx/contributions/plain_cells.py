@@ -18,15 +18,7 @@ from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 
 
 class PlainCells:
-    """This rank's plain cells.
-
-    Parameters
-    ----------
-    unknowns
-        The layout.
-    membrane
-        Strain energy of the plain cells.
-    """
+    """This rank's plain cells."""
 
     def __init__(self, unknowns: Unknowns, membrane: MembraneEnergy) -> None:
         self._energy, mesh = membrane, membrane.u.function_space.mesh
@@ -67,15 +59,7 @@ class PlainCells:
         )
 
     def pressure(self, pressed: fem.Function, pressure: fem.Constant, origin: Array) -> Twin:
-        """Twin of the pressure on those of the cells that are under it.
-
-        Parameters
-        ----------
-        pressed
-            1 in the plain cells under pressure, else 0.
-        pressure, origin
-            As for `FoldedFollowerPressure`.
-        """
+        """Twin of the pressure on those of the cells that are under it."""
 
         def facets(chosen: Booleans) -> Facets | None:
             rows = self._around(chosen)

@@ -28,19 +28,7 @@ TOUCH = 1e-9
 class PondContribution(Contribution):
     """The ponds that `Scene.put_pond` has put on the membrane; made anew with the folded cells.
 
-    Parameters
-    ----------
-    scene
-        The scene.
-    membrane
-        Says which cells are plain.
-    cables
-        What folds the others; None without any.
-
-    Attributes
-    ----------
-    ponds
-        The terms, in the order of the scene's ponds.
+    Attributes: `ponds`: the terms, in the order of the scene's ponds.
     """
 
     def __init__(

@@ -35,15 +35,7 @@ def rows_of(table: Indices) -> tuple[Indices, Indices]:
 class BlockPattern:
     """Blocks at fixed places.
 
-    Parameters
-    ----------
-    rows, cols
-        Local blocks, (n,); places may occur repeatedly.
-
-    Attributes
-    ----------
-    values : (n, 3, 3)
-        What `add` adds there.
+    Attributes: `values` (n, 3, 3): what `add` adds there. Shapes: rows, cols (n,).
     """
 
     def __init__(self, rows: Indices, cols: Indices) -> None:

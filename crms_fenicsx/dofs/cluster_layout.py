@@ -16,31 +16,12 @@ from crms_fenicsx.runtime.arrays import Array, Indices, Integers
 class ClusterLayout:
     """Some blocks of a layout, sorted into clusters.
 
-    Parameters
-    ----------
-    whole
-        The layout.
-    blocks
-        Blocks of it that are free to move, without riders, (n,).
-    elements
-        Blocks of the elements that depend on them in CSR form, pointers and blocks, for each kind.
-
-    Attributes
-    ----------
-    blocks : (n,)
-        The blocks, cluster by cluster.
-    starts : (n_clusters + 1,)
-        Where each cluster begins among them.
-    cluster : (n,)
-        Number of each block's cluster.
-    number : (n_local,)
-        Place of the layout's blocks among `blocks`, -1 for others.
-    groups : (n_local,)
-        Cluster that each block of the layout moves with, or -1.
-    rails, directions
-        Places of those that are displaced along a line only, and these lines, (k, 3).
-    held : (n, 3)
-        Components with a prescribed value.
+    Attributes: `blocks` (n,): the blocks, cluster by cluster; `starts` (n_clusters + 1,): where
+    each cluster begins among them; `cluster` (n,): number of each block's cluster; `number`
+    (n_local,): place of the layout's blocks among `blocks`, -1 for others; `groups` (n_local,):
+    cluster that each block of the layout moves with, or -1; `rails`, `directions`: places of those
+    that are displaced along a line only, and these lines, (k, 3); `held` (n, 3): components with a
+    prescribed value. Shapes: blocks (n,).
     """
 
     comm = MPI.COMM_SELF

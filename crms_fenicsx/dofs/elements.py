@@ -13,10 +13,7 @@ from crms_fenicsx.runtime.arrays import Indices
 class ElementTable(ABC):
     """Base of the frozen dataclasses that hold elements of a term.
 
-    Attributes
-    ----------
-    addresses
-        Names of the fields that hold blocks.
+    Attributes: `addresses`: names of the fields that hold blocks.
     """
 
     addresses: ClassVar[tuple[str, ...]]

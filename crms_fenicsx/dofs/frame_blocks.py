@@ -18,20 +18,9 @@ from crms_fenicsx.runtime.arrays import Array, Indices
 class FrameBlocks:
     """Blocks of joints and vertices.
 
-    Parameters
-    ----------
-    names, joints : (n,), (n, 3)
-        The joints, and where they were made (length).
-    homes, places : (m, 2), (m, 3)
-        Ranks that own the vertices and degrees of freedom there, and stress-free places (length);
-        the same on all ranks.
-
-    Attributes
-    ----------
-    joint_blocks : (n,)
-        Local blocks of the joints; from `layout` on.
-    vertex_blocks : (m,)
-        Those of the vertices, on the first rank; -1 on others.
+    Attributes: `joint_blocks` (n,): local blocks of the joints; from `layout` on; `vertex_blocks`
+    (m,): those of the vertices, on the first rank; -1 on others. Shapes and units: names, joints
+    (n,) (length), homes, places (m, 2) (length).
     """
 
     def __init__(
@@ -56,15 +45,7 @@ class FrameBlocks:
         far: Sequence[tuple[int, int]] = (),
         of_first: int = 0,
     ) -> Unknowns:
-        """A layout with joints and vertices beside the points of cables. Collective.
-
-        Parameters
-        ----------
-        V, owned, ghosts, far
-            As for `Unknowns`, those of the cables.
-        of_first
-            How many cable points the first rank owns.
-        """
+        """A layout with joints and vertices beside the points of cables. Collective."""
         rank, n = V.mesh.comm.rank, len(self.joints)
         starts = vertex_starts(V)
         joints = [(0, of_first + k) for k in range(n)]

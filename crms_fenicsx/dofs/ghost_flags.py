@@ -11,15 +11,7 @@ from crms_fenicsx.runtime.arrays import Booleans
 class GhostFlags:
     """Exchanges flags of the blocks of a layout, (n_local,). All methods are collective.
 
-    Parameters
-    ----------
-    unknowns
-        The layout.
-
-    Attributes
-    ----------
-    shared : (n_local,)
-        Whether a block is known to several ranks.
+    Attributes: `shared` (n_local,): whether a block is known to several ranks.
     """
 
     def __init__(self, unknowns: Unknowns) -> None:

@@ -34,28 +34,10 @@ EVENLY = "vec_mdot_use_gemv"
 class Unknowns(LocalBlocks):
     """Numbering, ghosted vectors and held components of the unknowns.
 
-    Parameters
-    ----------
-    V
-        Vertex displacements: continuous piecewise linear vectors (3).
-    owned_points
-        How many cable points this rank owns.
-    ghost_points
-        For each cable point that this rank needs but does not own: its owner and its index among
-        the owner's points, (n, 2).
-    far_vertices
-        For each vertex of other ranks that is none of this rank's ghosts, but the end of a span
-        of cable that this rank computes: its owner and its local degree of freedom there, (n, 2).
-
-    Attributes
-    ----------
-    X : (n, 3) array
-        Positions that belong to zero displacement: stress-free vertices, first positions of
-        cable points (to be filled in by who lays the cable).
-    starts : (ranks + 1,)
-        Global numbers of the ranks' first blocks, and of all blocks.
-    bounds : None or (lower, upper), each (n, 3)
-        One-sided obstacles, as bounds of displacements.
+    Attributes: `X` (n, 3) array: positions that belong to zero displacement: stress-free vertices,
+    first positions of cable points (to be filled in by who lays the cable); `starts` (ranks + 1,):
+    global numbers of the ranks' first blocks, and of all blocks; `bounds`: one-sided obstacles, as
+    bounds of displacements. Shapes: ghost_points (n, 2), far_vertices (n, 2).
     """
 
     def __init__(

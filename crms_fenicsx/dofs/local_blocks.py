@@ -16,17 +16,8 @@ from crms_fenicsx.runtime.arrays import Array, Indices
 class LocalBlocks:
     """Positions, held components, riders and rails of blocks of this process.
 
-    Parameters
-    ----------
-    X : (n, 3)
-        Positions that belong to zero displacement (length).
-
-    Attributes
-    ----------
-    n_local
-        How many blocks there are.
-    held : (n, 3) bool array
-        Components with a prescribed value.
+    Attributes: `n_local`: how many blocks there are; `held` (n, 3) bool array: components with a
+    prescribed value. Shapes and units: X (n, 3) (length).
     """
 
     def __init__(self, X: Array) -> None:
@@ -41,17 +32,8 @@ class LocalBlocks:
     ) -> None:
         """Let points ride on vertices: their position is a weighted mean of the vertices'.
 
-        `X` must have the places of all these blocks.
-
-        Parameters
-        ----------
-        riders
-            Local blocks of cable points, (n,).
-        interpolation, weights
-            Local blocks of three vertices each and their weights, (n, 3).
-        n_loaded
-            How many of the first of them have forces; None: all. Others are idle: an evaluation of
-            the energy leaves them where they are, see `place_idle_riders`.
+        `X` must have the places of all these blocks. Shapes: riders (n,), interpolation, weights
+        (n, 3).
         """
         self.riders, self.interpolation, self.weights = riders, interpolation, weights
         self.n_riders, self.n_loaded = len(riders), len(riders) if n_loaded is None else n_loaded
@@ -77,12 +59,7 @@ class LocalBlocks:
     def set_rails(self, rails: Indices, directions: Array) -> None:
         """Let points be displaced along a direction only.
 
-        Parameters
-        ----------
-        rails
-            Local blocks of cable points, (n,). Ghosts too: a rank projects what it adds to them.
-        directions
-            Unit vectors, (n, 3), the same on all ranks that have the point.
+        Shapes: rails (n,), directions (n, 3).
         """
         self.rails, self.directions = np.asarray(rails, dtype=np.intp), directions
         self.n_rails = len(rails)
@@ -111,17 +88,8 @@ class LocalBlocks:
     def spread(self, rows: Indices, cols: Indices) -> tuple[Indices, Indices, Array]:
         """Where stiffness blocks go, those of riders to their vertices.
 
-        Parameters
-        ----------
-        rows, cols
-            Local blocks, (n,).
-
-        Returns
-        -------
-        places
-            Local blocks of rows and columns, (2, m).
-        sources, weights
-            Which of the n blocks goes there, and what part of it, (m,).
+        Shapes: rows, cols (n,). Returns places: local blocks of rows and columns, (2, m); sources,
+        weights: which of the n blocks goes there, and what part of it, (m,).
         """
         if self.n_riders == 0:
             return np.stack([rows, cols]), np.arange(len(rows), dtype=np.int32), np.ones(len(rows))

@@ -12,13 +12,7 @@ def unique_pairs(rows: Indices, cols: Indices, size: int) -> tuple[Integers, Int
     """Sort pairs of numbers (n,) from 0 to `size` - 1 by rows, then by columns.
 
     By counting, as there are many more pairs than numbers: several times as fast as `np.unique`.
-
-    Returns
-    -------
-    rows, cols
-        The m different pairs.
-    place : (n,)
-        Which of them each pair is.
+    Returns rows, cols: the m different pairs; place (n,): which of them each pair is.
     """
     found: tuple[Integers, Integers, Integers] = _unique_pairs(
         rows.astype(np.int64), cols.astype(np.int64), np.arange(len(rows)), size

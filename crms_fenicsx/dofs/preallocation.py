@@ -14,13 +14,7 @@ from crms_fenicsx.runtime.arrays import Indices
 
 
 class RowSizes:
-    """Upper bounds of the number of blocks in each row of the stiffness, diagonal included.
-
-    Parameters
-    ----------
-    unknowns
-        The layout.
-    """
+    """Upper bounds of the number of blocks in each row of the stiffness, diagonal included."""
 
     def __init__(self, unknowns: Unknowns) -> None:
         self.unknowns = unknowns
@@ -31,10 +25,7 @@ class RowSizes:
     def add(self, rows: Indices, cols: Indices) -> None:
         """Count blocks of one term beside the diagonal, each once.
 
-        Parameters
-        ----------
-        rows, cols
-            Local blocks, (n,); rows may be those of other ranks.
+        Shapes: rows, cols (n,).
         """
         n = self.unknowns.n_owned
         beside = rows != cols

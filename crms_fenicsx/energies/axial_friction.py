@@ -43,56 +43,38 @@ MOST_DYADS = 8
 
 @dataclass(frozen=True)
 class Grips:
-    """What holds the cables at their nodes, the same on all ranks: bounds and places of rest.
+    """What holds the cables at their nodes, the same on all ranks: bounds and places of rest."""
 
-    Attributes
-    ----------
-    offset : (n_nodes,)
-        Unstressed arc that rests at place zero of a node's edge (length).
-    bound, eps, elastic : (n_nodes,)
-        B (force), the slip at which it is reached, and the most elastic slip (length).
-    slips : (n_nodes,)
-        Where to begin to look for the slips (length).
-    slope : (n,)
-        Unstressed arc by place on the edge, of this rank's fold points (length).
-    """
-
-    offset: Array
+    offset: Array  # (n_nodes,) unstressed arc that rests at place zero of a node's edge (length)
+    # bound, eps, elastic: (n_nodes,) B (force), the slip at which it is reached, and the most
+    # elastic slip (length)
     bound: Array
     eps: Array
     elastic: Array
-    slips: Array
-    slope: Array
+    slips: Array  # (n_nodes,) where to begin to look for the slips (length)
+    slope: Array  # (n,) unstressed arc by place on the edge, of this rank's fold points (length)
 
 
 @dataclass(frozen=True)
 class Chains:
-    """Cables with friction along their axis.
+    """Cables with friction along their axis."""
 
-    Attributes
-    ----------
-    EA : (n_cables,)
-        Axial stiffness (force).
-    starts : (n_cables + 1,)
-        First span of each cable, and the number of all spans. Cable c has the nodes from
-        ``starts[c] - c`` on.
-    segments : (n, 2), smoothing : (n,), span : (n,)
-        This rank's segments, the smoothing of their lengths, and their spans.
-    pointers, blocks, place : CSR
-        Blocks along the edges of the fold points near to this rank's cells, and which of them the
-        fold point is; see `crms_fenicsx.energies.lateral_friction.Slips`.
-    node, owned
-        Number of each such fold point among all nodes, and whether this rank owns its edge.
-    """
-
-    EA: Array
+    EA: Array  # (n_cables,) axial stiffness (force)
+    # (n_cables + 1,) first span of each cable, and the number of all spans. Cable c has the nodes
+    # from ``starts[c] - c`` on.
     starts: npt.NDArray[np.int64]
+    # segments (n, 2), smoothing (n,), span (n,): this rank's segments, the smoothing of their
+    # lengths, and their spans
     segments: Indices
     smoothing: Array
     span: Indices
+    # pointers, blocks, place: blocks along the edges of the fold points near to this rank's cells,
+    # and which of them the fold point is; see `crms_fenicsx.energies.lateral_friction.Slips`
     pointers: Indices
     blocks: Indices
     place: Indices
+    # node, owned: number of each such fold point among all nodes, and whether this rank owns its
+    # edge
     node: Indices
     owned: npt.NDArray[np.bool_]
 
@@ -111,15 +93,7 @@ class _Run:
 class CapstanTension(EnergyTerm):
     """Strain energy of cables with friction along their axis, and the potential of that friction.
 
-    Parameters
-    ----------
-    chains
-        The cables.
-    grips
-        What holds them.
-    L0 : (n_cables,)
-        Unstressed lengths (length), and what smoothing adds to the lengths. Changed in place
-        between solves.
+    Shapes and units: L0 (n_cables,) (length).
     """
 
     name = "cables"

@@ -31,22 +31,12 @@ SLACK = 1e-3
 
 @dataclass(frozen=True)
 class BarTable(ElementTable):
-    """This rank's bars.
+    """This rank's bars."""
 
-    Attributes
-    ----------
-    ends : (n, 2)
-        Blocks of their ends.
-    EA, L0 : (n,)
-        Axial stiffness (force) and unstressed length (length).
-    tension_only : (n,)
-        Whether they can be slack.
-    """
-
-    ends: Indices
-    EA: Array
+    ends: Indices  # (n, 2) blocks of their ends
+    EA: Array  # EA, L0: (n,) axial stiffness (force) and unstressed length (length)
     L0: Array
-    tension_only: Booleans
+    tension_only: Booleans  # (n,) whether they can be slack
     addresses = ("ends",)
 
     @property
@@ -62,18 +52,10 @@ class BarTable(ElementTable):
 class BarEnergy(EnergyTerm):
     """Strain energy of bars.
 
-    Parameters
-    ----------
-    table
-        This rank's bars; their `L0` may be changed between two evaluations.
-
-    Attributes
-    ----------
-    lengths, forces : (n,)
-        Lengths (length) and axial forces (force), tension positive, at the last evaluation.
-    least, loose
-        Least axial force, and slack of guys, relative to their length, up to which they count as
-        taut, that the second derivatives know of; where stability is looked at they are others.
+    Attributes: `lengths`, `forces` (n,): lengths (length) and axial forces (force), tension
+    positive, at the last evaluation; `least`, `loose`: least axial force, and slack of guys,
+    relative to their length, up to which they count as taut, that the second derivatives know of;
+    where stability is looked at they are others.
     """
 
     name = "bars"
@@ -184,15 +166,7 @@ def _add_forces(X, x, ends, forces, g):  # type: ignore[no-untyped-def]
 class JointLoads(EnergyTerm):
     """Potential ``-F . u`` of forces on joints.
 
-    Parameters
-    ----------
-    blocks : (n,)
-        Blocks of the joints on the rank that owns them; none on others.
-
-    Attributes
-    ----------
-    forces : (n, 3)
-        The forces (force).
+    Attributes: `forces` (n, 3): the forces (force). Shapes: blocks (n,).
     """
 
     name = "dead load"

@@ -23,24 +23,12 @@ from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans, Indices, Integ
 
 @dataclass(frozen=True)
 class CableSegments(ElementTable):
-    """Segments of cables.
+    """Segments of cables."""
 
-    Attributes
-    ----------
-    ends : (n, 2)
-        Blocks.
-    eps : (n,)
-        Smoothing of their lengths.
-    cable : (n,)
-        Number of the cable.
-    lengths : (n,)
-        Their lengths at the last evaluation.
-    """
-
-    ends: Indices
-    eps: Array
-    cable: Indices
-    lengths: Array
+    ends: Indices  # (n, 2) blocks
+    eps: Array  # (n,) smoothing of their lengths
+    cable: Indices  # (n,) number of the cable
+    lengths: Array  # (n,) their lengths at the last evaluation
     addresses = ("ends",)
 
     @property
@@ -58,19 +46,9 @@ class CableSegments(ElementTable):
 class CableTension(EnergyTerm):
     """``EA/(2 L0) (L - L0)^2`` where L > L0, L the length of a cable's whole polyline.
 
-    Parameters
-    ----------
-    segments, eps, cable
-        This rank's segments: blocks (n, 2), smoothing (n,), number of the cable (n,).
-    EA, L0
-        Stiffness (force) and unstressed length of each cable, (n_cables,). Changed in place
-        between solves.
-
-    Attributes
-    ----------
-    excess : (n_cables,)
-        What smoothing adds to each cable's length (length), and is taken off it again; it is that
-        of the state before. Changed in place between solves.
+    Attributes: `excess` (n_cables,): what smoothing adds to each cable's length (length), and is
+    taken off it again; it is that of the state before. Changed in place between solves. Shapes and
+    units: segments, eps, cable (n,), EA, L0 (n_cables,) (force).
     """
 
     name = "cables"

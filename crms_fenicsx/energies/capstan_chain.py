@@ -113,28 +113,9 @@ def unstressed(rest, L0, s, d):  # type: ignore[no-untyped-def]
 def find_slips(kind, span, rest, L0, bound, eps, s, d):  # type: ignore[no-untyped-def]
     """Find the slips that minimise one of the functions.
 
-    Parameters
-    ----------
-    kind
-        `ENERGY` or `LAW`; for the latter the cable must be longer than L0.
-    span : (m,)
-        Current lengths of the spans (length), all positive.
-    rest : (m - 1,)
-        Unstressed arcs without slip (length).
-    L0
-        Unstressed length of the cable (length).
-    bound : (m - 1,)
-        B relative to EA, or m. Zero where nothing holds the cable.
-    eps : (m - 1,)
-        Slip at which friction is fully mobilised (length).
-    s : (m - 1,)
-        Slips: the first guess, and the result (length).
-    d : (m,)
-        Unstressed lengths of the spans at the result (length).
-
-    Returns
-    -------
-    Number of iterations, -1 if there were too many.
+    Shapes and units: span (m,) (length), rest (m - 1,) (length), L0 (length), bound (m - 1,), eps
+    (m - 1,) (length), s (m - 1,) (length), d (m,) (length). Returns number of iterations, -1 if
+    there were too many.
     """
     m = span.shape[0]
     bad = unstressed(rest, L0, s, d) <= 0.0

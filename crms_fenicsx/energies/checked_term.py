@@ -25,25 +25,7 @@ def checked_energy(
 ) -> tuple[EnergyTerm, float]:
     """Check a term, and evaluate it once. Collective.
 
-    Parameters
-    ----------
-    term
-        What the user gave.
-    u
-        Current displacements of the vertices.
-    cell_tags
-        Tags of the membrane's parts, None if there is one.
-    taken
-        Names of other terms.
-
-    Returns
-    -------
-    The term, and its energy (force x length).
-
-    Raises
-    ------
-    InputError
-        On all ranks: it is no `EnergyTerm`, its name is taken, or its values are not finite.
+    Returns the term, and its energy (force x length).
     """
     if not isinstance(term, EnergyTerm):
         raise InputError(

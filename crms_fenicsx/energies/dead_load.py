@@ -40,31 +40,18 @@ Area = Literal["surface", "plan", "material"]
 
 @dataclass(frozen=True)
 class MembraneLoad:
-    """A load on the membrane.
+    """A load on the membrane."""
 
-    Attributes
-    ----------
-    name
-        What load steps, history and checkpoints know it by.
-    forces : (n, 3)
-        What this rank's cells give to its vertices at the factor 1 (force), by local degree of
-        freedom.
-    intensity
-        Mean size of the force per area at the factor 1, over the whole membrane.
-    suction : (m,) or None
-        Force per area along the normals of this rank's cells, if the load follows these; None for
-        a dead load.
-    factor
-        What the forces are multiplied by; load steps change it.
-    joints
-        Forces (force) on joints of bars, by their names.
-    """
-
-    name: str
+    name: str  # what load steps, history and checkpoints know it by
+    # (n, 3) what this rank's cells give to its vertices at the factor 1 (force), by local degree of
+    # freedom
     forces: Array = field(repr=False)
-    intensity: float
+    intensity: float  # mean size of the force per area at the factor 1, over the whole membrane
+    # (m,) or None force per area along the normals of this rank's cells, if the load follows these;
+    # None for a dead load
     suction: Array | None = field(default=None, repr=False)
-    factor: float = 0.0
+    factor: float = 0.0  # what the forces are multiplied by; load steps change it
+    # forces (force) on joints of bars, by their names
     joints: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
     @property
@@ -83,10 +70,7 @@ class MembraneLoad:
 class _Shape:
     """This rank's cells in the membrane's current shape.
 
-    Attributes
-    ----------
-    vectors : (m, 3)
-        Their areas times their unit normals (length squared).
+    Attributes: `vectors` (m, 3): their areas times their unit normals (length squared).
     """
 
     def __init__(self, membrane: Membrane) -> None:
@@ -133,11 +117,6 @@ def dead_load(
     A cell gives a third of its load, taken at its centre, to each of its vertices. That a cable
     folds it changes nothing: the load goes by the triangle of its corners, and together these
     triangles cover the same surface up to the depth of the folds. Fold points get no load.
-
-    Raises
-    ------
-    InputError
-        As `Scene.put_load`.
     """
     if per not in get_args(Area):
         known = ", ".join(map(repr, get_args(Area)))
@@ -159,13 +138,7 @@ def dead_load(
 def wind_load(
     membrane: Membrane, pressure: float, coefficient: Coefficient, name: str = "wind"
 ) -> MembraneLoad:
-    """A load along the normals of the membrane's current shape, which it follows. Collective.
-
-    Raises
-    ------
-    InputError
-        As `Scene.put_wind`.
-    """
+    """A load along the normals of the membrane's current shape, which it follows. Collective."""
     pressure = checks.positive("put_wind: pressure", pressure)
     shape = _Shape(membrane)
     suction = np.zeros(len(shape.areas))
@@ -178,13 +151,7 @@ def wind_load(
 
 
 def nodal_load(membrane: Membrane, forces: fem.Function, name: str = "forces") -> MembraneLoad:
-    """A dead load by its forces on the vertices. Collective.
-
-    Raises
-    ------
-    InputError
-        As `Scene.put_forces`.
-    """
+    """A dead load by its forces on the vertices. Collective."""
     nodal = np.zeros(membrane.held.shape)
     with raised_together(membrane.comm):
         if not isinstance(forces, fem.Function) or forces.function_space != membrane.V:
@@ -269,15 +236,7 @@ def _intensity(membrane: Membrane, shape: _Shape, loads: Array) -> float:
 class DeadLoad(EnergyTerm):
     """Potential ``-F . u`` of the nodal forces F of all loads on the membrane.
 
-    Parameters
-    ----------
-    n
-        Local degrees of freedom of the vertices.
-
-    Attributes
-    ----------
-    forces : (n, 3)
-        What this rank's cells give to its vertices (force).
+    Attributes: `forces` (n, 3): what this rank's cells give to its vertices (force).
     """
 
     name = "dead load"

@@ -28,22 +28,13 @@ from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans, Indices
 
 @dataclass(frozen=True)
 class FoldAngles(ElementTable):
-    """Where this rank's chords meet sides.
+    """Where this rank's chords meet sides."""
 
-    Attributes
-    ----------
-    points : (n, 4)
-        Blocks: previous point on the side, fold point p, next point on the side, other end q of
-        the chord.
-    coefficients : (n,)
-        mu (force x length).
-    weighted
-        Whether r is weighted with w; False is the paper's literal penalty.
-    """
-
+    # (n, 4) blocks: previous point on the side, fold point p, next point on the side, other end q
+    # of the chord
     points: Indices
-    coefficients: Array
-    weighted: bool
+    coefficients: Array  # (n,) mu (force x length)
+    weighted: bool  # whether r is weighted with w; False is the paper's literal penalty
     addresses = ("points",)
 
     @property
@@ -203,13 +194,7 @@ def _add_forces(points, coefficients, r, dr, g):  # type: ignore[no-untyped-def]
 
 
 class FoldPenalty(EnergyTerm):
-    """``sum mu (w r)^2`` over the places where a chord meets a side, (2.5-1).
-
-    Parameters
-    ----------
-    table
-        This rank's places.
-    """
+    """``sum mu (w r)^2`` over the places where a chord meets a side, (2.5-1)."""
 
     name = "penalty"
     exact_hessian = True

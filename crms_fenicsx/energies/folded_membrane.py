@@ -34,33 +34,16 @@ from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 
 @dataclass(frozen=True)
 class FoldedCells(ElementTable):
-    """This rank's folded cells, as tables. Side k of a cell joins its corners k and k + 1.
+    """This rank's folded cells, as tables. Side k of a cell joins its corners k and k + 1."""
 
-    Attributes
-    ----------
-    cells : (n,)
-        Local cell numbers.
-    segments : (m, 2)
-        Blocks of the segments' ends.
-    eps : (m,)
-        Smoothing of the segments' lengths.
-    side_pointers, side_segments
-        Segments of each side in CSR form.
-    sides : (n, 3)
-        The three sides of each cell.
-    side_vectors : (n, 3, 2)
-        Stress-free sides in the material axes.
-    laws : (n,), parameters : (n, N_PARAMETERS)
-        Stress law and `MembraneMaterial.parameters`.
-    """
-
-    cells: Indices
-    segments: Indices
-    eps: Array
-    side_pointers: Indices
+    cells: Indices  # (n,) local cell numbers
+    segments: Indices  # (m, 2) blocks of the segments' ends
+    eps: Array  # (m,) smoothing of the segments' lengths
+    side_pointers: Indices  # side_pointers, side_segments: segments of each side in CSR form
     side_segments: Indices
-    sides: Indices
-    side_vectors: Array
+    sides: Indices  # (n, 3) the three sides of each cell
+    side_vectors: Array  # (n, 3, 2) stress-free sides in the material axes
+    # laws (n,), parameters (n, N_PARAMETERS): stress law and `MembraneMaterial.parameters`
     laws: Indices
     parameters: Array
     addresses = ("segments",)
@@ -217,16 +200,7 @@ def cell_stiffness(  # type: ignore[no-untyped-def]
 
 
 class FoldedMembraneEnergy(EnergyTerm):
-    """Strain energy of the folded cells, in total formulation, (2.3).
-
-    Parameters
-    ----------
-    table
-        This rank's folded cells.
-    stiffening
-        What is in the stiffness only, shared with the plain cells; each cell gives half of its
-        prestress times the length to its sides' segments.
-    """
+    """Strain energy of the folded cells, in total formulation, (2.3)."""
 
     name = "membrane"
     exact_hessian = True

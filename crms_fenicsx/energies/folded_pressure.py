@@ -25,20 +25,11 @@ from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 
 @dataclass(frozen=True)
 class Facets(ElementTable):
-    """This rank's facets of folded cells.
+    """This rank's facets of folded cells."""
 
-    Attributes
-    ----------
-    corners : (n, 3)
-        Blocks, oriented as the membrane.
-    weights : (n,)
-        Share of each facet in the mean over fans.
-    plain_corners : (m, 3)
-        Corners of the folded cells themselves; their stress-free volume is subtracted.
-    """
-
-    corners: Indices
-    weights: Array
+    corners: Indices  # (n, 3) blocks, oriented as the membrane
+    weights: Array  # (n,) share of each facet in the mean over fans
+    # (m, 3) corners of the folded cells themselves; their stress-free volume is subtracted
     plain_corners: Indices
     addresses = ("corners", "plain_corners")
 
@@ -185,16 +176,8 @@ class FoldedWind(FoldedFollowerPressure):
     them to the facets and their points: V_c lies between a cell's facets, its triangle, and along
     its sides the straight edges. Its forces balance each other in each cell, as its surface is
     closed. So there is a potential, though the wind has none; where p_c is the same on both sides
-    of an edge what is between them cancels.
-
-    Parameters
-    ----------
-    table, cells : (n,)
-        The facets around V_c, and the local cell of each.
-    one
-        The constant 1.
-    origin
-        Any point nearby, (3,) (length).
+    of an edge what is between them cancels. Shapes and units: table, cells (n,), origin (3,)
+    (length).
     """
 
     name = "wind"

@@ -29,25 +29,9 @@ def one_point(mesh: Any, **options: Any) -> ufl.Measure:
 class Integral:
     """A functional of the vertex displacements with its gradient, as `FusedAssembly` assembles it.
 
-    Parameters
-    ----------
-    V
-        Vertex displacements: continuous piecewise linear vectors (3).
-    form
-        UFL form of v, q and dx, linear in v and q: a test displacement v (3,), which stands with
-        the gradient, and a test scalar q, which stands with the density. One of them may have a
-        factor that the other has not.
-    prepare
-        Called before each pass: brings functions in the form up to date.
-    cell_tags
-        Tags of parts, if the form has integrals over some of them.
-
-    Attributes
-    ----------
-    value
-        This rank's part of the integral in the last pass.
-    gradient : (n, 3) array
-        The gradient's part from this rank's cells in the last pass, in DOLFINx's order.
+    Attributes: `value`: this rank's part of the integral in the last pass; `gradient` (n, 3) array:
+    the gradient's part from this rank's cells in the last pass, in DOLFINx's order. Shapes: form
+    (3,).
     """
 
     def __init__(
@@ -65,13 +49,7 @@ class Integral:
 
 
 class FusedAssembly:
-    """Assembles integrals together by one form, which is compiled here.
-
-    Parameters
-    ----------
-    integrals
-        At least one, all of the same displacements; those with tags have the same.
-    """
+    """Assembles integrals together by one form, which is compiled here."""
 
     def __init__(self, integrals: Sequence[Integral]) -> None:
         self.integrals = integrals

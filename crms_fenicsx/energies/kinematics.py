@@ -15,14 +15,7 @@ from crms_fenicsx.runtime.errors import InputError, raised_together
 
 
 def warp_field(mesh: Any, material: MembraneMaterial, cells: npt.NDArray[np.int32]) -> fem.Function:
-    """Unit warp directions in the surface, one per cell (piecewise constant).
-
-    Raises
-    ------
-    InputError
-        On all ranks, if the warp direction is normal to the surface somewhere, or its function
-        does not return finite directions.
-    """
+    """Unit warp directions in the surface, one per cell (piecewise constant)."""
     space = fem.functionspace(mesh, ("DG", 0, (3,)))
     field = fem.Function(space)
     normal, centre = cell_normals(mesh), space.tabulate_dof_coordinates()

@@ -39,30 +39,17 @@ from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 
 @dataclass(frozen=True)
 class Slips(ElementTable):
-    """This rank's nodes with friction.
+    """This rank's nodes with friction."""
 
-    Attributes
-    ----------
-    pointers, blocks
-        Blocks along the edge of each node in CSR form: its first vertex, the points on it, its
-        last vertex.
-    place : (n,)
-        Which of them the node is.
-    slope, offset : (n,)
-        Slip by place on the edge (length).
-    bound : (n,)
-        Friction force F of a node that slides (force).
-    eps : (n,)
-        Slip at which that force is reached (length).
-    """
-
+    # pointers, blocks: blocks along the edge of each node in CSR form: its first vertex, the points
+    # on it, its last vertex
     pointers: Indices
     blocks: Indices
-    place: Indices
-    slope: Array
+    place: Indices  # (n,) which of them the node is
+    slope: Array  # slope, offset: (n,) slip by place on the edge (length)
     offset: Array
-    bound: Array
-    eps: Array
+    bound: Array  # (n,) friction force F of a node that slides (force)
+    eps: Array  # (n,) slip at which that force is reached (length)
     addresses = ("blocks",)
 
     @property
@@ -72,13 +59,7 @@ class Slips(ElementTable):
 
 
 class LateralFriction(EnergyTerm):
-    """Friction of the sliding nodes of cables, (3.3-1) with stick.
-
-    Parameters
-    ----------
-    table
-        This rank's nodes.
-    """
+    """Friction of the sliding nodes of cables, (3.3-1) with stick."""
 
     name = "friction"
     of_cables = True

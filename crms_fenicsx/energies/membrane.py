@@ -39,23 +39,8 @@ if TYPE_CHECKING:
 class MembraneEnergy(EnergyTerm):
     """Strain energy of the cells whose `plain` indicator is 1, in total formulation.
 
-    Parameters
-    ----------
-    u
-        Vertex displacements, DOLFINx's view of the unknowns.
-    materials
-        Material of each part, by the part's cell tag; several parts need `cell_tags`.
-    cell_tags
-        Tags of the parts' cells.
-
-    Attributes
-    ----------
-    plain : Function
-        1 in plain cells, 0 in folded cells, which leave this term without a new form.
-    integral : Integral
-        Energy and nodal forces.
-    stiffening : Stiffening
-        What is in the stiffness only.
+    Attributes: `plain`: 1 in plain cells, 0 in folded cells, which leave this term without a new
+    form; `integral`: energy and nodal forces; `stiffening`: what is in the stiffness only.
     """
 
     name = "membrane"

@@ -173,21 +173,8 @@ class Ponding(EnergyTerm):
 
     Unlike other terms it communicates in `sums`, where the volume is given: to find the level.
 
-    Parameters
-    ----------
-    pond
-        The water.
-    table
-        This rank's plain cells and facets of folded ones that it can stand on.
-    datum
-        A height (length).
-
-    Attributes
-    ----------
-    pond
-        The water; load steps change its factor.
-    level
-        Height z of the water's surface at the last `sums` (length).
+    Attributes: `pond`: the water; load steps change its factor; `level`: height z of the water's
+    surface at the last `sums` (length). Units: datum (length).
     """
 
     name = "pond"

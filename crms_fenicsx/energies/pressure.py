@@ -23,21 +23,8 @@ class FollowerPressure(EnergyTerm):
     is missing. V is counted from `origin`; V0 is that of the stress-free surface, so that the
     energy is the work done since and does not depend on the origin.
 
-    Parameters
-    ----------
-    u
-        Vertex displacements.
-    cells
-        1 in the plain cells under pressure, 0 in others (piecewise constant).
-    pressure
-        Pressure (force per area) along the surface's normals.
-    origin
-        Point (3,) from which volumes are counted (length).
-
-    Attributes
-    ----------
-    integral : Integral
-        The volume gained, and the gradient of the potential.
+    Attributes: `integral`: the volume gained, and the gradient of the potential. Shapes and units:
+    pressure (force per area), origin (3,) (length).
     """
 
     name = "pressure"

@@ -35,25 +35,15 @@ PLANE = 1e-9
 
 @dataclass(frozen=True)
 class Rim:
-    """What this rank knows of the rim.
+    """What this rank knows of the rim."""
 
-    Attributes
-    ----------
-    components : (m, 3)
-        Products of coordinates, by local degree of freedom times three plus direction.
-    factors : (m,)
-        Their factors in the volume.
-    free : (n,)
-        Vertices, by local degree of freedom, at which the rim is free: neither held nor in a plane
-        that is held in its normal direction.
-    sliding : (k,)
-        Local edges that are not held, but slide in a plane.
-    """
-
+    # (m, 3) products of coordinates, by local degree of freedom times three plus direction
     components: Indices
-    factors: Array
+    factors: Array  # (m,) their factors in the volume
+    # (n,) vertices, by local degree of freedom, at which the rim is free: neither held nor in a
+    # plane that is held in its normal direction
     free: Indices
-    sliding: Indices
+    sliding: Indices  # (k,) local edges that are not held, but slide in a plane
 
 
 def rim_of(membrane: Membrane) -> Rim:
@@ -104,14 +94,7 @@ def _ends(V: fem.FunctionSpace, a: Indices, b: Indices, s: Array) -> tuple[Indic
 class RimPressure(EnergyTerm):
     """Potential of the pressure on what closes the volume at the rim: ``-p`` times its change.
 
-    Parameters
-    ----------
-    rim
-        The rim.
-    pressure
-        A constant: pressure (force per area).
-    origin
-        Point (3,) from which volumes are counted (length).
+    Shapes and units: pressure (force per area), origin (3,) (length).
     """
 
     name = "pressure"

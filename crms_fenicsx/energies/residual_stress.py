@@ -21,13 +21,7 @@ from crms_fenicsx.runtime.compat import geometry_dofmap
 class ResidualStress(EnergyTerm):
     """Energy ``int S : E`` of second Piola-Kirchhoff forces S that stay, E the strain.
 
-    Parameters
-    ----------
-    u
-        Vertex displacements.
-    forces
-        S (force per length) of the local cells as tensors in space, (n, 3, 3); what is not in the
-        surface does not count.
+    Shapes and units: forces (n, 3, 3) (force per length).
     """
 
     name = "residual stress"

@@ -26,23 +26,8 @@ from crms_fenicsx.runtime.arrays import Array, Booleans
 class SealedPressure(EnergyTerm):
     """Potential of sealed air; see `SealedAir`.
 
-    Parameters
-    ----------
-    air
-        The air.
-    plain
-        Pressure on the plain cells.
-    rim
-        Pressure on what closes the volume at the rim, if there is any.
-    unit
-        The constant that all parts have as their pressure; 1 here.
-
-    Attributes
-    ----------
-    air
-        The air; load steps change its temperature and the atmosphere.
-    parts
-        Terms of parts of the volume; that of folded cells comes to them before the term is used.
+    Attributes: `air`: the air; load steps change its temperature and the atmosphere; `parts`: terms
+    of parts of the volume; that of folded cells comes to them before the term is used.
     """
 
     name = "pressure"

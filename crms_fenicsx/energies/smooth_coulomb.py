@@ -47,12 +47,7 @@ def coulomb_forces(slip: Array, bound: Array, eps: Array) -> Array:
 def stored_and_lost(slip: Array, bound: Array, eps: Array, elastic: Array) -> tuple[float, float]:
     """Energy that friction stores elastically, and that it dissipates (force x length).
 
-    Parameters
-    ----------
-    slip, bound, eps, elastic : (n,)
-        Slips, and of the law the friction force, the slip at which it is reached, and the part of
-        the slip that is elastic at most. The force grows over the elastic part as it does in the
-        law of a node that slides in one direction, whose elastic part is eps.
+    Shapes: slip, bound, eps, elastic (n,).
     """
     force = np.abs(coulomb_forces(slip, bound, eps))
     back = np.minimum(np.abs(slip), elastic)

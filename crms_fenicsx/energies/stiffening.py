@@ -19,16 +19,10 @@ step of the inflated square with 32 cells a side and 19 with 128, where it takes
 class Stiffening:
     """What plain and folded cells have in H0 that they have not in the energy.
 
-    Attributes
-    ----------
-    prestress : Constant
-        Isotropic section force (force per length): without it a flat sheet has no stiffness
-        against pressure.
-    floor : Constant
-        Part of the taut stiffness added to the tangent of laws that wrinkle.
-    compression : Constant
-        Part of compressive section forces in the geometric stiffness: 0, as it is indefinite with
-        them, or 1 in the second derivatives.
+    Attributes: `prestress`: isotropic section force (force per length): without it a flat sheet has
+    no stiffness against pressure; `floor`: part of the taut stiffness added to the tangent of laws
+    that wrinkle; `compression`: part of compressive section forces in the geometric stiffness: 0,
+    as it is indefinite with them, or 1 in the second derivatives.
     """
 
     def __init__(self, mesh: Any) -> None:

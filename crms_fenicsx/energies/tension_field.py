@@ -63,18 +63,7 @@ def cell_tangents(strains, row, p, cells, tangents):  # type: ignore[no-untyped-
 class TensionField:
     """Stress, energy and tangent of wrinkling orthotropic cells, as fields for UFL forms.
 
-    Parameters
-    ----------
-    u
-        Vertex displacements.
-    cells : (n,)
-        This rank's owned cells that have such a material.
-    axes : (n, 2, 3)
-        Their material axes.
-    parameters : (k, N_PARAMETERS)
-        `MembraneMaterial.parameters` of the materials.
-    row : (n,)
-        Row of `parameters` of each cell.
+    Shapes: cells (n,), axes (n, 2, 3), parameters (k, N_PARAMETERS), row (n,).
     """
 
     def __init__(
@@ -105,13 +94,7 @@ class TensionField:
         cell_tangents(self.strains, self.row, self.parameters, self.cells, tangents)
 
     def terms(self, parameters: Any) -> LawTerms:
-        """The law with the fields held.
-
-        Parameters
-        ----------
-        parameters
-            `MembraneMaterial.parameters` of one material as an indexable UFL vector.
-        """
+        """The law with the fields held."""
         values, tangents = self.values, self.tangents
         D = ufl.as_matrix([[parameters[3 * i + j] for j in range(3)] for i in range(3)])
 

@@ -21,14 +21,9 @@ from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 
 @dataclass(frozen=True)
 class Twin:
-    """What makes terms of few elements in the place of a term without any.
+    """What makes terms of few elements in the place of a term without any."""
 
-    Attributes
-    ----------
-    elements_on, of_elements
-        As the term's methods.
-    """
-
+    # elements_on, of_elements: as the term's methods
     elements_on: Callable[[Booleans], ElementTable | None]
     of_elements: Callable[[Any], EnergyTerm]
 

@@ -23,19 +23,7 @@ def find_level(
 
     The volume is a convex function of the level where the surface lies under all of the water, so
     that Newton's steps come from above; where it does not, or is dry, they are kept in brackets.
-
-    Parameters
-    ----------
-    comm
-        The ranks that have parts of the surface.
-    fill
-        Writes this rank's share to `sums` for a level.
-    sums
-        The last two are the volume (length cubed) and the area of its surface (length squared).
-    volume
-        What the volume is to be (length cubed); positive.
-    level
-        Where to begin (length).
+    Units: sums (length cubed), volume (length cubed), level (length).
     """
     low, high, step = -float("inf"), float("inf"), volume ** (1 / 3)
     total = sums.copy()

@@ -24,20 +24,7 @@ MAX_PROJECTIONS = 60
 
 
 class ContactLoop:
-    """Solves one load step on given paths.
-
-    Parameters
-    ----------
-    system
-        The scene's potential.
-    active
-        Decides what is active.
-    retracer
-        Pulls paths taut that have not been in equilibrium yet; None where cables stay in the cells
-        that they cross.
-    start
-        The state at the start of the load step.
-    """
+    """Solves one load step on given paths."""
 
     def __init__(
         self, system: System, active: ActiveSet, retracer: Retracer | None, start: State
@@ -53,16 +40,7 @@ class ContactLoop:
     def solve(
         self, h0_prestress: tuple[float, ...], look: Callable[[], bool] | None = None
     ) -> Outcome:
-        """Find the equilibrium on the paths that there are. Collective.
-
-        Parameters
-        ----------
-        h0_prestress
-            As for `Minimizer.solve`.
-        look
-            Called once the active set has settled, near the equilibrium; if it returns true, the
-            solve ends there.
-        """
+        """Find the equilibrium on the paths that there are. Collective."""
         system, active = self.system, self.active
         system.read_scene()
         system.locate_cables()

@@ -25,19 +25,8 @@ for."""
 class FrameStability:
     """The bars and joints of a scene in its state, the same on all ranks.
 
-    Parameters
-    ----------
-    scene
-        The scene.
-    tolerance
-        Forces up to which it is in equilibrium (force).
-
-    Attributes
-    ----------
-    least : (n,)
-        Stiffness of each joint (force/length) that is not told from none.
-    compressed
-        The bars under compression.
+    Attributes: `least` (n,): stiffness of each joint (force/length) that is not told from none;
+    `compressed`: the bars under compression. Units: tolerance (force).
     """
 
     def __init__(self, scene: Scene, tolerance: float) -> None:

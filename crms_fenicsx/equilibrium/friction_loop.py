@@ -30,17 +30,7 @@ Solve = Callable[[tuple[float, ...], bool], Outcome]
 
 
 class FrictionLoop:
-    """Solves one load step of cables with friction, or without any.
-
-    Parameters
-    ----------
-    contacts
-        Solves on given paths.
-    solve
-        Solves with given friction forces: the path loop, or the contact loop alone.
-    tried
-        Which paths have been tried; None where cables stay in the cells that they cross.
-    """
+    """Solves one load step of cables with friction, or without any."""
 
     def __init__(self, contacts: ContactLoop, solve: Solve, tried: TriedPaths | None) -> None:
         self.contacts, self._solve, self.tried = contacts, solve, tried
@@ -50,11 +40,6 @@ class FrictionLoop:
         """Solve, again and again until the friction forces are those of its own state. Collective.
 
         While these change much the states are worked out near their equilibrium only.
-
-        Parameters
-        ----------
-        h0_prestress
-            As for `Minimizer.solve`.
         """
         solve, lags = self._solve, self._lags()
         outcome = solve(h0_prestress, bool(lags))

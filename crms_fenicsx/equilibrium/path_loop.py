@@ -40,38 +40,16 @@ MAX_PATHS = 60
 
 @dataclass(frozen=True)
 class _Try:
-    """The equilibrium on some paths, perhaps not to the last digit, and how they want to change.
+    """The equilibrium on some paths, perhaps not to the last digit, and how they want to change."""
 
-    Attributes
-    ----------
-    outcome
-        What came of the minimisation.
-    state
-        The state before its paths were changed.
-    energy
-        Potential energy in it (force x length).
-    flips
-        How many vertices the paths have passed since.
-    """
-
-    outcome: Outcome
-    state: State
-    energy: float
-    flips: int
+    outcome: Outcome  # what came of the minimisation
+    state: State  # the state before its paths were changed
+    energy: float  # potential energy in it (force x length)
+    flips: int  # how many vertices the paths have passed since
 
 
 class PathLoop:
-    """Solves one load step of cables that slide sideways, and finds their paths.
-
-    Parameters
-    ----------
-    contacts
-        Solves on given paths.
-    change
-        Changes the paths of the scene's cables.
-    tried
-        Which paths have been tried.
-    """
+    """Solves one load step of cables that slide sideways, and finds their paths."""
 
     def __init__(self, contacts: ContactLoop, change: PathChange, tried: TriedPaths) -> None:
         assert contacts.retracer is not None
@@ -80,15 +58,7 @@ class PathLoop:
         self.change, self.tried = change, tried
 
     def solve(self, h0_prestress: tuple[float, ...], rough: bool) -> Outcome:
-        """Find the equilibrium and the paths of the cables. Collective.
-
-        Parameters
-        ----------
-        h0_prestress
-            As for `Minimizer.solve`.
-        rough
-            Whether a state near the equilibrium is enough.
-        """
+        """Find the equilibrium and the paths of the cables. Collective."""
         tried, trials = self.tried, VertexTrials(self.change, self.tried)
         others = CrossingTrials(self.change, tried)
         best = self._try(h0_prestress, rough)
@@ -167,15 +137,7 @@ class PathLoop:
         return total
 
     def _try(self, h0_prestress: tuple[float, ...], rough: bool) -> _Try:
-        """Solve on the paths that there are; the scene then has those to try next.
-
-        Parameters
-        ----------
-        h0_prestress
-            As for `Minimizer.solve`.
-        rough
-            Whether to stop near the equilibrium.
-        """
+        """Solve on the paths that there are; the scene then has those to try next."""
         flips = 0
         state, energy = self.contacts.start, 0.0
 

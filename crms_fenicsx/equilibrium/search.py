@@ -31,30 +31,14 @@ MAX_LENGTHS = 30
 
 
 class EquilibriumSearch:
-    """Finds the equilibrium at a scene's loads, starting from its state.
-
-    Parameters
-    ----------
-    system
-        The scene's potential.
-    slide
-        Whether cables may slide into other cells than those that they cross.
-    tried
-        Paths that have been tried in the load steps before with the same cables, if any.
-    """
+    """Finds the equilibrium at a scene's loads, starting from its state."""
 
     def __init__(self, system: System, slide: bool, tried: TriedPaths | None = None) -> None:
         self.system, self.scene = system, system.scene
         self.slide, self.tried = slide, tried
 
     def find(self, h0_prestress: tuple[float, ...]) -> Outcome:
-        """Find the equilibrium; the scene is then in it. Collective.
-
-        Parameters
-        ----------
-        h0_prestress
-            As for `Minimizer.solve`.
-        """
+        """Find the equilibrium; the scene is then in it. Collective."""
         self._begin_friction()
         self.system.prepare()
         if not self.scene.cables:

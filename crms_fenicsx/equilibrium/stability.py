@@ -22,12 +22,7 @@ from crms_fenicsx.model.state_warning import StateWarning
 def instabilities(system: System, tolerance: float) -> list[StateWarning]:
     """What bars, joints and ponds make unstable in a scene's state. Collective.
 
-    Parameters
-    ----------
-    system
-        The potential, in an equilibrium.
-    tolerance
-        Forces up to which it is one (force).
+    Units: tolerance (force).
     """
     ponds = [] if system.ponds is None else [one for one in system.ponds.ponds if one.pond.factor]
     frame = FrameStability(system.scene, tolerance) if system.scene.bars else None

@@ -43,26 +43,10 @@ class System:
     Forms are compiled when a term is first needed. The layout of the unknowns and the cables'
     tables are made anew when cables are laid, become taut or slacken.
 
-    Parameters
-    ----------
-    scene
-        The scene; its current state is the first state.
-    prefix
-        PETSc options prefix.
-    rtol
-        Relative tolerance of the solver.
-
-    Attributes
-    ----------
-    contributions
-        What the features of the scene contribute, in the order of their terms.
-    membrane, pressure, cables, bars, ponds
-        Some of them; the last three are None without any.
-    unknowns, potential
-        The layout, and the sum of the terms over it.
-    objective
-        What the last solve has minimised; with friction more than the scene's energy
-        (force x length).
+    Attributes: `contributions`: what the features of the scene contribute, in the order of their
+    terms; `membrane`, `pressure`, `cables`, `bars`, `ponds`: some of them; the last three are None
+    without any; `unknowns`, `potential`: the layout, and the sum of the terms over it; `objective`:
+    what the last solve has minimised; with friction more than the scene's energy (force x length).
     """
 
     def __init__(self, scene: Scene, prefix: str, rtol: float) -> None:

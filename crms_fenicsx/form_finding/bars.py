@@ -81,20 +81,7 @@ class FormBar:
 def add_bars(scene: Scene, reactions: Mapping[str, Array], bars: Sequence[FormBar]) -> None:
     """Add the bars that hold points in place of supports. Collective.
 
-    Parameters
-    ----------
-    scene
-        The scene, which does not hold these points.
-    reactions
-        Forces (3,) of the form's supports by group.
-    bars
-        The bars.
-
-    Raises
-    ------
-    InputError
-        On all ranks: a group of more than one vertex or held by another support, or bars whose
-        forces do not follow from its reaction.
+    Shapes: reactions (3,).
     """
     frame = scene.frame
     for group in dict.fromkeys(bar.group for bar in bars):
@@ -127,19 +114,7 @@ def add_bars(scene: Scene, reactions: Mapping[str, Array], bars: Sequence[FormBa
 def bar_forces(reaction: Array, ways: Array, bars: Sequence[FormBar]) -> Array:
     """Forces of the bars at a point, (n,), that together are its reaction (force).
 
-    Parameters
-    ----------
-    reaction
-        Force (3,) that holds the point.
-    ways
-        Unit vectors from the point to the feet, (n, 3).
-    bars
-        The bars at the point, some with their forces.
-
-    Raises
-    ------
-    InputError
-        The forces of the others do not follow from the reaction, or cannot balance it.
+    Shapes: reaction (3,), ways (n, 3).
     """
     group = bars[0].group
     found = np.array([np.nan if bar.force is None else bar.force for bar in bars])

@@ -64,29 +64,15 @@ class EdgeLine:
 
     A film pulls at the vertices of a cable across the cable only, so that its places along the
     cable are free. They are laid out evenly: each edge keeps its share of the length.
-
-    Attributes
-    ----------
-    cable
-        What is prescribed of it.
-    ids : (k,)
-        Its vertices from end to end, by their numbers in the mesh as it was given.
-    edges : (m, 2)
-        Vertices of the edges that this rank owns, by local degree of freedom, along the cable.
-    shares : (m,)
-        Parts of the start mesh's length that these edges have.
-    tension
-        Current tension (force).
-    length
-        Current length of the whole cable (length).
     """
 
-    cable: FormCable
-    ids: Integers
+    cable: FormCable  # what is prescribed of it
+    ids: Integers  # (k,) its vertices from end to end, by their numbers in the mesh as it was given
+    # (m, 2) vertices of the edges that this rank owns, by local degree of freedom, along the cable
     edges: Indices
-    shares: Array
-    tension: float = 0.0
-    length: float = 0.0
+    shares: Array  # (m,) parts of the start mesh's length that these edges have
+    tension: float = 0.0  # current tension (force)
+    length: float = 0.0  # current length of the whole cable (length)
     _sides: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     def measure(self, x: Array, comm: MPI.Intracomm) -> None:
@@ -136,13 +122,7 @@ class EdgeLine:
 
 
 def edge_lines(membrane: Membrane, cables: Sequence[FormCable]) -> list[EdgeLine]:
-    """Find the edges of cables. Collective.
-
-    Raises
-    ------
-    InputError
-        On all ranks: no such group, several cables on an edge, or edges that make no line.
-    """
+    """Find the edges of cables. Collective."""
     mesh, topology = membrane.mesh, membrane.mesh.mesh.topology
     with raised_together(mesh.comm):
         for cable in cables:
@@ -176,13 +156,7 @@ def edge_lines(membrane: Membrane, cables: Sequence[FormCable]) -> list[EdgeLine
 
 
 def chained(pairs: Integers, name: str) -> Integers:
-    """The vertices of a line of edges from end to end, (k + 1,), from their pairs, (k, 2).
-
-    Raises
-    ------
-    InputError
-        They make a ring, several lines, or branch.
-    """
+    """The vertices of a line of edges from end to end, (k + 1,), from their pairs, (k, 2)."""
     next_to: dict[int, list[int]] = {}
     for a, b in ((int(a), int(b)) for a, b in pairs):
         next_to.setdefault(a, []).append(b)

@@ -22,26 +22,12 @@ class Directions:
     are the normal of the surface and the two directions square to a cable, or all where cables end
     or meet.
 
-    Parameters
-    ----------
-    membrane
-        The start mesh with its supports.
-    film, lines
-        What bears forces.
-
-    Attributes
-    ----------
-    free : (n, 3)
-        Free components of this rank's vertices.
-    on_cable : (n,)
-        Whether a vertex is free to move along a cable.
-    guided : (n,)
-        Whether supports leave a vertex some of its directions, but no cable holds it. Its own
-        forces within the surface count as well: a ridge may be held vertically only.
-    across, within : (n, 3, 3)
-        Projectors on the directions of both kinds.
-    counted, along : (n, 3, 3)
-        On those in which forces are to balance, and on those along cables.
+    Attributes: `free` (n, 3): free components of this rank's vertices; `on_cable` (n,): whether a
+    vertex is free to move along a cable; `guided` (n,): whether supports leave a vertex some of its
+    directions, but no cable holds it. Its own forces within the surface count as well: a ridge may
+    be held vertically only; `across`, `within` (n, 3, 3): projectors on the directions of both
+    kinds; `counted`, `along` (n, 3, 3): on those in which forces are to balance, and on those along
+    cables.
     """
 
     def __init__(self, membrane: Membrane, film: Film, lines: Sequence[EdgeLine]) -> None:

@@ -37,34 +37,13 @@ class Film:
     A film does not tell where in the surface its vertices are. On demand an elasticity holds them:
     stress by the Green-Lagrange strain from a reference shape.
 
-    Parameters
-    ----------
-    membrane
-        The start mesh.
-    forces
-        s1 and s2 (force per length) of the local cells, (n, 2).
-    directions
-        d of these cells, (n, 3).
-    origin
-        Point (3,) from which places and the volume count (length): far from the origin of the
-        coordinates these have too few digits.
-
-    Attributes
-    ----------
-    start
-        Places of the start mesh's vertices from `origin`, (n, 3), with ghosts (length).
-    u
-        Displacements from the start mesh (length).
-    reference
-        Displacements of the reference shape from it.
-    modulus
-        Modulus times thickness of that elasticity, relative to the section forces.
-    matrix, elastic
-        The stiffness, and that of the elasticity alone.
-    largest
-        Largest of the section forces (force per length).
-    isotropic
-        Whether s1 = s2 everywhere: then the stiffness is symmetric.
+    Attributes: `start`: places of the start mesh's vertices from `origin`, (n, 3), with ghosts
+    (length); `u`: displacements from the start mesh (length); `reference`: displacements of the
+    reference shape from it; `modulus`: modulus times thickness of that elasticity, relative to the
+    section forces; `matrix`, `elastic`: the stiffness, and that of the elasticity alone; `largest`:
+    largest of the section forces (force per length); `isotropic`: whether s1 = s2 everywhere: then
+    the stiffness is symmetric. Shapes and units: forces (n, 2) (force per length), directions (n,
+    3), origin (3,) (length).
     """
 
     def __init__(self, membrane: Membrane, forces: Array, directions: Array, origin: Array) -> None:
@@ -123,13 +102,7 @@ class Film:
         return float(self.comm.allreduce(fem.assemble_scalar(self._forms["volume"])))
 
     def forces(self, holding: bool) -> Array:
-        """Nodal forces of this rank's vertices, those of the film's stress, (n, 3). Collective.
-
-        Parameters
-        ----------
-        holding
-            Whether with those of the elasticity that holds vertices.
-        """
+        """Nodal forces of this rank's vertices, those of the film's stress, (n, 3). Collective."""
         self._holding.value = self.modulus if holding else 0.0
         return self._vector("force")
 
@@ -160,14 +133,7 @@ class Film:
     def assemble(self, exact: bool, pressure: float, modulus: float) -> None:
         """Assemble the stiffness, to which cables may still be added.
 
-        Parameters
-        ----------
-        exact
-            Whether by exact derivatives; else by the updated reference strategy.
-        pressure
-            Pressure (force per area) to the outer side, if exact.
-        modulus
-            `modulus` of the elasticity that is part of it.
+        Units: pressure (force per area).
         """
         self._exact.value = float(exact)
         self._pressure.value = pressure
@@ -185,13 +151,7 @@ class Film:
         fem_petsc.assemble_matrix(matrix, self._stiffness)
 
     def section_forces(self, holding: bool) -> Array:
-        """True section forces of this rank's cells as tensors in space, (n, 3, 3).
-
-        Parameters
-        ----------
-        holding
-            Whether with those of the elasticity that holds vertices.
-        """
+        """True section forces of this rank's cells as tensors in space, (n, 3, 3)."""
         self._holding.value = self.modulus if holding else 0.0
         cells = np.arange(self.V.mesh.topology.index_map(2).size_local, dtype=np.int32)
         stress, F = (

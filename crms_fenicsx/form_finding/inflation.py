@@ -15,27 +15,11 @@ MIDDLE = 1e-6
 class Inflation:
     """The inner pressure.
 
-    Parameters
-    ----------
-    film
-        What is inflated.
-    pressure, volume, rise
-        What is given (force per area; length cubed; length), the others None; none of them: there
-        is no pressure.
-    free : (n,)
-        Whether each vertex of this rank is not held vertically.
-
-    Attributes
-    ----------
-    pressure
-        Current pressure (force per area) to the outer side.
-    acts, is_found
-        Whether there is one, and whether it is found for a volume or a rise.
-    growth : (n, 3)
-        Derivatives of the volume by the places of this rank's vertices (length squared).
-    gap, gap_slope, size
-        How far volume or rise are from what is wanted, the derivatives of that by the places of
-        this rank's vertices, (n, 3), and what it is relative to.
+    Attributes: `pressure`: current pressure (force per area) to the outer side; `acts`, `is_found`:
+    whether there is one, and whether it is found for a volume or a rise; `growth` (n, 3):
+    derivatives of the volume by the places of this rank's vertices (length squared); `gap`,
+    `gap_slope`, `size`: how far volume or rise are from what is wanted, the derivatives of that by
+    the places of this rank's vertices, (n, 3), and what it is relative to. Shapes: free (n,).
     """
 
     def __init__(
@@ -58,10 +42,7 @@ class Inflation:
     def measure(self, x: Array) -> None:
         """Take volume and rise. Collective.
 
-        Parameters
-        ----------
-        x
-            Places of this rank's vertices from the rim's centre, (n, 3) (length).
+        Shapes and units: x (n, 3) (length).
         """
         self.growth = self.film.growth()
         if self._volume is not None:

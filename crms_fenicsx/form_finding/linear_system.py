@@ -20,17 +20,7 @@ STRAIGHT = 1e-12
 
 
 class LinearSystem:
-    """Stiffness of a film and its cables, factorised.
-
-    Parameters
-    ----------
-    film, lines
-        What bears forces.
-    directions
-        Free directions of the vertices, and those across the form.
-    prefix
-        Of PETSc's options.
-    """
+    """Stiffness of a film and its cables, factorised."""
 
     def __init__(
         self, film: Film, lines: Sequence[EdgeLine], directions: Directions, prefix: str
@@ -82,12 +72,7 @@ class LinearSystem:
         """Take the derivatives of forces across the form; within it those of the elasticity, and
         along cables of lengths over their shares.
 
-        Parameters
-        ----------
-        pressure
-            Pressure (force per area).
-        damping
-            Modulus of an elasticity that resists across the form as well.
+        Units: pressure (force per area).
         """
         film, directions = self.film, self.directions
         self.balance(pressure, damping)
@@ -138,20 +123,8 @@ class LinearSystem:
     ) -> tuple[Array, list[Array], Array]:  # fmt: skip
         """Solve with unknowns that have an equation each, by block elimination. Collective.
 
-        Parameters
-        ----------
-        forces
-            Forces (n, 3).
-        start
-            Displacements (n, 3) that are prescribed.
-        columns, rows, diagonal
-            Forces (n, 3) of the other unknowns, and derivatives of their equations.
-        gaps
-            Errors of these equations.
-
-        Returns
-        -------
-        Displacements (n, 3) at constant other unknowns, those by each of them, and their changes.
+        Shapes: forces (n, 3), start (n, 3), columns, rows, diagonal (n, 3). Returns displacements
+        (n, 3) at constant other unknowns, those by each of them, and their changes.
         """
         way = start + self.solved(forces)
         ways = [self.solved(column) for column in columns]

@@ -43,18 +43,10 @@ State = tuple[Array, list[float], float]
 
 @dataclass(frozen=True)
 class Figures:
-    """What a form is judged by.
+    """What a form is judged by."""
 
-    Attributes
-    ----------
-    numbers
-        Its area, the lengths and the tensions of its cables, and its pressure.
-    support_forces
-        Forces of the supports on this rank's vertices (force), (n, 3).
-    """
-
-    numbers: Array
-    support_forces: Array
+    numbers: Array  # its area, the lengths and the tensions of its cables, and its pressure
+    support_forces: Array  # forces of the supports on this rank's vertices (force), (n, 3)
 
 
 class FormSearch:
@@ -62,15 +54,6 @@ class FormSearch:
 
     The unknown tensions and the pressure are found with the shape: each has an equation, and a
     column of forces. The linear systems with them are solved by block elimination.
-
-    Parameters
-    ----------
-    membrane
-        The start mesh with its supports.
-    film, lines, inflation
-        What bears forces.
-    prefix
-        Of PETSc's options for the linear solver.
     """
 
     def __init__(
@@ -113,15 +96,7 @@ class FormSearch:
     def run(self, lift: Array) -> None:
         """Find the form. Collective.
 
-        Parameters
-        ----------
-        lift
-            Movement of the held vertices from the start mesh, (n, 3) with ghosts (length).
-
-        Raises
-        ------
-        ConvergenceError
-            There is none near, as cells collapse or the residual stays.
+        Shapes and units: lift (n, 3) (length).
         """
         updates = wait = UPDATES
         best, error = 1.0, self._measure()

@@ -30,21 +30,13 @@ ALONG_X = (1.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class PrescribedStress:
-    """Section forces along warp and weft of the membrane or of its parts.
+    """Section forces along warp and weft of the membrane or of its parts."""
 
-    Attributes
-    ----------
-    forces
-        Section forces (s1, s2) (force per length) by part; by `WHOLE` of the whole membrane.
-    warps
-        Warp directions in space by part; None where none is given: along x, if it matters.
-    cell_forces, directions
-        Both of the local cells, (n, 2) and (n, 3).
-    """
-
+    # section forces (s1, s2) (force per length) by part; by `WHOLE` of the whole membrane
     forces: dict[str, tuple[float, float]]
+    # warp directions in space by part; None where none is given: along x, if it matters
     warps: dict[str, Direction | None]
-    cell_forces: Array
+    cell_forces: Array  # cell_forces, directions: both of the local cells, (n, 2) and (n, 3)
     directions: Array
 
     @classmethod
@@ -54,14 +46,7 @@ class PrescribedStress:
         stress: Stress,
         warp: Direction | Mapping[str, Direction] | None,
     ) -> PrescribedStress:
-        """Check what the user gave. Collective.
-
-        Raises
-        ------
-        InputError
-            On all ranks: section forces that are not positive, directions that are none, or parts
-            that do not exist, overlap or leave cells out.
-        """
+        """Check what the user gave. Collective."""
         by_part = dict(stress) if isinstance(stress, Mapping) else {WHOLE: stress}
         forces = {part: _pair(part, value) for part, value in by_part.items()}
         given: dict[str, Direction | None] = (
@@ -111,18 +96,7 @@ class PrescribedStress:
         return np.asarray(s2 * flat + (s1 - s2) * w[:, :, None] * w[:, None, :])
 
     def materials(self, material: Materials) -> Materials:
-        """Materials with these section forces as their prestress.
-
-        Parameters
-        ----------
-        material
-            Of the membrane, or of each part.
-
-        Raises
-        ------
-        InputError
-            A material that cannot have them, or parts others than those of the section forces.
-        """
+        """Materials with these section forces as their prestress."""
         if WHOLE in self.forces:
             if not isinstance(material, Mapping):
                 return self._stressed(material, WHOLE, WHOLE)

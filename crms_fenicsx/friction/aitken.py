@@ -13,13 +13,7 @@ from crms_fenicsx.runtime.arrays import Array
 
 
 class AitkenRelaxation:
-    """Part of a change that is taken.
-
-    Parameters
-    ----------
-    least
-        Least part.
-    """
+    """Part of a change that is taken."""
 
     def __init__(self, least: float) -> None:
         self.least = least

@@ -38,23 +38,13 @@ LEAST_PART = 0.01
 
 @dataclass(frozen=True)
 class RestPlaces:
-    """What rests at the nodes that friction holds: ``slope * s + offset``, s their places on edges.
+    """Arc at rest where friction holds the cables: ``slope * s + offset``, s places on edges."""
 
-    Attributes
-    ----------
-    nodes
-        Their numbers.
-    slope, offset, rest : (n,)
-        The rest is that at their current places (length).
-    size : (n,)
-        Size of the stress-free cells around (length).
-    """
-
-    nodes: list[int]
-    slope: Array
+    nodes: list[int]  # their numbers
+    slope: Array  # slope, offset, rest: (n,) the rest is that at their current places (length)
     offset: Array
     rest: Array
-    size: Array
+    size: Array  # (n,) size of the stress-free cells around (length)
 
 
 def initial_state(cable: LaidCable, shape: StripShape) -> AxialGrip:
@@ -119,12 +109,10 @@ def remap_axial(cable: LaidCable) -> None:
 def reference_arcs(cable: LaidCable, shape: StripShape) -> RestPlaces:
     """What rests at a cable's nodes, and how that changes along their edges.
 
-    Notes
-    -----
     A fold point that is moved along its edge by v takes the cable's material along by v . t, with t
     the mean of the cable's directions before and after: divided by the stretch, this is the slope.
-    With it the forces of the tensions T1 and T2 and of friction on the fold point sum up to
-    ``(T1 + T2)/2 (t2 - t1)`` along the edge, which vanishes on a geodesic as without friction.
+    With it the forces of the tensions T1 and T2 and of friction on the fold point sum up to ``(T1 +
+    T2)/2 (t2 - t1)`` along the edge, which vanishes on a geodesic as without friction.
     """
     grip = cable.axial
     assert grip is not None
@@ -169,14 +157,7 @@ def store_solution(
 ) -> None:
     """Take the state of a solve.
 
-    Parameters
-    ----------
-    cable
-        Its tension is set, from its length.
-    spans, unstressed, tensions : (n + 1,)
-        Lengths (length) and tensions (force) between the nodes that friction holds.
-    slips, loss
-        As in `AxialGrip`.
+    Shapes and units: spans, unstressed, tensions (n + 1,) (length).
     """
     grip = cable.axial
     assert grip is not None

@@ -28,20 +28,14 @@ their change, relative to the largest one, below which it has been found."""
 
 @dataclass(frozen=True)
 class _Law:
-    """Coulomb's law along a cable, solved.
+    """Coulomb's law along a cable, solved."""
 
-    Attributes
-    ----------
-    most, eps, elastic : (n,)
-        Most logarithm of the ratio of tensions at nodes, and the slips (length) at which it is
-        reached and that are elastic at most.
-    slips : (n,), unstressed : (n + 1,)
-        Slips and unstressed lengths of the spans (length).
-    """
-
+    # most, eps, elastic: (n,) most logarithm of the ratio of tensions at nodes, and the slips
+    # (length) at which it is reached and that are elastic at most
     most: Array
     eps: Array
     elastic: Array
+    # slips (n,), unstressed (n + 1,): slips and unstressed lengths of the spans (length)
     slips: Array
     unstressed: Array
 
@@ -58,9 +52,7 @@ class AxialIteration:
     def renew(self, shape: StripShape) -> float:
         """Take the bounds from the current state.
 
-        Returns
-        -------
-        Change of the tension that follows from them, relative to their sum.
+        Returns change of the tension that follows from them, relative to their sum.
         """
 
         cable, grip = self.cable, self.cable.axial
@@ -124,20 +116,10 @@ class AxialIteration:
 def capstan_bounds(mean: Array, wrap: Array, y: Array) -> Array:
     """Friction bounds with which the potential has the tensions of the law, relative to EA.
 
-    Parameters
-    ----------
-    mean : (n,)
-        Geometric mean of the strains beside each node.
-    wrap : (n,)
-        Coefficient of friction times angle of wrap.
-    y : (n,)
-        Slip relative to the one at which friction is fully mobilised.
-
-    Notes
-    -----
     With the tensions T1 and T2 and ``P = T + T^2/(2 EA)``, the work of the tension per unstressed
     arc, it is ``(P2 - P1)/f'(y)``; the difference ``T2 - T1 = 2 sqrt(T1 T2) sinh(wrap/2)`` of a
-    node that slides is written so that it stays accurate for small angles.
+    node that slides is written so that it stays accurate for small angles. Shapes: mean (n,), wrap
+    (n,), y (n,).
     """
     share = np.minimum(np.abs(y), 1.0)
     z = wrap * share * (2.0 - share)

@@ -33,18 +33,10 @@ BISECTIONS = 60
 
 @dataclass(frozen=True)
 class Slip:
-    """Slips of nodes in one direction, (n,).
+    """Slips of nodes in one direction, (n,)."""
 
-    Attributes
-    ----------
-    work
-        Absolute slips times the coefficient of friction (length).
-    eps
-        Slip at which friction is mobilised, times the coefficient (length).
-    """
-
-    work: Array
-    eps: Array
+    work: Array  # absolute slips times the coefficient of friction (length)
+    eps: Array  # slip at which friction is mobilised, times the coefficient (length)
 
     @classmethod
     def of(cls, coefficient: float, slips: Array, eps: Array) -> Slip:
@@ -64,21 +56,9 @@ class Slip:
     def law(self, share: Array, other: Array) -> tuple[Array, Array, Array]:
         """The law of these slips while the other ones are held, relative to the law on its own.
 
-        Parameters
-        ----------
-        share : (n,)
-            Force relative to the bound.
-        other : (n,)
-            The other slip that is not elastic, times its coefficient (length).
-
-        Returns
-        -------
-        As in `SidewaysLaw`.
-
-        Notes
-        -----
         Where this slip is small beside the other one, the force is ``share = work/other``: the
-        width is that with which the law has this slope.
+        width is that with which the law has this slope. Shapes and units: share (n,), other (n,)
+        (length). Returns as in `SidewaysLaw`.
         """
         slides = (other > 0.0) | (self.plastic(share) > 0.0)
         width = 1 + 2 * other / self.eps
@@ -111,17 +91,9 @@ def shares(a: Slip, b: Slip) -> tuple[Array, Array]:
 def full_slips(cable: LaidCable, size: Array, wrap: Array) -> Array:
     """Slips along the cable at which friction is mobilised on its own, (n,) (length).
 
-    Parameters
-    ----------
-    cable
-        A cable in tension.
-    size, wrap : (n,)
-        Size of the cells around nodes (length), and coefficient times angle of wrap.
-
-    Notes
-    -----
-    It is relative to what the force of a node that just holds stretches one cell by: so sticking
-    is much stiffer than the cable on every mesh, however stiff the cable is.
+    It is relative to what the force of a node that just holds stretches one cell by: so sticking is
+    much stiffer than the cable on every mesh, however stiff the cable is. Shapes and units: size,
+    wrap (n,) (length).
     """
     friction = cable.cable.friction
     assert isinstance(friction, Friction)

@@ -13,13 +13,8 @@ def succession(
 ) -> tuple[list[int], list[int], list[tuple[slice, list[int]]]]:
     """How the nodes of a changed path follow on those of the old one.
 
-    Returns
-    -------
-    stays, rows
-        Nodes that stay, and what they were.
-    heirs
-        Old nodes that go, a stretch at a time, with those that take their place: the new ones
-        there, or the neighbours.
+    Returns stays, rows: nodes that stay, and what they were; heirs: old nodes that go, a stretch at
+    a time, with those that take their place: the new ones there, or the neighbours.
     """
     was = {support: k for k, support in enumerate(old)}
     stays = [k for k, support in enumerate(now) if support in was]

@@ -26,29 +26,15 @@ from crms_fenicsx.surface.points import Support
 
 @dataclass(frozen=True)
 class NodeSlips:
-    """Slips of sliding nodes, linear in their places s on their edges: ``slope * s + offset``.
+    """Slips of sliding nodes, linear in their places s on their edges: ``slope * s + offset``."""
 
-    Attributes
-    ----------
-    nodes : (n,)
-        Their numbers.
-    supports
-        Their edges.
-    slope, offset, slip : (n,)
-        The slip is that at their current places (length).
-    size : (n,)
-        Size of the stress-free cells around (length).
-    moving : (n,)
-        Direction in which the curve slid there in the last load step.
-    """
-
-    nodes: list[int]
-    supports: list[Support]
-    slope: Array
+    nodes: list[int]  # (n,) their numbers
+    supports: list[Support]  # their edges
+    slope: Array  # slope, offset, slip: (n,) the slip is that at their current places (length)
     offset: Array
     slip: Array
-    size: Array
-    moving: Array
+    size: Array  # (n,) size of the stress-free cells around (length)
+    moving: Array  # (n,) direction in which the curve slid there in the last load step
 
 
 def material_curve(
@@ -59,14 +45,7 @@ def material_curve(
 ) -> MaterialCurve:
     """Where a cable lies now.
 
-    Parameters
-    ----------
-    cable
-        A cable.
-    shape
-        Positions of the vertices around.
-    elastic, moving
-        Elastic slip (length) and direction of sliding, by node; zero elsewhere.
+    Units: elastic, moving (length).
     """
     elastic, moving = elastic or {}, moving or {}
     nodes: list[int] = []

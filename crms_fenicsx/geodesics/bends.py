@@ -25,64 +25,31 @@ once ends more often in the longer one (by about 1e-4), and one by one takes ten
 
 @dataclass(frozen=True)
 class Hold:
-    """A vertex that may hold the string: a bend of it, or a visit of the path.
+    """A vertex that may hold the string: a bend of it, or a visit of the path."""
 
-    Attributes
-    ----------
-    vertex
-        Its id.
-    first, last
-        The supports of the path at the vertex, both included.
-    strip_angle
-        Angle (rad) on the strip's side of a bend; None for a visit.
-    arriving, leaving
-        Angles (rad) of the string before and after a visit to edges at the vertex.
-    """
-
-    vertex: int
-    first: int
+    vertex: int  # its id
+    first: int  # first, last: the supports of the path at the vertex, both included
     last: int
-    strip_angle: float | None
+    strip_angle: float | None  # angle (rad) on the strip's side of a bend; None for a visit
+    # arriving, leaving: angles (rad) of the string before and after a visit to edges at the vertex
     arriving: dict[int, float] = field(default_factory=dict)
     leaving: dict[int, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Flip:
-    """A way around a vertex that would make the string shorter.
+    """A way around a vertex that would make the string shorter."""
 
-    Attributes
-    ----------
-    angle
-        Angle at the vertex on that side (rad).
-    vertex
-        Its id.
-    first, last
-        The supports to be replaced, both included.
-    spokes
-        The edges to cross instead.
-    cells
-        The cells and edges through which the path would go.
-    """
-
-    angle: float
-    vertex: int
-    first: int
+    angle: float  # angle at the vertex on that side (rad)
+    vertex: int  # its id
+    first: int  # first, last: the supports to be replaced, both included
     last: int
-    spokes: Corridor
-    cells: frozenset[Support]
+    spokes: Corridor  # the edges to cross instead
+    cells: frozenset[Support]  # the cells and edges through which the path would go
 
 
 def ordered(flips: Sequence[Flip], middle: int) -> list[Flip]:
-    """Order by angle; equal ones from the middle of the path to its ends.
-
-    Parameters
-    ----------
-    flips
-        Of one path.
-    middle
-        The sum of the numbers of its first and its last support.
-    """
+    """Order by angle; equal ones from the middle of the path to its ends."""
     flips = sorted(flips, key=lambda flip: (flip.angle, flip.first))
     rank = dict.fromkeys(range(len(flips)), 0)
     for i in range(1, len(flips)):

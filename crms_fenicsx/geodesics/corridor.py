@@ -101,18 +101,9 @@ def why_invalid(
 ) -> str | None:
     """Say why no cable can follow a corridor; None if one can.
 
-    Parameters
-    ----------
-    supports
-        A corridor in which consecutive supports share a cell.
-    opposite_vertices
-        Gives the vertices opposite to an edge; see `Surface.opposite_vertices`.
-
-    Returns
-    -------
-    What is wrong: two ends on one edge; a vertex visited, an edge crossed or followed, or a cell
-    entered twice; a cell with points on all three edges. Both ends of a hoop, which goes around,
-    may lie on one vertex or edge.
+    Returns what is wrong: two ends on one edge; a vertex visited, an edge crossed or followed, or a
+    cell entered twice; a cell with points on all three edges. Both ends of a hoop, which goes
+    around, may lie on one vertex or edge.
     """
     if len(supports) < 2:
         return "nothing of it is left between its ends"

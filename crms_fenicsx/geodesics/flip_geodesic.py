@@ -57,23 +57,16 @@ LEAST, MOST = sys.float_info.min, 1.0 - sys.float_info.epsilon / 2
 
 @dataclass(frozen=True)
 class FlippedPath:
-    """A path that has been pulled taut.
+    """A path that has been pulled taut."""
 
-    Attributes
-    ----------
-    points
-        The path: both ends as given, and in between the taut string's own places on every edge
-        that it crosses, also if they are no more than rounding away from a vertex. An end inside
-        an edge that the path then follows is given as a place in a cell beside it.
-    flips
-        The vertices over which it has slid, in order; empty if and only if its corridor is the
-        one given.
-    length, before
-        Lengths of the taut strings in its corridor and in the one given (length).
-    """
-
+    # the path: both ends as given, and in between the taut string's own places on every edge that
+    # it crosses, also if they are no more than rounding away from a vertex. An end inside an edge
+    # that the path then follows is given as a place in a cell beside it.
     points: tuple[SurfacePoint, ...]
+    # the vertices over which it has slid, in order; empty if and only if its corridor is the one
+    # given
     flips: tuple[int, ...]
+    # length, before: lengths of the taut strings in its corridor and in the one given (length)
     length: float
     before: float
 
@@ -90,51 +83,17 @@ def shorten(
 ) -> FlippedPath:
     """Pull a path taut, and let it slide over vertices until it is a geodesic.
 
-    Parameters
-    ----------
-    points
-        A path (see `Path.links`). Both ends stay in place; a vertex in between holds the string
-        until a flip leaves it to one side. Fractions of other points do not matter.
-    surface
-        Lengths and neighbours.
-    refused
-        Corridors that must not be taken. That of the path given is taken anyway.
-    max_flips
-        How many vertices it may slide over; None: as many as it takes.
-    grip
-        Angle (rad) by which a path that visits a vertex must bend there to leave it.
-    held_at
-        The only vertices that it may slide over; None: all.
-    checked
-        Whether the path is known to be one that can be shortened.
-
-    Returns
-    -------
-    The shortened path. With k = `max_flips` it has slid over the first k vertices that it slides
-    over without a limit, unless a sweep is rejected (see the notes) with the limit or without.
-
-    Raises
-    ------
-    PathError
-        The path goes where the surface has no cell, or turns back, or uses an edge or a cell
-        twice; or a length is not positive.
-    InputError
-        `max_flips` is no whole number, or negative.
-    MissingCells
-        The surface does not know all cells around some of the vertices that hold the string.
-
-    Notes
-    -----
     The vertex with the smallest angle on its other side comes first. In one sweep it is followed by
     all others that share no cell with those before. Equal angles are ordered by their places along
     the path, from its middle to its ends. So neither the vertices' ids nor the handedness of the
-    surface decides. A sweep that is rejected is replaced by its first flip that is not.
-
-    A flip is rejected if no cable could follow its corridor (see `why_invalid`), if the corridor
-    is refused or was visited before, and if the taut string becomes longer. As no corridor is
-    visited twice, and a surface has a finite number of those that cross no edge twice, it ends. A
-    vertex from which both sides are equally short, as on the ridge of a symmetric shape, is not
-    left.
+    surface decides. A sweep that is rejected is replaced by its first flip that is not. A flip is
+    rejected if no cable could follow its corridor (see `why_invalid`), if the corridor is refused
+    or was visited before, and if the taut string becomes longer. As no corridor is visited twice,
+    and a surface has a finite number of those that cross no edge twice, it ends. A vertex from
+    which both sides are equally short, as on the ridge of a symmetric shape, is not left. Units:
+    grip (rad). Returns the shortened path. With k = `max_flips` it has slid over the first k
+    vertices that it slides over without a limit, unless a sweep is rejected (see the notes) with
+    the limit or without.
     """
     limit = None if max_flips is None else checks.whole("shorten: max_flips", max_flips, 0)
     if not checked:

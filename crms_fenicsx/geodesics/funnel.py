@@ -28,45 +28,27 @@ a string that touches is longer by a fraction of less than 1e-18 only.
 
 @dataclass(frozen=True)
 class Bend:
-    """A vertex of the strip that holds the string.
+    """A vertex of the strip that holds the string."""
 
-    Attributes
-    ----------
-    vertex
-        Its id.
-    first, last
-        The edges of the strip at the vertex, as a range of indices, both included.
-    angle
-        Angle (rad) of the string at the vertex on the strip's side, pi or more; NaN where the
-        string has an end at the vertex.
-    """
-
-    vertex: int
+    vertex: int  # its id
+    # first, last: the edges of the strip at the vertex, as a range of indices, both included
     first: int
     last: int
+    # angle (rad) of the string at the vertex on the strip's side, pi or more; NaN where the string
+    # has an end at the vertex
     angle: float
 
 
 @dataclass(frozen=True)
 class TautString:
-    """The shortest way through a strip.
+    """The shortest way through a strip."""
 
-    Attributes
-    ----------
-    length
-        Its length.
-    fractions
-        Where it crosses each edge (a, b), from a (0) to b (1), both included.
-    bends
-        The vertices that hold it, in order.
-    leaving, arriving
-        Angles (rad) of its first (last) part to the edges at its first (last) point, by the
-        edges' other ends; only of use where that point is a vertex.
-    """
-
-    length: float
+    length: float  # its length
+    # where it crosses each edge (a, b), from a (0) to b (1), both included
     fractions: tuple[float, ...] = ()
-    bends: tuple[Bend, ...] = ()
+    bends: tuple[Bend, ...] = ()  # the vertices that hold it, in order
+    # leaving, arriving: angles (rad) of its first (last) part to the edges at its first (last)
+    # point, by the edges' other ends; only of use where that point is a vertex
     leaving: dict[int, float] = field(default_factory=dict)
     arriving: dict[int, float] = field(default_factory=dict)
 
@@ -76,21 +58,8 @@ def pull_taut(
 ) -> TautString:
     """Pull a string taut from one place of a surface to another.
 
-    Parameters
-    ----------
-    start, end
-        Fixed places.
-    edges
-        The edges that the string crosses, in order; each shares a cell with the next, and the
-        first (last) one with the start (end). None where both ends share a cell or an edge.
-    lengths
-        Lengths of the edges of these cells. Three lengths that make no triangle count as those
-        of a flat one.
-
-    Notes
-    -----
-    D. T. Lee and F. P. Preparata, Euclidean shortest paths in the presence of rectilinear
-    barriers, Networks 14 (1984).
+    D. T. Lee and F. P. Preparata, Euclidean shortest paths in the presence of rectilinear barriers,
+    Networks 14 (1984).
     """
     return _through(start, edges, end, lengths) if edges else _direct(start, end, lengths)
 
@@ -162,16 +131,9 @@ def _direct(start: SurfacePoint, end: SurfacePoint, lengths: Lengths) -> TautStr
 class _Strip:
     """A strip in the plane. Node 0 is the start, node -1 the end, the rest are its vertices.
 
-    Attributes
-    ----------
-    at
-        Places of the nodes.
-    vertex, first, last
-        Ids of the nodes, and the edges at them.
-    left, right
-        Nodes of the edges' left and right ends.
-    start_beyond, end_beyond
-        Place of the vertex before the first (after the last) edge, with its id.
+    Attributes: `at`: places of the nodes; `vertex`, `first`, `last`: ids of the nodes, and the
+    edges at them; `left`, `right`: nodes of the edges' left and right ends; `start_beyond`,
+    `end_beyond`: place of the vertex before the first (after the last) edge, with its id.
     """
 
     def __init__(

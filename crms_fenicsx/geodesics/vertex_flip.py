@@ -14,18 +14,11 @@ from crms_fenicsx.surface.points import Edge, Support, edge_of
 
 @dataclass(frozen=True)
 class OtherSide:
-    """The way around a vertex on the side where a corridor does not go.
+    """The way around a vertex on the side where a corridor does not go."""
 
-    Attributes
-    ----------
-    corridor
-        With the new way.
-    left, taken
-        The edges that are crossed around the vertex, or the vertex that is visited, and what is
-        crossed instead.
-    """
-
-    corridor: Corridor
+    corridor: Corridor  # with the new way
+    # left, taken: the edges that are crossed around the vertex, or the vertex that is visited, and
+    # what is crossed instead
     left: Corridor
     taken: Corridor
 
@@ -35,26 +28,7 @@ def other_side(
 ) -> OtherSide | None:
     """Lead a corridor around the other side of a vertex.
 
-    Parameters
-    ----------
-    supports
-        A corridor.
-    surface
-        Neighbours.
-    vertex
-        A vertex whose edges the corridor crosses, or that it visits.
-    upward
-        Whether to go around the vertex in the order of its ring, or against it; None: on the side
-        where the corridor does not go. A visit needs to be told.
-
-    Returns
-    -------
-    None if no cable could follow it.
-
-    Raises
-    ------
-    MissingCells
-        The surface does not know all cells around the vertex.
+    Returns None if no cable could follow it.
     """
     run = [i for i, s in enumerate(supports) if vertex in s and len(s) < 3]
     inner = [i for i in run if 0 < i < len(supports) - 1]

@@ -13,13 +13,7 @@ _RANGE = 1e-100, 1e100
 
 
 def check_positive(what: str, **numbers: float) -> None:
-    """Refuse lengths that are not positive and finite, or beyond all measure, by their names.
-
-    Raises
-    ------
-    InputError
-        Naming the first such number.
-    """
+    """Refuse lengths that are not positive and finite, or beyond all measure, by their names."""
     for name, value in numbers.items():
         try:
             good = _RANGE[0] < value < _RANGE[1]
@@ -32,21 +26,7 @@ def check_positive(what: str, **numbers: float) -> None:
 def check_size(what: str, size: float, shortest: float, area: float) -> None:
     """Refuse a mesh size that is too large for a shape, or would need far too many cells.
 
-    Parameters
-    ----------
-    what
-        The shape's name.
-    size
-        Wanted edge length (length).
-    shortest
-        Smallest extent of the shape (length).
-    area
-        Its area or an estimate of it (length^2).
-
-    Raises
-    ------
-    MeshError
-        Naming the size and its limit.
+    Units: size (length), shortest (length).
     """
     check_positive(what, size=size)
     if size > shortest:
@@ -63,13 +43,7 @@ def check_size(what: str, size: float, shortest: float, area: float) -> None:
 
 
 def check_point(what: str, point: Sequence[float]) -> tuple[float, float]:
-    """Return the two coordinates of a point in the plan.
-
-    Raises
-    ------
-    InputError
-        If there are not two finite numbers.
-    """
+    """Return the two coordinates of a point in the plan."""
     try:
         x, y = (float(value) for value in point)
         good = math.isfinite(x) and math.isfinite(y)

@@ -34,18 +34,10 @@ QUARTERS = ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5))
 
 @dataclass(frozen=True)
 class Division:
-    """The parts that cells are divided into; one that is not divided is its only part.
+    """The parts that cells are divided into; one that is not divided is its only part."""
 
-    Attributes
-    ----------
-    parents : (k,)
-        The cells that the parts belong to, ascending.
-    corners : (k, 3)
-        Rows of `CORNERS`, in the direction of the cell's own.
-    """
-
-    parents: Integers
-    corners: Integers
+    parents: Integers  # (k,) the cells that the parts belong to, ascending
+    corners: Integers  # (k, 3) rows of `CORNERS`, in the direction of the cell's own
 
 
 def refine(

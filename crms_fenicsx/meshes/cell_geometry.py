@@ -33,24 +33,13 @@ def cell_normals(mesh: Any) -> Array:
 
 @dataclass(frozen=True)
 class OpenEdges:
-    """Edges at which the cells under pressure do not cancel each other, as this rank knows them.
+    """Edges at which the cells under pressure do not cancel each other, as this rank knows them."""
 
-    Attributes
-    ----------
-    numbers : (n,)
-        Local numbers of the edges, owned ones and ghosts, sorted.
-    vertices : (n, 2)
-        Their vertices by local degree of freedom.
-    ids : (n, 2)
-        The vertices' numbers in the mesh as it was given; the first one is lower.
-    senses : (n,)
-        How many more cells pass from the first vertex to the second one than back.
-    """
-
-    numbers: Indices
-    vertices: Indices
+    numbers: Indices  # (n,) local numbers of the edges, owned ones and ghosts, sorted
+    vertices: Indices  # (n, 2) their vertices by local degree of freedom
+    # (n, 2) the vertices' numbers in the mesh as it was given; the first one is lower
     ids: Integers
-    senses: Array
+    senses: Array  # (n,) how many more cells pass from the first vertex to the second one than back
 
 
 def open_edges(V: fem.FunctionSpace, pressed: Booleans) -> OpenEdges:
@@ -59,14 +48,7 @@ def open_edges(V: fem.FunctionSpace, pressed: Booleans) -> OpenEdges:
     The exact follower pressure has a potential only if these are held or slide in planes: each cell
     makes a volume with the origin, whose sides over an edge cancel if as many cells pass it in the
     one sense as in the other. It is not so at the rim of what is under pressure, nor at a seam of
-    three.
-
-    Parameters
-    ----------
-    V
-        Vertex displacements.
-    pressed
-        Whether there is pressure on each local cell, (n,).
+    three. Shapes: pressed (n,).
     """
     mesh = V.mesh
     numbers = mesh.topology.connectivity(2, 1).array.reshape(-1, 3)

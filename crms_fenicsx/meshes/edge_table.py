@@ -18,27 +18,13 @@ def edge_keys(pairs: NDArray[np.integer]) -> Integers:
 
 @dataclass(frozen=True)
 class EdgeTable:
-    """Edges of a triangulation; side 3 c + k runs from vertex k of cell c to the next one.
+    """Edges of a triangulation; side 3 c + k runs from vertex k of cell c to the next one."""
 
-    Attributes
-    ----------
-    keys
-        Sorted `edge_keys` of the edges, shape (e,).
-    vertices
-        Their vertices, the smaller one first, shape (e, 2).
-    counts
-        Number of cells on each edge, shape (e,).
-    ascending
-        Whether a side runs from its smaller to its greater vertex, shape (3 m,).
-    order
-        Sides sorted by the edge they lie on, shape (3 m,).
-    """
-
-    keys: Integers
-    vertices: Integers
-    counts: NDArray[np.intp]
-    ascending: Booleans
-    order: NDArray[np.intp]
+    keys: Integers  # sorted `edge_keys` of the edges, shape (e,)
+    vertices: Integers  # their vertices, the smaller one first, shape (e, 2)
+    counts: NDArray[np.intp]  # number of cells on each edge, shape (e,)
+    ascending: Booleans  # whether a side runs from its smaller to its greater vertex, shape (3 m,)
+    order: NDArray[np.intp]  # sides sorted by the edge they lie on, shape (3 m,)
 
     @classmethod
     def of(cls, cells: Integers) -> EdgeTable:

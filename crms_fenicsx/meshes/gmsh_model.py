@@ -30,13 +30,7 @@ _OPTIONS = {
 
 
 def imported(package: str) -> Any:
-    """A package that makes or reads meshes, and need not be there.
-
-    Raises
-    ------
-    MeshError
-        It is not there, or cannot be loaded.
-    """
+    """A package that makes or reads meshes, and need not be there."""
     try:
         return import_module(package)
     except (ImportError, OSError) as error:  # OSError: without libraries that gmsh stands on
@@ -53,11 +47,6 @@ def own_model(*, quiet_only: bool = False) -> Iterator[Any]:
 
     A session that the user has started goes on afterwards with the user's model and options;
     otherwise gmsh is finalised again.
-
-    Parameters
-    ----------
-    quiet_only
-        Leave gmsh's meshing options as they are: a script may count on its defaults.
     """
     gmsh = imported("gmsh")
     started = not gmsh.isInitialized()
@@ -89,12 +78,7 @@ def own_model(*, quiet_only: bool = False) -> Iterator[Any]:
 def mesh_with_sizes(gmsh: Any, target: Callable[[Array], float]) -> None:
     """Mesh the surfaces of the current model.
 
-    Parameters
-    ----------
-    gmsh
-        The gmsh module, in a model of our own.
-    target
-        Callable that maps a point, shape (3,), to the wanted edge length there.
+    Shapes: target (3,).
     """
 
     def size_at(dim: int, tag: int, x: float, y: float, z: float, lc: float) -> float:
@@ -107,27 +91,15 @@ def mesh_with_sizes(gmsh: Any, target: Callable[[Array], float]) -> None:
 def read_model(gmsh: Any) -> SurfaceArrays:
     """Read the triangles and the physical groups of the current model.
 
-    Nodes that are the corner of no triangle, such as the centres of circles, are left out.
-    A triangle that is there several times is taken once: .msh files of version 2 repeat it for
-    each of its physical groups.
-
-    Raises
-    ------
-    MeshError
-        If the model has no triangles, surface elements of another kind, or a physical group
-        with nodes that are the corners of no triangle.
+    Nodes that are the corner of no triangle, such as the centres of circles, are left out. A
+    triangle that is there several times is taken once: .msh files of version 2 repeat it for each
+    of its physical groups.
     """
     return surface_of_model(gmsh_arrays(gmsh))
 
 
 def surface_of_model(model: dict[str, Any]) -> SurfaceArrays:
-    """Take triangles and groups out of what `reader_process.gmsh_arrays` has of a model.
-
-    Raises
-    ------
-    MeshError
-        As `read_model`.
-    """
+    """Take triangles and groups out of what `reader_process.gmsh_arrays` has of a model."""
     for kind in model["kinds"]:
         if kind != _TRIANGLE:
             raise MeshError(
@@ -180,13 +152,7 @@ def _without_repetitions(
 
 
 def renumbered(used: Integers, nodes: Integers, group: str) -> Integers:
-    """Rows of the used nodes, sorted, that are those of a group.
-
-    Raises
-    ------
-    MeshError
-        One of the group's is not used.
-    """
+    """Rows of the used nodes, sorted, that are those of a group."""
     found = np.searchsorted(used, nodes).clip(max=len(used) - 1)
     missing = nodes[used[found] != nodes]
     if len(missing):

@@ -213,15 +213,7 @@ def shared_out(
 
 
 def mesh_generator(shape: Callable[P, SurfaceArrays]) -> Callable[P, MembraneMesh]:
-    """Make of a function that meshes a shape on one rank a collective one that distributes it.
-
-    Parameters
-    ----------
-    shape
-        Called on rank 0 only, where it must not communicate; what it raises is raised on all
-        ranks. Its arguments are the same on all ranks. Those named ``comm`` and ``ranks`` are not
-        for itself, but as for `from_arrays`.
-    """
+    """Make of a function that meshes a shape on one rank a collective one that distributes it."""
     signature = inspect.signature(shape)
 
     @functools.wraps(shape)
@@ -241,14 +233,7 @@ def mesh_generator(shape: Callable[P, SurfaceArrays]) -> Callable[P, MembraneMes
 def moved(mesh: MembraneMesh, V: Any, places: Array) -> MembraneMesh:
     """Return the same cells and groups on the same ranks, with the vertices elsewhere. Collective.
 
-    Parameters
-    ----------
-    mesh
-        The mesh, which stays as it is.
-    V
-        A space of continuous piecewise linear functions on it.
-    places
-        Coordinates (length) of the vertices by local degree of freedom of V, (n, 3), with ghosts.
+    Shapes and units: places (n, 3) (length).
     """
     nodes: Array = np.zeros((len(mesh.mesh.geometry.x), 3))
     nodes[geometry_dofmap(mesh.mesh)] = places[V.dofmap.list]

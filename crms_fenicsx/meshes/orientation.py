@@ -60,33 +60,9 @@ def oriented(
 
     Each cell is two nodes of a graph, "as given" (index c) and "turned" (index m + c). An inner
     edge links the nodes of its two cells that agree; a seam of three or more links none. A piece
-    that can be oriented falls into two components, one for each of its sides.
-
-    Parameters
-    ----------
-    points
-        Coordinates, shape (n, 3).
-    cells
-        Vertices of the cells, shape (m, 3).
-    table
-        The edges of `cells`.
-    outside
-        What the normals have to point along, or away from; decided piece by piece.
-    parts
-        The cells of the parts that `outside` may name.
-
-    Returns
-    -------
-    cells
-        Shape (m, 3); the second and third vertex of turned ones are swapped.
-    piece
-        Number of each cell's piece, shape (m,).
-
-    Raises
-    ------
-    MeshError
-        If a piece is one-sided, `outside` is no direction or point, or does not tell the
-        two sides of a piece apart, or it names a part that is not there, or two that share cells.
+    that can be oriented falls into two components, one for each of its sides. Shapes: points (n,
+    3), cells (m, 3). Returns cells: shape (m, 3); the second and third vertex of turned ones are
+    swapped; piece: number of each cell's piece, shape (m,).
     """
     first, second = table.inner_sides()
     turned = len(cells) * (table.ascending[first] == table.ascending[second])

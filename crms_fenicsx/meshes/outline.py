@@ -11,14 +11,7 @@ from crms_fenicsx.runtime.errors import MeshError
 
 
 def simple_outline(corners: Sequence[Sequence[float]]) -> Array:
-    """Return the corners of a simple polygon, shape (n, 2), in the given order.
-
-    Raises
-    ------
-    MeshError
-        If there are fewer than three corners, one is not finite, or sides have no length,
-        intersect or touch.
-    """
+    """Return the corners of a simple polygon, shape (n, 2), in the given order."""
     try:
         outline = np.asarray(corners, dtype=np.float64)
     except (TypeError, ValueError):

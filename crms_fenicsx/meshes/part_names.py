@@ -12,23 +12,6 @@ def outer_first(mesh: MembraneMesh, call: str, what: str, names: Iterable[object
     """Order parts so that one inside another comes after it: its cells count to the inner one.
 
     Collective when a mesh is first asked, which making its scene does.
-
-    Parameters
-    ----------
-    mesh
-        The mesh.
-    call
-        What the parts are given to, for messages.
-    what
-        What each of them gets: "material".
-    names
-        Of the parts; their order does not count.
-
-    Raises
-    ------
-    InputError
-        On all ranks: a part that does not exist, or two with common cells of which neither is
-        inside the other, by name.
     """
     given = sorted(names, key=repr)
     for part in given:

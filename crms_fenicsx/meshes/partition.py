@@ -26,18 +26,7 @@ Ranks = ArrayLike | Callable[[Array], ArrayLike]
 def cell_ranks(comm: MPI.Intracomm, surface: Surface, given: Indices | None) -> Indices | None:
     """Choose the ranks of the cells of a surface that is all on rank 0. Collective.
 
-    Parameters
-    ----------
-    comm
-        Communicator of the mesh.
-    surface
-        The surface; empty on other ranks.
-    given
-        What the caller wants, on rank 0.
-
-    Returns
-    -------
-    The ranks of this rank's share of the cells; None, on all ranks, to leave it to DOLFINx.
+    Returns the ranks of this rank's share of the cells; None, on all ranks, to leave it to DOLFINx.
     """
     is_given, has_seams = comm.bcast((given is not None, len(surface.seam_links) > 0))
     if comm.size == 1 or not (is_given or has_seams):
@@ -52,12 +41,7 @@ def cell_ranks(comm: MPI.Intracomm, surface: Surface, given: Indices | None) -> 
 def kept_together(ranks: Indices, links: Integers) -> Indices:
     """Move linked cells to one rank: the lowest among those that they had.
 
-    Parameters
-    ----------
-    ranks
-        Rank of each cell, shape (m,).
-    links
-        Pairs of cells to keep together, shape (k, 2).
+    Shapes: ranks (m,), links (k, 2).
     """
     if not len(links):
         return ranks
@@ -69,22 +53,7 @@ def kept_together(ranks: Indices, links: Integers) -> Indices:
 
 
 def checked_ranks(surface: Surface, ranks: Ranks, size: int) -> Indices:
-    """Return the rank of each cell as the caller wants it.
-
-    Parameters
-    ----------
-    surface
-        All of it.
-    ranks
-        What the caller gave.
-    size
-        How many ranks there are.
-
-    Raises
-    ------
-    MeshError
-        There is not one whole number from 0 to `size` - 1 for each cell.
-    """
+    """Return the rank of each cell as the caller wants it."""
     midpoints = surface.points[surface.cells].mean(axis=1)
     given = np.asarray(ranks(midpoints) if callable(ranks) else ranks)
     count = len(midpoints)

@@ -54,17 +54,7 @@ class Refinement:
 class TargetSize:
     """Wanted edge length anywhere in space.
 
-    Parameters
-    ----------
-    general
-        Edge length far from all refinements (length).
-    refinements
-        Where it is smaller.
-
-    Raises
-    ------
-    InputError
-        If they are none, or one asks for more than the general size.
+    Units: general (length).
     """
 
     def __init__(self, general: float, refinements: Sequence[Refinement]) -> None:

@@ -16,20 +16,9 @@ from crms_fenicsx.runtime.arrays import Array, Integers
 def hidden_cells(points: Array, cells: Integers, piece: Integers) -> Integers:
     """Find the cells of pieces that no cable can reach over a seam.
 
-    Parameters
-    ----------
-    points
-        Coordinates, shape (n, 3).
-    cells
-        Vertices of the cells, shape (m, 3), with their normals outside.
-    piece
-        Number of each cell's piece, shape (m,), joined over edges with two cells.
-
-    Returns
-    -------
-    ndarray
-        Indices of the cells, sorted, shape (k,): those of each piece that at some seam bounds no
-        sector which is outside of both cells around it.
+    Shapes: points (n, 3), cells (m, 3), piece (m,). Returns indices of the cells, sorted, shape
+    (k,): those of each piece that at some seam bounds no sector which is outside of both cells
+    around it.
     """
     table = EdgeTable.of(cells)
     on_seam = np.repeat(table.counts > 2, table.counts)

@@ -23,31 +23,18 @@ PAIRS = ((0, 1), (1, 2), (2, 0))
 
 @dataclass(frozen=True)
 class SmoothSurface:
-    """Vertices with normals.
+    """Vertices with normals."""
 
-    Attributes
-    ----------
-    points : (n, 3)
-        Positions of the vertices (length).
-    normals : (n, 3)
-        Unit normals; zero at boundaries, seams and creases, where the surface has none.
-    """
-
-    points: Array
+    points: Array  # (n, 3) positions of the vertices (length)
+    # (n, 3) unit normals; zero at boundaries, seams and creases, where the surface has none
     normals: Array
 
     @classmethod
     def of(cls, points: Array, cells: Integers) -> SmoothSurface:
         """Estimate the normals from the cells around each vertex, exactly on spheres.
 
-        N. Max, Weights for computing vertex normals from facet normals, 1999.
-
-        Parameters
-        ----------
-        points : (n, 3)
-            Positions of the vertices (length).
-        cells : (m, 3)
-            Their vertices, with normals on one side of the surface.
+        N. Max, Weights for computing vertex normals from facet normals, 1999. Shapes and units:
+        points (n, 3) (length), cells (m, 3).
         """
         sides = points[cells[:, [1, 2, 0]]] - points[cells]  # side k leaves corner k
         areas = double_areas(points[cells])
@@ -67,18 +54,9 @@ class SmoothSurface:
     def raised(self, corners: Integers, weights: Array) -> tuple[Array, Array]:
         """How far the surface is from places on the facets, and its normals there.
 
-        Where an edge has a normal at one end only it is taken for an arc of a circle.
-
-        Parameters
-        ----------
-        corners, weights : (k, 3)
-            Vertices and their shares in each place; shares of 0 fill up.
-
-        Returns
-        -------
-        offsets, normals : (k, 3)
-            Vectors from the facets to the surface (length), and unit normals, zero where there are
-            none.
+        Where an edge has a normal at one end only it is taken for an arc of a circle. Shapes:
+        corners, weights (k, 3). Returns offsets, normals (k, 3): vectors from the facets to the
+        surface (length), and unit normals, zero where there are none.
         """
         x, n = self.points[corners], self.normals[corners]
         height = np.zeros(len(corners))
@@ -94,12 +72,7 @@ class SmoothSurface:
 def curve_length(points: Array, normals: Array, straight: Booleans) -> float:
     """Length of a curve on a surface, through points with normals.
 
-    Parameters
-    ----------
-    points, normals : (k, 3)
-        Points (length) and unit normals, zero where there are none.
-    straight : (k - 1,)
-        Which of its parts are off the surface.
+    Shapes and units: points, normals (k, 3) (length), straight (k - 1,).
     """
     steps = np.diff(points, axis=0)
     chords = norm(steps)

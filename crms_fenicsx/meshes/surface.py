@@ -81,13 +81,7 @@ EMPTY = Surface(
 
 
 def checked_surface(arrays: SurfaceArrays, outside: Outside) -> Surface:
-    """Check arrays and orient their cells.
-
-    Raises
-    ------
-    MeshError
-        Naming the first thing that is wrong; `from_arrays` lists what is checked.
-    """
+    """Check arrays and orient their cells."""
     points = _coordinates(arrays.points)
     cells = _cells(arrays.cells, points)
     check_shapes(points, cells)

@@ -26,14 +26,8 @@ PLACES = (0.0, 1 / 3, 2 / 3, 1.0)
 def is_convex_from(potential: Potential, start: Array) -> bool:
     """Whether the energy is convex on the way from a start to the potential's state. Collective.
 
-    It takes four evaluations; the state is afterwards as before, and evaluated.
-
-    Parameters
-    ----------
-    potential
-        At the end of the way.
-    start : (n_local, 3)
-        Displacements at its start (length).
+    It takes four evaluations; the state is afterwards as before, and evaluated. Shapes and units:
+    start (n_local, 3) (length).
     """
     n, end = potential.unknowns.n_owned, potential.x.copy()
     way = end - start

@@ -35,39 +35,23 @@ Message = TypeVar("Message")
 
 @dataclass(frozen=True)
 class Clusters:
-    """Clusters with their elements, and the state of the n blocks that these address.
+    """Clusters with their elements, and the state of the n blocks that these address."""
 
-    Attributes
-    ----------
-    numbers : (n,)
-        Global numbers of the blocks.
-    owned : (n,)
-        Whether they are the rank's own that tells of them.
-    X, x, g : (n, 3)
-        Positions at zero displacement, displacements and forces of the whole potential.
-    moves : (n,)
-        Whether they are of the clusters; all others are held.
-    held : (n, 3)
-        Components with a prescribed value.
-    directions : (n, 3)
-        Lines of rails; zero for others.
-    rides_on, weights : (n, 3)
-        Global numbers of what riders ride on, -1 for others, and its weights.
-    tables
-        Numbers of terms of the potential, and elements of each.
-    """
-
-    numbers: Integers
-    owned: Booleans
+    numbers: Integers  # (n,) global numbers of the blocks
+    owned: Booleans  # (n,) whether they are the rank's own that tells of them
+    # X, x, g: (n, 3) positions at zero displacement, displacements and forces of the whole
+    # potential
     X: Array
     x: Array
     g: Array
-    moves: Booleans
-    held: Booleans
-    directions: Array
+    moves: Booleans  # (n,) whether they are of the clusters; all others are held
+    held: Booleans  # (n, 3) components with a prescribed value
+    directions: Array  # (n, 3) lines of rails; zero for others
+    # rides_on, weights: (n, 3) global numbers of what riders ride on, -1 for others, and its
+    # weights
     rides_on: Integers
     weights: Array
-    tables: Tables
+    tables: Tables  # numbers of terms of the potential, and elements of each
 
     @classmethod
     def of(cls, potential: Potential, moving: Indices, tables: Tables) -> Clusters:
@@ -137,15 +121,7 @@ class Clusters:
 def gather(potential: Potential, moves: Booleans, shared: Booleans) -> Clusters:
     """Gather the clusters that this rank is to solve. Collective.
 
-    Parameters
-    ----------
-    potential
-        A potential, evaluated at its current state, forces of ghosts included.
-    moves : (n_local,)
-        Blocks that move, ghosts too: free ones, without riders. Those in clusters of more than
-        `LARGEST` are left out.
-    shared : (n_local,)
-        Whether several ranks know a block.
+    Shapes: moves (n_local,), shared (n_local,).
     """
     unknowns, comm = potential.unknowns, potential.comm
     blocks, tables = np.flatnonzero(moves).astype(np.int32), _elements(potential, moves)
@@ -177,12 +153,7 @@ def _elements(potential: Potential, moves: Booleans) -> Tables:
 def _solvers(layout: ClusterLayout, shared: Booleans) -> Integers:
     """Rank that is to solve each cluster, or -1 if it is too large. Collective.
 
-    Parameters
-    ----------
-    layout
-        Clusters as this rank sees them: several may be one by elements of other ranks.
-    shared : (n_local,)
-        Whether several ranks know a block.
+    Shapes: shared (n_local,).
     """
     unknowns = layout.whole
     assert isinstance(unknowns, Unknowns)
@@ -217,18 +188,7 @@ def give_back(
 ) -> Booleans:
     """Hand displacements to the owners of blocks, which put them into the potential. Collective.
 
-    Parameters
-    ----------
-    potential
-        The potential.
-    clusters
-        Those that this rank has solved.
-    blocks, flags
-        Which of their blocks to hand over, (m,), with a flag each.
-
-    Returns
-    -------
-    The flags of this rank's blocks, (n_local,).
+    Shapes: blocks, flags (m,). Returns the flags of this rank's blocks, (n_local,).
     """
     starts = potential.unknowns.starts
     numbers, x = clusters.numbers[blocks], clusters.x[blocks]

@@ -13,13 +13,7 @@ from crms_fenicsx.runtime.arrays import Array, Indices, Integers
 
 
 class ClusterMatrix:
-    """Stiffness of clusters, which terms add to as to a PETSc matrix.
-
-    Parameters
-    ----------
-    layout
-        The clusters.
-    """
+    """Stiffness of clusters, which terms add to as to a PETSc matrix."""
 
     def __init__(self, layout: ClusterLayout) -> None:
         self.layout = layout

@@ -32,19 +32,13 @@ and 0.2 it matters little."""
 
 @dataclass(frozen=True)
 class Springs(ElementTable):
-    """This rank's springs.
+    """This rank's springs."""
 
-    Attributes
-    ----------
-    sliders : (n, 3), fractions : (n,)
-        Sliding points: blocks of the point and of its edge's two ends, and the place on the edge.
-    segments : (m, 2)
-        Straight parts of cables, blocks.
-    """
-
+    # sliders (n, 3), fractions (n,): sliding points: blocks of the point and of its edge's two
+    # ends, and the place on the edge
     sliders: Indices
     fractions: Array
-    segments: Indices
+    segments: Indices  # (m, 2) straight parts of cables, blocks
     addresses = ("sliders", "segments")
 
     @property
@@ -54,13 +48,7 @@ class Springs(ElementTable):
 
 
 class Damping:
-    """Stiffness of the springs.
-
-    Parameters
-    ----------
-    springs
-        The springs.
-    """
+    """Stiffness of the springs."""
 
     def __init__(self, springs: Springs) -> None:
         self.springs, fractions = springs, springs.fractions
@@ -78,14 +66,7 @@ class Damping:
     def add_stiffness(self, unknowns: Unknowns, x: Array, g: Array, A: PETSc.Mat) -> None:
         """Add the springs' stiffness to the matrix.
 
-        Parameters
-        ----------
-        unknowns
-            The layout.
-        x, g : (n_local, 3)
-            Displacements and unbalanced forces, ghosts included.
-        A
-            The stiffness.
+        Shapes: x, g (n_local, 3).
         """
         X = unknowns.X + x
         force = np.linalg.norm(g, axis=1)

@@ -76,27 +76,8 @@ def direct_solver(comm: MPI.Comm) -> str:
 class InitialHessian:
     """H0 of a potential, positive definite; held components and those across rails are decoupled.
 
-    Parameters
-    ----------
-    potential
-        Its terms' stiffness is assembled.
-    prefix
-        Prefix of the options of K's preconditioner, `crms_h0_` for a `Solver`. By default it is
-        factorised, by CHOLMOD on one process and MUMPS on several, as far as PETSc has these.
-        ``-crms_h0_pc_type gamg``, default beyond `DIRECT` unknowns without cables, is a cycle of
-        PETSc's multigrid with the rigid-body motions as near-null space;
-        ``-crms_h0_pc_type fieldsplit``, default beyond `DIRECT_WITH_CABLES` with cables, eliminates
-        their points and uses multigrid for the membrane. How either is solved is told by
-        ``-crms_h0_fieldsplit_points_pc_type`` and ``-crms_h0_fieldsplit_vertices_pc_type``, both
-        symmetric and positive definite; without points it is `gamg`. ``-crms_h0_ksp_rtol`` is the
-        accuracy of conjugate gradients.
-
-    Attributes
-    ----------
-    matrix : PETSc.Mat
-        K.
-    shift : (n_owned,)
-        What was last added to the diagonals of K's owned blocks (force/length).
+    Attributes: `matrix`: k; `shift` (n_owned,): what was last added to the diagonals of K's owned
+    blocks (force/length).
     """
 
     def __init__(self, potential: Potential, prefix: str) -> None:
@@ -145,16 +126,8 @@ class InitialHessian:
     def rebuild(self, exact: bool = False) -> bool:
         """Assemble at the potential's current state.
 
-        Its sums must be up to date, and `g` the unbalanced forces there.
-
-        Parameters
-        ----------
-        exact
-            Whether from the energy's second derivatives, which may be indefinite.
-
-        Returns
-        -------
-        Whether it is definite as far as the factorisation tells; if not it is of no use.
+        Its sums must be up to date, and `g` the unbalanced forces there. Returns whether it is
+        definite as far as the factorisation tells; if not it is of no use.
         """
         held = self.assemble(exact and self._exact)
         if self._membrane is not None:
@@ -186,9 +159,7 @@ class InitialHessian:
     def assemble(self, exact: bool) -> npt.NDArray[np.bool_]:
         """Assemble K at the potential's current state, as for `rebuild`, and not more.
 
-        Returns
-        -------
-        Owned components that are held in it, (n, 3).
+        Returns owned components that are held in it, (n, 3).
         """
         A, unknowns = self.matrix, self.potential.unknowns
         held = unknowns.held[: unknowns.n_owned].copy()

@@ -39,27 +39,11 @@ class LocalPotential:
     Making one is collective. Where a cable runs through clusters of several ranks these must know
     how many; nothing else of it is sent.
 
-    Parameters
-    ----------
-    whole
-        A potential, evaluated at its current state.
-    clusters
-        Those that this rank is to solve.
-
-    Attributes
-    ----------
-    layout
-        The clusters, as blocks of `clusters`.
-    blocks : (n,)
-        Those that move, in the clusters' order.
-    x : (n_blocks, 3)
-        Displacements of the blocks of `clusters` (length), changed in place.
-    g : (n, 3)
-        Forces on the blocks, in the clusters' order, at the last evaluation (force).
-    energies : (n_clusters,)
-        Energy of each cluster there (force x length).
-    steps
-        Steps of Newton's method that were made.
+    Attributes: `layout`: the clusters, as blocks of `clusters`; `blocks` (n,): those that move, in
+    the clusters' order; `x` (n_blocks, 3): displacements of the blocks of `clusters` (length),
+    changed in place; `g` (n, 3): forces on the blocks, in the clusters' order, at the last
+    evaluation (force); `energies` (n_clusters,): energy of each cluster there (force x length);
+    `steps`: steps of Newton's method that were made.
     """
 
     def __init__(self, whole: Potential, clusters: Clusters) -> None:
@@ -132,16 +116,7 @@ class LocalPotential:
     def relax(self, tolerance: float, most: int) -> Booleans:
         """Minimise the energy of each cluster.
 
-        Parameters
-        ----------
-        tolerance
-            Norm of all forces that is small enough, on all ranks (force).
-        most
-            Steps of each cluster at most.
-
-        Returns
-        -------
-        Whether the blocks' clusters have not come there, (n,).
+        Units: tolerance (force). Returns whether the blocks' clusters have not come there, (n,).
         """
         n = self.layout.n_clusters
         least = np.maximum(tolerance / max(self._n_all, 1) ** 0.5, 1e-3 * self.residuals())
@@ -161,15 +136,8 @@ class LocalPotential:
     def _step(self, todo: Booleans, exact: Booleans) -> Array:
         """Make a step of Newton's method in each cluster, as far as its energy falls.
 
-        Parameters
-        ----------
-        todo, exact : (n_clusters,)
-            Which clusters, and which of them by the second derivatives if these are definite,
-            else by H0.
-
-        Returns
-        -------
-        Lengths of the steps, 1 at most; 0 where the energy does not fall.
+        Shapes: todo, exact (n_clusters,). Returns lengths of the steps, 1 at most; 0 where the
+        energy does not fall.
         """
         cluster, start, g0 = self.layout.cluster, self.x[self.blocks], self.g.copy()
         energies0 = self.energies.copy()

@@ -109,17 +109,7 @@ def tell_rigid_motions(matrix: PETSc.Mat, potential: Potential) -> None:
 class MembraneMultigrid:
     """The stiffness of the membrane without cables, in a preconditioner of type `fieldsplit`.
 
-    Parameters
-    ----------
-    potential
-        What has the stiffness, with cable points on some rank.
-    pc
-        The preconditioner, with its matrix K.
-
-    Attributes
-    ----------
-    matrix : PETSc.Mat
-        M, of the vertices, numbered as by DOLFINx.
+    Attributes: `matrix`: M, of the vertices, numbered as by DOLFINx.
     """
 
     def __init__(self, potential: Potential, pc: PETSc.PC) -> None:

@@ -83,21 +83,7 @@ class Minimizer:
 
     Every choice can be changed in PETSc's options database under the prefix, for example
     ``-crms_tao_type``, ``-crms_tao_monitor``, ``-crms_h0_pc_type``,
-    ``-crms_h0_pc_factor_mat_solver_type``.
-
-    Parameters
-    ----------
-    potential
-        What is minimised, from its current state on.
-    prefix
-        Options prefix.
-    rtol
-        Tolerance of the gradient's norm, relative to the largest norm of one term's forces. Where
-        rounding leaves more of forces that cancel, that is enough.
-    atol
-        Tolerance in absolute terms, for scenes without any force (force).
-    max_stages
-        Stages before the solve is given up; an iteration of Newton's method counts as 1/8.
+    ``-crms_h0_pc_factor_mat_solver_type``. Units: atol (force).
     """
 
     def __init__(
@@ -291,14 +277,7 @@ class Minimizer:
     ) -> Outcome:
         """Minimise from the potential's current state; the state is then the minimiser.
 
-        Parameters
-        ----------
-        h0_prestress
-            Extra section force in the stiffness of the plain cells in the first stages (force
-            per length); the last value repeats.
-        interrupt
-            Called once, when the state is near the minimum and placed in the potential. If it
-            returns true the solve ends there, with the reason "interrupted", as converged.
+        Units: h0_prestress (force per length).
         """
         potential = self.potential
         self._interrupt, self._interrupted, self._error = interrupt, False, None

@@ -50,23 +50,9 @@ DESCENT, SHORTEST = 1e-4, 1e-3
 class NewtonMethod:
     """Steps of Newton's method on a potential, with H0 as its Hessian.
 
-    Parameters
-    ----------
-    potential
-        What is minimised.
-    h0
-        Its stiffness, rebuilt before each step.
-    relaxation
-        Relaxes cable points where a step has raised the energy; None without any.
-
-    Attributes
-    ----------
-    active
-        Whether it has taken over.
-    trusts_exact
-        Whether H0 may be the energy's second derivatives in this solve.
-    restraint
-        Part of the taut stiffness that wrinkled cells have on top of their tangent.
+    Attributes: `active`: whether it has taken over; `trusts_exact`: whether H0 may be the energy's
+    second derivatives in this solve; `restraint`: part of the taut stiffness that wrinkled cells
+    have on top of their tangent.
     """
 
     def __init__(
@@ -86,13 +72,7 @@ class NewtonMethod:
         """Decide whether the next step is one by the second derivatives, with points relaxed.
 
         So it is on the way from afar to near the minimum, unless it fails or makes no progress.
-
-        Parameters
-        ----------
-        residual
-            Norm of the gradient (force).
-        scale
-            Scale of the forces.
+        Units: residual (force).
         """
         if self.trusts_exact and self._quick:
             self._count += 1
@@ -114,12 +94,7 @@ class NewtonMethod:
     def take_over(self, residual: float, reduced: float, scale: float) -> None:
         """Begin where a stage has `reduced` the residual to little less than it was.
 
-        Parameters
-        ----------
-        residual, reduced
-            Norm of the gradient, and that at the last stage's start (force).
-        scale
-            Scale of the forces.
+        Units: residual, reduced (force).
         """
         self.active, self._count, self._mark = residual > STUBBORN * reduced, 0, residual
         self.restraint = RESTRAINT * (residual / max(scale, residual)) ** 0.5
@@ -136,16 +111,7 @@ class NewtonMethod:
     ) -> bool:
         """Step by H0 alone, as far as the energy falls.
 
-        Parameters
-        ----------
-        x0, g0, energy0
-            The state evaluated last, its gradient and its energy.
-        x, g, d
-            Where the new state, its gradient and the whole step go.
-
-        Returns
-        -------
-        Whether the energy has fallen; the potential is then in the new state.
+        Returns whether the energy has fallen; the potential is then in the new state.
         """
         part, kept, fallen = 2.0, 0.0, False
         self.h0.solve(g0, d)

@@ -29,50 +29,32 @@ DROWNED = (
 
 @dataclass(frozen=True, repr=False)
 class Outcome:
-    """What a minimisation came to.
+    """What a minimisation came to."""
 
-    Attributes
-    ----------
-    converged
-        Whether the gradient's norm fell below `tolerance`.
-    reason
-        In words, why it ended.
-    residual, tolerance
-        Norm of the gradient and what was asked for (force).
-    iterations, evaluations, factorizations
-        Quasi-Newton iterations, evaluations of energy and gradient, factorisations of H0.
-    local_steps
-        Newton steps of clusters of cable points and vertices alone.
-    solves
-        Minimisations: more than one where cables turned slack or taut, lifted off or slid.
-    flips
-        Mesh vertices over which cables slid sideways between minimisations, those of rejected
-        paths included; not those over which paths were pulled straight before the first.
-    passes
-        How often friction forces were taken from the state that they led to; 0 without friction.
-    unsettled
-        What the friction forces still change by, relative to their sum, where they went round in
-        circles and were left at that.
-    scale
-        The scene's own force, to which the tolerance is relative unless rounding is larger.
-    bent
-        Whether the energy was found not to be convex on the way of a minimisation: something may
-        have snapped through.
-    """
-
-    converged: bool
-    reason: str
-    residual: float
+    converged: bool  # whether the gradient's norm fell below `tolerance`
+    reason: str  # in words, why it ended
+    residual: float  # residual, tolerance: norm of the gradient and what was asked for (force)
     tolerance: float
+    # iterations, evaluations, factorizations: quasi-Newton iterations, evaluations of energy and
+    # gradient, factorisations of H0
     iterations: int
     evaluations: int
     factorizations: int
-    local_steps: int = 0
+    local_steps: int = 0  # Newton steps of clusters of cable points and vertices alone
+    # minimisations: more than one where cables turned slack or taut, lifted off or slid
     solves: int = 1
+    # mesh vertices over which cables slid sideways between minimisations, those of rejected paths
+    # included; not those over which paths were pulled straight before the first
     flips: int = 0
+    # how often friction forces were taken from the state that they led to; 0 without friction
     passes: int = 0
+    # what the friction forces still change by, relative to their sum, where they went round in
+    # circles and were left at that
     unsettled: float = 0.0
+    # the scene's own force, to which the tolerance is relative unless rounding is larger
     scale: float = 0.0
+    # whether the energy was found not to be convex on the way of a minimisation: something may have
+    # snapped through
     bent: bool = False
 
     def __repr__(self) -> str:

@@ -24,19 +24,7 @@ from crms_fenicsx.runtime.arrays import Array
 
 
 class Potential:
-    """Sum of terms over one layout of unknowns.
-
-    Parameters
-    ----------
-    unknowns
-        Layout of the unknowns.
-    u
-        DOLFINx's view of the vertex displacements; kept equal to the unknowns.
-    terms
-        The terms.
-    damping
-        What damps the quasi-Newton steps; None if nothing does.
-    """
+    """Sum of terms over one layout of unknowns."""
 
     def __init__(
         self,
@@ -89,13 +77,7 @@ class Potential:
         self.unknowns.read_vertices(self.x, self._u)
 
     def sum_up(self) -> None:
-        """Global sums of all terms at the current state: the one reduction of an evaluation.
-
-        Raises
-        ------
-        KeyboardInterrupt, SystemExit
-            On all ranks, if one of them has been told to stop; see `interrupt`.
-        """
+        """Global sums of all terms at the current state: the one reduction of an evaluation."""
         if self._pass is not None:
             self._pass.assemble()
         for term, part in zip(self.terms, self._slices, strict=True):
@@ -223,14 +205,10 @@ class Potential:
     def evaluate_terms(self) -> tuple[float, float]:
         """As `evaluate`, term by term; what is known of the current state is not computed again.
 
-        Returns
-        -------
-        energy
-            Energy at the current state (force x length).
-        scale
-            Largest norm of one term's free nodal forces: the scene's own force. Those across
-            rails count, as there may be no other that does not vanish. Where only one term has
-            any, which vanish in equilibrium, those of the supports.
+        Returns energy: energy at the current state (force x length); scale: largest norm of one
+        term's free nodal forces: the scene's own force. Those across rails count, as there may be
+        no other that does not vanish. Where only one term has any, which vanish in equilibrium,
+        those of the supports.
         """
         self.evaluations += not self._is_summed
         self.bring_up_to_date()

@@ -52,15 +52,7 @@ class LocalRelaxation:
     `cluster_gather`; they touch each other through the lengths of cables alone. All flags of blocks
     are (n_local,), those of ghosts being their owners'.
 
-    Parameters
-    ----------
-    potential
-        The potential.
-
-    Attributes
-    ----------
-    steps
-        Newton steps that were made, on all ranks.
+    Attributes: `steps`: Newton steps that were made, on all ranks.
     """
 
     afar = 0.2
@@ -110,22 +102,8 @@ class LocalRelaxation:
     ) -> bool:
         """Relax what is far out of balance, before a step of all unknowns. Collective.
 
-        Parameters
-        ----------
-        residual
-            Norm of the forces (force).
-        tolerance
-            Norm of them that is small enough (force).
-        scale
-            Scale of the forces.
-        stressed
-            Whether the membrane has stresses.
-        first
-            Whether the solve begins: then patches are relaxed, later points.
-
-        Returns
-        -------
-        Whether the state has changed; the potential is then evaluated in the new one.
+        Units: residual (force), tolerance (force). Returns whether the state has changed; the
+        potential is then evaluated in the new one.
         """
         if first:
             return stressed and self.relax_patch(scale)
@@ -137,14 +115,8 @@ class LocalRelaxation:
     def relax_points(self, tolerance: float) -> bool:
         """Relax points while they are far more out of balance than the vertices. Collective.
 
-        Parameters
-        ----------
-        tolerance
-            Norm of the forces on them that is small enough (force).
-
-        Returns
-        -------
-        Whether any point moved; the potential is then evaluated in the new state.
+        Units: tolerance (force). Returns whether any point moved; the potential is then evaluated
+        in the new state.
         """
         chosen, aim = np.zeros_like(self._points), 0.0
         self._stuck[:] = False
@@ -165,14 +137,7 @@ class LocalRelaxation:
     def relax_patch(self, scale: float) -> bool:
         """Relax points and vertices around what is out of balance. Collective.
 
-        Parameters
-        ----------
-        scale
-            Scale of the forces.
-
-        Returns
-        -------
-        Whether anything moved; the potential is then evaluated in the new state.
+        Returns whether anything moved; the potential is then evaluated in the new state.
         """
         chosen = np.zeros_like(self._all)
         self._stuck[:] = False

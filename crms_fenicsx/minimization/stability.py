@@ -25,20 +25,8 @@ NEGATIVE_PIVOTS = 12
 class ExactTangent:
     """The second derivatives of a potential at its state, factorised. Collective.
 
-    Parameters
-    ----------
-    potential
-        It is evaluated in its state.
-    h0
-        Its matrix is used, and has to be rebuilt afterwards.
-    springs : (n_owned,)
-        Stiffness, of either sign, that is added to the diagonal of some owned blocks, and what
-        `h0` puts there taken away (force/length); NaN at all others.
-
-    Attributes
-    ----------
-    negative
-        Number of ways in which the energy falls.
+    Attributes: `negative`: number of ways in which the energy falls. Shapes and units: springs
+    (n_owned,) (force/length).
     """
 
     def __init__(
@@ -86,10 +74,7 @@ class ExactTangent:
     def compliance(self, blocks: Indices) -> Array:
         """Displacements of blocks by unit forces on them, (3 k, 3 k) (length/force). Collective.
 
-        Parameters
-        ----------
-        blocks : (k,)
-            Local blocks on the first rank; of others only their number counts.
+        Shapes: blocks (k,).
         """
         potential, unknowns = self.potential, self.potential.unknowns
         n, first = unknowns.n_owned, potential.comm.rank == 0

@@ -45,13 +45,8 @@ def exact_matrix(potential: Potential) -> tuple[PETSc.Mat, PETSc.Mat]:
     """Second derivatives at the potential's current state, evaluated there. Collective.
 
     Rows and columns of held components, of those across rails and of points that no term touches
-    are those of the identity.
-
-    Returns
-    -------
-    whole, sparse
-        All of them, and all but the dyads of what couples very many points, as a cable's length;
-        the same object where there are none. They are to be destroyed.
+    are those of the identity. Returns all of them, and all but the dyads of what couples very many
+    points, as a cable's length; the same object where there are none. They are to be destroyed.
     """
     unknowns = potential.unknowns
     n, held = unknowns.n_owned, unknowns.held[: unknowns.n_owned]

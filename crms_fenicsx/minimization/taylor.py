@@ -50,19 +50,7 @@ class Differentiable(Protocol):
 
 
 class TermsOnLayout:
-    """Terms of a distributed layout as a function of its owned points' displacements, (n, 3).
-
-    Parameters
-    ----------
-    unknowns
-        The layout.
-    u
-        Vertex displacements; an evaluation overwrites them.
-    terms
-        The terms; they are attached to the layout.
-    exact
-        Whether its stiffness is that of `EnergyTerm.add_hessian`.
-    """
+    """Terms of a distributed layout as a function of its owned points' displacements, (n, 3)."""
 
     def __init__(
         self,

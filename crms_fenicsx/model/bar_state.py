@@ -10,17 +10,10 @@ from crms_fenicsx.runtime.arrays import Array
 
 @dataclass(frozen=True)
 class JointState:
-    """What load steps change of a joint.
+    """What load steps change of a joint."""
 
-    Attributes
-    ----------
-    position : (3,)
-        Where it is (length).
-    reaction : (3,)
-        Force with which what holds it acts on it (force); zero in directions in which it is free.
-    """
-
-    position: Annotated[Array, 3]
+    position: Annotated[Array, 3]  # (3,) where it is (length)
+    # (3,) force with which what holds it acts on it (force); zero in directions in which it is free
     reaction: Annotated[Array, 3]
 
     def __post_init__(self) -> None:
@@ -30,18 +23,10 @@ class JointState:
 
 @dataclass(frozen=True)
 class BarState:
-    """What load steps change of a bar.
+    """What load steps change of a bar."""
 
-    Attributes
-    ----------
-    L0
-        Unstressed length (length).
-    points : (2, 3)
-        Where its ends are (length).
-    """
-
-    L0: float
-    points: Annotated[Array, 2, 3]
+    L0: float  # unstressed length (length)
+    points: Annotated[Array, 2, 3]  # (2, 3) where its ends are (length)
 
     def __post_init__(self) -> None:
         self.points.flags.writeable = False

@@ -18,24 +18,15 @@ the membrane, or by an anchor off the membrane."""
 
 @dataclass(frozen=True)
 class CableNode:
-    """A point of a cable's polyline.
+    """A point of a cable's polyline."""
 
-    Attributes
-    ----------
-    kind
-        "vertex": a mesh vertex. "fold": slides freely on an edge, which folds there. "rail":
-        slides freely along an edge that is held, and so stays straight. "rider": is tied to a
-        place of the membrane. "anchor": held in space. "crossing": free, shared with another
-        cable.
-    point
-        Its place on the mesh; None for an anchor.
-    crossing
-        Number of the scene's crossing that it belongs to; a fold point on an edge that another
-        cable follows has one as well.
-    """
-
+    # "vertex": a mesh vertex. "fold": slides freely on an edge, which folds there. "rail": slides
+    # freely along an edge that is held, and so stays straight. "rider": is tied to a place of the
+    # membrane. "anchor": held in space. "crossing": free, shared with another cable.
     kind: Literal["vertex", "fold", "rail", "rider", "anchor", "crossing"]
-    point: SurfacePoint | None = None
+    point: SurfacePoint | None = None  # its place on the mesh; None for an anchor
+    # number of the scene's crossing that it belongs to; a fold point on an edge that another cable
+    # follows has one as well
     crossing: int | None = None
 
     @property

@@ -24,13 +24,7 @@ def numbers(material: MembraneMaterial) -> dict[str, Any]:
 
 
 def with_numbers(material: MembraneMaterial, saved: Mapping[str, Any]) -> MembraneMaterial:
-    """The material with fields that `numbers` has told and a file has kept.
-
-    Raises
-    ------
-    TypeError, ValueError
-        They are not this material's.
-    """
+    """The material with fields that `numbers` has told and a file has kept."""
     own = {name: tuple(one) if isinstance(one, list) else one for name, one in saved.items()}
     if own == numbers(material):
         return material
@@ -43,20 +37,7 @@ def with_numbers(material: MembraneMaterial, saved: Mapping[str, Any]) -> Membra
 def checked_materials(
     membrane: Membrane, material: MembraneMaterial | Mapping[str, MembraneMaterial]
 ) -> dict[int, MembraneMaterial]:
-    """New materials of a membrane, by their numbers.
-
-    Parameters
-    ----------
-    membrane
-        What has them.
-    material
-        One for all, or some by their parts.
-
-    Raises
-    ------
-    InputError
-        A part that is not known, or a material that differs by more than numbers.
-    """
+    """New materials of a membrane, by their numbers."""
     number = {part: k for k, part in membrane.parts.items()}
     if not isinstance(material, Mapping):
         found = dict.fromkeys(membrane.materials, material)

@@ -13,30 +13,18 @@ class Crossing:
     """A place where two cables cross: one free point that both share.
 
     The nodes of the cables refer to it by its number among the scene's crossings.
-
-    Attributes
-    ----------
-    lower, upper
-        Numbers of the cables, the upper one on top.
-    support
-        Ids of the vertices of the cell (3) or edge (2) that it is in.
-    links
-        Where it is on the lower and on the upper cable: after which node, crossings not counted.
-    place : (3,)
-        Where they cross, or would (length).
-    between
-        Ids of the vertices on which the ends of these links lie, or between which: first those of
-        the lower cable's link.
-    separated
-        Whether the upper cable has lifted off the lower one; they share no point then.
     """
 
-    lower: int
+    lower: int  # lower, upper: numbers of the cables, the upper one on top
     upper: int
-    support: tuple[int, ...]
+    support: tuple[int, ...]  # ids of the vertices of the cell (3) or edge (2) that it is in
+    # where it is on the lower and on the upper cable: after which node, crossings not counted
     links: tuple[int, int]
-    place: Annotated[Array, 3]
+    place: Annotated[Array, 3]  # (3,) where they cross, or would (length)
+    # ids of the vertices on which the ends of these links lie, or between which: first those of the
+    # lower cable's link
     between: tuple[tuple[int, ...], ...]
+    # whether the upper cable has lifted off the lower one; they share no point then
     separated: bool = False
 
 

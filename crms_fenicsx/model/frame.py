@@ -19,15 +19,7 @@ from crms_fenicsx.runtime.errors import InputError, as_text
 class Frame:
     """Joints and bars beside a membrane, the same on all ranks.
 
-    Parameters
-    ----------
-    membrane
-        The membrane, at whose vertices bars may end.
-
-    Attributes
-    ----------
-    joints, bars
-        In the order in which they were added.
+    Attributes: `joints`, `bars`: in the order in which they were added.
     """
 
     def __init__(self, membrane: Membrane) -> None:
@@ -180,18 +172,7 @@ class Frame:
         return points, (names[0], names[1])
 
     def check_held(self, cable_ends: Iterable[str | None]) -> None:
-        """Refuse joints that nothing holds.
-
-        Parameters
-        ----------
-        cable_ends
-            Names of the joints to which cables are fixed, which lie on the membrane elsewhere.
-
-        Raises
-        ------
-        InputError
-            A joint that is free and without a bar, or from which no bars lead to what is held.
-        """
+        """Refuse joints that nothing holds."""
         of_cables = set(cable_ends)
         reached: set[object] = {j for j in self.joints if j.held.all() or j.name in of_cables}
         reached |= set(self.vertices)

@@ -14,26 +14,14 @@ from crms_fenicsx.surface.points import Support
 
 @dataclass(frozen=True)
 class MaterialCurve:
-    """Where a cable lay on the stress-free membrane.
+    """Where a cable lay on the stress-free membrane."""
 
-    Attributes
-    ----------
-    points : (m, 3)
-        Its points (length).
-    arc : (m,)
-        Arc length from its first point (length).
-    part : (m,)
-        Number of the part that lies on the membrane; between parts the cable was off it.
-    elastic : (m,)
-        Elastic slip left at the points (length).
-    moving : (m,)
-        In which direction they slid in the last load step: 1 left, -1 right, 0 not.
-    """
-
-    points: Annotated[Array, "m", 3]
-    arc: Annotated[Array, "m"]
+    points: Annotated[Array, "m", 3]  # (m, 3) its points (length)
+    arc: Annotated[Array, "m"]  # (m,) arc length from its first point (length)
+    # (m,) number of the part that lies on the membrane; between parts the cable was off it
     part: Annotated[Integers, "m"]
-    elastic: Annotated[Array, "m"]
+    elastic: Annotated[Array, "m"]  # (m,) elastic slip left at the points (length)
+    # (m,) in which direction they slid in the last load step: 1 left, -1 right, 0 not
     moving: Annotated[Array, "m"]
 
     def nearest(self, places: Array) -> tuple[Array, Array, Integers]:
@@ -97,60 +85,33 @@ class MaterialCurve:
 
 @dataclass(frozen=True)
 class SidewaysLaw:
-    """How the cone changes the law sideways of nodes, relative to that of the box, (n,) each.
+    """How the cone changes the law sideways of nodes, relative to that of the box, (n,) each."""
 
-    Attributes
-    ----------
-    bound, width
-        Most friction force, and the slip at which it is reached.
-    elastic
-        Most elastic slip.
-    """
-
+    # bound, width: most friction force, and the slip at which it is reached
     bound: Annotated[Array, "n"]
     width: Annotated[Array, "n"]
-    elastic: Annotated[Array, "n"]
+    elastic: Annotated[Array, "n"]  # most elastic slip
 
 
 @dataclass(frozen=True)
 class Grip:
-    """Friction of a laid cable in a load step.
+    """Friction of a laid cable in a load step."""
 
-    Attributes
-    ----------
-    curve
-        Where the cable lay when the step began.
-    supports
-        Places of the nodes that the bounds are of.
-    bounds : (n,)
-        Most friction force of each (force).
-    moving : (n,)
-        Direction in which each slides in this step: 1 left, -1 right, 0 not.
-    dissipated
-        Energy that friction has dissipated up to the step's start (force x length).
-    known
-        Whether the bounds come from a state, and not from a first guess.
-    cone
-        What friction along the cable takes of that sideways; None: nothing.
-    """
-
-    curve: MaterialCurve
-    supports: Annotated[tuple[Support, ...], "n"]
-    bounds: Annotated[Array, "n"]
+    curve: MaterialCurve  # where the cable lay when the step began
+    supports: Annotated[tuple[Support, ...], "n"]  # places of the nodes that the bounds are of
+    bounds: Annotated[Array, "n"]  # (n,) most friction force of each (force)
+    # (n,) direction in which each slides in this step: 1 left, -1 right, 0 not
     moving: Annotated[Array, "n"]
+    # energy that friction has dissipated up to the step's start (force x length)
     dissipated: float = 0.0
-    known: bool = False
+    known: bool = False  # whether the bounds come from a state, and not from a first guess
+    # what friction along the cable takes of that sideways; None: nothing
     cone: SidewaysLaw | None = None
 
     def law(self, rows: list[int], eps: Array) -> tuple[Array, Array, Array]:
         """Bounds (force), slips at which they are reached, and most elastic slips (length).
 
-        Parameters
-        ----------
-        rows
-            Nodes, by number.
-        eps
-            Slips at which friction is fully mobilised in pure sliding sideways (length).
+        Units: eps (length).
         """
         bounds, own = self.bounds[rows], self.cone
         if own is None:
@@ -169,41 +130,22 @@ class Grip:
 
 @dataclass(frozen=True)
 class AxialGrip:
-    """Friction of a laid cable along its axis, in a load step.
+    """Friction of a laid cable along its axis, in a load step."""
 
-    Attributes
-    ----------
-    curve
-        Where the cable lay when the step began, and
-    rest
-        the unstressed arcs that rest at its points (length).
-    supports
-        Places of the n nodes that friction holds.
-    bounds, eps : (n,)
-        Most friction force of each (force; times the stretch there, so that its work is that on
-        the unstressed arc), and the slip at which it is reached (length).
-    elastic : (n,)
-        Most elastic slip (length): `eps`, with a cone less.
-    tensions : (m,)
-        Tension between the nodes that the cable touches, in the state last solved (force).
-    spans : (n + 1,), arcs, slips : (n,)
-        Lengths between the nodes that friction holds, the unstressed arcs at them, and their slips
-        (length), in that state.
-    loss
-        Energy that friction has dissipated in the step so far (force x length).
-    dissipated
-        Energy that it has dissipated up to the step's start (force x length).
-    """
-
-    curve: MaterialCurve
-    rest: Annotated[Array, "p"]
-    supports: Annotated[tuple[Support, ...], "n"]
+    curve: MaterialCurve  # where the cable lay when the step began, and
+    rest: Annotated[Array, "p"]  # the unstressed arcs that rest at its points (length)
+    supports: Annotated[tuple[Support, ...], "n"]  # places of the n nodes that friction holds
+    # bounds, eps: (n,) most friction force of each (force; times the stretch there, so that its
+    # work is that on the unstressed arc), and the slip at which it is reached (length)
     bounds: Annotated[Array, "n"]
     eps: Annotated[Array, "n"]
-    elastic: Annotated[Array, "n"]
+    elastic: Annotated[Array, "n"]  # (n,) most elastic slip (length): `eps`, with a cone less
+    # (m,) tension between the nodes that the cable touches, in the state last solved (force)
     tensions: Annotated[Array, "m"]
+    # spans (n + 1,), arcs, slips (n,): lengths between the nodes that friction holds, the
+    # unstressed arcs at them, and their slips (length), in that state
     spans: Annotated[Array, "s"]
     arcs: Annotated[Array, "a"]
     slips: Annotated[Array, "n"]
-    loss: float = 0.0
-    dissipated: float = 0.0
+    loss: float = 0.0  # energy that friction has dissipated in the step so far (force x length)
+    dissipated: float = 0.0  # energy that it has dissipated up to the step's start (force x length)

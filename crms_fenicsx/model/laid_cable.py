@@ -43,13 +43,8 @@ class CableEnd:
     def reaction(self) -> Array:
         """Force (3,) with which the anchor holds the cable: its tension, along its end.
 
-        Where the end lies on the held edge that it was laid to, the anchor carries it, and not
-        the membrane's support.
-
-        Raises
-        ------
-        InputError
-            If the end is no anchor, but tied to the membrane.
+        Where the end lies on the held edge that it was laid to, the anchor carries it, and not the
+        membrane's support.
         """
         cable = self.cable
         if cable.nodes[cable.node_of(self.which)].kind != "anchor":

@@ -262,23 +262,10 @@ def symmetric(s: Any) -> Any:
 def law_terms(law: int, E: Any, p: Any) -> LawTerms:
     """The stress law's UFL expressions.
 
-    Parameters
-    ----------
-    law
-        `LINEAR` or `TENSION_FIELD`. `ORTHOTROPIC_TENSION_FIELD` has no closed form: see
-        `crms_fenicsx.energies.tension_field`.
-    E
-        Green-Lagrange strain in the material axes, UFL, (2, 2).
-    p
-        `MembraneMaterial.parameters` as an indexable UFL vector (a constant: values do not
-        recompile).
-
-    Notes
-    -----
-    Relaxed energy of the isotropic tension field with principal strains E1 >= E2 (A. C. Pipkin,
-    IMA J. Appl. Math. 36, 1986): linear where E2 + nu E1 >= 0 (taut); E t/2 E1^2 where that is
-    negative and E1 > 0 (wrinkled); zero elsewhere (slack). The branches that are not selected may
-    divide by zero; the conditionals drop them.
+    Relaxed energy of the isotropic tension field with principal strains E1 >= E2 (A. C. Pipkin, IMA
+    J. Appl. Math. 36, 1986): linear where E2 + nu E1 >= 0 (taut); E t/2 E1^2 where that is negative
+    and E1 > 0 (wrinkled); zero elsewhere (slack). The branches that are not selected may divide by
+    zero; the conditionals drop them. Shapes: E (2, 2).
     """
     if law not in (LINEAR, TENSION_FIELD):
         raise ValueError(

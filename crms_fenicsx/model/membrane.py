@@ -29,44 +29,16 @@ COMPONENTS = {"x": 0, "y": 1, "z": 2}
 class Membrane:
     """A membrane and its current shape.
 
-    Parameters
-    ----------
-    mesh
-        The stress-free membrane.
-    material
-        Material of the membrane, or of each of its parts by name.
-    pressure_on
-        The parts of the mesh on which pressure acts; None: all of it.
-
-    Attributes
-    ----------
-    V, u
-        Space and function of the vertices' displacements from the stress-free shape (length).
-    held : (n, 3)
-        Held components of the vertices, by local degree of freedom.
-    held_edges : (m,)
-        Whether each edge is held over its whole length, by local number.
-    pressed : (k,)
-        Whether pressure acts on each local cell.
-    materials, cell_tags
-        Materials by number, and the number of each cell's; no tags if there is one for all.
-    first_materials
-        The materials as they were given, before `Scene.set_material`.
-    parts
-        Names of the parts with a material of their own, by its number.
-    strengths
-        Of the parts in warp and weft (force per length), as `checked_strengths` returns them;
-        none before they are given. They are data for results, and no part of the state.
-    pressure_on
-        As given.
-    supports
-        What has been held, each as `hold` was told: where, and in which directions.
-
-    Raises
-    ------
-    InputError
-        A material for a part that does not exist, cells without a material or with several, or
-        pressure on a part that does not exist; or a DOLFINx whose numbers are not real.
+    Attributes: `V`, `u`: space and function of the vertices' displacements from the stress-free
+    shape (length); `held` (n, 3): held components of the vertices, by local degree of freedom;
+    `held_edges` (m,): whether each edge is held over its whole length, by local number; `pressed`
+    (k,): whether pressure acts on each local cell; `materials`, `cell_tags`: materials by number,
+    and the number of each cell's; no tags if there is one for all; `first_materials`: the materials
+    as they were given, before `Scene.set_material`; `parts`: names of the parts with a material of
+    their own, by its number; `strengths`: of the parts in warp and weft (force per length), as
+    `checked_strengths` returns them; none before they are given. They are data for results, and no
+    part of the state; `pressure_on`: as given; `supports`: what has been held, each as `hold` was
+    told: where, and in which directions.
     """
 
     def __init__(
@@ -148,18 +120,7 @@ class Membrane:
         return self.u.x.array[: 3 * self.V.dofmap.index_map.size_local]
 
     def check_finite(self, purpose: str) -> None:
-        """Refuse to go on from a displacement that is not finite.
-
-        Parameters
-        ----------
-        purpose
-            What needs it, for the message.
-
-        Raises
-        ------
-        InputError
-            On all ranks, naming a place.
-        """
+        """Refuse to go on from a displacement that is not finite."""
         with raised_together(self.comm):
             u = self.u.x.array.reshape(-1, 3)
             bad = ~np.isfinite(u).all(axis=1)
@@ -174,16 +135,7 @@ class Membrane:
     def vertices(self, where: str | Marker) -> Indices:
         """Local degrees of freedom of the vertices of a named group or marked by a function.
 
-        Parameters
-        ----------
-        where
-            Name of a group of edges or points, or a function of stress-free coordinates (3, n)
-            that returns (n,) booleans.
-
-        Raises
-        ------
-        InputError
-            No such group, or no vertex is marked.
+        Shapes: where (n,).
         """
         checks.same(self.comm, "vertices", where=where)
         mesh = self.mesh
@@ -223,13 +175,7 @@ class Membrane:
         return f"part {self.parts[number]!r}" if self.parts else "the membrane"
 
     def refuse_step_strain(self) -> None:
-        """Refuse materials that the paper's step-wise strain does not know.
-
-        Raises
-        ------
-        InputError
-            One that wrinkles, or a user's own.
-        """
+        """Refuse materials that the paper's step-wise strain does not know."""
         for number, own in self.materials.items():
             if own.law == UFL_LAW:
                 raise InputError(
@@ -244,20 +190,7 @@ class Membrane:
                 )
 
     def refuse_folds(self, cells: Indices, cable: str) -> None:
-        """Refuse cables over cells whose material has no compiled law. Collective.
-
-        Parameters
-        ----------
-        cells
-            This rank's cells that the cables fold.
-        cable
-            Which cables, for the message.
-
-        Raises
-        ------
-        PathError
-            On all ranks, naming the part.
-        """
+        """Refuse cables over cells whose material has no compiled law. Collective."""
         uncompiled = [k for k, own in self.materials.items() if own.law == UFL_LAW]
         if not uncompiled:
             return
@@ -276,20 +209,7 @@ class Membrane:
                 )
 
     def hold(self, where: str | Marker, directions: str, new_edges: bool) -> None:
-        """Hold vertices at their current displacement, and edges over their length. Collective.
-
-        Parameters
-        ----------
-        where, directions
-            As for `Scene.fix`.
-        new_edges
-            Whether edges that have been free may be held: cables on the membrane fold those only.
-
-        Raises
-        ------
-        InputError
-            No such vertices or directions, or edges that must stay free.
-        """
+        """Hold vertices at their current displacement, and edges over their length. Collective."""
         if not isinstance(directions, str) or not directions or set(directions) - set(COMPONENTS):
             raise InputError(
                 f"fix: directions = {directions!r} must be made of the letters x, y and z."

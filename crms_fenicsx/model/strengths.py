@@ -22,23 +22,7 @@ ALL = ""
 def checked_strengths(
     call: str, strengths: Strengths | Mapping[str, Strengths], mesh: MembraneMesh
 ) -> dict[str, Strengths]:
-    """Strengths by part, or under `ALL` those of the whole membrane.
-
-    Parameters
-    ----------
-    call
-        What they are given to, for messages.
-    strengths
-        One pair, or one of each part by its name.
-    mesh
-        The mesh.
-
-    Raises
-    ------
-    InputError
-        A part that does not exist, parts with common cells of which neither is inside the other, or
-        strengths that are not two positive numbers.
-    """
+    """Strengths by part, or under `ALL` those of the whole membrane."""
     given: dict[str, Any] = {ALL: strengths}
     if isinstance(strengths, Mapping):
         parts = outer_first(mesh, call, "pair of strengths", strengths)

@@ -18,50 +18,29 @@ Method = TypeVar("Method", bound=Callable[..., Any])
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """What the last load step has left: versions, digest of displacements, and its checks.
+    """What the last load step has left: versions, digest of displacements, and its checks."""
 
-    Attributes
-    ----------
-    model_version, state_version
-        Those of then.
-    digest
-        Of this rank's displacements, which users may write.
-    verification
-        What the checks said; None if there were none in this run.
-    """
-
-    model_version: int
+    model_version: int  # model_version, state_version: those of then
     state_version: int
-    digest: bytes
-    verification: Any
+    digest: bytes  # of this rank's displacements, which users may write
+    verification: Any  # what the checks said; None if there were none in this run
 
 
 @dataclass(frozen=True)
 class Version:
-    """A model and a state by their numbers, with the equilibrium that was found last.
+    """A model and a state by their numbers, with the equilibrium that was found last."""
 
-    Attributes
-    ----------
-    model_version
-        Which materials, cables, bars, loads, supports ... there are; the solver is set up for one.
-    state_version
-        Which state load steps, checkpoints or snapshots have brought the scene to.
-    equilibrium
-        The last one found; None before the first.
-    """
-
+    # which materials, cables, bars, loads, supports ... there are; the solver is set up for one.
     model_version: int = 0
+    # which state load steps, checkpoints or snapshots have brought the scene to
     state_version: int = 0
-    equilibrium: Equilibrium | None = None
+    equilibrium: Equilibrium | None = None  # the last one found; None before the first
 
 
 class Versions:
     """Numbers the models and states of a scene; a number is given once, and restored with them.
 
-    Attributes
-    ----------
-    current
-        Those of now.
+    Attributes: `current`: those of now.
     """
 
     def __init__(self) -> None:

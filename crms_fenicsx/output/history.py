@@ -81,13 +81,7 @@ class History:
         return (dict(row) for row in self._rows)
 
     def __getitem__(self, column: str) -> NDArray[Any]:
-        """Return a column: integers, floats with NaN where absent, or text with "" there.
-
-        Raises
-        ------
-        InputError
-            When there is no such column.
-        """
+        """Return a column: integers, floats with NaN where absent, or text with "" there."""
         if column not in self._columns:
             raise InputError(f"no column {column!r}; there are {self._columns}")
         given = [row[column] for row in self._rows if column in row]

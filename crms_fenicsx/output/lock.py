@@ -27,13 +27,6 @@ class FolderLock:
 
     Rank 0 holds the lock until this object is gone or its process ends, however it ends. Where the
     file system knows no locks, nobody is kept out.
-
-    Parameters
-    ----------
-    folder
-        The folder, an absolute path.
-    comm
-        Its ranks write together.
     """
 
     def __init__(self, folder: Path, comm: MPI.Intracomm) -> None:
@@ -42,18 +35,7 @@ class FolderLock:
         self._taken = False
 
     def take(self, going_on: bool) -> None:
-        """Keep others out from now on. Collective.
-
-        Parameters
-        ----------
-        going_on
-            Whether it goes on with a run that was there, whose processes may still be ending.
-
-        Raises
-        ------
-        InputError
-            On all ranks: another writer has the folder, or it cannot be written.
-        """
+        """Keep others out from now on. Collective."""
         deadline = time.monotonic() + (GRACE if going_on else 0.0)
         collected = False
         while not self._taken:

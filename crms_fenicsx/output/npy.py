@@ -30,27 +30,7 @@ FACTOR = np.uint64(0x9E3779B97F4A7C15)
 def write_rows(path: Path, comm: MPI.Intracomm, ids: Integers, values: Rows, total: int) -> str:
     """Write an array of which every rank has some rows. Collective.
 
-    Parameters
-    ----------
-    path
-        The file; its folder exists. It is replaced when the new one is complete.
-    comm
-        Its ranks have the rows.
-    ids : (n,)
-        Which rows of the file this rank has, from 0 to total - 1, in any order.
-    values : (n,) or (n, c)
-        The rows. Those of the same id add up; those that nobody has are zero.
-    total
-        Number of rows of the file.
-
-    Returns
-    -------
-    The file's `digest`.
-
-    Raises
-    ------
-    InputError
-        On all ranks, when the file cannot be written.
+    Shapes: ids (n,), values (n,). Returns the file's `digest`.
     """
     parts, found = comm.gather((ids, values)), ""
     with raised_together(comm):
@@ -74,14 +54,7 @@ def _header(dtype: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
 def digest(comm: MPI.Intracomm, ids: Integers, values: Rows) -> str:
     """A number of an array that another one hardly has, from the rows of all ranks. Collective.
 
-    Parameters
-    ----------
-    comm
-        Its ranks have each row once.
-    ids : (n,)
-        This rank's rows.
-    values : (n,) or (n, c)
-        What they hold.
+    Shapes: ids (n,), values (n,).
     """
     columns = np.ascontiguousarray(values.reshape(len(values), int(np.prod(values.shape[1:]))))
     words = columns.view(np.uint64) if columns.dtype.itemsize == 8 else columns.astype(np.uint64)
@@ -102,27 +75,7 @@ def read_rows(
 ) -> Rows:
     """Read some rows of an array. Collective.
 
-    Parameters
-    ----------
-    path
-        The file.
-    comm
-        Its ranks want rows, each its own.
-    ids : (n,)
-        Which rows; None: all.
-    dtype, shape
-        Those of the whole array; a file with others is not read.
-    due
-        The `digest` that the file has if it is as it was written.
-
-    Returns
-    -------
-    (n, ...)
-
-    Raises
-    ------
-    InputError
-        On all ranks: the file is missing, or not what it should be.
+    Shapes: ids (n,). Returns (n, ...).
     """
     wanted, parts = comm.gather(ids), None
     with raised_together(comm):

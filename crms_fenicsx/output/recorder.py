@@ -25,37 +25,16 @@ from crms_fenicsx.views.surface import surface_piece
 class Recorder:
     """Records a scene's load steps.
 
-    Parameters
-    ----------
-    scene
-        What is recorded.
-    folder
-        Where `history.csv` and the files of `Series` go, created where it is missing. The first
-        step replaces those of an older run. None writes nothing and keeps the history in memory.
-    estimate
-        Whether to estimate the error of each step's energy.
-
-    Attributes
-    ----------
-    history : History
-        A row for each step: its number, "halvings" of the increment, "pressure", "load" (factor
-        of the dead load, once there is one), "energy" and
-        that of each kind of term ("energy membrane"), "dissipated" by friction in all steps and
-        "passes" of friction forces (once a cable has friction), "volume" gained (once there is
-        pressure), "tension", "length" and "L0" of each cable by its name ("tension cable 1"; with
-        friction along it also "tension cable 1 start" and "... end"), "force", "bar length" and
-        "bar L0" of each bar by its name,
-        "warnings" (what a step has warned of, once one has),
-        "blocked points" (fold points that have run into a vertex), and what the solve took:
-        "iterations",
-        "evaluations", "factorizations", "solves", "flips", "residual" (force), "seconds". With
-        `estimate` also "error of energy" (force x length) and "relative error", that in parts of
-        the membrane's strain energy.
-
-    Raises
-    ------
-    InputError
-        On all ranks, when the folder cannot be written.
+    Attributes: `history`: a row for each step: its number, "halvings" of the increment, "pressure",
+    "load" (factor of the dead load, once there is one), "energy" and that of each kind of term
+    ("energy membrane"), "dissipated" by friction in all steps and "passes" of friction forces (once
+    a cable has friction), "volume" gained (once there is pressure), "tension", "length" and "L0" of
+    each cable by its name ("tension cable 1"; with friction along it also "tension cable 1 start"
+    and "... end"), "force", "bar length" and "bar L0" of each bar by its name, "warnings" (what a
+    step has warned of, once one has), "blocked points" (fold points that have run into a vertex),
+    and what the solve took: "iterations", "evaluations", "factorizations", "solves", "flips",
+    "residual" (force), "seconds". With `estimate` also "error of energy" (force x length) and
+    "relative error", that in parts of the membrane's strain energy.
     """
 
     def __init__(self, scene: Scene, folder: str | Path | None, estimate: bool = False) -> None:
@@ -69,29 +48,12 @@ class Recorder:
             self._lock = FolderLock(self.series.folder, scene.comm)
 
     def claim(self, going_on: bool = False) -> None:
-        """Keep the folder for this recorder, until it is gone or its process ends. Collective.
-
-        Parameters
-        ----------
-        going_on
-            Whether it goes on with a run that was there, whose processes may still be ending.
-
-        Raises
-        ------
-        InputError
-            On all ranks: another recorder has it, or it cannot be written.
-        """
+        """Keep the folder for this recorder, until it is gone or its process ends. Collective."""
         if self._lock is not None:
             self._lock.take(going_on)
 
     def write(self, step: Step, system: System, case: str = "") -> None:
-        """Record a step that the scene has just reached, in a branch of a name. Collective.
-
-        Raises
-        ------
-        InputError
-            On all ranks, when files cannot be written.
-        """
+        """Record a step that the scene has just reached, in a branch of a name. Collective."""
         row = self._row(step)
         if self._estimator is not None:
             estimate = self._estimator.of(system)
@@ -110,16 +72,6 @@ class Recorder:
 
         If the files in the folder begin with the same steps, these stay and new ones follow; else
         the next step replaces them.
-
-        Parameters
-        ----------
-        rows
-            The earlier run's history, the same on all ranks.
-
-        Raises
-        ------
-        InputError
-            On all ranks: rows that are none, or files of a series that cannot be read.
         """
         with raised_together(self.scene.comm):
             self.history.resume(rows)

@@ -28,22 +28,6 @@ def write_together(path: Path, comm: MPI.Intracomm, size: int, parts: Sequence[P
     It takes the place of `path` when it is complete. Ranks write independently of each other, as
     each has few parts, long ones: MPI's collective writing would gain nothing, and waits forever
     for a rank whose disk is full.
-
-    Parameters
-    ----------
-    path
-        The file; its folder exists.
-    comm
-        Its ranks write together.
-    size
-        Size of the whole file (bytes).
-    parts
-        What this rank writes; no parts overlap.
-
-    Raises
-    ------
-    InputError
-        On all ranks, when the system refuses to write; the file at `path` is then as before.
     """
     partial = partial_of(path)
     try:
@@ -73,19 +57,7 @@ def write_together(path: Path, comm: MPI.Intracomm, size: int, parts: Sequence[P
 def first_row(count: int, comm: MPI.Intracomm) -> tuple[int, int]:
     """Number of this rank's first row, if the ranks' rows follow each other. Collective.
 
-    Parameters
-    ----------
-    count
-        How many rows this rank has.
-    comm
-        Communicator of the ranks.
-
-    Returns
-    -------
-    first
-        How many rows the ranks before this one have.
-    total
-        How many all have.
+    Returns first: how many rows the ranks before this one have; total: how many all have.
     """
     before = comm.exscan(count)
     return (0 if before is None else int(before)), int(comm.allreduce(count))

@@ -80,24 +80,7 @@ def write_vtu(
 ) -> None:
     """Write points, cells and data on them. Collective.
 
-    Parameters
-    ----------
-    path
-        The file; its folder exists.
-    comm
-        Its ranks write together.
-    points : (n, 3)
-        Points that this rank writes (length). In the file they follow those of the ranks before.
-    cells : (m, 2) or (m, 3)
-        Corners of this rank's lines or triangles, as rows of the points in the file.
-    point_data, cell_data
-        Values of these points and cells by name, (n,) or (n, c), and (m,) or (m, c). They have the
-        same names, types and components on all ranks that have points or cells.
-
-    Raises
-    ------
-    InputError
-        On all ranks: data that differ, or a file that cannot be written.
+    Shapes and units: points (n, 3) (length), cells (m, 2), point_data, cell_data (m, c).
     """
     corners = cells.shape[1]
     first_point, n_points = first_row(len(points), comm)

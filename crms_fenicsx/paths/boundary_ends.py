@@ -47,13 +47,7 @@ FARTHEST = 1000
 
 
 def renew_ends(change: PathChange) -> bool:
-    """Bring the ends of all paths to where moved anchors are; say if any changed. Collective.
-
-    Raises
-    ------
-    PathError
-        An anchor has come to a part of the boundary that cannot be reached along it.
-    """
+    """Bring the ends of all paths to where moved anchors are; say if any changed. Collective."""
     changed = False
     shape = change.net.strip_shape()
     for cable in change.net.cables:

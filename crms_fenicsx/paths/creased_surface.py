@@ -21,22 +21,7 @@ from crms_fenicsx.surface.points import Edge
 
 
 class CreasedSurface:
-    """Lengths and neighbours on the current surface, folded by the cables in tension.
-
-    Parameters
-    ----------
-    shape
-        Positions of the vertices around the cables.
-    bends
-        Positions of the fold points on each edge, in order.
-    anchors
-        Positions of anchors beyond the boundary, by ids that no vertex has: a cable runs on to its
-        anchor over triangles that join the anchor to the edges of the boundary. Each vertex of the
-        boundary is joined to the nearest of them.
-    ends
-        The vertices of the boundary that are next to an anchor along the cable: joined to it in any
-        case.
-    """
+    """Lengths and neighbours on the current surface, folded by the cables in tension."""
 
     def __init__(
         self,

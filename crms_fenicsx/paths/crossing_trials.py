@@ -45,33 +45,15 @@ LIGHT = 0.04
 
 @dataclass(frozen=True)
 class Way:
-    """Another way of some cables.
+    """Another way of some cables."""
 
-    Attributes
-    ----------
-    cable
-        One of them, by number.
-    key
-        What it is known by while the cable stays where it is.
-    take
-        Moves the cables; says whether they can go there.
-    """
-
-    cable: int
-    key: WayKey
-    take: Callable[[], bool]
+    cable: int  # one of them, by number
+    key: WayKey  # what it is known by while the cable stays where it is
+    take: Callable[[], bool]  # moves the cables; says whether they can go there
 
 
 class CrossingTrials:
-    """What is tried in one load step.
-
-    Parameters
-    ----------
-    change
-        Changes the paths of the cables.
-    tried
-        Which ways have been tried, and what is known of contacts.
-    """
+    """What is tried in one load step."""
 
     def __init__(self, change: PathChange, tried: TriedPaths) -> None:
         self.change, self.tried, self.net = change, tried, change.net

@@ -24,13 +24,7 @@ class NodesOnEdges:
         self._found: dict[Edge, tuple[NodeId, ...]] = {}
 
     def of(self, states: Sequence[CableState]) -> Mapping[Edge, Sequence[NodeId]]:
-        """Numbers of cables and nodes on each edge, lifted ones too; later calls do not change it.
-
-        Parameters
-        ----------
-        states
-            Those of all cables.
-        """
+        """Numbers of cables and nodes on each edge, lifted ones too; later calls keep it."""
         nodes = [state.nodes if state.taut else () for state in states]
         before, self._nodes = self._nodes, nodes
         if len(before) != len(nodes):
@@ -52,13 +46,6 @@ class FoldPoints(Mapping[Edge, Sequence[Array]]):
     """Positions (3,) of the points on each edge that has some, in order, without lifted ones.
 
     They are those at the time when this is made, whatever becomes of the cables.
-
-    Parameters
-    ----------
-    cables
-        All cables.
-    kept
-        Knows which nodes the cables have had on each edge.
     """
 
     def __init__(self, cables: Sequence[LaidCable], kept: NodesOnEdges) -> None:

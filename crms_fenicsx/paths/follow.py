@@ -16,22 +16,10 @@ from crms_fenicsx.surface.points import SurfacePoint
 def unfolded(net: CableNet, route: Array) -> tuple[Array, dict[int, SurfacePoint], list[Array]]:
     """Bring a route in space from the points of other cables to the unfolded cells. Collective.
 
-    Parameters
-    ----------
-    net
-        The cables, on the current shape of their membrane.
-    route
-        Points in plan, (k, 2), or in space, (k, 3).
-
-    Returns
-    -------
-    route : (m, 3)
-        Without points at which a cable crosses another one inside a cell, which no path has; those
-        at the other points of cables are moved to their places on the unfolded cells.
-    known
-        These places, by their rows in the route.
-    folds
-        Where these points are in the folds, in the order of `known`.
+    Shapes: route (k, 3). Returns route (m, 3): without points at which a cable crosses another one
+    inside a cell, which no path has; those at the other points of cables are moved to their places
+    on the unfolded cells; known: these places, by their rows in the route; folds: where these
+    points are in the folds, in the order of `known`.
     """
     if route.shape[1] == 2 or net.strip is None:
         return route, {}, []

@@ -26,18 +26,7 @@ may have bounds with which the other one is better."""
 def pass_vertices(change: PathChange, tried: TriedPaths, most: int | None = None) -> int:
     """Move cables with friction over the vertices that they have run into. Collective.
 
-    Parameters
-    ----------
-    change
-        Changes the paths of the cables.
-    tried
-        Which ways past vertices have been tried.
-    most
-        How many vertices each may pass; None: as many as it takes.
-
-    Returns
-    -------
-    How many vertices the cable that has passed most has.
+    Returns how many vertices the cable that has passed most has.
     """
     tried.proposed = set()
     held = _held(change.net.cables)
@@ -70,21 +59,9 @@ def straighten_kinks(
     Two points on edges that meet in a vertex may have closed in on each other away from it, so that
     the chord between them has no direction any more. Then edges are kinked, or the points are
     pulled and do not move. They go to where a string between the points around them would cross
-    their edges.
-
-    Parameters
-    ----------
-    change
-        Changes the paths of the cables.
-    tried
-        Which ways past vertices have been tried.
-    kinked
-        Cables and their nodes at kinks, by number.
-
-    Returns
-    -------
-    Whether any was moved that has not been before from the same place on the path, where the cable
-    still is: if that has raised the energy, it does with other friction forces, too.
+    their edges. Returns whether any was moved that has not been before from the same place on the
+    path, where the cable still is: if that has raised the energy, it does with other friction
+    forces, too.
     """
     shape, caught = change.net.strip_shape(), set(kinked)
     for c, cable in _held(change.net.cables).items():

@@ -42,28 +42,15 @@ APART = 2
 
 @dataclass(frozen=True)
 class HeldVertex:
-    """A vertex that a cable visits or has run into.
+    """A vertex that a cable visits or has run into."""
 
-    Attributes
-    ----------
-    vertex
-        Its id.
-    nodes
-        The cable's nodes there, in order.
-    pull
-        The cable's force sideways, positive to its left seen from outside, that friction does not
-        carry (force).
-    press
-        The cable's force on the membrane there (force).
-    allowed
-        Size up to which the pull is none (force).
-    """
-
-    vertex: int
-    nodes: tuple[int, ...]
+    vertex: int  # its id
+    nodes: tuple[int, ...]  # the cable's nodes there, in order
+    # the cable's force sideways, positive to its left seen from outside, that friction does not
+    # carry (force)
     pull: float
-    press: float
-    allowed: float
+    press: float  # the cable's force on the membrane there (force)
+    allowed: float  # size up to which the pull is none (force)
 
     @property
     def excess(self) -> float:
@@ -73,24 +60,12 @@ class HeldVertex:
 
 @dataclass(frozen=True)
 class Run:
-    """Vertices in a row that a cable is to pass on one side.
+    """Vertices in a row that a cable is to pass on one side."""
 
-    Attributes
-    ----------
-    vertices
-        Ids, in the order of the path.
-    to_left
-        Whether it leaves them to its left, seen from outside.
-    excess
-        Force with which they hold it together (force).
-    press
-        The cable's force on the membrane there (force).
-    """
-
-    vertices: tuple[int, ...]
-    to_left: bool
-    excess: float
-    press: float
+    vertices: tuple[int, ...]  # ids, in the order of the path
+    to_left: bool  # whether it leaves them to its left, seen from outside
+    excess: float  # force with which they hold it together (force)
+    press: float  # the cable's force on the membrane there (force)
 
     @classmethod
     def of(cls, part: Sequence[HeldVertex]) -> Run:
@@ -106,17 +81,7 @@ def held_vertices(cable: LaidCable, shape: StripShape) -> list[HeldVertex]:
 
     All nodes on edges at a vertex count as one where friction holds them: only their sum means
     anything. Some of them may have lifted off where the cable bends inward against the vertex.
-
-    Parameters
-    ----------
-    cable
-        A cable in tension.
-    shape
-        Positions of the vertices around.
-
-    Returns
-    -------
-    In the order of the path; none of a cable in an edge, which belongs there.
+    Returns in the order of the path; none of a cable in an edge, which belongs there.
     """
     near = {} if cable.in_edge else _near(cable, shape)
     if not near:
@@ -153,19 +118,8 @@ def held_runs(cable: LaidCable, shape: StripShape) -> list[Run]:
 
     Without friction the sides are those to which a string between the ends of the run would be
     moved by the forces: next to its ends a run may be pulled the other way, by the cable's turn
-    there. With friction they are those to which each vertex is pulled.
-
-    Parameters
-    ----------
-    cable
-        A cable in tension.
-    shape
-        Positions of the vertices around.
-
-    Returns
-    -------
-    In the order of the path; vertices next to each other that are left to different sides are in
-    different runs.
+    there. With friction they are those to which each vertex is pulled. Returns in the order of the
+    path; vertices next to each other that are left to different sides are in different runs.
     """
     held = held_vertices(cable, shape)
     if cable.grip is not None:  # it sticks to the others
@@ -192,12 +146,7 @@ def _parts(row: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]
 def _string(places: Array, forces: Array) -> Array:
     """Displacements, but for a factor, of a string held at its ends by forces in between, (n,).
 
-    Parameters
-    ----------
-    places : (n + 2,)
-        Arc lengths of the one end, of the forces and of the other end (length).
-    forces : (n,)
-        Forces square to it (force).
+    Shapes and units: places (n + 2,) (length), forces (n,) (force).
     """
     shear = np.concatenate([[0.0], -np.cumsum(forces)])
     moved = np.concatenate([[0.0], np.cumsum(shear * np.diff(places))])

@@ -178,16 +178,6 @@ def _smooth_length(cable: LaidCable, shape: StripShape, folded: Set[SurfacePoint
 
     Facets lie inside of that, and what they take off a path is, for a membrane that hardly
     stretches, as much as the strain that puts the cable in tension.
-
-    Parameters
-    ----------
-    cable
-        A cable on the facets.
-    shape
-        Positions of the vertices around.
-    folded
-        Places that have been given in the fold of another cable, which is where they stay. Those of
-        a cable that has just been laid are on the facets.
     """
     vertices = shape.strip.vertices
     surface = SmoothSurface.of(shape.current, np.searchsorted(vertices, shape.strip.outer_cells))

@@ -27,13 +27,7 @@ from crms_fenicsx.surface.points import EdgePoint, SurfacePoint, VertexPoint
 
 
 class PathChange:
-    """Changes the paths of cables on the current surface.
-
-    Parameters
-    ----------
-    net
-        The cables, which are changed.
-    """
+    """Changes the paths of cables on the current surface."""
 
     def __init__(self, net: CableNet) -> None:
         self.net = net
@@ -47,17 +41,7 @@ class PathChange:
     def surface(
         self, vertices: Sequence[int] = (), rings: int = 1, like: StripShape | None = None
     ) -> CreasedSurface:
-        """The current surface, with all cells around some vertices. Collective.
-
-        Parameters
-        ----------
-        vertices
-            Ids.
-        rings
-            How many rings of cells around them.
-        like
-            Positions of the vertices, where the membrane has not moved since they were gathered.
-        """
+        """The current surface, with all cells around some vertices. Collective."""
         self.net.grow_strip(vertices, rings)
         if like is None or like.strip is not self.net.strip:
             like = self.net.strip_shape()

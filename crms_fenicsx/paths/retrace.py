@@ -31,15 +31,7 @@ has pressed its crease into the membrane: a path along a line of the mesh stays 
 
 
 class Retracer:
-    """Pulls the paths of the cables taut.
-
-    Parameters
-    ----------
-    change
-        Changes the paths of the cables.
-    tried
-        Which paths have been tried.
-    """
+    """Pulls the paths of the cables taut."""
 
     def __init__(self, change: PathChange, tried: TriedPaths) -> None:
         self.change, self.tried, self.net = change, tried, change.net
@@ -49,11 +41,8 @@ class Retracer:
     def straighten(self) -> bool:
         """Pull the paths of cables taut that have not been in equilibrium yet. Collective.
 
-        A taut cable on a bad path would cut into the membrane, and nothing converge.
-
-        Returns
-        -------
-        Whether there were any.
+        A taut cable on a bad path would cut into the membrane, and nothing converge. Returns
+        whether there were any.
         """
         fresh = [
             cable
@@ -105,13 +94,7 @@ class Retracer:
         return changes
 
     def check_on_membrane(self) -> None:
-        """Make sure that no cable has slid off the membrane. Collective.
-
-        Raises
-        ------
-        PathError
-            All contacts of a cable have closed in on one vertex of the boundary.
-        """
+        """Make sure that no cable has slid off the membrane. Collective."""
         for cable in self.net.cables:
             nodes = [cable.nodes[k] for k in cable.contacts()]
             places = [set(node.point.support) for node in nodes if node.point is not None]
@@ -126,14 +109,7 @@ class Retracer:
     def retrace(self, max_flips: int | None = None) -> int:
         """Pull the paths of all cables in tension taut on the current surface. Collective.
 
-        Parameters
-        ----------
-        max_flips
-            How many vertices each may pass; None: as many as it takes.
-
-        Returns
-        -------
-        How many vertices the cable that has passed most has; 0: no path has changed.
+        Returns how many vertices the cable that has passed most has; 0: no path has changed.
         """
         self.tried.forget_moved(self.net.cables)
         free = [

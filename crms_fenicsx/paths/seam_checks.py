@@ -18,19 +18,7 @@ from crms_fenicsx.surface.path import Path
 def refuse_places_behind(membrane: Membrane, route: Array, name: str) -> None:
     """Refuse a route with a point on cells behind a seam, and on no others. Collective.
 
-    Parameters
-    ----------
-    membrane
-        The membrane, in its current shape.
-    route
-        Points in plan, (k, 2), or in space, (k, 3).
-    name
-        Name of the cable.
-
-    Raises
-    ------
-    PathError
-        Naming the point, or all cells lie behind seams.
+    Shapes: route (k, 3).
     """
     positions, cells = own_surface(membrane)
     hidden = np.isin(np.arange(len(cells)), membrane.mesh.hidden)
@@ -57,13 +45,7 @@ def refuse_places_behind(membrane: Membrane, route: Array, name: str) -> None:
 
 
 def refuse_forks(path: Path, shape: StripShape, name: str) -> None:
-    """Refuse a path over a seam with more than two outer cells, where it has no one way on.
-
-    Raises
-    ------
-    PathError
-        Naming the place.
-    """
+    """Refuse a path over a seam with more than two outer cells, where it has no one way on."""
     places = vectors(path.positions(shape.strip.vertices, shape.current))
     for point, place in zip(path.points, places, strict=True):
         if len(point.support) == 2 and (n := len(shape.strip.outer_rows(point.support))) > 2:

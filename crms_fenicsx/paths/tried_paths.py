@@ -29,44 +29,29 @@ STILL = 1e-4
 
 @dataclass
 class TriedPaths:
-    """What was tried in earlier load steps, by cable, and what in this one.
+    """What was tried in earlier load steps, by cable, and what in this one."""
 
-    Attributes
-    ----------
-    refused
-        Paths that have been given up.
-    left
-        Runs of vertices that were left, and taken again: 1 for those left to the cable's left or
-        -1, and the vertices.
-    ways
-        Other ways of crossing cables; see `crms_fenicsx.paths.crossing_trials`.
-    at : (n, 3)
-        Where the cable was at the end of a load step (length); one that has hardly moved since is
-        still compared to where it was, so that it cannot creep away.
-    L0
-        Unstressed length then (length).
-    released, settled
-        Where contacts have been released in the last load step, and where they then stay closed
-        however the cable pulls.
-    rejected, straightened
-        What cables with friction have not taken: ways past vertices, and fold points put back in
-        place.
-    proposed
-        Ways past a vertex, by cable, that cables with friction take now.
-    passes
-        How often cables with friction have passed a vertex in this load step, to its left or not.
-    """
-
-    refused: dict[str, set[Corridor]] = field(default_factory=dict)
+    refused: dict[str, set[Corridor]] = field(default_factory=dict)  # paths that have been given up
+    # runs of vertices that were left, and taken again: 1 for those left to the cable's left or -1,
+    # and the vertices
     left: dict[str, set[tuple[int, ...]]] = field(default_factory=dict)
+    # other ways of crossing cables; see `crms_fenicsx.paths.crossing_trials`
     ways: dict[str, set[WayKey]] = field(default_factory=dict)
+    # (n, 3) where the cable was at the end of a load step (length); one that has hardly moved since
+    # is still compared to where it was, so that it cannot creep away
     at: dict[str, Array] = field(default_factory=dict)
-    L0: dict[str, float] = field(default_factory=dict)
+    L0: dict[str, float] = field(default_factory=dict)  # unstressed length then (length)
+    # released, settled: where contacts have been released in the last load step, and where they
+    # then stay closed however the cable pulls
     released: set[ContactKey] = field(default_factory=set)
     settled: set[ContactKey] = field(default_factory=set)
+    # rejected, straightened: what cables with friction have not taken: ways past vertices, and fold
+    # points put back in place
     rejected: set[tuple[str, Corridor]] = field(default_factory=set)
     straightened: set[tuple[str, Corridor]] = field(default_factory=set)
+    # ways past a vertex, by cable, that cables with friction take now
     proposed: set[tuple[str, Corridor]] = field(init=False, default_factory=set)
+    # how often cables with friction have passed a vertex in this load step, to its left or not
     passes: Counter[tuple[str, int, bool]] = field(init=False, default_factory=Counter)
     _misled: int = field(init=False, default=0)
     _first_look: bool = field(init=False, default=True)

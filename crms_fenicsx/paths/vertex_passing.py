@@ -28,19 +28,7 @@ from crms_fenicsx.surface.points import Edge, EdgePoint
 
 
 def pass_run(change: PathChange, number: int, run: Run, shape: StripShape | None = None) -> bool:
-    """Move a cable past the vertices of a run; say whether any path goes there. Collective.
-
-    Parameters
-    ----------
-    change
-        Changes the paths of the cables.
-    number
-        The cable's.
-    run
-        The vertices and the side.
-    shape
-        Positions of the vertices around, where they are known.
-    """
+    """Move a cable past the vertices of a run; say whether any path goes there. Collective."""
     cable = change.net.cables[number]
     found = way_past(change, cable, run, shape)
     if found is None:
@@ -51,24 +39,12 @@ def pass_run(change: PathChange, number: int, run: Run, shape: StripShape | None
 
 @dataclass(frozen=True)
 class WayPast:
-    """A way past a run of vertices.
+    """A way past a run of vertices."""
 
-    Attributes
-    ----------
-    supports
-        What the path goes through, between the cable's anchors.
-    vertices
-        Those that it passes.
-    replaced
-        What it does not go through any more, and what it does instead.
-    surface
-        The surface, with the anchors.
-    """
-
-    supports: Corridor
-    vertices: frozenset[int]
-    replaced: Corridor
-    surface: CreasedSurface
+    supports: Corridor  # what the path goes through, between the cable's anchors
+    vertices: frozenset[int]  # those that it passes
+    replaced: Corridor  # what it does not go through any more, and what it does instead
+    surface: CreasedSurface  # the surface, with the anchors
 
 
 def way_past(
@@ -76,20 +52,7 @@ def way_past(
 ) -> WayPast | None:
     """Find the way of a cable past a run. Collective.
 
-    Parameters
-    ----------
-    change
-        Changes the paths of the cables.
-    cable
-        A cable.
-    run
-        The vertices and the side.
-    shape
-        Positions of the vertices around, where they are known.
-
-    Returns
-    -------
-    None where there is none for any of the vertices.
+    Returns None where there is none for any of the vertices.
     """
     string: Corridor = tuple(cable.nodes[k].support for k in cable.path_nodes())
     joined = change.with_anchors(cable, change.surface(run.vertices, like=shape))

@@ -35,13 +35,6 @@ class VertexTrials:
 
     In a round all runs that hold cables are left at once, and if that is rejected each half of
     them, and each half of these.
-
-    Parameters
-    ----------
-    change
-        Changes the paths of the cables.
-    tried
-        Which runs have been tried.
     """
 
     def __init__(self, change: PathChange, tried: TriedPaths) -> None:
@@ -55,16 +48,8 @@ class VertexTrials:
     def next(self, energy: float, scale: float) -> list[Trial]:
         """Move cables past runs of vertices that hold them. Collective.
 
-        Parameters
-        ----------
-        energy
-            That of the state that is there (force x length).
-        scale
-            Sum of the sizes of all kinds of energy.
-
-        Returns
-        -------
-        What was moved; nothing where there is nothing left to try.
+        Units: energy (force x length). Returns what was moved; nothing where there is nothing left
+        to try.
         """
         while runs := self._held():
             if not self._groups:

@@ -11,24 +11,12 @@ from crms_fenicsx.scene import Scene
 
 @dataclass(frozen=True)
 class BarResults:
-    """A bar in an equilibrium, by plain numbers.
+    """A bar in an equilibrium, by plain numbers."""
 
-    Attributes
-    ----------
-    name
-        Of the bar.
-    force
-        Axial force (force): tension is positive, compression negative.
-    slack
-        Whether it is a guy without tension.
-    length, L0
-        Current and unstressed length (length).
-    """
-
-    name: str
-    force: float
-    slack: bool
-    length: float
+    name: str  # of the bar
+    force: float  # axial force (force): tension is positive, compression negative
+    slack: bool  # whether it is a guy without tension
+    length: float  # length, L0: current and unstressed length (length)
     L0: float
 
 

@@ -15,28 +15,18 @@ from crms_fenicsx.scene import Scene
 
 @dataclass(frozen=True)
 class CellTensors:
-    """Tensors in the material axes of this rank's owned cells.
+    """Tensors in the material axes of this rank's owned cells."""
 
-    Attributes
-    ----------
-    strains, forces : (n, 2, 2)
-        Green-Lagrange strains, second Piola-Kirchhoff section forces (force per length).
-    axes, images : (n, 2, 3)
-        The material axes, unit vectors, and what they have become.
-    sides : (n, 2, 3)
-        Two stress-free sides of each cell (length).
-    state : (n,)
-        2 taut, 1 wrinkled, 0 slack.
-    folded : (n,)
-        Whether a cable in tension folds the cell; its images are those of its three corners.
-    """
-
+    # strains, forces: (n, 2, 2) Green-Lagrange strains, second Piola-Kirchhoff section forces
+    # (force per length)
     strains: Array
     forces: Array
+    # axes, images: (n, 2, 3) the material axes, unit vectors, and what they have become
     axes: Array
     images: Array
-    sides: Array
-    state: npt.NDArray[np.int8]
+    sides: Array  # (n, 2, 3) two stress-free sides of each cell (length)
+    state: npt.NDArray[np.int8]  # (n,) 2 taut, 1 wrinkled, 0 slack
+    # (n,) whether a cable in tension folds the cell; its images are those of its three corners
     folded: Booleans
 
 

@@ -58,13 +58,7 @@ class ErrorEstimate:
 
 
 class ErrorEstimator:
-    """Estimates the errors of a scene's equilibria.
-
-    Parameters
-    ----------
-    scene
-        The scene.
-    """
+    """Estimates the errors of a scene's equilibria."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene, mesh = scene, scene.mesh.mesh
@@ -78,13 +72,7 @@ class ErrorEstimator:
         self._tags = np.zeros(own) if tags is None else tags.values[:own].astype(float)
 
     def of(self, system: System) -> ErrorEstimate:
-        """The error of the state that a scene is in. Collective.
-
-        Parameters
-        ----------
-        system
-            The scene's potential; it is brought to the scene's state.
-        """
+        """The error of the state that a scene is in. Collective."""
         tensors = cell_tensors(system)
         axes, images, folded = tensors.axes, tensors.images, tensors.folded
         E = np.einsum("nab,nai,nbj->nij", tensors.strains, axes, axes)

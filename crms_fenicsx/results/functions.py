@@ -12,14 +12,7 @@ from crms_fenicsx.runtime.arrays import Array
 def by_cells(membrane: Membrane, name: str, values: Array) -> fem.Function:
     """A function that is constant in each cell. Collective.
 
-    Parameters
-    ----------
-    membrane
-        The membrane.
-    name
-        Name of the function.
-    values : (n,)
-        Of this rank's owned cells.
+    Shapes: values (n,).
     """
     found = fem.Function(membrane.cell_values, name=name)
     found.x.array[membrane.cell_values.dofmap.list[: len(values), 0]] = values
@@ -30,13 +23,7 @@ def by_cells(membrane: Membrane, name: str, values: Array) -> fem.Function:
 def nodal_means(membrane: Membrane, name: str, values: Array, areas: Array) -> fem.Function:
     """A linear function whose values at the vertices are means of the cells around. Collective.
 
-    Parameters
-    ----------
-    membrane, name
-        As for `by_cells`.
-    values, areas : (n,)
-        Of this rank's owned cells. NaN has no part in a mean, and vertices without another value
-        get it.
+    Shapes: values, areas (n,).
     """
     V = membrane.nodal_values
     weight, found = fem.Function(V), fem.Function(V, name=name)

@@ -277,13 +277,7 @@ class MembraneResults:
 
 
 def membrane_results(system: System) -> MembraneResults:
-    """Evaluate the membrane at the scene's current state. Collective.
-
-    Parameters
-    ----------
-    system
-        The scene's potential; it is brought to the scene's state.
-    """
+    """Evaluate the membrane at the scene's current state. Collective."""
     scene, cells = system.scene, cell_tensors(system)
     E, axes, images = cells.strains, cells.axes, cells.images
     n, before = len(E), cells.sides

@@ -60,39 +60,21 @@ class PlaceResults:
         return self.positions - self.stress_free
 
     def __getitem__(self, name: str) -> Array:
-        """Values by name, (k,).
-
-        Raises
-        ------
-        InputError
-            There are none of that name; it says which there are.
-        """
+        """Values by name, (k,)."""
         return checks.named("result", self.values, name)
 
 
 @dataclass(frozen=True)
 class Places:
-    """Places of a surface that is divided among ranks.
+    """Places of a surface that is divided among ranks."""
 
-    Attributes
-    ----------
-    comm
-        The ranks.
-    mine : (k,) bool
-        Which of them lie in this rank's facets.
-    cells : (k,) int
-        This rank's cells; any where the place is another rank's.
-    positions, stress_free : (k, 3)
-        Current and stress-free, on all ranks (length).
-    gaps : (k,)
-        How far they are from what was asked for, in parts of their facets' longest sides.
-    """
-
-    comm: MPI.Intracomm
-    mine: Booleans
-    cells: Integers
+    comm: MPI.Intracomm  # the ranks
+    mine: Booleans  # (k,) bool which of them lie in this rank's facets
+    cells: Integers  # (k,) int this rank's cells; any where the place is another rank's
+    # positions, stress_free: (k, 3) current and stress-free, on all ranks (length)
     positions: Array
     stress_free: Array
+    # (k,) how far they are from what was asked for, in parts of their facets' longest sides
     gaps: Array
 
     def of_cells(self, values: Array) -> Array:
@@ -119,22 +101,7 @@ def find_places(
     points: ArrayLike,
     on: Literal["current", "stress-free"],
 ) -> Places:
-    """Find the facets that places lie in. Collective.
-
-    Parameters
-    ----------
-    comm
-        The ranks among which the surface is divided.
-    surface
-        This rank's part of it.
-    points, on
-        As for `MembraneResults.at`.
-
-    Raises
-    ------
-    InputError
-        On all ranks: no points, or one off the surface.
-    """
+    """Find the facets that places lie in. Collective."""
     targets, in_plan = _checked(points)
     places = nearest_places(comm, surface, targets, on, in_plan=in_plan)
     off = np.flatnonzero(places.gaps > (RIM if in_plan else ON_SURFACE))
@@ -160,19 +127,7 @@ def nearest_places(
 ) -> Places:
     """Find the places nearest to targets, however far these are. Collective.
 
-    Parameters
-    ----------
-    comm, surface, on
-        As for `find_places`.
-    targets : (k, 3)
-        Finite, the same on all ranks (length).
-    in_plan
-        Whether their heights are none, and places those of the uppermost sheet.
-
-    Raises
-    ------
-    InputError
-        On all ranks: places in plan of a membrane that has none.
+    Shapes and units: targets (k, 3) (length).
     """
     corners = (surface.points if on == "current" else surface.stress_free)[surface.triangles]
     rows, weights, scores, sizes = _candidates(corners, targets, in_plan)
@@ -212,16 +167,9 @@ def _candidates(
 ) -> tuple[Integers, Array, Array, Array]:
     """This rank's best facet for each target.
 
-    Returns
-    -------
-    rows : (k,)
-        The facets; any where this rank has none.
-    weights : (k, 3)
-        Of their corners.
-    scores : (k, 2)
-        Distance, and how deep below others the place lies in plan; the least of them is the best.
-    sizes : (k,)
-        The facets' longest sides (length).
+    Returns rows (k,): the facets; any where this rank has none; weights (k, 3): of their corners;
+    scores (k, 2): distance, and how deep below others the place lies in plan; the least of them is
+    the best; sizes (k,): the facets' longest sides (length).
     """
     k = len(targets)
     rows, weights = np.zeros(k, dtype=np.int64), np.zeros((k, 3))

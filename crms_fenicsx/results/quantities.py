@@ -62,12 +62,6 @@ SHOWN = ("true force 1", "true force 2", "warp", "weft", "shear", "utilisation")
 
 
 def fields_of(results: Any) -> dict[str, Array]:
-    """What ParaView files and pyvista get of cells, by name, (n,) or (n, 3).
-
-    Parameters
-    ----------
-    results
-        The `MembraneResults` of this rank's owned cells.
-    """
+    """What ParaView files and pyvista get of cells, by name, (n,) or (n, 3)."""
     found = {name: results.values(name) for name in SHOWN if name in results.names}
     return {**found, "direction 1": results.true_directions[:, 0], "state": results.state}

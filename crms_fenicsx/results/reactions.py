@@ -64,20 +64,7 @@ class Reactions:
 
 
 def reactions(system: System, where: str | Marker) -> Reactions:
-    """Forces of the supports of vertices, and of anchors and held joints there. Collective.
-
-    Parameters
-    ----------
-    system
-        The scene's potential; it is brought to the scene's state.
-    where
-        As for `crms_fenicsx.results.solver_results.SolverResults.reactions`.
-
-    Raises
-    ------
-    InputError
-        As `Scene.vertices`.
-    """
+    """Forces of the supports of vertices, and of anchors and held joints there. Collective."""
     scene = system.scene
     dofs, joints = _place(scene, where)
     every = support_forces(system)
@@ -114,11 +101,6 @@ def support_forces(system: System) -> Array:
     """Forces of the supports on this rank's owned vertices, (n, 3) (force). Collective.
 
     Zero in directions that are not held.
-
-    Parameters
-    ----------
-    system
-        The scene's potential; it is brought to the scene's state.
     """
     g = nodal_forces(system)
     n = system.unknowns.n_vertices
@@ -129,16 +111,8 @@ def support_forces(system: System) -> Array:
 def nodal_forces(system: System) -> Array:
     """What the structure's own forces and the loads leave at this rank's blocks. Collective.
 
-    Parameters
-    ----------
-    system
-        The scene's potential; it is brought to the scene's state.
-
-    Returns
-    -------
-    (n_owned, 3)
-        The energy's slope (force): zero in equilibrium but where something else holds the
-        structure, and there the force of that.
+    Returns the energy's slope (force): zero in equilibrium but where something else holds the
+    structure, and there the force of that.
     """
     system.update()
     potential, unknowns = system.potential, system.unknowns
@@ -165,13 +139,6 @@ def held_lengths(membrane: Membrane, group: str | None = None) -> Array:
 
     Half the current length of the edges around whose two ends are held in a direction (length).
     Collective.
-
-    Parameters
-    ----------
-    membrane
-        The membrane.
-    group
-        Name of the group whose edges count; None: all named groups, the boundary among them.
     """
     topology = membrane.mesh.mesh.topology
     own = topology.index_map(1).size_local
@@ -202,12 +169,8 @@ def _subtract_pressure(system: System, g: Array) -> None:
 def pressed_facets(system: System) -> tuple[Integers, Array]:
     """This rank's current facets under pressure, by plain geometry.
 
-    Returns
-    -------
-    corners : (n, 3)
-        Blocks; facets of folded cells that belong to a mean over fans overlap.
-    vectors : (n, 3)
-        Area vectors (length squared), outward, times the facets' weights in the mean.
+    Returns corners (n, 3): blocks; facets of folded cells that belong to a mean over fans overlap;
+    vectors (n, 3): area vectors (length squared), outward, times the facets' weights in the mean.
     """
     unknowns, owned = system.unknowns, system.scene.mesh.mesh.topology.index_map(2).size_local
     dofs = system.scene.V.dofmap.list[:owned][system.pressure.cells.x.array[:owned] > 0.5]

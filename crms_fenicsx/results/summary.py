@@ -47,51 +47,30 @@ class Extreme:
 
 @dataclass(frozen=True)
 class PartSummary:
-    """A part of the membrane, or all of it.
+    """A part of the membrane, or all of it."""
 
-    Attributes
-    ----------
-    area
-        Stress-free (length squared).
-    slack, wrinkled
-        Shares of that area.
-    least, largest
-        Values of cells by the names in `SUMMED_UP`; those without strengths have no utilisation.
-    """
-
-    area: float
-    slack: float
+    area: float  # stress-free (length squared)
+    slack: float  # slack, wrinkled: shares of that area
     wrinkled: float
+    # least, largest: values of cells by the names in `SUMMED_UP`; those without strengths have no
+    # utilisation
     least: Mapping[str, Extreme]
     largest: Mapping[str, Extreme]
 
 
 @dataclass(frozen=True)
 class SupportSummary:
-    """A named group of vertices that is held.
+    """A named group of vertices that is held."""
 
-    Attributes
-    ----------
-    directions
-        Those in which all of its vertices are held, out of "xyz"; "" of vertices in no such group.
-    total
-        Sum of the reactions (force) on all that meets there: of `membrane` and `parts`.
-    membrane
-        What of it holds the membrane (force).
-    parts
-        What of it holds ends of cables and bars, and loads on joints, by their names (force).
-    length
-        Current length of its edges (length); 0 of points.
-    mean, largest
-        Size of the membrane's reaction per length of held edges (force per length), along its edges
-        in the mean and at one vertex.
-    """
-
+    # those in which all of its vertices are held, out of "xyz"; "" of vertices in no such group
     directions: str
-    total: Vector
-    membrane: Vector
+    total: Vector  # sum of the reactions (force) on all that meets there: of `membrane` and `parts`
+    membrane: Vector  # what of it holds the membrane (force)
+    # what of it holds ends of cables and bars, and loads on joints, by their names (force)
     parts: Mapping[str, Vector]
-    length: float
+    length: float  # current length of its edges (length); 0 of points
+    # mean, largest: size of the membrane's reaction per length of held edges (force per length),
+    # along its edges in the mean and at one vertex
     mean: float
     largest: float
 
@@ -189,13 +168,7 @@ ALL_SUPPORTS, OTHER_SUPPORTS = "all supports", "other supports"
 
 
 def summary(system: System) -> Summary:
-    """Sum up the scene's current state. Collective.
-
-    Parameters
-    ----------
-    system
-        The scene's potential; it is brought to the scene's state.
-    """
+    """Sum up the scene's current state. Collective."""
     scene, results = system.scene, membrane_results(system)
     places = results.surface.points  # with the points of cables on folded cells
     moved = places - results.surface.stress_free

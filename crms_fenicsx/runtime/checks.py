@@ -26,13 +26,7 @@ Named = TypeVar("Named")
 
 
 def named(kind: str, ones: Mapping[str, Named], name: str) -> Named:
-    """Return the one with a name.
-
-    Raises
-    ------
-    InputError
-        There is none; it says which there are.
-    """
+    """Return the one with a name."""
     if not isinstance(name, str) or name not in ones:
         names = ", ".join(map(repr, ones)) or "none"
         raise InputError(f"{kind}: there is no {kind} {name!r}; there are {names}.")
@@ -40,20 +34,7 @@ def named(kind: str, ones: Mapping[str, Named], name: str) -> Named:
 
 
 def finite(what: str, value: object) -> float:
-    """Return a finite number.
-
-    Parameters
-    ----------
-    what
-        Owner and name of the value, as in "Cable: EA".
-    value
-        What the user gave.
-
-    Raises
-    ------
-    InputError
-        If it is no number, or not a finite one. Texts are no numbers.
-    """
+    """Return a finite number."""
     try:
         if isinstance(value, str | bytes) or np.ndim(value) != 0:  # type: ignore[arg-type]
             raise TypeError
@@ -105,23 +86,7 @@ def file(what: str, value: object) -> Path:
 
 
 def same(comm: MPI.Intracomm, call: str, /, **arguments: object) -> None:
-    """Refuse arguments that differ between the ranks. Collective.
-
-    Parameters
-    ----------
-    comm
-        The ranks. They must all come here, so that this is the first of all checks.
-    call
-        What the arguments are given to, for the message.
-    **arguments
-        By name. Numbers must be the same to the last digit. Of functions, which may do on each rank
-        what is right there, only the names count. The order of a mapping's keys does not.
-
-    Raises
-    ------
-    InputError
-        On all ranks, naming the first such argument and two of its values.
-    """
+    """Refuse arguments that differ between the ranks. Collective."""
     if comm.size == 1:
         return
     own = {name: _text(value) for name, value in arguments.items()}

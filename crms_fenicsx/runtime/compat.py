@@ -28,23 +28,8 @@ def create_mesh(
 ) -> dolfinx.mesh.Mesh:
     """Distribute a triangulated surface in space, without ghost cells.
 
-    Parameters
-    ----------
-    comm
-        Communicator of the mesh; the call is collective.
-    cells
-        This rank's share of the cells, shape (m, 3): indices into the concatenation of all
-        ranks' points. The order of a cell's vertices survives.
-    points
-        This rank's share of the coordinates, shape (n, 3), in units of length.
-    ranks
-        Rank that each cell of this rank's share shall go to, shape (m,); None, on all ranks: as
-        DOLFINx sees fit. All cells at an edge with three or more need the same one.
-
-    Returns
-    -------
-    dolfinx.mesh.Mesh
-        A mesh of topological dimension 2 and geometric dimension 3 with P1 geometry.
+    Shapes: cells (m, 3), points (n, 3), ranks (m,). Returns a mesh of topological dimension 2 and
+    geometric dimension 3 with P1 geometry.
     """
     element = basix.ufl.element("Lagrange", "triangle", 1, shape=(3,), dtype=np.float64)
     # 0.9 takes (comm, cells, x, e), later versions (comm, cells, e, x); the names stayed.
@@ -55,12 +40,7 @@ def create_mesh(
 def with_nodes(mesh: dolfinx.mesh.Mesh, nodes: Array) -> dolfinx.mesh.Mesh:
     """Return a mesh of the same topology and distribution with other coordinates.
 
-    Parameters
-    ----------
-    mesh
-        A mesh of `create_mesh`.
-    nodes
-        Coordinates of the local geometry nodes, shape (n, 3), in units of length.
+    Shapes: nodes (n, 3).
     """
     old: Any = mesh._cpp_object
     given = old.geometry
@@ -75,17 +55,7 @@ def with_nodes(mesh: dolfinx.mesh.Mesh, nodes: Array) -> dolfinx.mesh.Mesh:
 def default_ranks(comm: MPI.Intracomm, cells: Integers) -> Indices:
     """Return the ranks that DOLFINx would send cells to. Collective.
 
-    Parameters
-    ----------
-    comm
-        Communicator of the mesh.
-    cells
-        This rank's share of the cells, shape (m, 3).
-
-    Returns
-    -------
-    ndarray
-        A rank for each cell of this rank's share, shape (m,).
+    Shapes: cells (m, 3). Returns a rank for each cell of this rank's share, shape (m,).
     """
     mode = dolfinx.mesh.GhostMode.none
     try:
@@ -121,13 +91,7 @@ def interpolation_points(element: Any) -> NDArray[np.floating]:
 
 
 def require_real() -> None:
-    """Refuse a DOLFINx whose PETSc does not have real numbers of 64 bits.
-
-    Raises
-    ------
-    InputError
-        It has others, such as complex ones, of which an energy has no minimum.
-    """
+    """Refuse a DOLFINx whose PETSc does not have real numbers of 64 bits."""
     kind = np.dtype(PETSc.ScalarType)
     if kind != np.float64:
         raise InputError(

@@ -143,12 +143,6 @@ def collective(method: Method) -> Method:
     strike one rank alone, while the others are in a reduction that it will never reach. So a rank
     with an error waits for the others to have one too, for `PATIENCE` seconds, and if they do not
     it prints its traceback and ends all ranks.
-
-    Parameters
-    ----------
-    method
-        Method of an object with a communicator ``comm``, or function whose first argument is one;
-        all ranks call it together.
     """
 
     @functools.wraps(method)

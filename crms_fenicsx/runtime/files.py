@@ -34,13 +34,7 @@ def absolute(path: str | Path, comm: MPI.Intracomm) -> Path:
 
 @contextmanager
 def explained(path: Path) -> Iterator[None]:
-    """Say of what the system refuses to write in the block that it is `path`.
-
-    Raises
-    ------
-    InputError
-        Instead of an `OSError`.
-    """
+    """Say of what the system refuses to write in the block that it is `path`."""
     try:
         yield
     except OSError as error:
@@ -55,20 +49,7 @@ def explained(path: Path) -> Iterator[None]:
 
 @contextmanager
 def readable(what: object, remedy: str) -> Iterator[None]:
-    """Say of what the system refuses to read in the block what it is.
-
-    Parameters
-    ----------
-    what
-        Path or name of it.
-    remedy
-        What the user can do.
-
-    Raises
-    ------
-    InputError
-        Instead of an `OSError`.
-    """
+    """Say of what the system refuses to read in the block what it is."""
     try:
         yield
     except OSError as error:
@@ -80,13 +61,7 @@ LARGEST_TEXT = 2**30
 
 
 def size_of_file(path: Path) -> int:
-    """Size of a file that can be read to its end (bytes).
-
-    Raises
-    ------
-    OSError
-        There is none, or it is a folder, a pipe or a device, where reading might never end.
-    """
+    """Size of a file that can be read to its end (bytes)."""
     status = os.stat(path)
     if not stat.S_ISREG(status.st_mode):
         raise OSError(errno.EINVAL, "it is no regular file")
@@ -94,13 +69,7 @@ def size_of_file(path: Path) -> int:
 
 
 def read_text(path: Path) -> bytes:
-    """Read a file of text.
-
-    Raises
-    ------
-    OSError
-        As `size_of_file`, or it is larger than any that is written.
-    """
+    """Read a file of text."""
     size = size_of_file(path)
     if size > LARGEST_TEXT:
         raise OSError(errno.EFBIG, f"it has {size} bytes, more than {LARGEST_TEXT}")
@@ -111,20 +80,7 @@ def read_text(path: Path) -> bytes:
 def replaced(path: Path) -> Iterator[Path]:
     """Write a file beside `path` in the block; it takes the place of `path` when it is complete.
 
-    Parameters
-    ----------
-    path : Path
-        The file; its folder exists.
-
-    Yields
-    ------
-    Path
-        Where to write instead, in the same folder.
-
-    Raises
-    ------
-    InputError
-        When the system refuses to write; the file at `path` is then as before.
+    Yields where to write instead, in the same folder.
     """
     partial = partial_of(path)
     try:
@@ -147,13 +103,7 @@ def flush(path: Path) -> None:
 
 
 def make_writable(folder: Path) -> None:
-    """Create a folder where it is missing, and try to write in it.
-
-    Raises
-    ------
-    InputError
-        When that is not possible.
-    """
+    """Create a folder where it is missing, and try to write in it."""
     trial = folder / (PARTIAL + "trial")
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -59,11 +59,6 @@ def postponed(comm: MPI.Intracomm) -> Iterator[None]:
     """Note signals in the block, for `stop_together`. Collective.
 
     Handlers that are not Python's own stay, and other threads than the main one have none.
-
-    Raises
-    ------
-    KeyboardInterrupt, SystemExit
-        As `stop_together`, at the end of the block.
     """
     taken = {}
     if threading.current_thread() is threading.main_thread():
@@ -79,15 +74,7 @@ def postponed(comm: MPI.Intracomm) -> Iterator[None]:
 
 
 def stop_together(comm: MPI.Intracomm) -> None:
-    """Stop on all ranks if one of them has been told to. Collective.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        On all ranks, after Ctrl-C (SIGINT).
-    SystemExit
-        On all ranks, after SIGTERM; with the exit status that the signal would have caused.
-    """
+    """Stop on all ranks if one of them has been told to. Collective."""
     global _noted
     number = comm.allreduce(_noted, op=MPI.MAX)
     if number == 0:

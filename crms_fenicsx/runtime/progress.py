@@ -79,15 +79,7 @@ class Progress:
             self._bar = None
 
     def advance(self, n: float = 1, note: str = "") -> None:
-        """Say that `n` more of the total is done.
-
-        Parameters
-        ----------
-        n : float
-            How much; a step that was halved may be one half.
-        note : str
-            A few words on what was done.
-        """
+        """Say that `n` more of the total is done."""
         self.done += n
         if self._bar is not None:
             self._bar.set_postfix_str(note, refresh=False)

@@ -13,13 +13,6 @@ class ReadOnly(Generic[Value]):
 
     An assignment to the public name would be on one rank only, unchecked and unknown to the solver.
     It raises an `AttributeError` that tells what to do instead.
-
-    Parameters
-    ----------
-    source
-        Name of the private attribute, with dots that of an attribute's attribute.
-    remedy
-        What to do instead of assigning, for the message: "call scene.floor(z)".
     """
 
     def __init__(self, source: str, remedy: str) -> None:

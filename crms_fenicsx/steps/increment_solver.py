@@ -28,20 +28,12 @@ from crms_fenicsx.verification.verifier import Verifier
 
 @dataclass(frozen=True)
 class Increment:
-    """What came of an increment.
+    """What came of an increment."""
 
-    Attributes
-    ----------
-    outcome
-        Of its solves.
-    verification
-        What checks of the state say; None where there were none.
-    warnings
-        What makes the state one that is not stable, and cables' ends under the membrane.
-    """
-
-    outcome: Outcome
+    outcome: Outcome  # of its solves
+    # what checks of the state say; None where there were none
     verification: Verification | None = None
+    # what makes the state one that is not stable, and cables' ends under the membrane
     warnings: tuple[StateWarning, ...] = ()
 
 
@@ -50,15 +42,7 @@ MOST_TURNS = 50
 
 
 class IncrementSolver:
-    """Brings a scene to the equilibrium at the loads of an increment, or leaves it as it was.
-
-    Parameters
-    ----------
-    scene
-        The scene; its state is advanced.
-    options
-        Those of the solver.
-    """
+    """Brings a scene to the equilibrium at the loads of an increment, or leaves it as it was."""
 
     def __init__(self, scene: Scene, options: Options) -> None:
         self.scene, self._options = scene, options
@@ -126,18 +110,6 @@ class IncrementSolver:
 
         Where there is none, where a check fails and after an error, also an interrupt, the scene is
         in its state before.
-
-        Parameters
-        ----------
-        target
-            Loads to which a call goes.
-        first
-            State in which the call has begun.
-        before
-            The scene's state.
-        done, goal, steps
-            Steps that are done before and after the increment, and those of the whole call.
-
         """
         history = self.scene.step_history
         try:

@@ -24,22 +24,13 @@ def between(first: float, last: float, share: float) -> float:
 
 @dataclass(frozen=True)
 class InnerPressure:
-    """The inner pressure's way.
+    """The inner pressure's way."""
 
-    Attributes
-    ----------
-    first, last
-        Pressure at its ends (force per area); with fans what is on top of theirs.
-    fans
-        Their control, if there is one.
-    air
-        Sealed air at the way's ends, if there is any.
-    """
-
+    # first, last: pressure at its ends (force per area); with fans what is on top of theirs
     first: float
     last: float
-    fans: FanControl | None = None
-    air: tuple[SealedAir, SealedAir] | None = None
+    fans: FanControl | None = None  # their control, if there is one
+    air: tuple[SealedAir, SealedAir] | None = None  # sealed air at the way's ends, if there is any
 
     @property
     def acts(self) -> bool:
@@ -70,14 +61,7 @@ def checked_pressure(
     temperature: float | None,
     atmosphere: float | None,
 ) -> InnerPressure:
-    """Check the inner pressure that a call to `Solver.advance` asks for; see there.
-
-    Raises
-    ------
-    InputError
-        A pressure of sealed air, or a temperature or an atmosphere of air that is not; a fan
-        control by a load that does not exist; a number that cannot be used.
-    """
+    """Check the inner pressure that a call to `Solver.advance` asks for; see there."""
     air, given = scene.air, {"temperature": temperature, "atmosphere": atmosphere}
     for name, value in given.items():
         if value is not None and air is None:

@@ -25,27 +25,15 @@ from crms_fenicsx.steps.movements import Movements, cable_number, checked_moveme
 
 @dataclass(frozen=True)
 class Target:
-    """Loads to reach, and those to start from.
+    """Loads to reach, and those to start from."""
 
-    Attributes
-    ----------
-    pressure
-        Way of the inner pressure.
-    factors
-        First and last factor of each load that changes, by its name.
-    movements
-        How supports and anchors move.
-    lengths
-        Number of the cable, its first and last unstressed length (length).
-    bar_lengths
-        The same of bars.
-    """
-
-    pressure: InnerPressure
+    pressure: InnerPressure  # way of the inner pressure
+    # first and last factor of each load that changes, by its name
     factors: dict[str, tuple[float, float]]
-    movements: Movements
+    movements: Movements  # how supports and anchors move
+    # number of the cable, its first and last unstressed length (length)
     lengths: list[tuple[int, float, float]]
-    bar_lengths: list[tuple[int, float, float]]
+    bar_lengths: list[tuple[int, float, float]]  # the same of bars
 
     @property
     def moves(self) -> dict[object, list[float]]:
@@ -93,13 +81,7 @@ def checked_target(
     temperature: float | None = None,
     atmosphere: float | None = None,
 ) -> Target:
-    """Check the loads and say what they change; see `Solver.advance`. Collective.
-
-    Raises
-    ------
-    InputError
-        A load that cannot be applied, on all ranks.
-    """
+    """Check the loads and say what they change; see `Solver.advance`. Collective."""
     scene.membrane.check_finite("advance")
     braced = scene.frame.vertices and any(joint.held.any() for joint in scene.joints)
     if not braced and not scene.comm.allreduce(int(scene.held.any())):

@@ -74,24 +74,12 @@ class Rotation:
 
 @dataclass(frozen=True)
 class Motion:
-    """A checked movement of some places.
+    """A checked movement of some places."""
 
-    Attributes
-    ----------
-    what
-        What moves, for messages.
-    move
-        One displacement (3,) for all, or a function.
-    places : (n, 3)
-        Where they are at the call's start (length).
-    steps
-        Increments of the call; a function has been checked at their ends.
-    """
-
-    what: str
-    move: Array | Way
-    places: Array
-    steps: int
+    what: str  # what moves, for messages
+    move: Array | Way  # one displacement (3,) for all, or a function
+    places: Array  # (n, 3) where they are at the call's start (length)
+    steps: int  # increments of the call; a function has been checked at their ends
 
     @classmethod
     def of(cls, what: str, given: object, places: Array, steps: int) -> Motion:
@@ -122,13 +110,7 @@ class Motion:
 
     @cached_property
     def sampled(self) -> Array:
-        """Displacements at the ends of the increments, (steps, n, 3); of one for all the last.
-
-        Raises
-        ------
-        InputError
-            The function returns something else, or does not begin at zero.
-        """
+        """Displacements at the ends of the increments, (steps, n, 3); of one for all the last."""
         if callable(self.move):
             start = self.at(0.0)
             ends = [self.at((k + 1) / self.steps) for k in range(self.steps)]

@@ -23,31 +23,19 @@ TYPE_OF_MOVE = (
 
 @dataclass(frozen=True)
 class Movements:
-    """Movements of supports and anchors, checked.
+    """Movements of supports and anchors, checked."""
 
-    Attributes
-    ----------
-    vertices
-        Local degrees of freedom and the movement of each group.
-    cable_ends
-        Number of the cable, its first (0) or last (-1) node, and that end's movement.
-    joints
-        Number of the joint, and its movement.
-    rigid_translation : (3,)
-        Displacement that all supports have in common, and zero if there is none (length): the
-        whole structure begins each increment displaced by it.
-    travel
-        The longest displacement at the end of an increment (length).
-    samples
-        By what was given numbers that tell a movement from others: the displacement, or sums of
-        what a function gives.
-    """
-
+    # local degrees of freedom and the movement of each group
     vertices: list[tuple[Indices, Motion]]
+    # number of the cable, its first (0) or last (-1) node, and that end's movement
     cable_ends: list[tuple[int, int, Motion]]
-    joints: list[tuple[int, Motion]]
+    joints: list[tuple[int, Motion]]  # number of the joint, and its movement
+    # (3,) displacement that all supports have in common, and zero if there is none (length): the
+    # whole structure begins each increment displaced by it
     rigid_translation: Array
-    travel: float
+    travel: float  # the longest displacement at the end of an increment (length)
+    # by what was given numbers that tell a movement from others: the displacement, or sums of what
+    # a function gives
     samples: dict[object, list[float]]
 
     def apply(self, scene: Scene, first: State, before: float, share: float) -> None:
@@ -87,13 +75,7 @@ class Movements:
 
 
 def checked_movements(scene: Scene, move: Mapping[object, Move], steps: int) -> Movements:
-    """Check movements and say what they change; see `Solver.advance`. Collective.
-
-    Raises
-    ------
-    InputError
-        On all ranks: what cannot be moved, or not so.
-    """
+    """Check movements and say what they change; see `Solver.advance`. Collective."""
     places = scene.positions()
     ends: list[tuple[int, int, Motion]] = []
     joints: list[tuple[int, Motion]] = []

@@ -40,13 +40,7 @@ def checked_options(
     estimate: bool,
     stability: Literal["warn", "refuse", "ignore"],
 ) -> Options:
-    """Check options that a user gives to a solver. Collective.
-
-    Raises
-    ------
-    InputError
-        On all ranks: options that differ between them, or one that cannot be used.
-    """
+    """Check options that a user gives to a solver. Collective."""
     checks.same(
         comm, "Solver", results=results, resume=resume, prefix=prefix, rtol=rtol,
         max_halvings=max_halvings, slide=slide, verify=verify, estimate=estimate,

@@ -51,19 +51,7 @@ class _Part:
 
 
 class SnapThroughSearch:
-    """Looks between the ends of an increment for a jump.
-
-    Parameters
-    ----------
-    increments
-        Solves increments of the scene's loads.
-    target
-        Loads to which a call goes.
-    first
-        State in which the call has begun.
-    steps
-        Steps of the whole call.
-    """
+    """Looks between the ends of an increment for a jump."""
 
     def __init__(
         self, increments: IncrementSolver, target: Target, first: State, steps: int
@@ -85,15 +73,6 @@ class SnapThroughSearch:
         """Find the jump of an increment that the scene is at the end of. Collective.
 
         The scene is afterwards as before.
-
-        Parameters
-        ----------
-        before, history
-            The increment's start, and what step-wise laws knew there.
-        low, high
-            Steps that were done before and after it.
-        balanced
-            Whether its start is an equilibrium; if not, what happens at once has another cause.
         """
         end, began = Snapshot.of(self.scene, self.increments.tried), low
         part = _Part(replace(end, state=before, step_history=history), end.state, low, high)

@@ -12,20 +12,8 @@ def starting_prestress(system: System, target: Target, share: float) -> tuple[fl
     """Estimate the extra prestress in H0 for each of the first stages of a solve. Collective.
 
     A flat sheet has no stiffness against pressure. The stress that it will have is estimated from
-    the load, 0.3 (p^2 L^2 E t)^(1/3), and from the movement; a stressed sheet gets none.
-
-    Parameters
-    ----------
-    system
-        The potential of the scene, which has the loads to solve for.
-    target
-        Loads to which a call goes.
-    share
-        Part of the target's movements that this solve makes.
-
-    Returns
-    -------
-    Prestress of each stage (force per length), the last 0.
+    the load, 0.3 (p^2 L^2 E t)^(1/3), and from the movement; a stressed sheet gets none. Returns
+    prestress of each stage (force per length), the last 0.
     """
     scene, size = system.scene, system.scene.membrane.size
     modulus = max(m.reference_modulus for m in scene.materials.values())

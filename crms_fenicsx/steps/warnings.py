@@ -34,17 +34,6 @@ def warn_of_friction(number: int, scene: Scene, before: State, unsettled: float)
     """Warn of friction forces that have not settled, or that have done work on a cable.
 
     The paper's friction element pushes a cable back that should stick.
-
-    Parameters
-    ----------
-    number
-        The step's.
-    scene
-        In the step's state.
-    before
-        The scene's state before the step.
-    unsettled
-        Error of the friction forces, relative to their sum.
     """
     if scene.comm.rank > 0:
         return
@@ -98,21 +87,7 @@ def no_equilibrium(
     number: int, outcome: Outcome, max_halvings: int, done: float, failed: Sequence[Pond],
     ponds: Sequence[Pond],
 ) -> ConvergenceError:  # fmt: skip
-    """Make the error of a step whose last attempt has failed.
-
-    Parameters
-    ----------
-    number
-        The step's.
-    outcome
-        What the last attempt came to.
-    max_halvings
-        How often the increment was halved.
-    done
-        Part of the loads that are on.
-    failed, ponds
-        The ponds at the last loads tried, and at those that are on.
-    """
+    """Make the error of a step whose last attempt has failed."""
     water = "" if not ponds else (
         f" There may be none under {_names(ponds)}, where water gathers without end: a membrane of "
         "more prestress or slope carries more, a given volume stays as it is. Water that ends at "

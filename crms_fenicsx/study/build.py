@@ -15,13 +15,7 @@ Build = Callable[[MembraneMesh], Solver]
 
 
 def comm_of(study: str, mesh: MembraneMesh) -> MPI.Intracomm:
-    """The ranks of a mesh.
-
-    Raises
-    ------
-    InputError
-        It is no mesh.
-    """
+    """The ranks of a mesh."""
     if not isinstance(mesh, MembraneMesh):
         raise InputError(
             f"{study}: mesh is of type {type(mesh).__name__}; give one of crms_fenicsx.meshes."
@@ -30,13 +24,7 @@ def comm_of(study: str, mesh: MembraneMesh) -> MPI.Intracomm:
 
 
 def built(study: str, build: Build, mesh: MembraneMesh) -> Solver:
-    """The solver that a function builds on a mesh, in equilibrium. Collective.
-
-    Raises
-    ------
-    InputError
-        On all ranks: `build` is no function of a mesh that returns a solver with a load step.
-    """
+    """The solver that a function builds on a mesh, in equilibrium. Collective."""
     with raised_together(mesh.comm):
         if not callable(build):
             raise InputError(

@@ -93,13 +93,7 @@ class Convergence:
     comm: MPI.Intracomm
 
     def __getitem__(self, name: str) -> Quantity:
-        """The quantity with a name.
-
-        Raises
-        ------
-        InputError
-            There is none.
-        """
+        """The quantity with a name."""
         return checks.named("quantity", dict(self.quantities), name)
 
     def table(self) -> str:

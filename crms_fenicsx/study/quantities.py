@@ -43,14 +43,7 @@ class Quantities:
         stresses: Sequence[str],
         others: Mapping[str, Callable[[Solver], float]] | None,
     ) -> Quantities:
-        """Check what a user gives. Collective.
-
-        Raises
-        ------
-        InputError
-            On all ranks: a point that is none or off the stress-free surface, a group or part that
-            does not exist, or what is no function.
-        """
+        """Check what a user gives. Collective."""
         for name, given in (("points", points), ("quantities", others)):
             if given is not None and not isinstance(given, Mapping):
                 raise InputError(
@@ -126,17 +119,7 @@ def _components(name: str, vector: Array, size: float = 0.0) -> dict[str, Value]
 def displacements(scene: Scene, places: Array) -> Array:
     """Displacements of the folded surface's stress-free places nearest to points. Collective.
 
-    Parameters
-    ----------
-    scene
-        The scene in its current state.
-    places : (k, 3)
-        The points (length).
-
-    Returns
-    -------
-    (k, 3)
-        The same on all ranks (length).
+    Shapes and units: places (k, 3) (length). Returns the same on all ranks (length).
     """
     found = _nearest(scene, places)
     return found.positions - found.stress_free

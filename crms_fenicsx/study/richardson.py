@@ -33,37 +33,17 @@ SAME = 1e-7
 
 @dataclass(frozen=True)
 class Extrapolated:
-    """A value in the limit of fine meshes.
+    """A value in the limit of fine meshes."""
 
-    Attributes
-    ----------
-    limit, bar
-        The value, and how far it may be from the truth, in 19 of 20 cases.
-    order
-        Order of convergence that the last three levels show; NaN where they show none.
-    regular
-        Whether it is one that the bar counts on.
-    remark
-        What to know of it, in words.
-    """
-
-    limit: float
+    limit: float  # limit, bar: the value, and how far it may be from the truth, in 19 of 20 cases
     bar: float
-    order: float
-    regular: bool
-    remark: str
+    order: float  # order of convergence that the last three levels show; NaN where they show none
+    regular: bool  # whether it is one that the bar counts on
+    remark: str  # what to know of it, in words
 
 
 def extrapolated(values: Sequence[float], size: float = 0.0) -> Extrapolated:
-    """Extrapolate values on two levels or more, of which each has half the cells' size.
-
-    Parameters
-    ----------
-    values
-        From the coarsest to the finest.
-    size
-        Size of values of the kind, below which differences are told from rounding.
-    """
+    """Extrapolate values on two levels or more, of which each has half the cells' size."""
     differences = [b - a for a, b in pairwise(values)]
     d, finest, scale = differences[-1], values[-1], max(size, *map(abs, values))
     least = SAME * scale

@@ -206,17 +206,8 @@ def located(
 ) -> list[tuple[SurfacePoint, Array] | None]:
     """Return the points of the surface at targets (k, 3), with their positions.
 
-    Parameters
-    ----------
-    target, rows
-        (p,) which cells hold or touch which target, ascending by targets.
-    triangles
-        (p, 3, 3) these cells, in plan if the targets are in plan.
-
-    Returns
-    -------
-    A vertex where one is near, else an edge, else a place in the nearest cell; None for a target
-    without cells.
+    Shapes: target, rows (p,), triangles (p, 3, 3). Returns a vertex where one is near, else an
+    edge, else a place in the nearest cell; None for a target without cells.
     """
     corners, at = surface.cells[rows], targets[target]
     reach = snap * altitudes(triangles)

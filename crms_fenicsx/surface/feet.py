@@ -30,16 +30,7 @@ def feet_of(
 ) -> list[Foot]:
     """Return the nearest places of a surface, the same on all ranks of `comm`.
 
-    Parameters
-    ----------
-    points
-        (n, 3) positions (length).
-    cells
-        (m, 3) rows of `points`; with `comm` the cells that this rank owns, none or some.
-    targets
-        (k, 3) points in space.
-    comm
-        The ranks among which the surface is divided; then the call is collective.
+    Shapes and units: points (n, 3) (length), cells (m, 3), targets (k, 3).
     """
     triangles = points[cells]
     centre, radius = balls(triangles)
@@ -93,12 +84,7 @@ def _nearest(
 def nearest_pairs(centre: Array, radius: Array, targets: Array) -> tuple[Integers, Integers]:
     """Return pairs of targets and cells that may be the nearest ones, as `pairs_within`.
 
-    Parameters
-    ----------
-    centre, radius
-        Balls around the cells, (m, 3) and (m,), at least one.
-    targets
-        (k, 3) points.
+    Shapes: centre, radius (m,), targets (k, 3).
     """
     rows, columns = [], []
     widest = radius.max()

@@ -16,27 +16,18 @@ from crms_fenicsx.surface.points import Edge
 
 @dataclass(frozen=True)
 class Ring:
-    """The neighbours of a vertex, each next to the one that it shares a cell with.
+    """The neighbours of a vertex, each next to the one that it shares a cell with."""
 
-    Attributes
-    ----------
-    neighbours
-        Ids, all around the vertex or from boundary to boundary, in either sense.
-    closed
-        Whether the last and the first neighbour share a cell too: no boundary at the vertex.
-    """
-
+    # ids, all around the vertex or from boundary to boundary, in either sense
     neighbours: tuple[int, ...]
+    # whether the last and the first neighbour share a cell too: no boundary at the vertex
     closed: bool
 
 
 class MissingCells(LookupError):  # noqa: N818 - no error: a request for data
     """Some cells around these vertices are not known here: fetch them and call again.
 
-    Attributes
-    ----------
-    vertices
-        Ids, ascending.
+    Attributes: `vertices`: ids, ascending.
     """
 
     def __init__(self, vertices: Iterable[int]) -> None:
@@ -68,13 +59,7 @@ class Surface(Protocol):
 
 
 def ring_of(vertex: int, link: Iterable[Edge]) -> Ring:
-    """Return the ring of a vertex from the sides opposite to it in its cells, in any order.
-
-    Raises
-    ------
-    MeshError
-        The cells do not form one fan.
-    """
+    """Return the ring of a vertex from the sides opposite to it in its cells, in any order."""
     beside: dict[int, list[int]] = {}
     for a, b in link:
         beside.setdefault(a, []).append(b)

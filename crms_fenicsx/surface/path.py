@@ -40,18 +40,7 @@ Link = AlongEdge | AcrossCell
 class Path:
     """The way of a cable over the membrane, from one end to the other.
 
-    Parameters
-    ----------
-    points
-        Two or more points of the surface; a `CellPoint` only first or last.
-    start_anchor, end_anchor
-        (3,) position (length) off the membrane to which the cable runs on, straight, from the
-        first (last) point; None where the cable ends on the membrane.
-
-    Raises
-    ------
-    PathError
-        Fewer than two points, a `CellPoint` that is no end, an anchor that is no point in space.
+    Shapes and units: start_anchor, end_anchor (3,) (length).
     """
 
     points: tuple[SurfacePoint, ...]
@@ -79,21 +68,8 @@ class Path:
     def positions(self, vertices: Integers, points: Array) -> Array:
         """Return where the path's points are, anchors left out.
 
-        Parameters
-        ----------
-        vertices
-            (n,) global ids.
-        points
-            (n, 3) their positions (length).
-
-        Returns
-        -------
-        (len(points), 3) positions (length).
-
-        Raises
-        ------
-        PathError
-            The path uses a vertex that is not among `vertices`.
+        Shapes and units: vertices (n,), points (n, 3) (length). Returns (len(points), 3) positions
+        (length).
         """
         vertices, points = np.asarray(vertices), np.asarray(points)
         order = np.argsort(vertices, kind="stable")
@@ -113,21 +89,8 @@ class Path:
     def links(self, cells: Integers) -> tuple[Link, ...]:
         """Return the way from each point to the next, and check the whole path.
 
-        Parameters
-        ----------
-        cells
-            (m, 3) global vertex ids; at least the cells around the path.
-
-        Returns
-        -------
-        One `AlongEdge` (vertex to vertex) or `AcrossCell` (through one cell's interior) for each
-        pair of consecutive points.
-
-        Raises
-        ------
-        PathError
-            Consecutive points share no cell, lie on one edge without both being vertices, or
-            the path turns straight back into the cell or edge that it came from.
+        Shapes: cells (m, 3). Returns one `AlongEdge` (vertex to vertex) or `AcrossCell` (through
+        one cell's interior) for each pair of consecutive points.
         """
         surroundings = _Surroundings(cells, self.points)
         links: list[Link] = []
@@ -188,20 +151,10 @@ def without_backtracking(
 ) -> tuple[SurfacePoint, ...]:
     """Return the points without the detours that a polyline makes at its corners.
 
-    A cable that enters a cell and leaves it through the edge it came from does not need that
-    cell: its two points on the edge go, and again where that leaves another such detour. An end
-    inside an edge that the cable then follows becomes a place in a cell next to that edge.
-
-    Parameters
-    ----------
-    points
-        Points of which consecutive ones share a cell; cell points only first or last.
-    cells
-        (m, 3) global vertex ids; at least the cells around the points.
-
-    Returns
-    -------
-    The points that are left, both ends among them; fewer than two where all cancels.
+    A cable that enters a cell and leaves it through the edge it came from does not need that cell:
+    its two points on the edge go, and again where that leaves another such detour. An end inside an
+    edge that the cable then follows becomes a place in a cell next to that edge. Shapes: cells (m,
+    3). Returns the points that are left, both ends among them; fewer than two where all cancels.
     """
     kept = list(points)
     surroundings = _Surroundings(cells, kept)

@@ -58,25 +58,15 @@ class Plane:
 
 @dataclass(frozen=True)
 class Cut:
-    """The cells that a plane cuts or touches, and where it meets their corners and their sides.
+    """The cells that a plane cuts or touches, and where it meets their corners and their sides."""
 
-    Attributes
-    ----------
-    ids : (q, 3)
-        Ids of the corners.
-    meets, places : (q, 6), (q, 6, 3)
-        Which corners lie in the plane and which sides cross it, and where.
-    fractions : (q, 3)
-        Where sides cross it, from their ends with the lower ids.
-    lengths : (q,)
-        Distances of the first two of these places.
-    """
-
-    ids: list[list[int]]
+    ids: list[list[int]]  # (q, 3) ids of the corners
+    # meets, places: (q, 6), (q, 6, 3) which corners lie in the plane and which sides cross it, and
+    # where
     meets: list[list[bool]]
-    fractions: list[list[float]]
+    fractions: list[list[float]]  # (q, 3) where sides cross it, from their ends with the lower ids
     places: Array
-    lengths: list[float]
+    lengths: list[float]  # (q,) distances of the first two of these places
 
 
 def strips(

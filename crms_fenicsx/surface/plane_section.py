@@ -35,14 +35,7 @@ FACING = float(np.sqrt(0.5))
 class Section:
     """The section of a surface with a plane, as a graph of the points it meets.
 
-    Parameters
-    ----------
-    points, positions
-        Each node's point of the surface and its position (length).
-    arcs
-        Each node's neighbours, with the lengths to them.
-    cells
-        The nodes of each cell (its vertices' ids, in any order) that the section meets.
+    Units: points, positions (length).
     """
 
     points: dict[Node, SurfacePoint]

@@ -24,18 +24,7 @@ def edge_of(a: int, b: int) -> Edge:
 
 @dataclass(frozen=True)
 class VertexPoint:
-    """A point of a path on a vertex of the mesh.
-
-    Parameters
-    ----------
-    vertex
-        Global id of the vertex.
-
-    Raises
-    ------
-    PathError
-        Negative id.
-    """
+    """A point of a path on a vertex of the mesh."""
 
     vertex: int
 
@@ -62,17 +51,7 @@ class VertexPoint:
 class EdgePoint:
     """A point of a path strictly inside an edge of the mesh.
 
-    Parameters
-    ----------
-    edge
-        Global ids (a, b) of the edge's vertices, a < b.
-    fraction
-        Place on the edge, from a (0) to b (1), both excluded.
-
-    Raises
-    ------
-    PathError
-        a < b is not so, or the fraction lies outside (0, 1).
+    Shapes: edge (a, b).
     """
 
     edge: tuple[int, int]
@@ -108,18 +87,7 @@ class EdgePoint:
 class CellPoint:
     """An end of a cable that is tied to the membrane inside a cell.
 
-    Parameters
-    ----------
-    cell
-        Global ids of the cell's vertices; kept in ascending order, the weights with them.
-    weights
-        (3,) barycentric weights of the three vertices, none negative, of sum 1. A weight is zero
-        where the cable ends inside an edge that it runs along.
-
-    Raises
-    ------
-    PathError
-        Repeated vertices, or weights that are no place in the cell.
+    Shapes: weights (3,).
     """
 
     cell: tuple[int, int, int]

@@ -13,19 +13,11 @@ from crms_fenicsx.runtime.arrays import Array, Indices, Integers
 
 
 class Polygons(NamedTuple):
-    """Polygons that some cells are cut into.
+    """Polygons that some cells are cut into."""
 
-    Attributes
-    ----------
-    starts : (n + 1,), corners : (m,)
-        Their corners in CSR form.
-    cell : (n,)
-        Which cell each is a part of.
-    """
-
-    starts: Integers
+    starts: Integers  # starts (n + 1,), corners (m,): their corners in CSR form
     corners: Integers
-    cell: Integers
+    cell: Integers  # (n,) which cell each is a part of
 
 
 def fan_facets(starts: Integers, corners: Integers) -> tuple[Indices, Array]:
@@ -71,16 +63,7 @@ def split_polygons(
 ) -> Polygons:
     """Cut cells along chords.
 
-    Parameters
-    ----------
-    rims
-        Corners around the n cells in CSR form.
-    chords_of : (n + 1,)
-        Where the chords of each cell begin.
-    chords
-        Points of the chords in CSR form: from one corner to another those inside, which are shared
-        by the chords that cross there. A chord's end that is neither a corner nor shared is left
-        out.
+    Shapes: chords_of (n + 1,).
     """
     n, starts, corners, cell = _split_polygons(*rims, chords_of, *chords)
     return Polygons(starts[: n + 1], corners[: starts[n]], cell[:n])

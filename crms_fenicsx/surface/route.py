@@ -52,31 +52,9 @@ def near_section(
 ) -> Booleans:
     """Mark the cells that `trace` needs: it finds the same path on them as on the whole mesh.
 
-    Parameters
-    ----------
-    points
-        (n, 3) current positions (length).
-    cells
-        (m, 3) rows of `points` that make up each triangle; with `comm` the cells that this rank
-        owns, none or some.
-    route, snap
-        As for `trace`.
-    comm
-        The ranks among which the mesh is divided; then the call is collective and all give
-        the same route.
-    along_legs
-        Whether to take the cells along the legs only, which are enough for legs that go straight
-        on.
-
-    Returns
-    -------
-    (m,) mask. A strip along every leg's plane, across the whole mesh or along the leg, and the
-    cells nearest to each route point. From what may be an anchor it is always the whole mesh.
-
-    Raises
-    ------
-    PathError
-        As `trace`, for a bad route; on all ranks.
+    Shapes and units: points (n, 3) (length), cells (m, 3). Returns (m,) mask. A strip along every
+    leg's plane, across the whole mesh or along the leg, and the cells nearest to each route point.
+    From what may be an anchor it is always the whole mesh.
     """
     course = checked_route(route, snap)
     x = np.asarray(points, dtype=np.float64).reshape(-1, 3)

@@ -49,45 +49,10 @@ def trace(
 ) -> Path:
     """Return the path that a cable takes over the surface along a route.
 
-    Parameters
-    ----------
-    vertices
-        (n,) global ids of the vertices, each once.
-    points
-        (n, 3) their current positions (length).
-    cells
-        (m, 3) rows of `points` that make up each triangle. For a route in space all cells are
-        oriented alike.
-    route
-        (k, 2) points in plan: legs are the surface's sections with vertical planes, and points
-        lie on the uppermost sheet. Or (k, 3) points in space: points go to the nearest place of
-        the surface, and the plane of a leg holds both its ends and the mean of the surface's
-        normals there, so that a turned surface has the same path, turned.
-        In space, a first or last point off the membrane is an anchor. Beyond the boundary, the
-        path begins where the leg's section first meets the boundary, seen from the anchor; over
-        the membrane, at the section's place nearest to the anchor.
-    snap
-        Vertices nearer to a section than this part of the smallest altitude of the cells around
-        them count as lying in it; route points as near to a vertex or an edge lie on it.
-    known
-        Places on the surface of points of a route in space, by their numbers; others are found.
-    along_legs
-        Whether the cells are those along the legs only, see `near_section`.
-
-    Returns
-    -------
-    A valid path, which passes every point of the route on the surface, in order. Corners of the
-    route that lie inside cells are cut off: the points where it enters and leaves such a cell are
-    linked, or cancel where it leaves as it came; by no more than a cell's size.
-
-    Raises
-    ------
-    PathError
-        The input is no surface or no route, the route leaves the membrane or could only go around
-        its back, an anchor lies inside, a leg has no section, or the route comes back through the
-        cells that it went out by; the message names the place.
-    IndirectLeg
-        The cells along the legs are not enough.
+    Shapes and units: vertices (n,), points (n, 3) (length), cells (m, 3), route (k, 3). Returns a
+    valid path, which passes every point of the route on the surface, in order. Corners of the route
+    that lie inside cells are cut off: the points where it enters and leaves such a cell are linked,
+    or cancel where it leaves as it came; by no more than a cell's size.
     """
     surface = Surface.checked(vertices, points, cells)
     course = checked_route(route, snap)

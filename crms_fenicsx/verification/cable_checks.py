@@ -60,27 +60,17 @@ by which the solver stops: a state that fails them is doubtful."""
 
 @dataclass(frozen=True)
 class _Nodes:
-    """A cable's nodes as tables.
+    """A cable's nodes as tables."""
 
-    Attributes
-    ----------
-    ids, weights : (n, 3)
-        Vertices on which a node lies, and their weights; those of sliding points are found from
-        their fractions.
-    on, slides : (n,)
-        Whether a node has a place on the mesh, and slides along an edge.
-    on_edge : (n,)
-        How many points of cables that touch the membrane lie on a node's edge.
-    breaks
-        How often two nodes in a row do not lie on one cell.
-    """
-
+    # ids, weights: (n, 3) vertices on which a node lies, and their weights; those of sliding points
+    # are found from their fractions
     ids: Integers
     weights: Array
+    # on, slides: (n,) whether a node has a place on the mesh, and slides along an edge
     on: Booleans
     slides: Booleans
-    on_edge: Integers
-    breaks: int
+    on_edge: Integers  # (n,) how many points of cables that touch the membrane lie on a node's edge
+    breaks: int  # how often two nodes in a row do not lie on one cell
 
     @classmethod
     def of(cls, cable: LaidCable, strip: Strip, points: Mapping[Edge, int]) -> _Nodes:
@@ -117,13 +107,7 @@ class CableVerifier:
     def check(self, system: System, ends: Array) -> list[Check]:
         """Check all cables. Collective.
 
-        Parameters
-        ----------
-        system
-            The potential that was minimised, with the unbalanced forces, and those of supports, in
-            its gradient.
-        ends : (n, 2, 3)
-            Where the cables' first and last nodes were told to be.
+        Shapes: ends (n, 2, 3).
         """
         assert system.cables is not None
         scene, numbering = system.scene, system.cables.numbering

@@ -37,14 +37,7 @@ def contacts(
 ) -> dict[str, float]:
     """How hard the cable pulls the membrane outward, and how deep it runs below it.
 
-    Parameters
-    ----------
-    cable
-        A cable in tension.
-    on_mesh, on_edge : (n,)
-        Whether its nodes have a place on the mesh, and how many points that touch lie on the edge.
-    shape
-        Positions of the vertices around.
+    Shapes: on_mesh, on_edge (n,).
     """
     pull = depth = 0.0
     on = [k for k in may_lift(cable) if not cable.lifted[k]]
@@ -71,14 +64,7 @@ def contacts(
 def forces(cable: LaidCable, shape: StripShape, free: float) -> dict[str, float]:
     """Forces on a cable to those with which it presses on the membrane: see `_held`, `_friction`.
 
-    Parameters
-    ----------
-    cable
-        A cable in tension.
-    shape
-        Positions of the vertices around.
-    free
-        Norm of the forces on its points that nothing balances (force).
+    Units: free (force).
     """
     ways = np.diff(cable.positions[cable.contacts()], axis=0)
     (long,) = np.nonzero(norm(ways) > SAME_PLACE * cable.length)  # others have no direction

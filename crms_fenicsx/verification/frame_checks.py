@@ -19,16 +19,7 @@ PLACE = 1e-12
 
 
 def check_frame(system: System, bars: BarContribution) -> list[Check]:
-    """Check all bars and joints. Collective.
-
-    Parameters
-    ----------
-    system
-        The potential that was minimised, with the unbalanced forces, and those of supports, in its
-        gradient.
-    bars
-        The scene's bars in it.
-    """
+    """Check all bars and joints. Collective."""
     scene = system.scene
     free, own = _free_forces(system, bars), _own_forces(scene)
     worst = np.concatenate([_errors(system, bars), free])

@@ -19,28 +19,15 @@ doubtful: the solver stops by the largest forces of all, beside which a part's m
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that is true of an equilibrium.
+    """One thing that is true of an equilibrium."""
 
-    Attributes
-    ----------
-    name
-        What is checked.
-    value
-        How far it is from true, without a unit.
-    limit
-        How far it may be.
-    where
-        The cable, bar or joint for which it is worst; empty if it concerns the scene.
-    binding
-        Whether a state that fails is no result. What depends on how coarse the mesh is, as the
-        contact of single points, or on forces that are small beside the scene's, only makes it
-        doubtful.
-    """
-
-    name: str
-    value: float
-    limit: float
-    where: str = ""
+    name: str  # what is checked
+    value: float  # how far it is from true, without a unit
+    limit: float  # how far it may be
+    where: str = ""  # the cable, bar or joint for which it is worst; empty if it concerns the scene
+    # whether a state that fails is no result. What depends on how coarse the mesh is, as the
+    # contact of single points, or on forces that are small beside the scene's, only makes it
+    # doubtful.
     binding: bool = True
 
     @property
@@ -56,20 +43,11 @@ class Check:
 
 @dataclass(frozen=True, repr=False)
 class Verification:
-    """What came of the checks of a load step.
+    """What came of the checks of a load step."""
 
-    Attributes
-    ----------
-    checks
-        All of them.
-    seconds
-        Wall time that they took.
-    warnings
-        What the state's user is warned of, though it is an equilibrium.
-    """
-
-    checks: tuple[Check, ...]
-    seconds: float
+    checks: tuple[Check, ...]  # all of them
+    seconds: float  # wall time that they took
+    # what the state's user is warned of, though it is an equilibrium
     warnings: tuple[StateWarning, ...] = ()
 
     @property
@@ -96,13 +74,7 @@ class Verification:
         return not self.failed
 
     def __getitem__(self, name: str) -> Check:
-        """The check with a name.
-
-        Raises
-        ------
-        KeyError
-            There was none.
-        """
+        """The check with a name."""
         for check in self.checks:
             if check.name == name:
                 return check

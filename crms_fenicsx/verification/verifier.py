@@ -69,13 +69,7 @@ NEGLIGIBLE = 1e-300
 
 
 class Verifier:
-    """Checks load steps of a scene.
-
-    Parameters
-    ----------
-    scene
-        The scene.
-    """
+    """Checks load steps of a scene."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene, self.comm = scene, scene.comm
@@ -100,13 +94,6 @@ class Verifier:
         """Check the state that a solve has left in the scene and in the potential. Collective.
 
         Both are afterwards as they were.
-
-        Parameters
-        ----------
-        system
-            The potential that was minimised.
-        outcome
-            What the solve came to.
         """
         began = time.perf_counter()
         force = max(outcome.scale, NEGLIGIBLE)

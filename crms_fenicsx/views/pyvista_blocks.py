@@ -26,21 +26,7 @@ def blocks_of(
 ) -> Any:
     """Return a ``pyvista.MultiBlock`` of the block "membrane" and of those that have something.
 
-    Parameters
-    ----------
-    surface
-        The whole surface.
-    lines
-        Lines of each block by its name.
-    points
-        Points (n, 3) of each block by its name, their held directions (n, 3), and their names.
-    radius
-        Of the tubes that lines become (length); 0: they stay lines; None: `SLENDER`.
-
-    Raises
-    ------
-    ImportError
-        There is no pyvista.
+    Shapes and units: points (n, 3), radius (length).
     """
     pyvista = _pyvista()
     surface = surface.checked()

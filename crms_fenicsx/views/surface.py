@@ -19,12 +19,7 @@ def surface_piece(
 ) -> Surface:
     """This rank's piece of the surface, with the points' "displacement". Collective.
 
-    Parameters
-    ----------
-    membrane, shape
-        The membrane, and this rank's part of its current surface.
-    fields : dict of (n,) or (n, c)
-        Values of this rank's owned cells by name; the facets of a folded cell have its own.
+    Shapes: fields (n,).
     """
     return Surface(
         shape.points,
@@ -53,15 +48,7 @@ def _homes(membrane: Membrane, points: int) -> Integers:
 
 
 def whole_surface(comm: MPI.Intracomm, piece: Surface) -> Surface | None:
-    """The surface of all ranks' pieces, on the first rank; None on the others. Collective.
-
-    Parameters
-    ----------
-    comm
-        The ranks.
-    piece
-        That of `surface_piece`; all have data of the same names.
-    """
+    """The surface of all ranks' pieces, on the first rank; None on the others. Collective."""
     pieces = comm.gather(piece)
     if pieces is None:
         return None

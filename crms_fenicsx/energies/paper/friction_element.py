@@ -22,31 +22,15 @@ from crms_fenicsx.runtime.arrays import Array, Indices
 
 @dataclass(frozen=True)
 class FrictionElements:
-    """This rank's friction elements.
+    """This rank's friction elements."""
 
-    Attributes
-    ----------
-    blocks : (n, 2)
-        Membrane node and cable point.
-    forces : (n, 3)
-        F d, the direction that of the sliding that is resisted (force).
-    offsets : (n,)
-        Energy at zero displacements (force x length).
-    """
-
-    blocks: Indices
-    forces: Array
-    offsets: Array
+    blocks: Indices  # (n, 2) membrane node and cable point
+    forces: Array  # (n, 3) F d, the direction that of the sliding that is resisted (force)
+    offsets: Array  # (n,) energy at zero displacements (force x length)
 
 
 class FrictionElementEnergy(EnergyTerm):
-    """Work against the friction elements in a load step, (3.3-2).
-
-    Parameters
-    ----------
-    table
-        This rank's elements.
-    """
+    """Work against the friction elements in a load step, (3.3-2)."""
 
     name = "friction"
     of_cables = True

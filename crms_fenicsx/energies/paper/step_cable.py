@@ -18,11 +18,6 @@ class StepCableTension(CableTension):
 
     The tension grows from its value at the step's start, T_n, by ``EA/l_n (l - l_n)``, l_n the
     length at the step's start. As in the paper a cable may be compressed.
-
-    Parameters
-    ----------
-    starts
-        For each cable the state at the step's start, None where the cable has the total law.
     """
 
     has_history = True

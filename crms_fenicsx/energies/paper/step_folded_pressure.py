@@ -29,13 +29,7 @@ def _add_area_forces(X, x, corners, weights, factor, g):  # type: ignore[no-unty
 
 
 class FoldedStepPressure(EnergyTerm):
-    """The paper's nodal forces, constant in a step, on folded cells; see `loads.StepPressure`.
-
-    Parameters
-    ----------
-    gained
-        Volume gained in the steps before, a one-element array kept by the caller.
-    """
+    """The paper's nodal forces, constant in a step, on folded cells; see `loads.StepPressure`."""
 
     name = "pressure"
     of_cables = True

@@ -45,16 +45,7 @@ def strain_increment(old: Any, new: Any) -> Any:
 def rotated_stiffness(stiffness: Array, directions: Array) -> Array:
     """Voigt stiffness in frames whose x axes are given in the material axes.
 
-    Parameters
-    ----------
-    stiffness
-        (3, 3), in the material axes.
-    directions
-        (n, 2), not necessarily of unit length.
-
-    Returns
-    -------
-    (n, 3, 3)
+    Shapes: stiffness (3, 3), directions (n, 2). Returns (n, 3, 3).
     """
     c, s = (directions / np.linalg.norm(directions, axis=1)[:, None]).T
     zero_row = [c * c, s * s, -c * s]
@@ -80,19 +71,8 @@ def rotated_stress(stress: Array, directions: Array) -> Array:
 def second_piola(stress: Array, shape: Array, stress_free: Array, directions: Array) -> Array:
     """Second Piola-Kirchhoff section forces in the material axes from those in the cells' frames.
 
-    Parameters
-    ----------
-    stress
-        Section forces per current length in the frame of a side, (n, 3).
-    shape, stress_free
-        Current and stress-free shapes (a, e, f) in that frame, (n, 3).
-    directions
-        The stress-free side in the material axes, (n, 2).
-
-    Returns
-    -------
-    (n, 3)
-        S = J F^-1 sigma F^-T.
+    Shapes: stress (n, 3), shape, stress_free (n, 3), directions (n, 2). Returns S = J F^-1 sigma
+    F^-T.
     """
     (a, e, f), (a0, e0, f0) = shape.T, stress_free.T
     F = np.zeros((len(shape), 2, 2))
@@ -109,17 +89,8 @@ class StepMembraneEnergy(MembraneEnergy):
 
     H0 is that of the total formulation.
 
-    Attributes
-    ----------
-    history : Function
-        Per cell the state at the step's start: section forces (11, 22, 12) and shape (a, e, f).
-    energy_n
-        Strain energy of all steps before (force x length).
-
-    Raises
-    ------
-    InputError
-        A material that wrinkles: the paper's law has no such state.
+    Attributes: `history`: per cell the state at the step's start: section forces (11, 22, 12) and
+    shape (a, e, f); `energy_n`: strain energy of all steps before (force x length).
     """
 
     has_history = True

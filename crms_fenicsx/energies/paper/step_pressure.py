@@ -16,13 +16,10 @@ class StepPressure(EnergyTerm):
     """The paper's pressure: nodal forces that keep direction and size in a step, (2.4-1, 2).
 
     A node carries a third of the area of each of its cells. The volume is summed up step by step,
-    which is exact only as the steps get small. It needs no held edges.
-    Parameters are those of `FollowerPressure`.
+    which is exact only as the steps get small. It needs no held edges. Parameters are those of
+    `FollowerPressure`.
 
-    Attributes
-    ----------
-    volume_n
-        Volume gained in all steps before (length cubed).
+    Attributes: `volume_n`: volume gained in all steps before (length cubed).
     """
 
     name = "pressure"

@@ -74,27 +74,8 @@ def check_view(view: tuple[float, float]) -> None:
 class Axes3D:
     """A figure with an axes that shows the camera's picture at a known scale.
 
-    Parameters
-    ----------
-    camera : Camera
-    low, high : (3,) arrays of length
-        Corners of the box that must be seen.
-    title : str
-    bars : int
-        How many colour bars stand at the right.
-    width : float
-        The figure's, in inches.
-    beside : float
-        Width in inches that stays free at the right, of the figure's.
-    tall : float
-        Least height in inches.
-
-    Attributes
-    ----------
-    figure, axes
-        Of matplotlib.
-    point : float
-        Length of the picture that one typographic point (1/72 inch) shows.
+    Attributes: `figure`, `axes`: of matplotlib; `point`: length of the picture that one typographic
+    point (1/72 inch) shows. Shapes: low, high (3,).
     """
 
     def __init__(
@@ -256,10 +237,7 @@ class Axes3D:
     def add_legend(self, entries: Sequence[tuple[Any, str, str]]) -> None:
         """Say what colours are, in the box's upper right corner.
 
-        Parameters
-        ----------
-        entries : sequence of (colour, text, kind)
-            A kind is "patch", "line" or "stripes". Those without a text are left out.
+        Shapes: entries (colour, text, kind).
         """
         from matplotlib.lines import Line2D
         from matplotlib.patches import Patch

@@ -12,23 +12,14 @@ from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 
 @dataclass(frozen=True)
 class Camera:
-    """A viewer who looks at a point.
+    """A viewer who looks at a point."""
 
-    Attributes
-    ----------
-    azimuth, elevation : float
-        Where the viewer stands, in degrees: azimuth counterclockwise from the x axis, elevation
-        above the horizontal plane. (-90, 90) is the plan with x to the right.
-    centre : (3,) array of length
-        The point in the picture's middle.
-    distance : float
-        From the viewer to the centre; infinite for a parallel projection.
-    """
-
+    # azimuth, elevation: where the viewer stands, in degrees: azimuth counterclockwise from the x
+    # axis, elevation above the horizontal plane. (-90, 90) is the plan with x to the right.
     azimuth: float
     elevation: float
-    centre: ArrayLike
-    distance: float = np.inf
+    centre: ArrayLike  # (3,) array of length the point in the picture's middle
+    distance: float = np.inf  # from the viewer to the centre; infinite for a parallel projection
 
     @property
     def axes(self) -> Array:
@@ -71,19 +62,7 @@ def brightness(camera: Camera, corners: Array) -> tuple[Array, Array]:
 def visible(samples: Array, corners: Array, tolerance: float) -> Booleans:
     """Say which points no triangle hides.
 
-    Parameters
-    ----------
-    samples : (s, 3) array
-        Projected points: right, up, nearness.
-    corners : (m, 3, 3) array
-        Projected corners of the triangles.
-    tolerance : float
-        A triangle hides a point when it is nearer by more than this, so that a point on the
-        surface is seen.
-
-    Returns
-    -------
-    (s,) array of bool
+    Shapes: samples (s, 3), corners (m, 3, 3). Returns (s,) array of bool.
     """
     seen = np.ones(len(samples), dtype=bool)
     if len(corners) == 0 or len(samples) == 0:

@@ -34,27 +34,7 @@ def draw_convergence(
     title: str = "",
     width: float = 8.0,
 ) -> Figure | None:
-    """Plot how far values are from their limits, in parts of their sizes. Collective.
-
-    Parameters
-    ----------
-    comm
-        Ranks that come here.
-    filename
-        Picture to write; None returns it, on the first rank.
-    cells
-        Number of cells on each level.
-    series
-        By the quantities' names. The bar of a limit is that of each of its points; what is the
-        same on all levels is left out.
-    title, width
-        Of the picture, the width in inches.
-
-    Raises
-    ------
-    InputError
-        On all ranks: a file that cannot be written.
-    """
+    """Plot how far values are from their limits, in parts of their sizes. Collective."""
     file = given_file("draw", filename)
     with raised_together(comm):
         if comm.rank == 0:

@@ -128,13 +128,7 @@ def _draw_panels(
 
 
 def units_of_results(length: str, force: str) -> dict[str, str]:
-    """Units of the quantities that results hold, as far as those of length and force tell.
-
-    Parameters
-    ----------
-    length, force
-        As they are written, such as "cm" and "kgf"; "" where unknown.
-    """
+    """Units of the quantities that results hold, as far as those of length and force tell."""
     found = {"length": length, "L0": length, "volume": f"{length}³" if length else ""}
     found |= {"tension": force, "residual": force}
     if length and force:

@@ -25,24 +25,14 @@ _SHORTEST = 3  # pieces of a line: less is a speck in a crease
 
 @dataclass(frozen=True)
 class LineStyle:
-    """How lines are painted.
+    """How lines are painted."""
 
-    Attributes
-    ----------
-    values
-        Of each line that has a colour by value: one, one per point or one per segment.
-    paint
-        Map from values to colours; None: all in the colour of a plain cable.
-    note
-        What a legend says of a value that all lines have, or "".
-    off : list of (k - 1,)
-        Segments of each line that are off the surface.
-    """
-
+    # of each line that has a colour by value: one, one per point or one per segment
     values: list[Array]
+    # map from values to colours; None: all in the colour of a plain cable
     paint: ScalarMappable | None
-    note: str
-    off: list[Booleans]
+    note: str  # what a legend says of a value that all lines have, or ""
+    off: list[Booleans]  # segments of each line that are off the surface
 
 
 def line_style(
@@ -101,18 +91,7 @@ def paint_lines(
 ) -> None:
     """Paint what is seen of lines.
 
-    Parameters
-    ----------
-    axes3d, lines, style
-        Where, what and how.
-    triangles : (m, 3, 3)
-        Projected corners of the triangles that may hide them.
-    tolerance
-        As for `visible`.
-    clip
-        Lowest and highest corner of a box outside of which nothing is painted.
-    show_names
-        Write each line's name beside it.
+    Shapes: triangles (m, 3, 3).
     """
     from matplotlib.collections import LineCollection
 

@@ -40,20 +40,11 @@ SIGNED = "RdYlBu_r"
 
 @dataclass(frozen=True)
 class Colour:
-    """Something that the membrane can be coloured by.
+    """Something that the membrane can be coloured by."""
 
-    Attributes
-    ----------
-    label
-        Of the colour bar.
-    unit
-        Key of `units`, or "".
-    values
-        One for each triangle or point, from the surface and the membrane's results.
-    """
-
-    label: str
-    unit: str
+    label: str  # of the colour bar
+    unit: str  # key of `units`, or ""
+    # one for each triangle or point, from the surface and the membrane's results
     values: Callable[[CurrentSurface, MembraneResults], Array]
 
 

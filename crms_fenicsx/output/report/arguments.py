@@ -24,31 +24,15 @@ from crms_fenicsx.steps.load_cases import Combination
 
 @dataclass(frozen=True)
 class Plan:
-    """What a report is to be: the arguments of `Reporting.report`, checked.
+    """What a report is to be: the arguments of `Reporting.report`, checked."""
 
-    Attributes
-    ----------
-    path
-        Of the page.
-    title, about
-        Heading, and names and texts below it.
-    units
-        Names of the units.
-    cable_strengths
-        By the cables' names (force).
-    colours
-        Of the pictures.
-    look
-        Options of `draw` that all pictures have.
-    """
-
-    path: Path
-    title: str
+    path: Path  # of the page
+    title: str  # title, about: heading, and names and texts below it
     about: dict[str, str]
-    units: Units
-    cable_strengths: dict[str, float]
-    colours: tuple[str, ...]
-    look: dict[str, Any]
+    units: Units  # names of the units
+    cable_strengths: dict[str, float]  # by the cables' names (force)
+    colours: tuple[str, ...]  # of the pictures
+    look: dict[str, Any]  # options of `draw` that all pictures have
 
 
 def checked_plan(
@@ -64,22 +48,7 @@ def checked_plan(
     pictures: Sequence[str] | None = None,
     view: tuple[float, float] = (-60.0, 30.0),
 ) -> Plan:
-    """Check the arguments of a report. Collective on `comm`.
-
-    Parameters
-    ----------
-    comm
-        The ranks that give them.
-    scene
-        What the report is about.
-    filename, title, about, unit, force, cable_strengths, pictures, view
-        As for `Reporting.report`.
-
-    Raises
-    ------
-    InputError
-        On all ranks: one that cannot be used.
-    """
+    """Check the arguments of a report. Collective on `comm`."""
     checks.same(
         comm, "report", filename=filename, title=title, about=about, unit=unit, force=force,
         cable_strengths=cable_strengths, pictures=pictures, view=view,
@@ -94,13 +63,7 @@ def checked_plan(
 
 
 def checked_path(comm: MPI.Intracomm, filename: str | Path) -> Path:
-    """Path of a page that can be written. Collective.
-
-    Raises
-    ------
-    InputError
-        On all ranks: it cannot be.
-    """
+    """Path of a page that can be written. Collective."""
     path = absolute(checks.file("report: filename", filename), comm)
     with raised_together(comm):
         if comm.rank == 0:
@@ -111,13 +74,7 @@ def checked_path(comm: MPI.Intracomm, filename: str | Path) -> Path:
 def checked_states(
     scene: Scene, combinations: Mapping[str, Combination] | None
 ) -> dict[str, Combination]:
-    """Combinations of a scene; none for its current state.
-
-    Raises
-    ------
-    InputError
-        They are no combinations, or of another scene.
-    """
+    """Combinations of a scene; none for its current state."""
     if combinations is None:
         return {}
     if not isinstance(combinations, Mapping) or not combinations:
@@ -141,13 +98,7 @@ def checked_states(
 def checked_labels(
     title: str, about: Mapping[str, str] | None, unit: str, force: str
 ) -> tuple[str, dict[str, str]]:
-    """Title and texts below it.
-
-    Raises
-    ------
-    InputError
-        They are no texts.
-    """
+    """Title and texts below it."""
     for name, value in (("title", title), ("unit", unit), ("force", force)):
         if not isinstance(value, str):
             raise InputError(f"report: {name} = {value!r} is no text; give one, or ''.")
@@ -165,13 +116,7 @@ def checked_labels(
 def checked_cable_strengths(
     scene: Scene, strengths: Mapping[str, float] | None
 ) -> dict[str, float]:
-    """Strengths of cables by their names (force).
-
-    Raises
-    ------
-    InputError
-        A cable that does not exist, or a strength that is not positive.
-    """
+    """Strengths of cables by their names (force)."""
     strengths = {} if strengths is None else strengths
     if not isinstance(strengths, Mapping):
         raise InputError(
@@ -187,13 +132,7 @@ def checked_cable_strengths(
 
 
 def checked_pictures(scene: Scene, pictures: Sequence[str] | None) -> tuple[str, ...]:
-    """What colours the membrane in pictures.
-
-    Raises
-    ------
-    InputError
-        Something that `draw` does not know, or utilisation without strengths.
-    """
+    """What colours the membrane in pictures."""
     has = bool(scene.membrane.strengths)
     if pictures is None:
         woven = any(isinstance(x, OrthotropicMembrane) for x in scene.materials.values())

@@ -34,28 +34,16 @@ class Picture:
 
 @dataclass(frozen=True)
 class Case:
-    """A load case as a report shows it; plain data that can be sent to other processes.
+    """A load case as a report shows it; plain data that can be sent to other processes."""
 
-    Attributes
-    ----------
-    name
-        Of the combination.
-    summary
-        Its extremes.
-    verification
-        What checks of this very state say; None if it was not verified in this run.
-    low, high
-        Corners of the box around membrane, cables and bars (length).
-    pictures
-        On the first rank.
-    """
-
-    name: str
-    summary: Summary
+    name: str  # of the combination
+    summary: Summary  # its extremes
+    # what checks of this very state say; None if it was not verified in this run
     verification: Verification | None
+    # low, high: corners of the box around membrane, cables and bars (length)
     low: tuple[float, ...]
     high: tuple[float, ...]
-    pictures: tuple[Picture, ...] = ()
+    pictures: tuple[Picture, ...] = ()  # on the first rank
 
 
 def case_of(solver: HasSystem, name: str) -> Case:
@@ -74,19 +62,7 @@ def case_of(solver: HasSystem, name: str) -> Case:
 def with_pictures(
     solver: HasSystem, case: Case, every: Sequence[Case], colours: Sequence[str], look: Any
 ) -> Case:
-    """The case of a solver's current state with pictures of it. Collective.
-
-    Parameters
-    ----------
-    solver, case
-        The solver, and what `case_of` returned for its state.
-    every
-        All cases, which have one scale and one box.
-    colours
-        What colours the membrane, as for `draw`, or `TENSION`: a picture each.
-    look
-        Options of `draw`, by name.
-    """
+    """The case of a solver's current state with pictures of it. Collective."""
     common = _common(every)
     options = {"box": common[0], "line_limits": common[1], **look}
     if common[1] is not None and common[1][0] < 0.0:

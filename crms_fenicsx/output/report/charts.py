@@ -14,17 +14,7 @@ MOST_BARS = 40
 
 
 def bars(caption: str, rows: Sequence[tuple[str, float, float]], limit: float | None = None) -> str:
-    """A figure with a bar for each row; "" for more than `MOST_BARS` or for nothing but zeros.
-
-    Parameters
-    ----------
-    caption
-        What is shown, with its unit.
-    rows
-        Name, least and largest value of each, none negative.
-    limit
-        Value that none should exceed, shown as a line; None: there is none.
-    """
+    """A figure with a bar for each row; "" for more than `MOST_BARS` or for nothing but zeros."""
     most = max([high for _, _, high in rows] + ([limit] if limit is not None else []), default=0.0)
     if not 0 < len(rows) <= MOST_BARS or most <= 0.0:
         return ""

@@ -63,31 +63,16 @@ class Model:
 
 @dataclass(frozen=True)
 class Report:
-    """All that a report is made of.
+    """All that a report is made of."""
 
-    Attributes
-    ----------
-    title, about
-        Heading, and names and texts below it.
-    units
-        Names of the units.
-    model
-        What was computed, with its picture.
-    cases
-        What came of it, one or more.
-    cable_strengths
-        By the cables' names (force).
-    left_out
-        How many pictures there is no room for.
-    """
-
-    title: str
+    title: str  # title, about: heading, and names and texts below it
     about: Mapping[str, str]
-    units: Units
-    model: Model
-    cases: Sequence[Case]
+    units: Units  # names of the units
+    model: Model  # what was computed, with its picture
+    cases: Sequence[Case]  # what came of it, one or more
+    # by the cables' names (force)
     cable_strengths: Mapping[str, float] = field(default_factory=dict)
-    left_out: int = 0
+    left_out: int = 0  # how many pictures there is no room for
 
     def html(self) -> str:
         """The page, with as many pictures as there is room for."""

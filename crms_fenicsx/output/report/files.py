@@ -11,13 +11,7 @@ from crms_fenicsx.runtime.files import make_writable, replaced
 
 
 def check_path(path: Path) -> None:
-    """Refuse a path that no report can be written to; not collective.
-
-    Raises
-    ------
-    InputError
-        Another suffix than .html, a folder of that name, or one that cannot be written.
-    """
+    """Refuse a path that no report can be written to; not collective."""
     if path.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"report: filename = {str(path)!r} is no page; give one with .html.")
     if path.is_dir():
@@ -28,17 +22,8 @@ def check_path(path: Path) -> None:
 def write(path: Path, report: Report) -> list[Path]:
     """Write a report's page and its tables; not collective.
 
-    All of them are complete before the first takes the place of one that is there.
-
-    Returns
-    -------
-    list of Path
-        The files.
-
-    Raises
-    ------
-    InputError
-        They cannot be written; what is there is as before.
+    All of them are complete before the first takes the place of one that is there. Returns the
+    files.
     """
     texts = {path: report.html()}
     for table in report.tables():

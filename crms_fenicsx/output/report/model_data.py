@@ -27,51 +27,26 @@ Row = tuple[str | int | float | None, ...]
 
 @dataclass(frozen=True)
 class ModelData:
-    """A scene by plain numbers and texts, the same on all ranks.
+    """A scene by plain numbers and texts, the same on all ranks."""
 
-    Attributes
-    ----------
-    cells, vertices, ranks
-        How many there are.
-    sides
-        Least, mean and largest length of the cells' stress-free sides (length).
-    low, high
-        Corners of the stress-free surface's box (length).
-    area
-        Stress-free (length squared).
-    materials
-        Rows: part, its stress-free area, kind of material, its data.
-    strengths
-        By part in warp and weft (force per length); under "" of the whole membrane.
-    supports
-        Rows: group, directions, vertices, length of its edges.
-    cables
-        Rows: name, EA, unstressed length, friction, ends, how it lies.
-    bars
-        Rows: name, kind, EA, unstressed length, ends.
-    joints
-        Rows: name, directions in which it is held, place (length).
-    loads
-        Rows: name, kind, mean size per area at the factor 1, components of the sum; of ponds no
-        sizes.
-    other
-        Names and texts: pressure, laws, sealed air, floor, terms of the user's own.
-    """
-
-    cells: int
+    cells: int  # cells, vertices, ranks: how many there are
     vertices: int
     ranks: int
+    # least, mean and largest length of the cells' stress-free sides (length)
     sides: tuple[float, float, float]
-    low: tuple[float, ...]
+    low: tuple[float, ...]  # low, high: corners of the stress-free surface's box (length)
     high: tuple[float, ...]
-    area: float
-    materials: tuple[Row, ...]
+    area: float  # stress-free (length squared)
+    materials: tuple[Row, ...]  # rows: part, its stress-free area, kind of material, its data
+    # by part in warp and weft (force per length); under "" of the whole membrane
     strengths: Mapping[str, Strengths]
-    supports: tuple[Row, ...]
-    cables: tuple[Row, ...]
-    bars: tuple[Row, ...]
-    joints: tuple[Row, ...]
+    supports: tuple[Row, ...]  # rows: group, directions, vertices, length of its edges
+    cables: tuple[Row, ...]  # rows: name, EA, unstressed length, friction, ends, how it lies
+    bars: tuple[Row, ...]  # rows: name, kind, EA, unstressed length, ends
+    joints: tuple[Row, ...]  # rows: name, directions in which it is held, place (length)
+    # rows: name, kind, mean size per area at the factor 1, components of the sum; of ponds no sizes
     loads: tuple[Row, ...]
+    # names and texts: pressure, laws, sealed air, floor, terms of the user's own
     other: Mapping[str, str]
 
     @property
@@ -120,18 +95,7 @@ STATE = {
 
 
 def merged(models: Mapping[str, ModelData]) -> ModelData:
-    """The descriptions of a scene that combinations were brought on with, as one.
-
-    Parameters
-    ----------
-    models
-        By the names of the combinations.
-
-    Raises
-    ------
-    InputError
-        Something of one name is not the same in two of them.
-    """
+    """The descriptions of a scene that combinations were brought on with, as one."""
     tables: dict[str, Any] = {}
     for table, of_state in STATE.items():
         found: dict[object, tuple[str, Row]] = {}

@@ -17,35 +17,15 @@ LARGEST = 4_900_000
 
 @dataclass(frozen=True)
 class Section:
-    """A section with a heading.
+    """A section with a heading."""
 
-    Attributes
-    ----------
-    title
-        Its heading.
-    body
-        What is below, as HTML or tables.
-    level
-        2, or 3 of one inside another.
-    """
-
-    title: str
-    body: Sequence[str | Table]
-    level: int = 2
+    title: str  # its heading
+    body: Sequence[str | Table]  # what is below, as HTML or tables
+    level: int = 2  # 2, or 3 of one inside another
 
 
 def page(title: str, about: Sequence[tuple[str, str]], sections: Sequence[Section]) -> str:
-    """The whole page.
-
-    Parameters
-    ----------
-    title
-        Of the report.
-    about
-        Names and texts below it, such as project and author.
-    sections
-        In their order; those of level 2 are numbered and in the list of contents.
-    """
+    """The whole page."""
     chapters = [one.title for one in sections if one.level == 2]
     entries = "".join(
         f'<li><a href="#s{k}">{escape(text)}</a></li>' for k, text in enumerate(chapters, 1)

@@ -27,15 +27,9 @@ NOISE = 1e-6
 
 @dataclass(frozen=True)
 class Units:
-    """Names of units, as in headings.
+    """Names of units, as in headings."""
 
-    Attributes
-    ----------
-    length, force
-        Such as "m" and "kN"; "" where not given.
-    """
-
-    length: str = ""
+    length: str = ""  # length, force: such as "m" and "kN"; "" where not given
     force: str = ""
 
     def __getitem__(self, kind: str) -> str:

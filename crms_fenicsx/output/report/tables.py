@@ -29,27 +29,13 @@ MINUS = "\u2212"
 
 @dataclass(frozen=True)
 class Table:
-    """A table with a heading for each column.
+    """A table with a heading for each column."""
 
-    Attributes
-    ----------
-    caption
-        What it is about.
-    columns
-        Headings, with units.
-    rows
-        A cell for each column.
-    name
-        Of the CSV file, after the report's own; "" writes none.
-    headings
-        How many columns name the row.
-    """
-
-    caption: str
-    columns: Sequence[str]
-    rows: Sequence[Sequence[Cell]]
-    name: str = ""
-    headings: int = 1
+    caption: str  # what it is about
+    columns: Sequence[str]  # headings, with units
+    rows: Sequence[Sequence[Cell]]  # a cell for each column
+    name: str = ""  # of the CSV file, after the report's own; "" writes none
+    headings: int = 1  # how many columns name the row
 
     def html(self) -> str:
         """A table element; numbers have four significant digits."""

@@ -66,13 +66,7 @@ def drawn(
 
 
 def model_of(solver: Reported, plan: Plan, states: Mapping[str, Combination]) -> Model:
-    """The model that combinations were brought on with, or the present one. Collective.
-
-    Raises
-    ------
-    InputError
-        On all ranks: the combinations were brought on with models that differ.
-    """
+    """The model that combinations were brought on with, or the present one. Collective."""
     base, now = solver.base, solver.scene.versions.current
     if not states:
         data = model_data(solver.scene)
