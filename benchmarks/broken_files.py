@@ -31,9 +31,9 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, Friction, InputError, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.checkpoint.state import signed
+from crms_fenicsx.checkpoint.saving import signed
 from crms_fenicsx.meshes import isolated_reader
-from crms_fenicsx.meshes.files import SUFFIXES
+from crms_fenicsx.meshes.mesh_files import SUFFIXES
 from crms_fenicsx.output import History
 from crms_fenicsx.runtime.errors import ConvergenceError
 

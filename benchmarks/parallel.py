@@ -63,7 +63,7 @@ def watched(now: Callable[[], float] = time.perf_counter) -> Clock:
     """A clock on the parts of a load step, which reads the time from `now`."""
     from crms_fenicsx.dofs import layout as unknowns
     from crms_fenicsx.energies import cable_tension as tension
-    from crms_fenicsx.energies import dead_load, integral, membrane
+    from crms_fenicsx.energies import dead_load, integral, membrane_energy
     from crms_fenicsx.energies import fold_penalty as penalty
     from crms_fenicsx.energies import folded_membrane as fold
     from crms_fenicsx.energies import folded_pressure as volume
@@ -73,7 +73,7 @@ def watched(now: Callable[[], float] = time.perf_counter) -> Clock:
     from crms_fenicsx.minimization import minimizer, potential
 
     clock = Clock(now)
-    plain = [membrane.MembraneEnergy, loads.FollowerPressure, dead_load.DeadLoad]
+    plain = [membrane_energy.MembraneEnergy, loads.FollowerPressure, dead_load.DeadLoad]
     cables = [fold.FoldedMembraneEnergy, penalty.FoldPenalty, tension.CableTension]
     cables += [volume.FoldedFollowerPressure]
     for part, terms in (("membrane", plain), ("cables", cables)):

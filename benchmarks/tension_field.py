@@ -23,7 +23,7 @@ from mpi4py import MPI
 
 from crms_fenicsx import IsotropicMembrane, OrthotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.energies.membrane import MembraneEnergy
+from crms_fenicsx.energies.membrane_energy import MembraneEnergy
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.model.materials import MembraneMaterial
 

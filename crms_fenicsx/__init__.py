@@ -1,7 +1,7 @@
 """Cable-reinforced membrane structures with foldable finite elements on FEniCSx.
 
 A load step runs through the packages in one direction: `solver` and `steps` (the loads) ->
-`equilibrium` (its loops) -> `contributions` and `energies` (the potential of a `scene`) ->
+`equilibrium` (its loops, the potential of a `scene`) -> `energies` (its terms) ->
 `minimization` (its minimum) -> `verification`, `results`, `output` and `checkpoint`.
 """
 
@@ -12,10 +12,10 @@ from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.minimization.taylor import TaylorRates, taylor_test
 from crms_fenicsx.model.bar import Bar, Joint, MeshVertex, PlacedBar
 from crms_fenicsx.model.cable import Cable
-from crms_fenicsx.model.fan_control import FanControl
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import IsotropicMembrane, OrthotropicMembrane
+from crms_fenicsx.model.sealed_air import FanControl
 from crms_fenicsx.model.ufl_material import UflMembrane
 from crms_fenicsx.runtime.errors import (
     ConvergenceError,
@@ -34,7 +34,7 @@ from crms_fenicsx.runtime.errors import (
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.solver import Solver
 from crms_fenicsx.steps.load_step import Step
-from crms_fenicsx.steps.motion import Rotation
+from crms_fenicsx.steps.movements import Rotation
 
 show_warnings()
 del show_warnings

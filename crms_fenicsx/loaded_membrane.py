@@ -18,11 +18,9 @@ from crms_fenicsx.energies.dead_load import (
     wind_load,
 )
 from crms_fenicsx.model.changed_materials import checked_materials
-from crms_fenicsx.model.materials import MembraneMaterial
+from crms_fenicsx.model.materials import MembraneMaterial, Strengths, checked_strengths
 from crms_fenicsx.model.membrane import Membrane
-from crms_fenicsx.model.state_warning import StateWarning
-from crms_fenicsx.model.strengths import Strengths, checked_strengths
-from crms_fenicsx.model.versions import Versions, changes_model
+from crms_fenicsx.model.versions import StateWarning, Versions, changes_model
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, collective
 from crms_fenicsx.runtime.readonly import ReadOnly

@@ -14,39 +14,38 @@ import numpy as np
 
 from crms_fenicsx import checkpoint
 from crms_fenicsx.checkpoint import Run
-from crms_fenicsx.checkpoint.call_record import plain_loads
 from crms_fenicsx.checkpoint.codec import Plain
-from crms_fenicsx.checkpoint.journal import FOLDER, Journal, Progress
+from crms_fenicsx.checkpoint.journal import FOLDER, CallProgress, Journal, plain_loads
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
-from crms_fenicsx.model.fan_control import FanControl
-from crms_fenicsx.output.figures.drawing import Drawing
+from crms_fenicsx.model.sealed_air import FanControl
+from crms_fenicsx.output.figures.draw_scene import Drawing
 from crms_fenicsx.output.history import History
 from crms_fenicsx.output.recorder import Recorder
 from crms_fenicsx.output.report import Reporting
 from crms_fenicsx.results.solver_results import SolverResults
 from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.checks import counted
 from crms_fenicsx.runtime.errors import ConvergenceError, InputError, collective
 from crms_fenicsx.runtime.interrupt import postponed, stop_together
 from crms_fenicsx.runtime.progress import progress
 from crms_fenicsx.runtime.readonly import ReadOnly
-from crms_fenicsx.runtime.text import counted
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.steps.increment_solver import IncrementSolver
 from crms_fenicsx.steps.load_cases import LoadCases
-from crms_fenicsx.steps.load_step import Step
-from crms_fenicsx.steps.loading import checked_target
-from crms_fenicsx.steps.motion import Move
-from crms_fenicsx.steps.options import checked_options
-from crms_fenicsx.steps.snap_through import SnapThroughSearch
-from crms_fenicsx.steps.warnings import (
+from crms_fenicsx.steps.load_step import (
+    Step,
     no_equilibrium,
     warn_of_blocked,
     warn_of_friction,
     warn_of_state,
 )
+from crms_fenicsx.steps.loading import checked_target
+from crms_fenicsx.steps.movements import Move
+from crms_fenicsx.steps.options import checked_options
+from crms_fenicsx.steps.snap_through import SnapThroughSearch
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -317,7 +316,7 @@ class Solver(LoadCases, SolverResults, Reporting, Drawing):
     def _keep(self, done: float, increment: float, failure: str | None = None) -> None:
         """Write a checkpoint of the state that a call to `advance` has come to, if there are."""
         if self._journal is not None:
-            self._journal.keep(self.scene, self._run, Progress(done, increment, failure))
+            self._journal.keep(self.scene, self._run, CallProgress(done, increment, failure))
             self._increments.restart_h0()  # a resumed run takes the same way
 
     @property

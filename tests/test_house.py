@@ -11,17 +11,16 @@ import crms_fenicsx
 
 PACKAGE = Path(crms_fenicsx.__file__).parent
 FLOORS = (
-    "runtime dofs meshes surface geodesics model energies energies.paper minimization cables "
+    "runtime dofs meshes surface model energies energies.paper minimization cables "
     "contact friction paths loaded_membrane filled_membrane braced_membrane views scene "
-    "form_finding contributions equilibrium results verification steps output output.figures "
+    "form_finding equilibrium results verification steps output output.figures "
     "output.report checkpoint solver study crms_fenicsx"
 ).split()
 """Ground first: a module imports from its own package and from those before it."""
 
 DOORS = (
-    "energies.membrane cables.deformed_surface paths.held_vertices paths.laying "
-    "paths.vertex_trials scene contributions equilibrium.search equilibrium.friction_loop "
-    "equilibrium.path_loop equilibrium.system minimization.minimizer verification.cable_checks "
+    "energies.membrane_energy cables.deformed_surface paths.held_vertices paths.laying "
+    "paths.vertex_passing scene equilibrium minimization.minimizer verification.cable_checks "
     "verification.cable_forces verification.verifier steps.increment_solver "
     "output.report.reporting study.groups"
 ).split()

@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 from crms_fenicsx import Bar, InputError, Scene, Solver, meshes
 from crms_fenicsx.form_finding import find_form
-from crms_fenicsx.runtime.text import counted, span
+from crms_fenicsx.runtime.checks import counted, span
 
 pytestmark = pytest.mark.usefixtures("comm")
 COMM = MPI.COMM_WORLD

@@ -16,7 +16,7 @@ from petsc4py import PETSc
 
 from crms_fenicsx.energies.integral import one_point
 from crms_fenicsx.energies.kinematics import Kinematics, tangent_basis
-from crms_fenicsx.energies.membrane import MembraneEnergy
+from crms_fenicsx.energies.membrane_energy import MembraneEnergy
 from crms_fenicsx.energies.pressure import FollowerPressure
 from crms_fenicsx.minimization.initial_hessian import InitialHessian
 from crms_fenicsx.minimization.minimizer import COARSE, Minimizer

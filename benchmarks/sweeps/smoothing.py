@@ -11,7 +11,7 @@ import numpy as np
 
 from crms_fenicsx import Cable, Friction, IsotropicMembrane, PenaltyWarning, Scene, Solver, meshes
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.penalty import STABLE_PENALTY
+from crms_fenicsx.model.membrane import STABLE_PENALTY
 from crms_fenicsx.model.tolerances import SMOOTHING
 from sweeps.judge import Judge, Point
 from sweeps.scenes import (

@@ -13,7 +13,7 @@ import numpy as np
 
 from crms_fenicsx import Scene, Solver
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.meshes.cell_geometry import area_vectors
+from crms_fenicsx.meshes.triangles import area_vectors
 from crms_fenicsx.minimization.initial_hessian import at_bounds
 from crms_fenicsx.model.laid_cable import polyline_length
 from crms_fenicsx.model.tolerances import SMOOTHING

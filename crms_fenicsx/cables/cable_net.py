@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy.typing as npt
 
 from crms_fenicsx.cables.crossings import arrange
-from crms_fenicsx.cables.strip import EMPTY, Strip
-from crms_fenicsx.cables.strip_gather import cells_at, grown
+from crms_fenicsx.cables.strip import EMPTY, Strip, cells_at, grown
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable

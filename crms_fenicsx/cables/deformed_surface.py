@@ -1,14 +1,16 @@
-"""The membrane's current shape as triangles; folded cells are the facets that cables cut out."""
+"""The membrane's current shape as triangles, and the volume between two shapes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from crms_fenicsx.cables.cable_net import CableNet
-from crms_fenicsx.runtime.arrays import Array, Integers
-from crms_fenicsx.surface.polygons import Polygons, best_fan
+from crms_fenicsx.energies.pressure import gain, rim_of
+from crms_fenicsx.runtime.arrays import Array, Integers, pointers, runs
+from crms_fenicsx.surface.polygons import Polygons, best_fan, fan_facets
 
 
 @dataclass(frozen=True)
@@ -50,9 +52,9 @@ def folded_shape(net: CableNet) -> FoldedShape:
     if net.strip is None or not any(cable.taut for cable in net.cables):
         none = np.zeros(0, dtype=np.int64)
         return FoldedShape(places, stress_free, Polygons(np.zeros(1, dtype=np.int64), none, none))
-    from crms_fenicsx.cables.cell_cuts import CutCells
-    from crms_fenicsx.cables.node_table import VERTEX
+    from crms_fenicsx.cables.element_tables import CutCells
     from crms_fenicsx.cables.numbering import CableNumbering
+    from crms_fenicsx.cables.points_on_edges import VERTEX
 
     numbering = CableNumbering(net.cables, net.strip, membrane.u)
     nodes, corners_of = numbering.nodes, net.strip.simplices.corners
@@ -101,3 +103,44 @@ def current_surface(net: CableNet) -> CurrentSurface:
         np.concatenate(parents),
         np.concatenate(inner),
     )
+
+
+def gained_volume(net: CableNet) -> float:
+    """Volume between the stress-free and the current cells under pressure (length cubed).
+
+    Collective. A pressure p does the work p V on it. While their rim is held, or slides in planes,
+    it is that between the two surfaces and the planes; if it moves else, what its way sweeps out as
+    seen from the stress-free membrane's centre counts too.
+    """
+    membrane = net.membrane
+    V, mesh = membrane.V, membrane.mesh.mesh
+    shape = folded_shape(net)
+    owned = mesh.topology.index_map(2).size_local
+    plain = membrane.pressed[:owned].copy()
+    plain[shape.cells] = False
+    cells = V.dofmap.list[:owned]
+    X, u = shape.stress_free - membrane.centre, shape.points - shape.stress_free
+    local = _volume_change(X, u, cells[plain]).sum()
+    starts, corners, cell = shape.pieces
+    pressed = np.flatnonzero(membrane.pressed[cell])
+    sizes = np.diff(starts)[pressed]
+    facets, weights = fan_facets(pointers(sizes), corners[runs(starts[pressed], sizes)])
+    # Pieces of a folded cell together are, stress-free, the cell: their changes add up.
+    local += np.sum(weights * _volume_change(X, u, facets))
+    rim = rim_of(membrane)
+    local += rim.factors @ gain(*(places.reshape(-1)[rim.components] for places in (X, u)))
+    return float(membrane.comm.allreduce(float(local)))
+
+
+def _volume_change(X: Array, u: Array, triangles: npt.NDArray[np.integer]) -> Array:
+    """Volume between each triangle and the origin, current less stress-free, (n,).
+
+    Term by term, so that a small change is not lost in a large volume.
+    """
+    a, h = X[triangles], u[triangles]
+    d, s = a[:, 1:] - a[:, :1], h[:, 1:] - h[:, :1]
+    n0 = np.cross(d[:, 0], d[:, 1])
+    change = np.cross(d[:, 0], s[:, 1]) + np.cross(s[:, 0], d[:, 1]) + np.cross(s[:, 0], s[:, 1])
+    at, moved = a.mean(axis=1), h.mean(axis=1)
+    volume: Array = np.sum(moved * (n0 + change) + at * change, axis=1) / 6
+    return volume

@@ -7,8 +7,8 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.cables.node_table import CROSSING
 from crms_fenicsx.cables.numbering import CableNumbering
+from crms_fenicsx.cables.points_on_edges import CROSSING
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.meshes.triangles import norm
 from crms_fenicsx.model.tolerances import BLOCKED

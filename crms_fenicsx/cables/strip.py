@@ -1,4 +1,4 @@
-"""The strip of cells around the cables, known to all ranks.
+"""The strip of cells around the cables, gathered on all ranks, with its simplices by number.
 
 Its size is that of the cables, not of the mesh: each rank selects among its own cells, and only
 those are gathered. It grows as cables slide.
@@ -7,15 +7,93 @@ those are gathered. It grows as cables slide.
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+import numpy.typing as npt
 
-from crms_fenicsx.cables.simplices import Simplices
-from crms_fenicsx.runtime.arrays import Integers
+from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
+from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, runs
+from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.surface.points import Edge
+from crms_fenicsx.surface.trace import near_section
+
+_CORNERS = np.array([[1, 0, 0], [2, 0, 0], [3, 0, 0], [1, 2, 0], [1, 3, 0], [2, 3, 0], [1, 2, 3]])
+"""Corners, counted from 1, of the vertices and edges of a cell, and of the cell itself."""
+
+
+class Simplices:
+    """The m vertices, edges and cells of n cells, with the cells around each.
+
+    Attributes: `vertices` (k,): ids of all vertices, ascending; `cells` (n, 3): the cells as rows
+    of `vertices`, each in its own order; `corners` (m, 3): rows of `vertices` on which a simplex
+    lies, ascending; -1 after the last one; `pointers` (m + 1,), rows: the cells around the
+    simplices, ascending for each; `owner` (m,): the rank that owns what lies on a simplex: the
+    lowest one with a cell there; `sides`, `forward` (n, 3): the edge from each corner of a cell to
+    the next, and whether it leads there. Shapes: cells (n, 3), owner (n,).
+    """
+
+    def __init__(self, cells: Integers, owner: Integers) -> None:
+        self.vertices = np.unique(cells)
+        self.cells = np.searchsorted(self.vertices, cells)
+        corners = np.sort(self.cells, axis=1) + 1
+        corners = np.concatenate([np.zeros((len(cells), 1), dtype=np.int64), corners], axis=1)
+        keys: Integers = self._keys(corners[:, _CORNERS] - 1).ravel()
+        order = np.argsort(keys, kind="stable")
+        self.rows = order // len(_CORNERS)
+        keys = keys[order]
+        first = np.flatnonzero(np.diff(keys, prepend=-1))
+        self.pointers = np.append(first, len(keys))
+        self.keys = keys[first]
+        base = len(self.vertices) + 1
+        rest, c = np.divmod(self.keys, base)
+        self.corners = np.stack([*np.divmod(rest, base), c], axis=1) - 1
+        owners = owner[self.rows]
+        self.owner = np.minimum.reduceat(owners, first) if len(first) else owners
+        ends = np.stack([self.cells, np.roll(self.cells, -1, axis=1)], axis=2)
+        self.forward: Booleans = ends[..., 0] < ends[..., 1]
+        none = np.full((*ends.shape[:2], 1), -1)
+        edges = np.concatenate([np.sort(ends, axis=2), none], axis=2)
+        self.sides = np.searchsorted(self.keys, self._keys(edges))
+
+    def _keys(self, corners: Integers) -> Integers:
+        """One number for each simplex (..., 3), given as `corners`."""
+        base = len(self.vertices) + 1
+        keys: Integers = np.dot(corners + 1, [base**2, base, 1])
+        return keys
+
+    def find(self, supports: Integers) -> Integers:
+        """Numbers of simplices given by vertex ids (k, 3), ascending and then -1; -1: not here."""
+        if len(self.keys) == 0:
+            return np.full(len(supports), -1)
+        corners = np.minimum(np.searchsorted(self.vertices, supports), len(self.vertices) - 1)
+        here = ((self.vertices[corners] == supports) | (supports < 0)).all(axis=1)
+        keys = self._keys(np.where(supports < 0, -1, corners))
+        found = np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)
+        return np.where(here & (self.keys[found] == keys), found, -1)
+
+    def spanned(self, first: Integers, second: Integers) -> Integers:
+        """Numbers of the simplices of the vertices of two supports (k, 3) together; -1: none."""
+        ids = np.sort(np.concatenate([first, second], axis=1), axis=1)
+        ids[:, 1:][ids[:, 1:] == ids[:, :-1]] = -1
+        ids = np.sort(ids, axis=1)
+        fits = (ids[:, 2] < 0) & (first[:, 0] >= 0) & (second[:, 0] >= 0)
+        none = np.iinfo(np.int64).max
+        ids = np.sort(np.where(ids < 0, none, ids), axis=1)[:, :3]
+        return np.where(fits, self.find(np.where(ids == none, -1, ids)), -1)
+
+    def around(self, simplices: Integers) -> tuple[Integers, Integers]:
+        """How many cells there are around each of some simplices (k,), and their rows."""
+        first, counts = self.pointers[simplices], np.diff(self.pointers)[simplices]
+        return counts, self.rows[runs(first, counts)]
+
+    def touch(self, cells: Booleans) -> Booleans:
+        """Whether there are some of the chosen cells (n,) around the simplices, (m,)."""
+        chosen = cells[self.rows]
+        return np.logical_or.reduceat(chosen, self.pointers[:-1]) if len(chosen) else chosen
 
 
 @dataclass(frozen=True)
@@ -152,3 +230,73 @@ def _rows(around: dict[tuple[int, ...], list[int]], vertices: tuple[int, ...]) -
 
 
 EMPTY = Strip(np.zeros((0, 3), dtype=np.int64), *(np.zeros(0, dtype=np.int64),) * 2)
+
+
+def cells_at(membrane: Membrane, vertices: npt.ArrayLike) -> Strip:
+    """Gather the cells around some vertices, given by id and alike on all ranks. Collective."""
+    wanted = np.unique(np.asarray(vertices, dtype=np.int64))
+    ids = _own_cells(membrane)
+    chosen = np.flatnonzero(np.isin(ids, wanted).any(axis=1))
+    strip = _gathered(membrane, ids, chosen)
+    complete = frozenset(int(vertex) for vertex in wanted)
+    return replace(strip, complete=complete)
+
+
+def grown(membrane: Membrane, strip: Strip, vertices: npt.ArrayLike, rings: int = 1) -> Strip:
+    """A strip and the cells around some vertices, given by id and alike on all ranks. Collective.
+
+    `rings` tells how many rings of cells around them are added.
+    """
+    wanted = np.unique(np.asarray(vertices, dtype=np.int64))
+    for _ in range(rings):
+        lacking = [int(v) for v in wanted if int(v) not in strip.complete]
+        if lacking:
+            strip = strip.merged(cells_at(membrane, lacking))
+        wanted = np.unique(strip.cells[np.isin(strip.cells, wanted).any(axis=1)])
+    return strip
+
+
+def cells_near(membrane: Membrane, route: Array, along_legs: bool) -> Strip:
+    """Gather the cells that tracing a route on the current shape needs. Collective.
+
+    None behind a seam is among them. Those along the legs are enough for most routes, see
+    `near_section`.
+    """
+    positions, nodes = own_surface(membrane)
+    outer = np.setdiff1d(np.arange(len(nodes)), membrane.mesh.hidden)
+    near = near_section(positions, nodes[outer], route, comm=membrane.comm, along_legs=along_legs)
+    return _gathered(membrane, _own_cells(membrane), outer[near])
+
+
+def own_surface(membrane: Membrane) -> tuple[Array, Integers]:
+    """Current positions (k, 3), and rows of them for the corners of this rank's cells, (n, 3)."""
+    mesh = membrane.mesh.mesh
+    owned = mesh.topology.index_map(2).size_local
+    nodes = np.asarray(geometry_dofmap(mesh)[:owned], dtype=np.int64)
+    positions = np.zeros((mesh.geometry.x.shape[0], 3))
+    positions[nodes] = membrane.positions()[membrane.V.dofmap.list[:owned]]
+    return positions, nodes
+
+
+def _own_cells(membrane: Membrane) -> Integers:
+    """Vertex ids of this rank's cells, (n, 3)."""
+    mesh = membrane.mesh.mesh
+    return cell_vertex_ids(mesh)[: mesh.topology.index_map(2).size_local]
+
+
+def _gathered(membrane: Membrane, ids: Integers, chosen: Integers) -> Strip:
+    """Chosen cells of all ranks."""
+    edges = membrane.mesh.mesh.topology.connectivity(2, 1).array.reshape(-1, 3)[chosen]
+    cell, k = np.nonzero(membrane.held_edges[edges])  # edge k lies opposite to vertex k
+    ends = np.stack([ids[chosen[cell], (k + 1) % 3], ids[chosen[cell], (k + 2) % 3]], axis=1)
+    hidden = np.sort(ids[chosen[np.isin(chosen, membrane.mesh.hidden)]], axis=1)
+    parts = membrane.comm.allgather((ids[chosen], chosen, np.sort(ends, axis=1), hidden))
+    cells = np.concatenate([part[0] for part in parts]).reshape(-1, 3)
+    rows = ascending(cells)
+    return Strip(
+        cells[rows],
+        np.concatenate([np.full(len(part[1]), rank) for rank, part in enumerate(parts)])[rows],
+        np.concatenate([part[1] for part in parts])[rows],
+        held_edges=frozenset((int(a), int(b)) for part in parts for a, b in part[2]),
+        hidden=frozenset((int(a), int(b), int(c)) for part in parts for a, b, c in part[3]),
+    )

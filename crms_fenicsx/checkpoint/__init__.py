@@ -17,6 +17,6 @@ read is executed. See `Solver.save` and `Solver.load`. `journal` keeps checkpoin
 """
 
 from crms_fenicsx.checkpoint.contents import Run
-from crms_fenicsx.checkpoint.state import load, save
+from crms_fenicsx.checkpoint.saving import load, save
 
 __all__ = ["Run", "load", "save"]

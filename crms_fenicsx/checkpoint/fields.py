@@ -13,8 +13,7 @@ import numpy.typing as npt
 from crms_fenicsx.meshes.edge_table import edge_keys
 from crms_fenicsx.meshes.membrane_mesh import vertex_ids
 from crms_fenicsx.model.tolerances import SAME_PLACE
-from crms_fenicsx.output.npy import read_rows, write_rows
-from crms_fenicsx.output.shared_file import first_row
+from crms_fenicsx.output.shared_file import first_row, read_rows, write_rows
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.scene import Scene

@@ -1,4 +1,4 @@
-"""What is active in one solve: which cables are in tension, where they touch, which cross.
+"""What is active in one solve: cables in tension, contacts, crossings.
 
 All this is decided from a solved state, and the solve repeated until nothing changes. Everything
 may change back and forth only a few times in a solve, so that it ends.
@@ -6,7 +6,7 @@ may change back and forth only a few times in a solve, so that it ends.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Protocol
@@ -17,9 +17,45 @@ from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.points_on_edges import bends, nodes_on_edges
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact import lift_off as contact
-from crms_fenicsx.contact.crossing_contact import joins, parting
+from crms_fenicsx.contact.lift_off import DEPTH, PULL, apparent_crossing, link_at, outward_pulls
+from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.surface.points import Edge, EdgePoint, Support, VertexPoint
+
+
+def parting(
+    crossings: Sequence[Crossing], cables: Sequence[LaidCable], shape: StripShape
+) -> list[int]:
+    """Numbers of the crossings at which the upper cable pulls the lower one up."""
+    by_upper: dict[int, list[int]] = defaultdict(list)
+    for number, crossing in enumerate(crossings):
+        if not crossing.separated:
+            by_upper[crossing.upper].append(number)
+    found = []
+    for c, own in by_upper.items():
+        upper = cables[c]
+        at = {node.crossing: k for k, node in enumerate(upper.nodes)}
+        nodes = [at[number] for number in own]
+        on = [n for n, k in enumerate(nodes) if not upper.lifted[k]]
+        supports = [crossings[own[n]].support for n in on]
+        pulls = outward_pulls(upper, [nodes[n] for n in on], *shape.normals_and_sizes(supports))
+        found += [own[n] for n, pull in zip(on, pulls, strict=True) if pull > PULL]
+    return found
+
+
+def joins(crossing: Crossing, cables: Sequence[LaidCable], shape: StripShape) -> bool:
+    """Whether two cables that have parted would run through each other."""
+    if not crossing.separated:
+        return False
+    normal = shape.normal(crossing.support)
+    (a, b), (c, d) = (
+        link_at(cables[number], k)
+        for number, k in zip((crossing.lower, crossing.upper), crossing.links, strict=True)
+    )
+    s, t = (min(max(x, 0.0), 1.0) for x in apparent_crossing(a, b, c, d, normal))
+    gap = float((c + t * (d - c) - a - s * (b - a)) @ normal)
+    return gap < -DEPTH * float(np.linalg.norm(b - a))
+
 
 ContactKey = tuple[str, Support] | tuple[str, str]
 """A cable and its place on the mesh, or the upper and the lower one of two cables that cross."""

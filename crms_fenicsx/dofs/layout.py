@@ -1,4 +1,4 @@
-"""Layout of the unknowns: displacements of mesh vertices and of the cables' points.
+"""Layout of the unknowns: displacements of mesh vertices, of the cables' points and of joints.
 
 Everything is counted in *blocks* of three components. On each rank the local blocks are
 
@@ -7,6 +7,9 @@ Everything is counted in *blocks* of three components. On each rank the local bl
 and the PETSc vectors hold the first two groups. Cable points are fold points on edges, anchors and
 other points that cables pass without being mesh vertices. Terms of the potential see one local
 array (n, 3) of displacements, ghosts included, and address its blocks.
+
+There are few bars compared to vertices: the first rank owns all joints and computes all bars, and
+knows their vertices. All ranks know all joints, so that cables can end at them.
 """
 
 from __future__ import annotations
@@ -18,8 +21,21 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.local_blocks import LocalBlocks
-from crms_fenicsx.dofs.vertex_places import vertex_places
-from crms_fenicsx.runtime.arrays import Array, Indices, Integers
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
+from crms_fenicsx.runtime.compat import geometry_dofmap
+
+
+def vertex_places(V: fem.FunctionSpace) -> Array:
+    """Stress-free positions (length) of the vertices by local degree of freedom, (n, 3).
+
+    Those of the mesh as it was given: DOLFINx's `tabulate_dof_coordinates` maps them from the
+    reference cell, which rounds differently from one of the cells around a vertex to another, and
+    which of them it takes depends on how the mesh is shared out.
+    """
+    vertices = V.dofmap.index_map
+    places = np.zeros((vertices.size_local + vertices.num_ghosts, 3))
+    places[V.dofmap.list] = V.mesh.geometry.x[geometry_dofmap(V.mesh)]
+    return places
 
 
 def vertex_starts(V: fem.FunctionSpace) -> Integers:
@@ -160,3 +176,91 @@ class Unknowns(LocalBlocks):
         """
         self.hand_over(g)
         self.add_ghosts(vector)
+
+
+class GhostFlags:
+    """Exchanges flags of the blocks of a layout, (n_local,). All methods are collective.
+
+    Attributes: `shared` (n_local,): whether a block is known to several ranks.
+    """
+
+    def __init__(self, unknowns: Unknowns) -> None:
+        self._unknowns = unknowns
+        self._vector, self._values = unknowns.vector()
+        ghosts = np.arange(unknowns.n_local) >= unknowns.n_owned
+        self.shared = self.on_any(ghosts)
+
+    def destroy(self) -> None:
+        """Free the PETSc vector."""
+        self._vector.destroy()
+
+    def of_owners(self, flags: Booleans) -> Booleans:
+        """The owners' flags, on ghosts too."""
+        if self._unknowns.comm.size == 1:
+            return flags
+        self._values[:] = flags[:, None]
+        self._unknowns.update_ghosts(self._vector)
+        return np.asarray(self._values[:, 0] > 0.0)
+
+    def on_any(self, flags: Booleans) -> Booleans:
+        """Whether any rank has set a flag."""
+        if self._unknowns.comm.size == 1:
+            return flags
+        self._values[:] = flags[:, None]
+        self._unknowns.add_ghosts(self._vector)
+        return self.of_owners(self._values[:, 0] > 0.0)
+
+
+class FrameBlocks:
+    """Blocks of joints and vertices.
+
+    Attributes: `joint_blocks` (n,): local blocks of the joints; from `layout` on; `vertex_blocks`
+    (m,): those of the vertices, on the first rank; -1 on others. Shapes and units: names, joints
+    (n,) (length), homes, places (m, 2) (length).
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        joints: Array,
+        homes: Sequence[tuple[int, int]],
+        places: Array,
+    ) -> None:
+        self._number = {name: k for k, name in enumerate(names)}
+        self.joints, self._homes, self._places = joints, homes, places
+
+    def block(self, joint: str) -> int:
+        """Local block of a joint."""
+        return int(self.joint_blocks[self._number[joint]])
+
+    def layout(
+        self,
+        V: fem.FunctionSpace,
+        owned: int = 0,
+        ghosts: Sequence[tuple[int, int]] = (),
+        far: Sequence[tuple[int, int]] = (),
+        of_first: int = 0,
+    ) -> Unknowns:
+        """A layout with joints and vertices beside the points of cables. Collective."""
+        rank, n = V.mesh.comm.rank, len(self.joints)
+        starts = vertex_starts(V)
+        joints = [(0, of_first + k) for k in range(n)]
+        local = np.full(len(self._homes), -1, dtype=np.int32)
+        further = list(far)
+        if rank == 0 and self._homes:
+            numbers = [starts[owner] + dof for owner, dof in self._homes]
+            local[:] = V.dofmap.index_map.global_to_local(np.array(numbers, dtype=np.int64))
+            absent = [home for home, own in zip(self._homes, local, strict=True) if own < 0]
+            further += [home for home in dict.fromkeys(absent) if home not in further]
+        mine, others = (n, []) if rank == 0 else (0, joints)
+        unknowns = Unknowns(V, owned + mine, [*ghosts, *others], further)
+        points = unknowns.owned_point_blocks() if rank == 0 else unknowns.ghost_point_blocks()
+        self.joint_blocks: Indices = points[len(points) - n :]
+        unknowns.X[self.joint_blocks] = self.joints
+        self.vertex_blocks: Indices = np.append(unknowns.vertex_blocks(), np.int32(-1))[local]
+        blocks = unknowns.far_vertex_blocks()
+        for k, home in enumerate(self._homes):
+            if rank == 0 and local[k] < 0:
+                self.vertex_blocks[k] = blocks[further.index(home)]
+                unknowns.X[self.vertex_blocks[k]] = self._places[k]
+        return unknowns

@@ -24,8 +24,7 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import ElementPattern, SegmentPattern
-from crms_fenicsx.dofs.preallocation import RowSizes
+from crms_fenicsx.dofs.block_patterns import ElementPattern, RowSizes, SegmentPattern
 from crms_fenicsx.energies.capstan_chain import ENERGY, find_slips
 from crms_fenicsx.energies.edge_fractions import add_slip_forces, edge_fractions
 from crms_fenicsx.energies.segments import add_segment_forces, segment_lengths, segment_stiffness

@@ -11,9 +11,14 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import BlockSink, ElementPattern, SegmentPattern, rows_of
+from crms_fenicsx.dofs.block_patterns import (
+    BlockSink,
+    ElementPattern,
+    RowSizes,
+    SegmentPattern,
+    rows_of,
+)
 from crms_fenicsx.dofs.elements import ElementTable
-from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.segments import add_segment_forces, segment_lengths, segment_stiffness
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.model.cable_state import StepStart

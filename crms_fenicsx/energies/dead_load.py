@@ -19,9 +19,8 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.meshes.cell_geometry import area_vectors
-from crms_fenicsx.meshes.part_names import outer_first
-from crms_fenicsx.meshes.triangles import double_areas, norm
+from crms_fenicsx.meshes.membrane_mesh import outer_first
+from crms_fenicsx.meshes.triangles import area_vectors, double_areas, norm
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array

@@ -19,9 +19,8 @@ import numba
 import numpy as np
 from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import ElementPattern, rows_of
+from crms_fenicsx.dofs.block_patterns import ElementPattern, RowSizes, rows_of
 from crms_fenicsx.dofs.elements import ElementTable
-from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans, Indices
 

@@ -16,10 +16,10 @@ import numba
 import numpy as np
 from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import ElementPattern, SegmentPattern
+from crms_fenicsx.dofs.block_patterns import ElementPattern, RowSizes, SegmentPattern
 from crms_fenicsx.dofs.elements import ElementTable
-from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies import stress_laws as laws
+from crms_fenicsx.energies.kinematics import Stiffening
 from crms_fenicsx.energies.segments import (
     add_segment_forces,
     difference,
@@ -27,7 +27,6 @@ from crms_fenicsx.energies.segments import (
     segment_stiffness,
     slope_over_distance,
 )
-from crms_fenicsx.energies.stiffening import Stiffening
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 

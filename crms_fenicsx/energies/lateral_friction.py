@@ -18,9 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import ElementPattern
+from crms_fenicsx.dofs.block_patterns import ElementPattern, RowSizes
 from crms_fenicsx.dofs.elements import ElementTable
-from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.edge_fractions import (
     add_slip_curvature,
     add_slip_forces,

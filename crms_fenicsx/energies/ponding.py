@@ -1,4 +1,4 @@
-"""Water that stands on a membrane: its energy, integrated exactly over what is wet of each facet.
+"""Water that stands on a membrane: its level, and its energy, integrated exactly.
 
 Water of the weight w by volume, up to the level s, has over the plan A the energy
 
@@ -19,19 +19,59 @@ but where an edge or a facet lies in the water's surface.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numba
 import numpy as np
+from mpi4py import MPI
 from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import ElementPattern
-from crms_fenicsx.dofs.preallocation import RowSizes
+from crms_fenicsx.dofs.block_patterns import ElementPattern, RowSizes
 from crms_fenicsx.energies.folded_pressure import Facets
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.energies.water_level import find_level
 from crms_fenicsx.model.pond import Pond
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import EPSILON, Array
+
+TURNS = 200
+"""Newton steps and bisections at most: from anywhere to the last digit they are some ten."""
+
+
+def find_level(
+    comm: MPI.Intracomm,
+    fill: Callable[[float], None],
+    sums: Array,
+    volume: float,
+    level: float,
+) -> float:
+    """Find the level at which water has a volume, by Newton's method. Collective.
+
+    The volume is a convex function of the level where the surface lies under all of the water, so
+    that Newton's steps come from above; where it does not, or is dry, they are kept in brackets.
+    Units: sums (length cubed), volume (length cubed), level (length).
+    """
+    low, high, step = -float("inf"), float("inf"), volume ** (1 / 3)
+    total = sums.copy()
+    for _ in range(TURNS):
+        fill(level)
+        comm.Allreduce(sums, total, op=MPI.SUM)
+        excess, area = float(total[-2]) - volume, float(total[-1])
+        if excess > 0.0:
+            high = min(high, level)
+        else:
+            low = max(low, level)
+        if area > 0.0 and abs(excess) <= 8 * EPSILON * volume:
+            return level
+        newton = level - excess / area if area > 0.0 else float("inf")
+        if low < newton < high:
+            target = newton
+        elif high - low < float("inf"):
+            target = (low + high) / 2
+        else:  # up to where there is a surface, or down to below it
+            target, step = level + (step if excess <= 0.0 else -step), 2 * step
+        if abs(target - level) <= 2 * EPSILON * max(abs(target), abs(level)):
+            return target
+        level = target
+    return level
 
 
 @numba.njit(cache=True)

@@ -1,25 +1,46 @@
-"""Air pressure on the plain cells, as an exact follower load (section 2.4)."""
+"""Air pressure on the plain cells as an exact follower load (section 2.4), and its sliding rim.
+
+The volume V under the membrane, seen from a point c, has the exact pressure as its gradient only
+inside; over an edge a -> b of the rim each of both vertices lacks the force
+
+    f = (a - c) x (b - c) / 6
+
+for a unit pressure. Held vertices do not need it. Where both are held in a direction k at the same
+height h over c, as in a plane of symmetry, f is up to its component along k the gradient of
+
+    -h / 6 (a_i b_j - a_j b_i),    i, j the directions that follow k,
+
+the volume between the plane and c. At an end of such a chain of edges that leaves (v_j, -v_i) h / 6
+over. Where i or j is held as well, at a corner with another plane or on a held edge, that is the
+gradient of -+ h / 6 v_i v_j. All these are products of three coordinates; they make the result
+independent of c.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import ufl
-from dolfinx import fem
+from dolfinx import fem, la
 from dolfinx.fem import petsc as fem_petsc
 from petsc4py import PETSc
 
+from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.integral import Integral, one_point
 from crms_fenicsx.energies.kinematics import Kinematics, tangent_basis
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.runtime.arrays import Array, Indices
 
 
 class FollowerPressure(EnergyTerm):
     """Potential ``-p (V - V0)`` of a uniform pressure, V the volume under the membrane.
 
     Its gradient is the pressure's exact nodal forces, normal to the current surface, as long as the
-    `open_edges` are held; where they slide in planes `crms_fenicsx.energies.pressure_rim` has what
+    `open_edges` are held; where they slide in planes `crms_fenicsx.energies.pressure` has what
     is missing. V is counted from `origin`; V0 is that of the stress-free surface, so that the
     energy is the work done since and does not depend on the origin.
 
@@ -87,3 +108,108 @@ class FollowerPressure(EnergyTerm):
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Add the pressure's nodal forces, with the sign of a gradient."""
         self.unknowns.add_to_vertices(self.integral.gradient, g)
+
+
+PLANE = 1e-9
+"""Largest distance of a plane edge's vertices from their plane, relative to the membrane's size."""
+
+
+@dataclass(frozen=True)
+class Rim:
+    """What this rank knows of the rim."""
+
+    # (m, 3) products of coordinates, by local degree of freedom times three plus direction
+    components: Indices
+    factors: Array  # (m,) their factors in the volume
+    # (n,) vertices, by local degree of freedom, at which the rim is free: neither held nor in a
+    # plane that is held in its normal direction
+    free: Indices
+    sliding: Indices  # (k,) local edges that are not held, but slide in a plane
+
+
+def rim_of(membrane: Membrane) -> Rim:
+    """Sort the open edges of a membrane by how they are held in its current shape. Collective."""
+    edges, V, held = membrane.open_edges, membrane.V, membrane.held
+    places, size = membrane.positions(), membrane.size
+    pairs, senses = edges.vertices, edges.senses
+    both = held[pairs].all(axis=1)
+    level = np.abs(places[pairs[:, 0]] - places[pairs[:, 1]]) <= PLANE * size
+    closed: npt.NDArray[np.bool_] = np.all(both, axis=1)
+    plane = np.where(
+        closed, -2, np.where(np.any(both & level, axis=1), np.argmax(both & level, axis=1), -1)
+    )
+    free = [pairs[plane == -1].ravel()]
+    owned = edges.numbers < V.mesh.topology.index_map(1).size_local
+    products: list[tuple[Indices, Array]] = []
+
+    def add(factor: Array, *coordinates: tuple[Indices, int]) -> None:
+        columns = [3 * dofs + direction for dofs, direction in coordinates]
+        products.append((np.stack(columns, axis=1).astype(np.int32), factor / 6))
+
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        own = owned & (plane == k)
+        a, b, s = pairs[own, 0], pairs[own, 1], senses[own]
+        add(-s, (a, k), (a, i), (b, j))
+        add(s, (a, k), (a, j), (b, i))
+        ends, excess = _ends(V, a, b, s)
+        free.append(ends[~held[ends][:, [i, j]].any(axis=1)])
+        add(np.where(held[ends, i], -excess, excess), (ends, k), (ends, i), (ends, j))
+    components, factors = (np.concatenate(parts) for parts in zip(*products, strict=True))
+    loose = np.concatenate(free)
+    loose = loose[~np.all(held[loose], axis=1)]
+    return Rim(components, factors, loose, edges.numbers[~closed])
+
+
+def _ends(V: fem.FunctionSpace, a: Indices, b: Indices, s: Array) -> tuple[Indices, Array]:
+    """Owned vertices at which chains of edges end; how many more begin there. Collective."""
+    count = la.vector(V.dofmap.index_map, dtype=np.float64)
+    np.add.at(count.array, a, s)
+    np.subtract.at(count.array, b, s)
+    count.scatter_reverse(la.InsertMode.add)
+    excess = count.array[: V.dofmap.index_map.size_local]
+    ends = np.flatnonzero(excess).astype(np.int32)
+    return ends, excess[ends].copy()
+
+
+class RimPressure(EnergyTerm):
+    """Potential of the pressure on what closes the volume at the rim: ``-p`` times its change.
+
+    Shapes and units: pressure (force per area), origin (3,) (length).
+    """
+
+    name = "pressure"
+
+    def __init__(self, rim: Rim, pressure: fem.Constant, origin: Array) -> None:
+        self.rim, self.pressure, self.origin = rim, pressure, origin
+
+    def attach(self, unknowns: Unknowns) -> None:
+        """Use this layout."""
+        super().attach(unknowns)
+        vertex, direction = np.divmod(self.rim.components, 3)
+        self._at = 3 * unknowns.vertex_blocks()[vertex] + direction
+        self._X = (unknowns.X - self.origin).reshape(-1)[self._at]
+
+    def sums(self, x: Array, out: Array) -> None:
+        """This rank's part of the volume gained (length cubed)."""
+        out[0] = self.rim.factors @ gain(self._X, x.reshape(-1)[self._at])
+
+    def energy(self, sums: Array) -> float:
+        """Minus the work of the pressure since the stress-free shape (force x length)."""
+        return -float(self.pressure.value) * float(sums[0])
+
+    def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
+        """Subtract the forces that the rim lacks; those along held directions mean nothing."""
+        y, factors = (
+            self._X + x.reshape(-1)[self._at],
+            -float(self.pressure.value) * self.rim.factors,
+        )
+        for k in range(3):
+            force = factors * y[:, (k + 1) % 3] * y[:, (k + 2) % 3]
+            np.add.at(g.reshape(-1), self._at[:, k], force)
+
+
+def gain(X: Array, x: Array) -> Array:
+    """``prod(X + x) - prod(X)`` of rows of three, not lost in the products' size."""
+    (A, B, C), (a, b, c) = X.T, x.T
+    return np.asarray(a * (B + b) * (C + c) + A * (b * (C + c) + B * c))

@@ -13,7 +13,7 @@ from petsc4py import PETSc
 from crms_fenicsx.energies.integral import Integral, one_point
 from crms_fenicsx.energies.kinematics import Kinematics, tangent_basis
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.meshes.cell_geometry import cell_normals
+from crms_fenicsx.meshes.triangles import cell_normals
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.compat import geometry_dofmap
 

@@ -14,8 +14,8 @@ import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
 
+from crms_fenicsx.dofs.block_patterns import RowSizes
 from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.folded_pressure import Facets, FoldedFollowerPressure
 from crms_fenicsx.energies.pressure import FollowerPressure
 from crms_fenicsx.energies.term import EnergyTerm

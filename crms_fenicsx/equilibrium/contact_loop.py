@@ -15,7 +15,7 @@ from crms_fenicsx.contact.active_set import ActiveSet
 from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
-from crms_fenicsx.paths.retrace import Retracer
+from crms_fenicsx.paths.geodesic_sliding import GeodesicSliding
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -27,10 +27,10 @@ class ContactLoop:
     """Solves one load step on given paths."""
 
     def __init__(
-        self, system: System, active: ActiveSet, retracer: Retracer | None, start: State
+        self, system: System, active: ActiveSet, sliding: GeodesicSliding | None, start: State
     ) -> None:
         self.system, self.scene = system, system.scene
-        self.active, self.retracer, self.start = active, retracer, start
+        self.active, self.sliding, self.start = active, sliding, start
         self._projections = 0
 
     def solve_in_cells(self, h0_prestress: tuple[float, ...], rough: bool) -> Outcome:
@@ -45,7 +45,7 @@ class ContactLoop:
         system.read_scene()
         system.locate_cables()
         changes = active.tighten()  # contacts can be judged on a solved state only
-        if self.retracer is not None and not changes and self.retracer.straighten():
+        if self.sliding is not None and not changes and self.sliding.straighten():
             changes = ["paths pulled taut"]
         total: Outcome | None = None
         looked = False
@@ -62,8 +62,8 @@ class ContactLoop:
         while True:
             if changes:
                 logger.debug("%s", "; ".join(changes))
-                if self.retracer is not None:
-                    self.retracer.straighten()
+                if self.sliding is not None:
+                    self.sliding.straighten()
                 system.rebuild()
                 system.read_scene()
             if system.has_history:  # the step starts there for all its terms
@@ -89,7 +89,7 @@ class ContactLoop:
     def _changes(self) -> list[str]:
         """Change what the solved state asks for; return the changes in words."""
         changes = self.active.update()
-        if self.retracer is not None and not changes and self._projections < MAX_PROJECTIONS:
-            changes = self.retracer.renew_projections()
+        if self.sliding is not None and not changes and self._projections < MAX_PROJECTIONS:
+            changes = self.sliding.renew_projections()
             self._projections += len(changes)
         return changes

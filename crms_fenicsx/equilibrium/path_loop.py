@@ -17,7 +17,7 @@ from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.paths.crossing_trials import CrossingTrials
 from crms_fenicsx.paths.path_change import PathChange
 from crms_fenicsx.paths.tried_paths import TriedPaths
-from crms_fenicsx.paths.vertex_trials import Trial, VertexTrials
+from crms_fenicsx.paths.vertex_passing import Trial, VertexTrials
 
 CAUGHT, STUCK = 0.05, 0.15
 """Kinks of a folded edge (rad) from which on its cable is laid anew, and the state is refused.
@@ -52,8 +52,8 @@ class PathLoop:
     """Solves one load step of cables that slide sideways, and finds their paths."""
 
     def __init__(self, contacts: ContactLoop, change: PathChange, tried: TriedPaths) -> None:
-        assert contacts.retracer is not None
-        self.contacts, self.retracer = contacts, contacts.retracer
+        assert contacts.sliding is not None
+        self.contacts, self.sliding = contacts, contacts.sliding
         self.system, self.scene = contacts.system, contacts.scene
         self.change, self.tried = change, tried
 
@@ -79,7 +79,7 @@ class PathLoop:
                     best = replace(best, state=State.of(self.scene), energy=energy)
                 if caught:
                     laid_again |= caught
-                    self.retracer.lay_again(caught)
+                    self.sliding.lay_again(caught)
                 else:
                     if tries < MAX_PATHS:
                         moved = trials.next(best.energy, self._scale())
@@ -128,7 +128,7 @@ class PathLoop:
             total = total + self.contacts.solve((0.0,))
         if not total.converged:
             return total
-        self.retracer.check_on_membrane()
+        self.sliding.check_on_membrane()
         caught = self.system.caught_cables(STUCK) | self._sunk()
         if caught:
             names = ", ".join(self.scene.cables[c].name for c in sorted(caught))
@@ -154,7 +154,7 @@ class PathLoop:
         """Move the cables over vertices, `most` at most each; return over how many."""
         if most == 0:
             return 0
-        return max(self.retracer.retrace(most), self._pass_vertices(most))
+        return max(self.sliding.slide(most), self._pass_vertices(most))
 
     def _pass_vertices(self, most: int | None) -> int:
         """Move cables with friction over the vertices that they have run into."""

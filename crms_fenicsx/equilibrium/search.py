@@ -1,4 +1,4 @@
-"""The equilibrium of a load step: what changes the potential itself, around its minimisation.
+"""Search for the equilibrium of a load step, with the friction forces of its own state.
 
 Loops, one inside the other:
 
@@ -13,18 +13,102 @@ so that a change costs little and none costs nothing.
 
 from __future__ import annotations
 
+import logging
+import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from crms_fenicsx.contact.active_set import ActiveSet
+from crms_fenicsx.equilibrium.contact_loop import ContactLoop
 from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.paths.tried_paths import TriedPaths
 
 if TYPE_CHECKING:
+    from crms_fenicsx.friction.passes import AxialIteration, LateralIteration
+
+logger = logging.getLogger("crms_fenicsx")
+
+MAX_PASSES = 30
+"""How often friction forces are taken from the state that they have led to."""
+
+PATIENCE = 12
+"""How often they may be without their change becoming less: where the state answers a small change
+of a force by a large one, as at the edge of lifting off, they go round in circles."""
+
+Solve = Callable[[tuple[float, ...], bool], Outcome]
+"""Finds an equilibrium with the friction forces that there are, or a state near to it."""
+
+
+class FrictionLoop:
+    """Solves one load step of cables with friction, or without any."""
+
+    def __init__(self, contacts: ContactLoop, solve: Solve, tried: TriedPaths | None) -> None:
+        self.contacts, self._solve, self.tried = contacts, solve, tried
+        self.system, self.scene = contacts.system, contacts.scene
+
+    def solve(self, h0_prestress: tuple[float, ...]) -> Outcome:
+        """Solve, again and again until the friction forces are those of its own state. Collective.
+
+        While these change much the states are worked out near their equilibrium only.
+        """
+        solve, lags = self._solve, self._lags()
+        outcome = solve(h0_prestress, bool(lags))
+        if not lags:
+            return outcome
+        from crms_fenicsx.friction.passes import NEARLY
+
+        rough = True
+        change, least, waited = 0.0, math.inf, 0
+        for passes in range(1, MAX_PASSES + 1):
+            outcome = replace(outcome, passes=passes)
+            if not outcome.converged:
+                return outcome
+            shape = self.scene.net.strip_shape()
+            changes = [lag.renew(shape) for lag in lags]
+            if all(c <= lag.settled for c, lag in zip(changes, lags, strict=True)):
+                if not rough:
+                    return outcome
+                outcome, rough = outcome + self.contacts.solve((0.0,)), False
+                continue
+            change = max(changes)
+            logger.debug("pass %d: friction forces change by %.2g", passes, change)
+            least, waited = min(change, least), waited + 1 if change >= least else 0
+            given_up = waited == PATIENCE or passes == MAX_PASSES
+            if given_up and change > NEARLY:
+                break
+            if change > NEARLY and self.tried is not None:
+                self.tried.rejected.clear()
+            self.system.renew_friction()
+            if change <= NEARLY and not any(cable.has_coulomb for cable in self.scene.cables):
+                # Friction along a cable moves its path too little for others.
+                solve = self.contacts.solve_in_cells
+            rough = change > NEARLY
+            outcome = outcome + solve((0.0,), rough)
+            if given_up and outcome.converged:
+                return replace(outcome, passes=passes, unsettled=change)
+        reason = f"friction forces still change by {change:.1%} after {outcome.passes} passes"
+        return replace(outcome, converged=False, reason=reason)
+
+    def _lags(self) -> list[LateralIteration | AxialIteration]:
+        """The iterations of the friction forces of the cables, sideways and along."""
+        lags: list[LateralIteration | AxialIteration] = []
+        for cable in self.scene.cables:
+            if cable.has_coulomb:
+                from crms_fenicsx.friction.passes import LateralIteration
+
+                lags.append(LateralIteration(cable))
+            if cable.axial is not None:
+                from crms_fenicsx.friction.passes import AxialIteration
+
+                lags.append(AxialIteration(cable))
+        return lags
+
+
+if TYPE_CHECKING:
     from crms_fenicsx.equilibrium.contact_loop import ContactLoop
-    from crms_fenicsx.equilibrium.friction_loop import FrictionLoop
 
 MAX_LENGTHS = 30
 """How often a solve is repeated for what smoothing adds to the lengths of cables."""
@@ -55,25 +139,24 @@ class EquilibriumSearch:
     def _loops(self, start: State) -> tuple[ContactLoop, FrictionLoop]:
         """Nest the loops of a load step with cables that starts in a state."""
         from crms_fenicsx.equilibrium.contact_loop import ContactLoop
-        from crms_fenicsx.equilibrium.friction_loop import FrictionLoop
 
         if not self.slide:
             contacts = ContactLoop(self.system, ActiveSet(self.scene.net, None), None, start)
             return contacts, FrictionLoop(contacts, contacts.solve_in_cells, None)
         from crms_fenicsx.equilibrium.path_loop import PathLoop
         from crms_fenicsx.paths.boundary_ends import renew_ends
+        from crms_fenicsx.paths.geodesic_sliding import GeodesicSliding
         from crms_fenicsx.paths.path_change import PathChange
-        from crms_fenicsx.paths.retrace import Retracer
 
         if self.tried is None:
             self.tried = TriedPaths()
         self.tried.begin_step()
         change = PathChange(self.scene.net)
-        retracer = Retracer(change, self.tried)
-        contacts = ContactLoop(self.system, ActiveSet(self.scene.net, self.tried), retracer, start)
+        sliding = GeodesicSliding(change, self.tried)
+        contacts = ContactLoop(self.system, ActiveSet(self.scene.net, self.tried), sliding, start)
         paths = PathLoop(contacts, change, self.tried)
         changed = renew_ends(change)
-        if retracer.renew_projections() or changed:
+        if sliding.renew_projections() or changed:
             self.system.rebuild()
         return contacts, FrictionLoop(contacts, paths.solve, self.tried)
 
@@ -83,7 +166,6 @@ class EquilibriumSearch:
         Smoothing has its place in the gradient, which turns a segment that comes to an end at a
         vertex; the length that it adds hardly depends on the state, and is taken off.
         """
-        from crms_fenicsx.equilibrium.friction_loop import FrictionLoop
 
         for k in range(MAX_LENGTHS):
             if not outcome.converged or not self.system.renew_excess():

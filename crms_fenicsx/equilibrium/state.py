@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from crms_fenicsx.energies.dead_load import MembraneLoad
-from crms_fenicsx.model.bar_state import BarState, JointState
+from crms_fenicsx.model.bar import BarState, JointState
 from crms_fenicsx.model.cable_state import CableNode, CableState
 from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.model.sealed_air import SealedAir
-from crms_fenicsx.model.state_warning import StateWarning
-from crms_fenicsx.model.versions import Version
+from crms_fenicsx.model.versions import StateWarning, Version
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
 

@@ -10,23 +10,31 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from crms_fenicsx.contributions.added_terms import AddedTermsContribution, force_per_area
-from crms_fenicsx.contributions.contribution import Contribution
-from crms_fenicsx.contributions.loads import MembraneLoadsContribution, PressureContribution
-from crms_fenicsx.contributions.membrane import MembraneContribution, hold, tiny_force
 from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.minimization.chord import is_convex_from
+from crms_fenicsx.equilibrium.contribution import (
+    AddedTermsContribution,
+    Contribution,
+    force_per_area,
+)
+from crms_fenicsx.equilibrium.membrane_contribution import (
+    MembraneContribution,
+    MembraneLoadsContribution,
+    PressureContribution,
+    hold,
+    tiny_force,
+)
 from crms_fenicsx.minimization.minimizer import Minimizer
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.minimization.stability import is_convex_from
 from crms_fenicsx.model.crossing import NodeId
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
-    from crms_fenicsx.contributions.bars import BarContribution
-    from crms_fenicsx.contributions.cables import CableContribution
-    from crms_fenicsx.contributions.ponds import PondContribution
+    from crms_fenicsx.equilibrium.cable_contribution import CableContribution
+    from crms_fenicsx.equilibrium.frame_contribution import BarContribution
+    from crms_fenicsx.equilibrium.pond_contribution import PondContribution
 
 FAR = 0.01
 """Largest movement in a minimisation, relative to the membrane's size, from which on it is looked
@@ -96,14 +104,14 @@ class System:
         self.contributions: list[Contribution] = list(self._lasting)
         self.bars = self._bar_contribution()
         if scene.cables:
-            from crms_fenicsx.contributions.cables import CableContribution
+            from crms_fenicsx.equilibrium.cable_contribution import CableContribution
 
             frame = None if self.bars is None else self.bars.blocks
             self.cables = CableContribution(scene, self.membrane, self.pressure, frame)
             self.unknowns, damping = self.cables.unknowns, self.cables.damping()
             self.contributions += [self.cables, self.cables.folds]
             if scene.net.has_friction or any(cable.axial is not None for cable in scene.cables):
-                from crms_fenicsx.contributions.friction import FrictionContribution
+                from crms_fenicsx.equilibrium.cable_contribution import FrictionContribution
 
                 self.contributions.append(FrictionContribution(scene, self.cables))
         else:
@@ -115,7 +123,7 @@ class System:
             self.contributions.append(self.bars)
         self.ponds = None
         if scene.ponds:
-            from crms_fenicsx.contributions.ponds import PondContribution
+            from crms_fenicsx.equilibrium.pond_contribution import PondContribution
 
             self.ponds = PondContribution(scene, self.membrane, self.cables)
             self.contributions.append(self.ponds)
@@ -132,7 +140,7 @@ class System:
         """The contribution of bars and joints; None without any."""
         if not self.scene.frame:
             return None
-        from crms_fenicsx.contributions.bars import BarContribution
+        from crms_fenicsx.equilibrium.frame_contribution import BarContribution
 
         return BarContribution(self.scene)
 

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from crms_fenicsx.form_finding.cables import FormCable, edge_lines, places_of
-from crms_fenicsx.form_finding.film import Film
+from crms_fenicsx.form_finding.film import Film, Inflation
+from crms_fenicsx.form_finding.form_cables import FormCable, edge_lines, places_of
+from crms_fenicsx.form_finding.form_search import NO_FORM, FormSearch
 from crms_fenicsx.form_finding.found_form import FormCableFound, FoundForm, largest_part
-from crms_fenicsx.form_finding.inflation import Inflation
-from crms_fenicsx.form_finding.search import NO_FORM, FormSearch
 from crms_fenicsx.form_finding.stresses import Direction, PrescribedStress, Stress
 from crms_fenicsx.form_finding.supports import (
     Lift,

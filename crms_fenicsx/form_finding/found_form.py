@@ -10,14 +10,14 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.energies.residual_stress import ResidualStress
-from crms_fenicsx.form_finding.bars import FormBar, add_bars
+from crms_fenicsx.form_finding.form_bars import FormBar, add_bars
 from crms_fenicsx.form_finding.stresses import Materials, PrescribedStress
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.checks import counted, span
 from crms_fenicsx.runtime.errors import InputError, collective
-from crms_fenicsx.runtime.text import counted, span
 from crms_fenicsx.scene import Scene
 
 ROUNDING = 1e-10

@@ -8,9 +8,9 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from crms_fenicsx.form_finding.cables import EdgeLine
-from crms_fenicsx.form_finding.directions import Directions
 from crms_fenicsx.form_finding.film import SOFTEST, Film
+from crms_fenicsx.form_finding.form_cables import EdgeLine
+from crms_fenicsx.form_finding.supports import Directions
 from crms_fenicsx.runtime.arrays import Array
 
 WORKSPACE = 100

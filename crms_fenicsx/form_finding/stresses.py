@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from crms_fenicsx.meshes import MembraneMesh
-from crms_fenicsx.meshes.cell_geometry import cell_normals
-from crms_fenicsx.meshes.part_names import outer_first
+from crms_fenicsx.meshes.membrane_mesh import outer_first
+from crms_fenicsx.meshes.triangles import cell_normals
 from crms_fenicsx.model.materials import IsotropicMembrane, MembraneMaterial, OrthotropicMembrane
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Integers

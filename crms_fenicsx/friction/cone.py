@@ -21,10 +21,8 @@ import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import wrap_angles
-from crms_fenicsx.friction.gripped_nodes import held_nodes
-from crms_fenicsx.friction.slip import node_slips
-from crms_fenicsx.model.friction import Friction
-from crms_fenicsx.model.friction_history import Grip, SidewaysLaw
+from crms_fenicsx.friction.slip import held_nodes, node_slips
+from crms_fenicsx.model.friction import Friction, LateralFrictionState, SidewaysLaw
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 
@@ -101,7 +99,9 @@ def full_slips(cable: LaidCable, size: Array, wrap: Array) -> Array:
     return np.where(wrap > 0, friction.tolerance * size * wrap * strain, 1.0)
 
 
-def slips_sideways(cable: LaidCable, grip: Grip, shape: StripShape, nodes: list[int]) -> Slip:
+def slips_sideways(
+    cable: LaidCable, grip: LateralFrictionState, shape: StripShape, nodes: list[int]
+) -> Slip:
     """Slips sideways of some of a cable's nodes; none of those on vertices."""
     friction = cable.cable.sideways
     assert friction is not None
@@ -112,7 +112,9 @@ def slips_sideways(cable: LaidCable, grip: Grip, shape: StripShape, nodes: list[
     return Slip.of(friction.mu, slips, friction.tolerance * size)
 
 
-def law_sideways(cable: LaidCable, grip: Grip, shape: StripShape) -> SidewaysLaw | None:
+def law_sideways(
+    cable: LaidCable, grip: LateralFrictionState, shape: StripShape
+) -> SidewaysLaw | None:
     """What friction along the cable takes of that sideways at the grip's nodes; None: nothing."""
     friction, axial = cable.cable.sideways, cable.axial
     assert friction is not None

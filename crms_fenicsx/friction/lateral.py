@@ -1,4 +1,4 @@
-"""Grip of the membrane on a cable: friction bound of each node, carried through a load step.
+"""Friction sideways: bounds and slips of a load step, and their tables.
 
 The bound F = mu N (3.2-3) depends on the state that is sought. It is held while the potential is
 minimised, then taken anew from the state found, and so on until it settles.
@@ -10,18 +10,30 @@ the paths that are compared, does not change for any other reason.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
+from crms_fenicsx.cables.numbering import CableNumbering
+from crms_fenicsx.cables.points_on_edges import points_by_edge
 from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.contact.contact_force import contact_forces, paper_forces
+from crms_fenicsx.contact.contact_force import contact_forces, directions, paper_forces, turns
+from crms_fenicsx.energies.lateral_friction import Slips
+from crms_fenicsx.energies.paper.friction_element import FrictionElements
 from crms_fenicsx.energies.smooth_coulomb import stored_and_lost
-from crms_fenicsx.friction.gripped_nodes import held_nodes, succession, supports_of
-from crms_fenicsx.friction.lateral_iteration import SLIDES
-from crms_fenicsx.friction.slip import material_curve, node_slips, slip_forces
+from crms_fenicsx.friction.passes import SLIDES
+from crms_fenicsx.friction.slip import (
+    NodeSlips,
+    held_nodes,
+    material_curve,
+    node_slips,
+    slip_forces,
+    succession,
+    supports_of,
+)
 from crms_fenicsx.meshes.triangles import norm
-from crms_fenicsx.model.friction_history import Grip, SidewaysLaw
+from crms_fenicsx.model.friction import Friction, LateralFrictionState, SidewaysLaw
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 
@@ -46,7 +58,9 @@ def start_step(cable: LaidCable, shape: StripShape) -> None:
     if cable.cable.sideways is None:
         return
     if cable.grip is None:
-        cable.update(grip=Grip(material_curve(cable, shape), (), np.zeros(0), np.zeros(0)))
+        cable.update(
+            grip=LateralFrictionState(material_curve(cable, shape), (), np.zeros(0), np.zeros(0))
+        )
     remap(cable)
     grip, friction = cable.grip, cable.cable.sideways
     assert grip is not None
@@ -77,7 +91,7 @@ def _tension_in_place(cable: LaidCable) -> float:
     return cable.cable.EA * (length / cable.L0 - 1)
 
 
-def _ways(cable: LaidCable, grip: Grip, shape: StripShape) -> Array:
+def _ways(cable: LaidCable, grip: LateralFrictionState, shape: StripShape) -> Array:
     """Directions in which nodes will slide in a step, for the law that has to know before.
 
     They go where the cable pulls them, or else as in the last step.
@@ -180,3 +194,58 @@ def end_step(cable: LaidCable, shape: StripShape) -> None:
         dissipated=grip.dissipated + dissipated,
     )
     cable.update(grip=ended)
+
+
+def slip_table(numbering: CableNumbering, shape: StripShape) -> Slips:
+    """Nodes with stick and slip."""
+    on_edge = points_by_edge(numbering.cables)  # rails may have passed others since the layout
+    pointers, places, rows = [0], [], []
+    blocks: list[int] = []
+    for c, _, friction, grip, slips in _slips(numbering, shape, "coulomb"):
+        held = [grip.row_of[edge] for edge in slips.supports]
+        bounds, eps, _ = grip.law(held, friction.tolerance * slips.size)
+        for i, (k, edge) in enumerate(zip(slips.nodes, slips.supports, strict=True)):
+            if numbering.strip.owner_of(edge) != numbering.rank:
+                continue
+            line = numbering.line((edge[0], edge[1]), on_edge[edge[0], edge[1]])
+            blocks += line
+            pointers.append(len(blocks))
+            places.append(line.index(numbering.block(c, k)))
+            rows.append((slips.slope[i], slips.offset[i], bounds[i], eps[i]))
+    slope, offset, bound, eps_of = np.array(rows, dtype=float).reshape(-1, 4).T.copy()
+    return Slips(
+        np.array(pointers, dtype=np.int32), np.array(blocks, dtype=np.int32),
+        np.array(places, dtype=np.int32), slope, offset, bound, eps_of,
+    )  # fmt: skip
+
+
+def element_table(numbering: CableNumbering, shape: StripShape) -> FrictionElements:
+    """The paper's friction elements."""
+    blocks, forces, offsets = [], [], []
+    for c, cable, _, grip, slips in _slips(numbering, shape, "step"):
+        direction = turns(cable)
+        for k, edge, slip in zip(slips.nodes, slips.supports, slips.slip, strict=True):
+            if numbering.strip.owner_of(edge) != numbering.rank:
+                continue
+            vertex = edge[int(cable.fractions[k] > 0.5)]
+            work = grip.at(edge) * grip.moving[grip.row_of[edge]]
+            force = work * directions(cable, [k], shape, *(way[None] for way in direction[k]))[1][0]
+            blocks.append((numbering.vertex(vertex), numbering.block(c, k)))
+            forces.append(force)
+            # The work of a node that the path has got in this step begins with its slip.
+            offsets.append(work * slip - float(force @ (cable.positions[k] - shape.at(vertex))))
+    return FrictionElements(
+        np.array(blocks, dtype=np.int32).reshape(-1, 2),
+        np.array(forces, dtype=float).reshape(-1, 3),
+        np.array(offsets, dtype=float),
+    )
+
+
+def _slips(
+    numbering: CableNumbering, shape: StripShape, law: str
+) -> Iterator[tuple[int, LaidCable, Friction, LateralFrictionState, NodeSlips]]:
+    """Slips of the nodes of the cables that friction of a law holds."""
+    for c, cable in enumerate(numbering.cables):
+        friction, grip = cable.cable.sideways, cable.grip
+        if cable.taut and friction is not None and grip is not None and friction.law == law:
+            yield c, cable, friction, grip, node_slips(cable, grip.curve, shape)

@@ -1,4 +1,4 @@
-"""Slip of a cable on the membrane, measured from its material curve at the last equilibrium.
+"""Slip of a cable on the membrane at the nodes that friction holds.
 
 The history of friction is a curve on the stress-free membrane: the places on which the cable lay
 when the last load step ended. It is attached to no edge, so that nothing is lost when the cable
@@ -9,6 +9,7 @@ small slip eps friction is elastic, which keeps an idle cable from creeping.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,11 +18,47 @@ from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.contact.contact_force import runs
 from crms_fenicsx.energies.smooth_coulomb import coulomb_forces
 from crms_fenicsx.meshes.triangles import arc_lengths, cross
-from crms_fenicsx.model.friction import Friction
-from crms_fenicsx.model.friction_history import Grip, MaterialCurve
+from crms_fenicsx.model.friction import Friction, LateralFrictionState, MaterialCurve
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import Support
+
+
+def succession(
+    old: Sequence[Support], now: Sequence[Support]
+) -> tuple[list[int], list[int], list[tuple[slice, list[int]]]]:
+    """How the nodes of a changed path follow on those of the old one.
+
+    Returns stays, rows: nodes that stay, and what they were; heirs: old nodes that go, a stretch at
+    a time, with those that take their place: the new ones there, or the neighbours.
+    """
+    was = {support: k for k, support in enumerate(old)}
+    stays = [k for k, support in enumerate(now) if support in was]
+    rows = [was[now[k]] for k in stays]
+    if sorted(rows) != rows:  # no such path comes from this one
+        stays, rows = [], []
+    starts, ends = [-1, *stays], [*stays, len(now)]
+    was_starts, was_ends = [-1, *rows], [*rows, len(old)]
+    heirs = []
+    for a, b, c, d in zip(starts, ends, was_starts, was_ends, strict=True):
+        new = list(range(a + 1, b)) or [k for k in (a, b) if 0 <= k < len(now)]
+        if new and d > c + 1:
+            heirs.append((slice(c + 1, d), new))
+    return stays, rows, heirs
+
+
+def held_nodes(cable: LaidCable) -> list[int]:
+    """Nodes that friction may hold: those that touch the membrane, inside of the cable's ends."""
+    return [
+        k
+        for k in cable.contacts()
+        if cable.nodes[k].kind in ("fold", "rail", "vertex") and 0 < k < len(cable.nodes) - 1
+    ]
+
+
+def supports_of(cable: LaidCable) -> Sequence[Support]:
+    """Places of these nodes on the mesh."""
+    return [cable.nodes[k].support for k in held_nodes(cable)]
 
 
 @dataclass(frozen=True)
@@ -101,7 +138,7 @@ def node_slips(cable: LaidCable, curve: MaterialCurve, shape: StripShape) -> Nod
     return NodeSlips(nodes, supports, slope, offset, slip, size, moving)
 
 
-def slip_forces(friction: Friction, grip: Grip, slips: NodeSlips) -> Array:
+def slip_forces(friction: Friction, grip: LateralFrictionState, slips: NodeSlips) -> Array:
     """Friction forces with stick and slip of sliding nodes, (n,) (force)."""
     rows = [grip.row_of[support] for support in slips.supports]
     bounds, eps, _ = grip.law(rows, friction.tolerance * slips.size)

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from crms_fenicsx.meshes.edge_table import EdgeTable, edge_keys
 from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, gathered, shared_out
 from crms_fenicsx.meshes.smooth_surface import SmoothSurface
-from crms_fenicsx.meshes.surface import EMPTY, Projection, Surface, check_shapes
+from crms_fenicsx.meshes.surface import EMPTY, CheckedSurface, Projection, check_shapes
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.runtime.compat import geometry_dofmap
@@ -100,13 +100,13 @@ def refine(
     return shared_out(mesh.comm, finer, ranks[division.parents], onto)
 
 
-def _quarters(surface: Surface) -> Division:
+def _quarters(surface: CheckedSurface) -> Division:
     """All cells divided into four."""
     m = len(surface.cells)
     return Division(np.repeat(np.arange(m), 4), np.tile(QUARTERS, (m, 1)))
 
 
-def _fitted(surface: Surface, parents: Integers, places: Array) -> Division:
+def _fitted(surface: CheckedSurface, parents: Integers, places: Array) -> Division:
     """The division that DOLFINx's finer cells are: parents (k,) and corners' places (k, 3, 3)."""
     corners = surface.points[surface.cells]
     around = np.einsum("ck,mki->mci", CORNERS, corners)[parents]
@@ -188,7 +188,9 @@ def _checked(project: Callable[[Array], Array]) -> Projection:
     return onto
 
 
-def _divided(surface: Surface, division: Division, onto: Projection | None) -> Surface:
+def _divided(
+    surface: CheckedSurface, division: Division, onto: Projection | None
+) -> CheckedSurface:
     """A surface whose cells are divided."""
     n, parents = len(surface.points), division.parents
     table = EdgeTable.of(surface.cells)
@@ -221,7 +223,7 @@ def _divided(surface: Surface, division: Division, onto: Projection | None) -> S
     def children(numbers: Integers) -> Integers:
         return np.flatnonzero(np.isin(parents, numbers))
 
-    return Surface(
+    return CheckedSurface(
         points,
         cells,
         {name: parts(keys) for name, keys in surface.edges.items()},

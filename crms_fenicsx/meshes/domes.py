@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.meshes.arguments import check_point, check_positive, check_size
 from crms_fenicsx.meshes.gmsh_model import mesh_with_sizes, own_model, read_model
 from crms_fenicsx.meshes.membrane_mesh import mesh_generator
 from crms_fenicsx.meshes.partition import Ranks
@@ -20,7 +19,13 @@ from crms_fenicsx.meshes.plane import (
     ellipse_arrays,
     rectangle_corners,
 )
-from crms_fenicsx.meshes.refinement import Refinement, TargetSize
+from crms_fenicsx.meshes.refinement import (
+    Refinement,
+    TargetSize,
+    check_point,
+    check_positive,
+    check_size,
+)
 from crms_fenicsx.meshes.surface import SurfaceArrays
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
@@ -19,11 +19,17 @@ from numpy.typing import ArrayLike
 from crms_fenicsx.meshes.edge_table import EdgeTable, edge_keys
 from crms_fenicsx.meshes.orientation import UPWARD, Outside
 from crms_fenicsx.meshes.partition import Ranks, cell_ranks, checked_ranks
-from crms_fenicsx.meshes.surface import EMPTY, Projection, Surface, SurfaceArrays, checked_surface
+from crms_fenicsx.meshes.surface import (
+    EMPTY,
+    CheckedSurface,
+    Projection,
+    SurfaceArrays,
+    checked_surface,
+)
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Indices, Integers
 from crms_fenicsx.runtime.compat import create_mesh, geometry_dofmap, with_nodes
-from crms_fenicsx.runtime.errors import raised_together
+from crms_fenicsx.runtime.errors import InputError, raised_together
 
 P = ParamSpec("P")
 
@@ -192,7 +198,7 @@ def distributed(
 
 
 def shared_out(
-    comm: MPI.Intracomm, surface: Surface, given: Indices | None, project: Projection | None
+    comm: MPI.Intracomm, surface: CheckedSurface, given: Indices | None, project: Projection | None
 ) -> MembraneMesh:
     """Distribute a surface that is all on rank 0, its cells to the ranks given there, if any."""
     mesh = create_mesh(comm, surface.cells, surface.points, cell_ranks(comm, surface, given))
@@ -274,7 +280,7 @@ def cell_vertex_ids(mesh: dolfinx.mesh.Mesh) -> Integers:
     return np.asarray(mesh.geometry.input_global_indices[geometry_dofmap(mesh)], dtype=np.int64)
 
 
-def gathered(mesh: MembraneMesh) -> tuple[Surface, Indices]:
+def gathered(mesh: MembraneMesh) -> tuple[CheckedSurface, Indices]:
     """The surface of a mesh and the ranks of its cells (m,), all on rank 0. Collective."""
     topology, comm = mesh.mesh.topology, mesh.comm
     own = topology.index_map(2).size_local
@@ -304,7 +310,7 @@ def gathered(mesh: MembraneMesh) -> tuple[Surface, Indices]:
     )
     hidden = np.unique(np.concatenate([part[7] for part in parts]))
     links = np.zeros((0, 2), dtype=np.int64)
-    return Surface(points, cells, edges, named, vertices, links, hidden), ranks
+    return CheckedSurface(points, cells, edges, named, vertices, links, hidden), ranks
 
 
 def _local_groups(
@@ -329,3 +335,25 @@ def _local_groups(
     for indices in local.values():
         indices.setflags(write=False)
     return MappingProxyType(local)
+
+
+def outer_first(mesh: MembraneMesh, call: str, what: str, names: Iterable[object]) -> list[str]:
+    """Order parts so that one inside another comes after it: its cells count to the inner one.
+
+    Collective when a mesh is first asked, which making its scene does.
+    """
+    given = sorted(names, key=repr)
+    for part in given:
+        if part not in mesh.parts:
+            known = ", ".join(sorted(mesh.parts)) or "(none)"
+            raise InputError(f"{call}: the mesh has no part {part!r}; it has the parts {known}.")
+    around = dict.fromkeys(map(str, given), 0)
+    for (one, other), inner in mesh.overlaps.items():
+        if one in around and other in around:
+            if inner is None:
+                raise InputError(
+                    f"{call}: part {one!r} shares cells with part {other!r}, which has a {what} as "
+                    f"well, and neither is inside the other; give each cell one {what}."
+                )
+            around[inner] += 1
+    return sorted(around, key=lambda part: around[part])

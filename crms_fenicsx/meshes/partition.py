@@ -14,7 +14,7 @@ from mpi4py import MPI
 from numpy.typing import ArrayLike
 
 from crms_fenicsx.meshes.orientation import connected_labels
-from crms_fenicsx.meshes.surface import Surface
+from crms_fenicsx.meshes.surface import CheckedSurface
 from crms_fenicsx.runtime.arrays import Array, Indices, Integers
 from crms_fenicsx.runtime.compat import default_ranks
 from crms_fenicsx.runtime.errors import MeshError
@@ -23,7 +23,9 @@ Ranks = ArrayLike | Callable[[Array], ArrayLike]
 """The rank of each cell, (m,), or a function that gives it from the cells' midpoints, (m, 3)."""
 
 
-def cell_ranks(comm: MPI.Intracomm, surface: Surface, given: Indices | None) -> Indices | None:
+def cell_ranks(
+    comm: MPI.Intracomm, surface: CheckedSurface, given: Indices | None
+) -> Indices | None:
     """Choose the ranks of the cells of a surface that is all on rank 0. Collective.
 
     Returns the ranks of this rank's share of the cells; None, on all ranks, to leave it to DOLFINx.
@@ -52,7 +54,7 @@ def kept_together(ranks: Indices, links: Integers) -> Indices:
     return moved
 
 
-def checked_ranks(surface: Surface, ranks: Ranks, size: int) -> Indices:
+def checked_ranks(surface: CheckedSurface, ranks: Ranks, size: int) -> Indices:
     """Return the rank of each cell as the caller wants it."""
     midpoints = surface.points[surface.cells].mean(axis=1)
     given = np.asarray(ranks(midpoints) if callable(ranks) else ranks)

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from crms_fenicsx.meshes.edge_table import EdgeTable, edge_keys
+from crms_fenicsx.meshes.edge_table import EdgeTable, edge_keys, hidden_cells
 from crms_fenicsx.meshes.orientation import Outside, connected_labels, oriented
-from crms_fenicsx.meshes.seams import hidden_cells
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.runtime.errors import MeshError, as_text
 
@@ -40,7 +39,7 @@ class SurfaceArrays:
 
 
 @dataclass(frozen=True)
-class Surface:
+class CheckedSurface:
     """A checked and oriented surface, all of it on one rank.
 
     Attributes
@@ -68,7 +67,7 @@ class Surface:
     hidden: Integers
 
 
-EMPTY = Surface(
+EMPTY = CheckedSurface(
     np.empty((0, 3)),
     np.empty((0, 3), dtype=np.int64),
     {},
@@ -80,7 +79,7 @@ EMPTY = Surface(
 """What the other ranks have of a surface."""
 
 
-def checked_surface(arrays: SurfaceArrays, outside: Outside) -> Surface:
+def checked_surface(arrays: SurfaceArrays, outside: Outside) -> CheckedSurface:
     """Check arrays and orient their cells."""
     points = _coordinates(arrays.points)
     cells = _cells(arrays.cells, points)
@@ -89,7 +88,7 @@ def checked_surface(arrays: SurfaceArrays, outside: Outside) -> Surface:
     _check_fans(points, cells, table)
     parts = _index_groups(arrays.parts, "part", "cells", len(cells))
     cells, piece = oriented(points, cells, table, outside, parts)
-    return Surface(
+    return CheckedSurface(
         points,
         cells,
         _edge_groups(arrays.edges, points, table),

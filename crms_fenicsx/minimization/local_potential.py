@@ -15,8 +15,7 @@ import numpy as np
 
 from crms_fenicsx.dofs.cluster_layout import ClusterLayout
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.minimization.cluster_gather import SPRINGS, Clusters
-from crms_fenicsx.minimization.cluster_matrix import ClusterMatrix
+from crms_fenicsx.minimization.clusters import SPRINGS, ClusterMatrix, Clusters
 from crms_fenicsx.minimization.damping import Damping
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.runtime.arrays import Array, Booleans

@@ -29,7 +29,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from crms_fenicsx.energies.stiffening import FLOOR, Stiffening
+from crms_fenicsx.energies.kinematics import FLOOR, Stiffening
 from crms_fenicsx.minimization import outcome as endings
 from crms_fenicsx.minimization.initial_hessian import InitialHessian, at_bounds
 from crms_fenicsx.minimization.newton import PATIENCE, NewtonMethod

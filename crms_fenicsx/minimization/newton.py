@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from petsc4py import PETSc
 
-from crms_fenicsx.energies.stiffening import FLOOR
+from crms_fenicsx.energies.kinematics import FLOOR
 from crms_fenicsx.minimization.initial_hessian import InitialHessian
 from crms_fenicsx.minimization.potential import Potential
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from crms_fenicsx.runtime.text import counted
+from crms_fenicsx.runtime.checks import counted
 
 SEARCH_FAILED, OUT_OF_RANGE = -6, 63
 """TAO's reason, and PETSc's error code, for a line search that has led nowhere."""

@@ -14,8 +14,8 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from crms_fenicsx.dofs.block_patterns import RowSizes
 from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.dofs.preallocation import RowSizes
 from crms_fenicsx.energies.integral import FusedAssembly
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.minimization.damping import Damping

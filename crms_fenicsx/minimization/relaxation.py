@@ -15,9 +15,9 @@ import numpy as np
 import scipy.sparse as sp
 from mpi4py import MPI
 
-from crms_fenicsx.dofs.ghost_flags import GhostFlags
+from crms_fenicsx.dofs.layout import GhostFlags
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.minimization.cluster_gather import gather, give_back
+from crms_fenicsx.minimization.clusters import gather, give_back
 from crms_fenicsx.minimization.local_potential import LocalPotential
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.runtime.arrays import Array, Booleans

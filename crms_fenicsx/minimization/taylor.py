@@ -17,7 +17,7 @@ from petsc4py import PETSc
 
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.meshes.cell_geometry import area_vectors
+from crms_fenicsx.meshes.triangles import area_vectors
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.runtime.arrays import EPSILON, Array
 from crms_fenicsx.runtime.errors import InputError

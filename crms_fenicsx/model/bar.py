@@ -1,17 +1,41 @@
-"""Bars in tension and compression, and the joints and vertices between which they are."""
+"""Bars in tension and compression, their joints, and what load steps change of both."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from crms_fenicsx.model.bar_state import BarState, JointState
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.runtime.readonly import ReadOnly
+
+
+@dataclass(frozen=True)
+class JointState:
+    """What load steps change of a joint."""
+
+    position: Annotated[Array, 3]  # (3,) where it is (length)
+    # (3,) force with which what holds it acts on it (force); zero in directions in which it is free
+    reaction: Annotated[Array, 3]
+
+    def __post_init__(self) -> None:
+        for value in vars(self).values():
+            value.flags.writeable = False
+
+
+@dataclass(frozen=True)
+class BarState:
+    """What load steps change of a bar."""
+
+    L0: float  # unstressed length (length)
+    points: Annotated[Array, 2, 3]  # (2, 3) where its ends are (length)
+
+    def __post_init__(self) -> None:
+        self.points.flags.writeable = False
+
 
 SHORTEST = 1e-12
 """Length of a bar, relative to its unstressed one, up to which it has no direction."""

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from crms_fenicsx.model.friction_history import AxialGrip, Grip
+from crms_fenicsx.model.friction import AxialFrictionState, LateralFrictionState
 from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.surface.points import EdgePoint, SurfacePoint
 
@@ -86,8 +86,8 @@ class CableState:
     path_is_geodesic: bool = False
     ends_before: Annotated[Array, 2, 3] | None = None
     blocked: tuple[int, ...] = ()
-    grip: Grip | None = None
-    axial: AxialGrip | None = None
+    grip: LateralFrictionState | None = None
+    axial: AxialFrictionState | None = None
     excess: float = 0.0
 
     def __post_init__(self) -> None:

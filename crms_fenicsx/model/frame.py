@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from crms_fenicsx.model.bar import Bar, BarEnd, Joint, MeshVertex, PlacedBar
-from crms_fenicsx.model.bar_state import BarState, JointState
+from crms_fenicsx.model.bar import Bar, BarEnd, BarState, Joint, JointState, MeshVertex, PlacedBar
 from crms_fenicsx.model.membrane import COMPONENTS, Membrane
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.runtime.arrays import Array

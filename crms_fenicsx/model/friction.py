@@ -1,12 +1,17 @@
-"""What a cable's friction on the membrane is: coefficients and law (chapter 3)."""
+"""A cable's friction on the membrane: coefficients, law (chapter 3) and history."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from functools import cached_property
+from typing import Annotated, Literal
+
+import numpy as np
 
 from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.surface.points import Support
 
 MOST_TOLERANCE = 0.1
 """Slip tolerances above this (parts of a cell) are no friction any more."""
@@ -104,3 +109,142 @@ class Friction:
     def any(self) -> bool:
         """Whether there is friction at all."""
         return self.at_rest > 0 or self.along > 0
+
+
+@dataclass(frozen=True)
+class MaterialCurve:
+    """Where a cable lay on the stress-free membrane."""
+
+    points: Annotated[Array, "m", 3]  # (m, 3) its points (length)
+    arc: Annotated[Array, "m"]  # (m,) arc length from its first point (length)
+    # (m,) number of the part that lies on the membrane; between parts the cable was off it
+    part: Annotated[Integers, "m"]
+    elastic: Annotated[Array, "m"]  # (m,) elastic slip left at the points (length)
+    # (m,) in which direction they slid in the last load step: 1 left, -1 right, 0 not
+    moving: Annotated[Array, "m"]
+
+    def nearest(self, places: Array) -> tuple[Array, Array, Integers]:
+        """Arc lengths (n,), places (n, 3) and parts (n,) of the points nearest to places (n, 3).
+
+        An arc length lies beyond the ends of its part by what the place does. Where the curve is
+        nowhere, so are they: the parts are -1.
+        """
+        joined = np.flatnonzero((self.part[1:] == self.part[:-1]) & (np.diff(self.arc) > 0.0))
+        if not len(joined):
+            return np.zeros(len(places)), places.copy(), np.full(len(places), -1)
+        start, way = self.points[joined], self.points[joined + 1] - self.points[joined]
+        size = np.sum(way**2, axis=1)
+        t = np.einsum("nmi,mi->nm", places[:, None] - start, way) / size
+        inside = np.clip(t, 0.0, 1.0)
+        feet = start + inside[:, :, None] * way
+        best = np.argmin(np.sum((places[:, None] - feet) ** 2, axis=2), axis=1)
+        rows = np.arange(len(places))
+        first, at, t = joined[best], inside[rows, best], t[rows, best]
+        length = np.sqrt(size[best])
+        # Only at the ends of a part does it matter how far beyond a place lies.
+        part = self.part[first]
+        begins = np.concatenate([[True], self.part[1:] != self.part[:-1]])[first] & (t < 0.0)
+        ends = np.concatenate([self.part[1:] != self.part[:-1], [True]])[first + 1] & (t > 1.0)
+        share = np.where(begins | ends, t, at)
+        return self.arc[first] + share * length, feet[rows, best], part
+
+    def tangents(self, at: Array, parts: Integers, reach: Array) -> Array:
+        """Mean directions between a distance `reach` (n,) before and after places, unit (n, 3).
+
+        Points that lie close together have none of their own that means anything.
+        """
+        found = np.zeros((len(at), 3))
+        for part in np.unique(parts):
+            own, rows = self.part == part, parts == part
+            arc, points = self.arc[own], self.points[own]
+            inside = np.clip(at[rows], arc[0], arc[-1])
+            for sign in (1.0, -1.0):
+                u = np.clip(inside + sign * reach[rows], arc[0], arc[-1])
+                for i in range(3):
+                    found[rows, i] += sign * np.interp(u, arc, points[:, i])
+        return np.asarray(found / np.linalg.norm(found, axis=1)[:, None])
+
+    def elastic_at(self, at: Array, parts: Integers) -> Array:
+        """Elastic slips at places, (n,) (length)."""
+        found = np.zeros(len(at))
+        for part in np.unique(parts):
+            own, rows = self.part == part, parts == part
+            found[rows] = np.interp(at[rows], self.arc[own], self.elastic[own])
+        return found
+
+    def moving_at(self, at: Array, parts: Integers) -> Array:
+        """Directions in which the nearest points slid in the last load step, (n,)."""
+        found = np.zeros(len(at))
+        for part in np.unique(parts):
+            own, rows = self.part == part, parts == part
+            nearest = np.argmin(np.abs(at[rows][:, None] - self.arc[own]), axis=1)
+            found[rows] = self.moving[own][nearest]
+        return found
+
+
+@dataclass(frozen=True)
+class SidewaysLaw:
+    """How the cone changes the law sideways of nodes, relative to that of the box, (n,) each."""
+
+    # bound, width: most friction force, and the slip at which it is reached
+    bound: Annotated[Array, "n"]
+    width: Annotated[Array, "n"]
+    elastic: Annotated[Array, "n"]  # most elastic slip
+
+
+@dataclass(frozen=True)
+class LateralFrictionState:
+    """Friction of a laid cable in a load step."""
+
+    curve: MaterialCurve  # where the cable lay when the step began
+    supports: Annotated[tuple[Support, ...], "n"]  # places of the nodes that the bounds are of
+    bounds: Annotated[Array, "n"]  # (n,) most friction force of each (force)
+    # (n,) direction in which each slides in this step: 1 left, -1 right, 0 not
+    moving: Annotated[Array, "n"]
+    # energy that friction has dissipated up to the step's start (force x length)
+    dissipated: float = 0.0
+    known: bool = False  # whether the bounds come from a state, and not from a first guess
+    # what friction along the cable takes of that sideways; None: nothing
+    cone: SidewaysLaw | None = None
+
+    def law(self, rows: list[int], eps: Array) -> tuple[Array, Array, Array]:
+        """Bounds (force), slips at which they are reached, and most elastic slips (length).
+
+        Units: eps (length).
+        """
+        bounds, own = self.bounds[rows], self.cone
+        if own is None:
+            return bounds, eps, eps
+        return bounds * own.bound[rows], eps * own.width[rows], eps * own.elastic[rows]
+
+    def at(self, support: Support) -> float:
+        """Bound of a node (force)."""
+        return float(self.bounds[self.row_of[support]])
+
+    @cached_property
+    def row_of(self) -> dict[Support, int]:
+        """Place of each node in the arrays."""
+        return {support: row for row, support in enumerate(self.supports)}
+
+
+@dataclass(frozen=True)
+class AxialFrictionState:
+    """Friction of a laid cable along its axis, in a load step."""
+
+    curve: MaterialCurve  # where the cable lay when the step began, and
+    rest: Annotated[Array, "p"]  # the unstressed arcs that rest at its points (length)
+    supports: Annotated[tuple[Support, ...], "n"]  # places of the n nodes that friction holds
+    # bounds, eps: (n,) most friction force of each (force; times the stretch there, so that its
+    # work is that on the unstressed arc), and the slip at which it is reached (length)
+    bounds: Annotated[Array, "n"]
+    eps: Annotated[Array, "n"]
+    elastic: Annotated[Array, "n"]  # (n,) most elastic slip (length): `eps`, with a cone less
+    # (m,) tension between the nodes that the cable touches, in the state last solved (force)
+    tensions: Annotated[Array, "m"]
+    # spans (n + 1,), arcs, slips (n,): lengths between the nodes that friction holds, the
+    # unstressed arcs at them, and their slips (length), in that state
+    spans: Annotated[Array, "s"]
+    arcs: Annotated[Array, "a"]
+    slips: Annotated[Array, "n"]
+    loss: float = 0.0  # energy that friction has dissipated in the step so far (force x length)
+    dissipated: float = 0.0  # energy that it has dissipated up to the step's start (force x length)

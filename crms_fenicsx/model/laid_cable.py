@@ -10,7 +10,7 @@ import numpy as np
 
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.cable_state import CableNode, CableState, End, StepStart
-from crms_fenicsx.model.friction_history import AxialGrip, Grip
+from crms_fenicsx.model.friction import AxialFrictionState, LateralFrictionState
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.runtime.arrays import Array, Booleans, flags, floats
 from crms_fenicsx.runtime.errors import InputError
@@ -144,8 +144,8 @@ class LaidCable:
     path_is_geodesic: ReadOnly[bool] = ReadOnly("state.path_is_geodesic", FOUND)
     ends_before: ReadOnly[Array | None] = ReadOnly("state.ends_before", FOUND)
     blocked: ReadOnly[tuple[int, ...]] = ReadOnly("state.blocked", FOUND)
-    grip: ReadOnly[Grip | None] = ReadOnly("state.grip", FOUND)
-    axial: ReadOnly[AxialGrip | None] = ReadOnly("state.axial", FOUND)
+    grip: ReadOnly[LateralFrictionState | None] = ReadOnly("state.grip", FOUND)
+    axial: ReadOnly[AxialFrictionState | None] = ReadOnly("state.axial", FOUND)
     excess: ReadOnly[float] = ReadOnly("state.excess", FOUND)
 
     def __init__(

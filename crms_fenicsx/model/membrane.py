@@ -1,25 +1,53 @@
-"""The membrane: its mesh, displacements, supports and materials, and where pressure acts."""
+"""The membrane: mesh, displacements, supports, materials, penalty and where pressure acts."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
 from dolfinx import fem
 from dolfinx.mesh import MeshTags, meshtags
+from mpi4py import MPI
 
-from crms_fenicsx.dofs.vertex_places import vertex_places
+from crms_fenicsx.dofs.layout import vertex_places
 from crms_fenicsx.meshes import MembraneMesh
-from crms_fenicsx.meshes.cell_geometry import OpenEdges, area_vectors, open_edges
-from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
-from crms_fenicsx.meshes.part_names import outer_first
-from crms_fenicsx.model.materials import LINEAR, UFL_LAW, MembraneMaterial
-from crms_fenicsx.model.strengths import Strengths
+from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids, outer_first
+from crms_fenicsx.meshes.triangles import OpenEdges, area_vectors, open_edges
+from crms_fenicsx.model.materials import LINEAR, UFL_LAW, MembraneMaterial, Strengths
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.runtime.compat import require_real
-from crms_fenicsx.runtime.errors import InputError, PathError, collective, raised_together
+from crms_fenicsx.runtime.errors import (
+    InputError,
+    PathError,
+    PenaltyWarning,
+    collective,
+    raised_together,
+)
+
+STABLE_PENALTY = (1e-3, 1.0)
+"""Penalty factors between which folded cells are stable and do not lock."""
+
+
+def warn_of_penalty(comm: MPI.Intracomm, penalty: float) -> None:
+    """Warn on rank 0 of a factor for which folded cells are not sound."""
+    lower, upper = STABLE_PENALTY
+    if lower <= penalty <= upper or comm.rank > 0:
+        return
+    happens = (
+        "folded cells are unstable, as sides in compression repel their fold points"
+        if penalty < lower
+        else "folded cells lock and cables come out too tight"
+    )
+    warnings.warn(
+        f"Scene: penalty = {penalty:g} lies outside {lower:g} ... {upper:g}: {happens}; give one "
+        "in this range.",
+        PenaltyWarning,
+        stacklevel=3,
+    )
+
 
 Marker = Callable[[Array], Booleans]
 """A function of stress-free coordinates (3, n) that returns (n,) booleans."""

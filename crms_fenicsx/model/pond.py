@@ -8,8 +8,7 @@ from typing import Literal
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.meshes.cell_geometry import cell_normals
-from crms_fenicsx.meshes.triangles import double_areas
+from crms_fenicsx.meshes.triangles import cell_normals, double_areas
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime.arrays import Booleans
 from crms_fenicsx.runtime.errors import InputError, as_text, raised_together

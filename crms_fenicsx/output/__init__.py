@@ -1,13 +1,13 @@
 """What a run leaves behind: its history, files for ParaView, and pictures."""
 
-from crms_fenicsx.output.figures.history import draw_history
-from crms_fenicsx.output.figures.montage import join_pictures
-from crms_fenicsx.output.figures.paths import draw_path
-from crms_fenicsx.output.figures.scene import draw, draw_paths
-from crms_fenicsx.output.figures.surface import draw_shape
+from crms_fenicsx.output.figures.draw_paths import draw_path
+from crms_fenicsx.output.figures.draw_scene import draw, draw_paths
+from crms_fenicsx.output.figures.draw_surface import draw_shape
+from crms_fenicsx.output.figures.picture import join_pictures
+from crms_fenicsx.output.figures.plots import draw_history
 from crms_fenicsx.output.history import History
 from crms_fenicsx.output.paraview import Series
-from crms_fenicsx.views.data import Line, Surface
+from crms_fenicsx.views.view_data import Line, Surface
 
 __all__ = [
     "History",

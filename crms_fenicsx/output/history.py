@@ -1,4 +1,4 @@
-"""The run's numbers, one row per load step, in memory and in a CSV file."""
+"""The numbers of a run, one row per load step, in memory and in a CSV file."""
 
 from __future__ import annotations
 
@@ -13,10 +13,24 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from crms_fenicsx.output.csv_text import escaped, unescaped
+from crms_fenicsx.runtime.checks import counted
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import absolute, make_writable, read_text, readable, replaced
-from crms_fenicsx.runtime.text import counted
+
+MARK = "'"
+"""What comes before a text that spreadsheets would calculate, or that begins with it itself."""
+CALCULATED = ("=", "+", "-", "@", "\t", "\r", "\n", MARK)
+
+
+def escaped(cell: object) -> object:
+    """A cell for a file; numbers stay as they are."""
+    return MARK + cell if isinstance(cell, str) and cell.startswith(CALCULATED) else cell
+
+
+def unescaped(text: str) -> str:
+    """The text that a file has for a cell."""
+    return text.removeprefix(MARK)
+
 
 Value = int | float | str
 

@@ -1,23 +1,140 @@
-"""The membrane's current surface as a cable sees it: bent edges, and anchors beyond the boundary.
+"""The membrane's current surface as a cable sees it: edges bent by other cables, seams, anchors.
 
 A path is pulled taut by lengths of edges and the order of the cells at a vertex alone. An edge is
 as long as the way through the fold points on it.
+
+Between two looks at the paths few cables change their nodes, and of all edges few are looked at.
 """
 
 from __future__ import annotations
 
 import math
 from bisect import bisect
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
 from itertools import accumulate, pairwise
 from types import MappingProxyType
 
 import numpy as np
 
+from crms_fenicsx.cables.points_on_edges import on_edges
+from crms_fenicsx.cables.strip import own_surface
 from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.meshes.triangles import vectors
+from crms_fenicsx.model.cable_state import CableNode, CableState
+from crms_fenicsx.model.crossing import NodeId
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime.arrays import Array, floats
+from crms_fenicsx.runtime.errors import PathError, as_text
+from crms_fenicsx.surface.closest_point import ON_SURFACE
+from crms_fenicsx.surface.feet import feet_of
 from crms_fenicsx.surface.intrinsic import MissingCells, Ring, ring_of
+from crms_fenicsx.surface.path import Path
 from crms_fenicsx.surface.points import Edge
+
+
+class NodesOnEdges:
+    """Which nodes of cables in tension are on each edge, kept for cables that have not changed."""
+
+    def __init__(self) -> None:
+        self._nodes: list[tuple[CableNode, ...]] = []
+        self._found: dict[Edge, tuple[NodeId, ...]] = {}
+
+    def of(self, states: Sequence[CableState]) -> Mapping[Edge, Sequence[NodeId]]:
+        """Numbers of cables and nodes on each edge, lifted ones too; later calls keep it."""
+        nodes = [state.nodes if state.taut else () for state in states]
+        before, self._nodes = self._nodes, nodes
+        if len(before) != len(nodes):
+            before, self._found = [()] * len(nodes), {}
+        changed = [c for c, own in enumerate(nodes) if own is not before[c]]
+        if not changed:
+            return self._found
+        found = dict(self._found)
+        for c in changed:
+            for _, edge in on_edges(before[c]):
+                found[edge] = tuple(member for member in found[edge] if member[0] != c)
+            for k, edge in on_edges(nodes[c]):
+                found[edge] = (*found.get(edge, ()), (c, k))
+        self._found = found
+        return found
+
+
+class FoldPoints(Mapping[Edge, Sequence[Array]]):
+    """Positions (3,) of the points on each edge that has some, in order, without lifted ones.
+
+    They are those at the time when this is made, whatever becomes of the cables.
+    """
+
+    def __init__(self, cables: Sequence[LaidCable], kept: NodesOnEdges) -> None:
+        self._states, self._kept = [cable.state for cable in cables], kept
+        self._found: dict[Edge, list[Array]] = {}
+
+    def __getitem__(self, edge: Edge) -> Sequence[Array]:
+        found = self._found.get(edge)
+        if found is None:
+            found = self._found[edge] = self._on(edge)
+        if not found:
+            raise KeyError(edge)
+        return found
+
+    @cached_property
+    def _nodes(self) -> Mapping[Edge, Sequence[NodeId]]:
+        return self._kept.of(self._states)
+
+    def _on(self, edge: Edge) -> list[Array]:
+        points = []
+        for c, k in self._nodes.get(edge, ()):
+            state = self._states[c]
+            if not state.lifted[k]:
+                points.append((float(state.fractions[k]), c, k, state.positions[k]))
+        return [point[3] for point in sorted(points, key=lambda point: point[:3])]
+
+    def __iter__(self) -> Iterator[Edge]:
+        return (edge for edge in self._nodes if edge in self)
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+
+def refuse_places_behind(membrane: Membrane, route: Array, name: str) -> None:
+    """Refuse a route with a point on cells behind a seam, and on no others. Collective.
+
+    Shapes: route (k, 3).
+    """
+    positions, cells = own_surface(membrane)
+    hidden = np.isin(np.arange(len(cells)), membrane.mesh.hidden)
+    behind, outer = membrane.comm.allreduce(np.array([hidden.sum(), (~hidden).sum()]))
+    if outer == 0:
+        raise PathError(
+            f"lay_cable: {name!r} finds no outer side of the membrane: each of its pieces meets "
+            "others at a seam from behind; turn them with the `outside` of the mesh."
+        )
+    if behind == 0:
+        return
+    if route.shape[1] == 2:
+        positions = positions * (1.0, 1.0, 0.0)
+    course = np.pad(route, ((0, 0), (0, 3 - route.shape[1])))
+    feet = [feet_of(positions, cells[some], course, membrane.comm) for some in (hidden, ~hidden)]
+    for i, (point, on_hidden, on_outer) in enumerate(zip(vectors(course), *feet, strict=True)):
+        reach = ON_SURFACE * on_hidden.size
+        if on_hidden.distance <= reach and on_outer.distance > max(reach, on_hidden.distance):
+            raise PathError(
+                f"lay_cable: point {i} of {name!r} at {as_text(point)} lies on a part of the "
+                "membrane behind a seam, such as a wall below a roof, where no cable can be laid; "
+                "lead it over the outer side, or turn that part with the `outside` of the mesh."
+            )
+
+
+def refuse_forks(path: Path, shape: StripShape, name: str) -> None:
+    """Refuse a path over a seam with more than two outer cells, where it has no one way on."""
+    places = vectors(path.positions(shape.strip.vertices, shape.current))
+    for point, place in zip(path.points, places, strict=True):
+        if len(point.support) == 2 and (n := len(shape.strip.outer_rows(point.support))) > 2:
+            raise PathError(
+                f"lay_cable: {name!r} comes to a seam of {n} outer cells at {as_text(place)}, "
+                "where it has no one way on; end it before the seam, and lay another one beyond."
+            )
 
 
 class CreasedSurface:

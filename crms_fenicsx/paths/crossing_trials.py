@@ -15,12 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from crms_fenicsx.contact.active_set import ContactKey
-from crms_fenicsx.contact.gap import Gap
-from crms_fenicsx.contact.lift_off import captured, lift, may_lift, outward_pulls, touch
+from crms_fenicsx.contact.lift_off import Gap, captured, lift, may_lift, outward_pulls, touch
 from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import BEYOND
-from crms_fenicsx.paths.held_vertices import Run
+from crms_fenicsx.paths.held_vertices import VertexRun
 from crms_fenicsx.paths.path_change import PathChange
 from crms_fenicsx.paths.tried_paths import TriedPaths, WayKey
 from crms_fenicsx.paths.vertex_passing import pass_run
@@ -112,7 +111,7 @@ class CrossingTrials:
 
             def take(c: int = c, vertex: int = vertex) -> bool:
                 # On the side where the cable is already there is nothing to change.
-                runs = (Run((vertex,), to_left, 0.0, 0.0) for to_left in (True, False))
+                runs = (VertexRun((vertex,), to_left, 0.0, 0.0) for to_left in (True, False))
                 return any(pass_run(self.change, c, run) for run in runs)
 
             yield Way(c, ("side", "", (vertex,), False), take)

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.paths.held_vertices import HeldVertex, Run, held_vertices
+from crms_fenicsx.paths.held_vertices import HeldVertex, VertexRun, held_vertices
 from crms_fenicsx.paths.path_change import PathChange
 from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.paths.vertex_passing import adopt, straighten, way_past
@@ -37,7 +37,7 @@ def pass_vertices(change: PathChange, tried: TriedPaths, most: int | None = None
         done = 0
         for one in sorted(_run_into(cable, shape), key=lambda one: -one.excess):
             if most is None or done < most:
-                done += _pass(change, tried, cable, Run.of([one]))
+                done += _pass(change, tried, cable, VertexRun.of([one]))
         passed = max(passed, done)
     return passed
 
@@ -90,7 +90,7 @@ def _run_into(cable: LaidCable, shape: StripShape) -> list[HeldVertex]:
     return [one for one in held_vertices(cable, shape) if one.excess > 0.0]
 
 
-def _pass(change: PathChange, tried: TriedPaths, cable: LaidCable, run: Run) -> int:
+def _pass(change: PathChange, tried: TriedPaths, cable: LaidCable, run: VertexRun) -> int:
     """Move a cable with friction past a vertex, if it may; return how many it has passed."""
     here = (cable.name, run.vertices[0], run.to_left)
     back = (cable.name, run.vertices[0], not run.to_left)

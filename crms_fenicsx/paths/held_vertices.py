@@ -59,7 +59,7 @@ class HeldVertex:
 
 
 @dataclass(frozen=True)
-class Run:
+class VertexRun:
     """Vertices in a row that a cable is to pass on one side."""
 
     vertices: tuple[int, ...]  # ids, in the order of the path
@@ -68,7 +68,7 @@ class Run:
     press: float  # the cable's force on the membrane there (force)
 
     @classmethod
-    def of(cls, part: Sequence[HeldVertex]) -> Run:
+    def of(cls, part: Sequence[HeldVertex]) -> VertexRun:
         """The run of some vertices in a row."""
         pull = sum(one.pull for one in part)
         excess = abs(pull) - sum(one.allowed for one in part)
@@ -113,7 +113,7 @@ def held_vertices(cable: LaidCable, shape: StripShape) -> list[HeldVertex]:
     return sorted(found, key=lambda held: (held.nodes[0], held.nodes[-1], held.vertex))
 
 
-def held_runs(cable: LaidCable, shape: StripShape) -> list[Run]:
+def held_runs(cable: LaidCable, shape: StripShape) -> list[VertexRun]:
     """The runs of vertices that hold a cable, and the sides to which it leaves them.
 
     Without friction the sides are those to which a string between the ends of the run would be
@@ -124,7 +124,7 @@ def held_runs(cable: LaidCable, shape: StripShape) -> list[Run]:
     held = held_vertices(cable, shape)
     if cable.grip is not None:  # it sticks to the others
         held = [one for one in held if one.excess > 0.0]
-    runs = [Run.of(part) for row in _rows(held, cable) for part in _parts(row, cable)]
+    runs = [VertexRun.of(part) for row in _rows(held, cable) for part in _parts(row, cable)]
     return [run for run in runs if run.excess > 0.0]
 
 

@@ -1,4 +1,4 @@
-"""Changes of a cable's path: the surface that it lies on, and the path put in place of another.
+"""Change a cable's path: the surface that it lies on, its typed nodes, and the path put in.
 
 A path is first a sequence of points on the current surface, of which those on edges are anywhere.
 Given to a cable it keeps the points that it had before on the same edges, where equilibrium has
@@ -7,23 +7,78 @@ put them.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
 
 from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.crossings import at_nodes
+from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.model.cable_state import CableNode, End
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import INSIDE, STAYS
-from crms_fenicsx.paths.creased_surface import CreasedSurface
-from crms_fenicsx.paths.fold_points import FoldPoints, NodesOnEdges
-from crms_fenicsx.paths.typed_nodes import fractions_of, nodes_of
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.paths.creased_surface import CreasedSurface, FoldPoints, NodesOnEdges
+from crms_fenicsx.runtime.arrays import Array, flags
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.surface.path import without_backtracking
-from crms_fenicsx.surface.points import EdgePoint, SurfacePoint, VertexPoint
+from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint
+
+
+def nodes_of(
+    points: Sequence[SurfacePoint], strip: Strip, ends: tuple[End, End]
+) -> tuple[CableNode, ...]:
+    """The points of a polyline, with anchors at its ends where it has them."""
+    nodes: list[CableNode] = []
+    last = len(points) - 1
+    for k, point in enumerate(points):
+        in_place = (k == 0 and ends[0] != "off") or (k == last and ends[1] != "off")
+        if isinstance(point, VertexPoint):
+            nodes.append(CableNode("vertex", point))
+        elif in_place or isinstance(point, CellPoint):
+            nodes.append(CableNode("rider", point))
+        elif point.edge in strip.held_edges:
+            nodes.append(CableNode("rail", point))
+        else:
+            nodes.append(CableNode("fold", point))
+    if ends[0] != "tied":
+        nodes.insert(0, CableNode("anchor"))
+    if ends[1] != "tied":
+        nodes.append(CableNode("anchor"))
+    return tuple(nodes)
+
+
+def fractions_of(nodes: Sequence[CableNode]) -> Array:
+    """Places of the nodes on edges; NaN for other nodes."""
+    points = (node.point for node in nodes)
+    return np.array([p.fraction if isinstance(p, EdgePoint) else np.nan for p in points])
+
+
+def is_crossed(cable: LaidCable) -> bool:
+    """Whether a cable is in contact with another one that crosses it.
+
+    The surface on which geodesics are found does not have the points inside cells where cables
+    press each other in. So geodesics know where cables bend to within the angles by which they do
+    so there only, and propose paths on fine meshes where cables would not go.
+    """
+    return any(node.crossing is not None for node in cable.nodes)
+
+
+def lifted_runs(cable: LaidCable) -> list[tuple[bool, range]]:
+    """The parts of a path that are lifted, and those that are not: indices of their points."""
+    lifted = flags(cable.lifted)
+    off = [lifted[k] for k in cable.path_nodes()]
+    starts = [k for k in range(len(off)) if k == 0 or off[k] != off[k - 1]]
+    return [(off[a], range(a, b)) for a, b in itertools.pairwise([*starts, len(off)])]
+
+
+def vertices_near(cable: LaidCable, near: float) -> set[int]:
+    """Vertices near which a cable's points slide, within a part of the edge."""
+    nodes, fractions = cable.nodes, cable.fractions
+    beside = np.flatnonzero((np.minimum(fractions, 1 - fractions) < near) & ~cable.lifted)
+    at = [(nodes[k].support, int(fractions[k] > 0.5)) for k in beside if nodes[k].slides]
+    return {support[end] for support, end in at}
 
 
 class PathChange:

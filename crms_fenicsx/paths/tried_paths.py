@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from crms_fenicsx.contact.active_set import ContactKey
-from crms_fenicsx.geodesics.corridor import Corridor
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.paths.path_parts import is_crossed
+from crms_fenicsx.paths.path_change import is_crossed
 from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.surface.corridor import Corridor
 from crms_fenicsx.surface.points import Support
 
 MISLED, MISLED_AT_CROSSINGS = 2, 1

@@ -21,9 +21,9 @@ import numpy as np
 from dolfinx import fem, la
 
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.meshes.cell_geometry import area_vectors
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.meshes.smooth_surface import CREASE
+from crms_fenicsx.meshes.triangles import area_vectors
 from crms_fenicsx.results.cell_tensors import cell_tensors
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.scene import Scene

@@ -8,23 +8,52 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem
+from dolfinx import fem, la
 from mpi4py import MPI
 from numpy.typing import ArrayLike
 
 from crms_fenicsx.cables.deformed_surface import CurrentSurface, current_surface
 from crms_fenicsx.equilibrium.system import System
+from crms_fenicsx.model.materials import ALL, Strengths, checked_strengths
 from crms_fenicsx.model.membrane import Membrane
-from crms_fenicsx.model.strengths import ALL, Strengths, checked_strengths
 from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.results.cell_tensors import added_forces, cell_tensors
-from crms_fenicsx.results.functions import by_cells, nodal_means
 from crms_fenicsx.results.places import PlaceResults, find_places
 from crms_fenicsx.results.quantities import QUANTITIES
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
+from crms_fenicsx.runtime.checks import counted, span
 from crms_fenicsx.runtime.errors import InputError, collective
-from crms_fenicsx.runtime.text import counted, span
+
+
+def by_cells(membrane: Membrane, name: str, values: Array) -> fem.Function:
+    """A function that is constant in each cell. Collective.
+
+    Shapes: values (n,).
+    """
+    found = fem.Function(membrane.cell_values, name=name)
+    found.x.array[membrane.cell_values.dofmap.list[: len(values), 0]] = values
+    found.x.scatter_forward()
+    return found
+
+
+def nodal_means(membrane: Membrane, name: str, values: Array, areas: Array) -> fem.Function:
+    """A linear function whose values at the vertices are means of the cells around. Collective.
+
+    Shapes: values, areas (n,).
+    """
+    V = membrane.nodal_values
+    weight, found = fem.Function(V), fem.Function(V, name=name)
+    known = np.isfinite(values)
+    corners = V.dofmap.list[: len(values)][known]
+    for function, amount in ((weight, areas), (found, areas * values)):
+        np.add.at(function.x.array, corners, amount[known, None])
+        function.x.scatter_reverse(la.InsertMode.add)
+        function.x.scatter_forward()
+    with np.errstate(invalid="ignore"):
+        found.x.array[:] /= weight.x.array
+    return found
+
 
 FLAT = 1e-12
 """Smallest squared stretch that a cell is taken to have, so that a collapsed one has directions."""

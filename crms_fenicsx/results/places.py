@@ -23,9 +23,9 @@ from crms_fenicsx.meshes.triangles import (
 )
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
+from crms_fenicsx.runtime.checks import counted, span
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.runtime.errors import InputError, as_text
-from crms_fenicsx.runtime.text import counted, span
 from crms_fenicsx.surface.closest_point import ON_SURFACE, RIM
 from crms_fenicsx.surface.feet import nearest_pairs
 

@@ -11,7 +11,7 @@ from crms_fenicsx.runtime.arrays import Array
 
 
 @dataclass(frozen=True)
-class Quantity:
+class CellQuantity:
     """A number that each cell has.
 
     Attributes
@@ -36,24 +36,24 @@ class Quantity:
 
 
 QUANTITIES = {
-    "warp": Quantity("section force along warp", "warp_weft", 0, "stress"),
-    "weft": Quantity("section force along weft", "warp_weft", 1, "stress"),
-    "shear": Quantity("shear of warp and weft", "warp_weft", 2, "stress"),
-    "true force 1": Quantity("larger section force", "true_forces", 0, "stress"),
-    "true force 2": Quantity("smaller section force", "true_forces", 1, "stress"),
-    "second Piola warp": Quantity(
+    "warp": CellQuantity("section force along warp", "warp_weft", 0, "stress"),
+    "weft": CellQuantity("section force along weft", "warp_weft", 1, "stress"),
+    "shear": CellQuantity("shear of warp and weft", "warp_weft", 2, "stress"),
+    "true force 1": CellQuantity("larger section force", "true_forces", 0, "stress"),
+    "true force 2": CellQuantity("smaller section force", "true_forces", 1, "stress"),
+    "second Piola warp": CellQuantity(
         "second Piola-Kirchhoff force along warp", "second_piola_warp_weft", 0, "stress"
     ),
-    "second Piola weft": Quantity(
+    "second Piola weft": CellQuantity(
         "second Piola-Kirchhoff force along weft", "second_piola_warp_weft", 1, "stress"
     ),
-    "second Piola shear": Quantity(
+    "second Piola shear": CellQuantity(
         "second Piola-Kirchhoff shear", "second_piola_warp_weft", 2, "stress"
     ),
-    "strain 1": Quantity("larger strain", "strains", 0),
-    "strain 2": Quantity("smaller strain", "strains", 1),
-    "state": Quantity("0 slack, 1 wrinkled, 2 taut", "state"),
-    "utilisation": Quantity("utilisation", "utilised"),
+    "strain 1": CellQuantity("larger strain", "strains", 0),
+    "strain 2": CellQuantity("smaller strain", "strains", 1),
+    "state": CellQuantity("0 slack, 1 wrinkled, 2 taut", "state"),
+    "utilisation": CellQuantity("utilisation", "utilised"),
 }
 """All of them; "utilisation" needs the strengths of `Scene.set_strengths`."""
 

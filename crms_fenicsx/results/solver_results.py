@@ -10,7 +10,7 @@ from crms_fenicsx.contact.contact_force import ContactForces, contact_forces
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Marker
-from crms_fenicsx.results.cable_results import CableResults, cable_results
+from crms_fenicsx.results.cable_and_bar_results import CableResults, cable_results
 from crms_fenicsx.results.error_estimate import ErrorEstimate, ErrorEstimator
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.results.quantities import fields_of

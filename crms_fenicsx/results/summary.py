@@ -12,19 +12,30 @@ from mpi4py import MPI
 from crms_fenicsx.cables.deformed_surface import CurrentSurface
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes.triangles import double_areas, norm
+from crms_fenicsx.model.materials import ALL
 from crms_fenicsx.model.membrane import COMPONENTS, Membrane
 from crms_fenicsx.model.pond import Pond
-from crms_fenicsx.model.state_warning import StateWarning
-from crms_fenicsx.model.strengths import ALL
-from crms_fenicsx.model.versions import UNBALANCED
-from crms_fenicsx.results.bar_results import BarResults, bar_results, joint_reactions
-from crms_fenicsx.results.cable_results import CableResults, cable_results
-from crms_fenicsx.results.held_ends import HeldEnd, added, bars_at_vertices, ends_at, held_ends
+from crms_fenicsx.model.versions import UNBALANCED, StateWarning
+from crms_fenicsx.results.cable_and_bar_results import (
+    BarResults,
+    CableResults,
+    bar_results,
+    cable_results,
+    joint_reactions,
+)
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
-from crms_fenicsx.results.reactions import held_lengths, support_forces
+from crms_fenicsx.results.reactions import (
+    HeldEnd,
+    added,
+    bars_at_vertices,
+    ends_at,
+    held_ends,
+    held_lengths,
+    support_forces,
+)
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers, floats
+from crms_fenicsx.runtime.checks import span
 from crms_fenicsx.runtime.errors import as_text
-from crms_fenicsx.runtime.text import span
 
 Vector = tuple[float, float, float]
 

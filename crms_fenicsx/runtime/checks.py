@@ -1,4 +1,4 @@
-"""Checks of numbers that users give: what is wrong with them, by name, value and remedy."""
+"""Checks of values that users give; errors name the thing, its value and the remedy."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import operator
 import os
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
 from typing import TypeVar
@@ -121,3 +121,26 @@ def _text(value: object) -> str:
         return f"{{{', '.join(sorted(f'{_text(k)}: {_text(v)}' for k, v in value.items()))}}}"
     with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
         return re.sub(r" at 0x[0-9a-fA-F]+", "", repr(value))
+
+
+def span(values: Sequence[float] | Array) -> str:
+    """From the least value to the largest; NaN are left out.
+
+    >>> span([3.0, 1.0])
+    '1 to 3'
+    """
+    known = np.asarray(values, dtype=np.float64).ravel()
+    known = known[np.isfinite(known)]
+    if len(known) == 0:
+        return "none"
+    low, high = f"{known.min():.4g}", f"{known.max():.4g}"
+    return low if low == high else f"{low} to {high}"
+
+
+def counted(n: int, what: str) -> str:
+    """How many there are of something.
+
+    >>> counted(2, "cell")
+    '2 cells'
+    """
+    return f"{n} {what}{'' if n == 1 else 's'}"

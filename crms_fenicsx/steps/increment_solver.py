@@ -1,29 +1,73 @@
-"""Solve one increment of the loads: equilibrium, follower pressure and verification."""
+"""Solve one increment of the loads: equilibrium, follower loads and verification."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from copy import deepcopy
 from dataclasses import dataclass, replace
 
 import numpy as np
 from mpi4py import MPI
 
+from crms_fenicsx.contact.lift_off import SUNK, is_foot, size_at
 from crms_fenicsx.energies.paper.step_history import StepHistory
-from crms_fenicsx.equilibrium.covered_ends import covered_ends
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.state_warning import StateWarning
+from crms_fenicsx.model.versions import StateWarning
 from crms_fenicsx.paths.tried_paths import TriedPaths
+from crms_fenicsx.runtime.errors import as_text
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.steps.loading import Target, has_free_rim
 from crms_fenicsx.steps.options import Options
 from crms_fenicsx.steps.snapshot import Snapshot
-from crms_fenicsx.steps.starting_prestress import starting_prestress
 from crms_fenicsx.verification.report import Verification
 from crms_fenicsx.verification.verifier import Verifier
+
+
+def starting_prestress(system: System, target: Target, share: float) -> tuple[float, ...]:
+    """Estimate the extra prestress in H0 for each of the first stages of a solve. Collective.
+
+    A flat sheet has no stiffness against pressure. The stress that it will have is estimated from
+    the load, 0.3 (p^2 L^2 E t)^(1/3), and from the movement; a stressed sheet gets none. Returns
+    prestress of each stage (force per length), the last 0.
+    """
+    scene, size = system.scene, system.scene.membrane.size
+    modulus = max(m.reference_modulus for m in scene.materials.values())
+    travel = share * target.movements.travel
+    loads = abs(scene.pressure) + system.added_force_per_area()
+    loads += sum(abs(load.factor) * load.intensity for load in scene.loads)
+    coming = 0.3 * (loads * size) ** (2 / 3) * modulus ** (1 / 3)
+    coming = max(coming, 0.3 * modulus * (travel / size) ** 2)
+    present = np.sqrt(max(2 * scene.energies.get("membrane", 0.0) * modulus, 0.0)) / size
+    if present > 0.3 * coming:
+        return (0.0,)
+    return (coming, 0.1 * coming, 0.01 * coming, 0.0)
+
+
+def covered_ends(scene: Scene) -> Iterator[StateWarning]:
+    """Say which ends over the membrane lie under it in the current state. Collective."""
+    over = [
+        (cable, which, end, foot)
+        for cable in scene.cables
+        for which, end, foot in (("start", 0, 1), ("end", -1, len(cable.nodes) - 2))
+        if len(cable.nodes) > 2 and cable.nodes[end].kind == "anchor" and is_foot(cable, foot)
+    ]
+    if not over:
+        return
+    shape = scene.net.strip_shape()
+    for cable, which, end, foot in over:
+        node = cable.nodes[foot]
+        above = cable.positions[end] - shape.mean(*node.interpolation())
+        gap = float(above @ shape.normal(node.support))
+        if gap < -SUNK * size_at(shape, node.support):
+            yield StateWarning(
+                "cable end",
+                f"the {which} of {cable.name!r} at {as_text(cable.positions[end])} lies {-gap:.3g} "
+                "under the membrane, which a cable cannot pass; move it up or off the membrane.",
+            )
 
 
 @dataclass(frozen=True)
@@ -153,7 +197,7 @@ class IncrementSolver:
         """What to warn of in the state found. Collective."""
         found = list(covered_ends(self.scene))
         if self._options.stability != "ignore" and (self.system.bars or self.system.ponds):
-            from crms_fenicsx.equilibrium.stability import instabilities
+            from crms_fenicsx.equilibrium.instability import instabilities
 
             found += instabilities(self.system, outcome.tolerance)
         return tuple(found)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from crms_fenicsx.loaded_membrane import AIR
-from crms_fenicsx.model.fan_control import FanControl
+from crms_fenicsx.model.sealed_air import FanControl
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import (
     ConvergenceError,

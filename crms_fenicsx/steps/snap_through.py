@@ -16,12 +16,11 @@ from mpi4py import MPI
 
 from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.equilibrium.state import State
-from crms_fenicsx.model.state_warning import StateWarning
+from crms_fenicsx.model.versions import StateWarning
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import as_text
 from crms_fenicsx.steps.increment_solver import Increment, IncrementSolver
-from crms_fenicsx.steps.inner_pressure import between
-from crms_fenicsx.steps.loading import Target
+from crms_fenicsx.steps.loading import Target, between
 from crms_fenicsx.steps.snapshot import Snapshot
 
 FINE, LEAST, MOST = 0.005, 3, 12

@@ -16,7 +16,7 @@ from crms_fenicsx.model.membrane import Marker
 from crms_fenicsx.model.versions import Version
 from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.runtime.arrays import Array, Booleans
-from crms_fenicsx.runtime.text import counted, span
+from crms_fenicsx.runtime.checks import counted, span
 from crms_fenicsx.scene import Scene
 
 

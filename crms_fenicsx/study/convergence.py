@@ -13,14 +13,14 @@ from mpi4py import MPI
 
 from crms_fenicsx.meshes.cell_division import refine
 from crms_fenicsx.meshes.membrane_mesh import MembraneMesh
-from crms_fenicsx.output.figures.convergence import draw_convergence
+from crms_fenicsx.output.figures.plots import draw_convergence
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.solver import Solver
 from crms_fenicsx.study.build import Build, built, comm_of
-from crms_fenicsx.study.quantities import Quantities
 from crms_fenicsx.study.richardson import Extrapolated, extrapolated
+from crms_fenicsx.study.values import Quantities
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

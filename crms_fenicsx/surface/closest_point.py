@@ -42,7 +42,7 @@ Node = tuple[int, ...]
 
 
 @dataclass(frozen=True)
-class Surface:
+class TargetSurface:
     """A triangulated surface: global ids (n,), positions (n, 3), rows of both (m, 3)."""
 
     ids: Integers
@@ -51,7 +51,7 @@ class Surface:
     size: float  # its longest edge
 
     @classmethod
-    def checked(cls, vertices: ArrayLike, points: ArrayLike, cells: ArrayLike) -> Surface:
+    def checked(cls, vertices: ArrayLike, points: ArrayLike, cells: ArrayLike) -> TargetSurface:
         """Return the surface of these arrays; raise PathError if they are none."""
         ids = np.asarray(vertices, dtype=np.int64)
         x = np.asarray(points, dtype=np.float64)
@@ -131,7 +131,7 @@ class Place:
         )
 
 
-def places_in_plan(surface: Surface, course: Array, snap: float) -> list[Place]:
+def places_in_plan(surface: TargetSurface, course: Array, snap: float) -> list[Place]:
     """Return the places of route points given in plan, on the uppermost sheet there.
 
     A point outside by less than `RIM` of the cell there is meant to lie on the rim.
@@ -150,7 +150,7 @@ def places_in_plan(surface: Surface, course: Array, snap: float) -> list[Place]:
     return [place for place in found if place is not None]
 
 
-def _held_in_plan(surface: Surface, course: Array, snap: float) -> list[Place | None]:
+def _held_in_plan(surface: TargetSurface, course: Array, snap: float) -> list[Place | None]:
     """Return the places of points in plan; None for those outside of the surface."""
     least, most = surface.boxes
     reach = snap * surface.size
@@ -180,7 +180,7 @@ def _by_target(target: Integers, count: int) -> list[Integers]:
     return [np.arange(a, b) for a, b in pairwise(ends)]
 
 
-def _on_the_rim(surface: Surface, xy: Array, index: int) -> Array:
+def _on_the_rim(surface: TargetSurface, xy: Array, index: int) -> Array:
     """Return the nearest place in plan to a point just outside, as a curved rim's points are."""
     triangles = surface.points[surface.cells]
     flat, target = flattened(triangles), np.array([xy[0], xy[1], 0.0])
@@ -197,7 +197,7 @@ def _on_the_rim(surface: Surface, xy: Array, index: int) -> Array:
 
 
 def located(
-    surface: Surface,
+    surface: TargetSurface,
     targets: Array,
     target: Integers,
     rows: Integers,
@@ -247,7 +247,7 @@ def located(
 
 
 def places_in_space(
-    surface: Surface, course: Array, snap: float, known: Mapping[int, SurfacePoint]
+    surface: TargetSurface, course: Array, snap: float, known: Mapping[int, SurfacePoint]
 ) -> list[Place]:
     """Return the places of route points given in space; the first and last may be anchors.
 
@@ -295,7 +295,7 @@ def places_in_space(
     return places
 
 
-def _touching(surface: Surface, positions: Array, snap: float) -> tuple[Integers, Integers]:
+def _touching(surface: TargetSurface, positions: Array, snap: float) -> tuple[Integers, Integers]:
     """Return which cells hold or touch places of the surface (k, 3): places and cells, (p,)."""
     triangles = surface.points[surface.cells]
     centre, radius = balls(triangles)
@@ -307,7 +307,7 @@ def _touching(surface: Surface, positions: Array, snap: float) -> tuple[Integers
     return target[touches], near[touches]
 
 
-def on_boundary(surface: Surface, point: SurfacePoint) -> bool:
+def on_boundary(surface: TargetSurface, point: SurfacePoint) -> bool:
     """Say whether a point of the surface lies on its boundary."""
     if isinstance(point, CellPoint):
         return False

@@ -35,7 +35,7 @@ class MissingCells(LookupError):  # noqa: N818 - no error: a request for data
         super().__init__(f"not all cells around the vertices {self.vertices} are known")
 
 
-class Surface(Protocol):
+class IntrinsicSurface(Protocol):
     """What `shorten` asks of a surface."""
 
     def length(self, edge: Edge) -> float:

@@ -1,4 +1,4 @@
-"""The section of a surface with a plane, as a graph of the points that it meets.
+"""The section of a surface with planes: the cells that they cut, and the points as a graph.
 
 Which edges and vertices it meets is decided once, by the sign of every vertex's distance to the
 plane, with a small neighbourhood of the plane counted as zero; after that no coordinate can
@@ -8,17 +8,198 @@ contradict it.
 from __future__ import annotations
 
 import heapq
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, pairwise
+from typing import Any, cast
 
 import numpy as np
 
-from crms_fenicsx.meshes.triangles import altitudes, dot, norm
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.meshes.triangles import WALL, altitudes, cross, dot, double_areas, norm
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.runtime.errors import PathError, as_text
-from crms_fenicsx.surface.closest_point import Node, Surface, edge_count
-from crms_fenicsx.surface.plane_cuts import Cut
+from crms_fenicsx.surface.closest_point import Node, Place, TargetSurface, edge_count
+from crms_fenicsx.surface.feet import PAIRS, marked
 from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint, edge_of
+
+# A fraction that rounding has put on a vertex, where the signs say that it is not, goes here.
+LEAST, MOST = float(np.finfo(float).tiny), float(1.0 - np.finfo(float).epsneg)
+
+FIRST, SECOND = np.array([0, 1, 2]), np.array([1, 2, 0])
+"""The corners at the ends of a cell's sides."""
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The plane of a leg, through both ends and the mean normal of the surface there.
+
+    `ahead` and `across`, unit vectors, lie across the mean normal, in the plane and athwart it;
+    `length` is that of the leg seen along the normal.
+    """
+
+    origin: Array
+    ahead: Array
+    across: Array
+    length: float
+
+    @classmethod
+    def of(cls, a: Array, b: Array, normal_a: Array, normal_b: Array) -> Plane:
+        """Return the plane through two points and the mean of two directions."""
+        up, leg = normal_a + normal_b, b - a
+        across = cross(up, leg / norm(leg))
+        size = float(norm(across))
+        if size < 1e-6:
+            raise PathError(
+                f"the leg from {as_text(a)} to {as_text(b)} has no section plane, as the surface's "
+                "normals there are opposite or point along it; put a route point between them"
+            )
+        across = np.asarray(across / size, dtype=np.float64)
+        ahead = np.asarray(cross(across, up) / norm(up), dtype=np.float64)
+        return cls(a, ahead, across, float(dot(leg, ahead)))
+
+    def advances(self, points: Array) -> Array:
+        """Return how far (n,) along the leg (n, 3) points are, seen along its mean normal."""
+        return dot(points - self.origin, self.ahead)
+
+
+@dataclass(frozen=True)
+class Cut:
+    """The cells that a plane cuts or touches, and where it meets their corners and their sides."""
+
+    ids: list[list[int]]  # (q, 3) ids of the corners
+    # meets, places: (q, 6), (q, 6, 3) which corners lie in the plane and which sides cross it, and
+    # where
+    meets: list[list[bool]]
+    fractions: list[list[float]]  # (q, 3) where sides cross it, from their ends with the lower ids
+    places: Array
+    lengths: list[float]  # (q,) distances of the first two of these places
+
+
+def strips(
+    planes: Sequence[Plane], points: Array, cells: Integers, reach: float, margin: float
+) -> tuple[Integers, Integers]:
+    """Find the cells that planes cross or pass within `reach`: planes and cells, (p,), ascending.
+
+    `reach` covers what the ends may be moved when they snap, and grows beyond the ends, where
+    that turns the plane farther away. Only cells that come nearer than `margin` to what lies
+    between both ends of the leg count. Rounding may add some cells that are a little farther away.
+    """
+    none: Integers = np.zeros(0, dtype=np.int64)
+    legs, rows = [none], [none]
+    if not len(points):
+        return none, none
+    middle = points.mean(axis=0)
+    x = points - middle
+    rounding = 1e-12 * float(np.abs(x).max() + np.abs(middle).max())
+    step = max(1, PAIRS // len(points))
+    for first in range(0, len(planes), step):
+        some = planes[first : first + step]
+        origin, ahead, across = (
+            np.array([getattr(plane, name) for plane in some])
+            for name in ("origin", "ahead", "across")
+        )
+        length = np.array([plane.length for plane in some])[:, None]
+        offset = across @ x.T - dot(origin - middle, across)[:, None]
+        advance = ahead @ x.T - dot(origin - middle, ahead)[:, None]
+        near = np.abs(offset) <= _width(advance, length, reach) + rounding
+        positive = offset > 0.0
+        mask = _any(near, cells) | (_any(positive, cells) & _any(~positive, cells))
+        if np.isfinite(margin):
+            mask &= _any((-margin < advance) & (advance < length + margin), cells)
+        leg, row = marked(mask)
+        legs.append(leg + first)
+        rows.append(row)
+    return np.concatenate(legs), np.concatenate(rows)
+
+
+def _width(advance: Array, length: Array, reach: float) -> Array:
+    """Return how far from the plane of a leg a cell counts as in its strip."""
+    beyond = np.maximum(np.maximum(-advance, advance - length), 0.0) / length
+    return np.asarray(2.0 * reach * (1.0 + 2.0 * beyond))
+
+
+def _any(marks: Booleans, cells: Integers) -> Booleans:
+    """Say which cells have a corner that is marked, for each row of marks."""
+    return np.asarray(marks[:, cells[:, 0]] | marks[:, cells[:, 1]] | marks[:, cells[:, 2]])
+
+
+def cuts(
+    surface: TargetSurface,
+    planes: Sequence[Plane],
+    ends: Sequence[tuple[Place, Place]],
+    snap: float,
+    margin: float = np.inf,
+) -> list[Cut]:
+    """Cut the surface with the planes of legs; of their ends, those on vertices lie in them.
+
+    Only by as much as `margin` (length) beyond both ends.
+    """
+    if not planes:
+        return []
+    points, reach = surface.points, snap * surface.size
+    leg, cell = strips(planes, points, surface.cells, reach, margin)
+    corners = points[surface.cells[cell]]
+    origin, ahead, across = (
+        np.array([getattr(plane, name) for plane in planes])[leg][:, None]
+        for name in ("origin", "ahead", "across")
+    )
+    length = np.array([plane.length for plane in planes])[leg][:, None]
+    offset, advance = dot(corners - origin, across), dot(corners - origin, ahead)
+    near = np.abs(offset) <= _width(advance, length, reach) + 1e-14 * np.abs(points).max()
+    positive = (offset > 0.0).sum(axis=1)
+    within = ((-margin < advance) & (advance < length + margin)).any(axis=1)
+    kept = within & (near.any(axis=1) | ((positive > 0) & (positive < 3)))
+    leg, cell, corners, offset = leg[kept], cell[kept], corners[kept], offset[kept]
+    rows = surface.cells[cell]
+    tolerance = np.full((len(planes), len(points)), np.inf)
+    least = snap * _altitudes(advance[kept], offset, corners)
+    np.minimum.at(tolerance, (leg[:, None], rows), least[:, None].repeat(3, axis=1))
+    ids, fixed = surface.ids[rows], np.array([[_vertex(end) for end in both] for both in ends])
+    touched = np.abs(offset) <= tolerance[leg[:, None], rows]
+    touched |= (ids[..., None] == fixed[leg][:, None]).any(axis=2)
+    sign = np.where(touched, 0, np.sign(offset)).astype(np.int64)
+    met = np.abs(sign.sum(axis=1)) < 3
+    return _split(leg[met], len(planes), ids[met], sign[met], offset[met], corners[met])
+
+
+def _vertex(place: Place) -> int:
+    """Return the id of the vertex on which a place lies; -1 if it lies on none."""
+    return place.point.vertex if isinstance(place.point, VertexPoint) else -1
+
+
+def _split(
+    leg: Integers, count: int, ids: Integers, sign: Integers, offset: Array, corners: Array
+) -> list[Cut]:
+    """Find where the planes meet the sides of the cells, and give each leg its cells."""
+    turned = ids[:, FIRST] > ids[:, SECOND]
+    i, j = np.where(turned, SECOND, FIRST), np.where(turned, FIRST, SECOND)
+    every = np.arange(len(ids))[:, None]
+    crossed = sign[:, FIRST] * sign[:, SECOND] < 0
+    start, difference = offset[every, i], offset[every, i] - offset[every, j]
+    t = np.clip(start / np.where(crossed, difference, 1.0), LEAST, MOST)
+    crossings = (1.0 - t)[..., None] * corners[every, i] + t[..., None] * corners[every, j]
+    places = np.concatenate([corners, crossings], axis=1)
+    meets = np.concatenate([sign == 0, crossed], axis=1)
+    slots = np.argsort(~meets, axis=1, kind="stable")[:, :2]
+    lengths = norm(places[every[:, 0], slots[:, 0]] - places[every[:, 0], slots[:, 1]])
+    keys, hits, fractions, arcs = (cast(Any, a.tolist()) for a in (ids, meets, t, lengths))
+    ends = [int(end) for end in np.searchsorted(leg, np.arange(count + 1))]
+    return [
+        Cut(keys[a:b], hits[a:b], fractions[a:b], places[a:b], arcs[a:b]) for a, b in pairwise(ends)
+    ]
+
+
+def _altitudes(advance: Array, offset: Array, triangles: Array) -> Array:
+    """Return the smallest altitudes (m,) of the projections of (m, 3, 3) triangles.
+
+    A wall has none: it counts with its true one, if it is not parallel to the plane.
+    """
+    flat = np.zeros_like(triangles)
+    flat[..., 0], flat[..., 1] = advance, offset
+    wall = norm(double_areas(flat)) <= WALL * norm(double_areas(triangles))
+    upright = np.minimum(altitudes(triangles), offset.max(axis=1) - offset.min(axis=1))
+    return np.where(wall, upright, altitudes(flat))
+
 
 # Nodes of a section: (vertex,), (smaller, larger) for an edge, and the two ends of a leg where
 # they are neither.
@@ -77,7 +258,7 @@ class Section:
         return node
 
     def nearest(
-        self, target: Array, surface: Surface, snap: float
+        self, target: Array, surface: TargetSurface, snap: float
     ) -> tuple[SurfacePoint, Array] | None:
         """Return the section's place nearest to a point of its plane; None if it is empty.
 

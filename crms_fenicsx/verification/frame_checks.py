@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.contributions.bars import BarContribution
+from crms_fenicsx.equilibrium.frame_contribution import BarContribution
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.model.bar import Joint
 from crms_fenicsx.runtime.arrays import Array

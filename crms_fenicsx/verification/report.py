@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from crms_fenicsx.model.state_warning import StateWarning
+from crms_fenicsx.model.versions import StateWarning
 
 NO_STRAIN = 1e-8
 """Strain of a cable or a bar that is none: the solver may stop at forces as small."""

@@ -21,12 +21,12 @@ from mpi4py import MPI
 
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.meshes.cell_geometry import area_vectors
+from crms_fenicsx.meshes.triangles import area_vectors
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.results.reactions import pressed_facets
 from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans
 from crms_fenicsx.scene import Scene
-from crms_fenicsx.verification.plain_vertices import plain_vertices, section_forces
+from crms_fenicsx.verification.cable_forces import plain_vertices, section_forces
 from crms_fenicsx.verification.report import UNBALANCED, Check, Verification
 
 if TYPE_CHECKING:

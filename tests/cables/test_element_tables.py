@@ -14,9 +14,9 @@ from table_twins import SlowTables, meetings
 from term_scene import ISOTROPIC, cable_square
 
 from crms_fenicsx import Cable, Scene, meshes
+from crms_fenicsx.cables.crossings import Meetings
 from crms_fenicsx.cables.element_tables import CableTables, damping
-from crms_fenicsx.cables.meetings import Meetings
-from crms_fenicsx.cables.simplices import Simplices
+from crms_fenicsx.cables.strip import Simplices
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.runtime.compat import geometry_dofmap
 

@@ -21,7 +21,7 @@ from crms_fenicsx import (
     meshes,
 )
 from crms_fenicsx.checkpoint.folder import complete, replaced_folder
-from crms_fenicsx.checkpoint.state import signed
+from crms_fenicsx.checkpoint.saving import signed
 from crms_fenicsx.output import History
 
 pytestmark = pytest.mark.usefixtures("comm")

@@ -16,8 +16,7 @@ from cable_edits import put
 from crms_fenicsx import Cable
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.contact.crossing_contact import joins, parting
-from crms_fenicsx.contact.gap import size_at, spans, under
+from crms_fenicsx.contact.active_set import joins, parting
 from crms_fenicsx.contact.lift_off import (
     DEPTH,
     captured,
@@ -27,8 +26,11 @@ from crms_fenicsx.contact.lift_off import (
     may_lift,
     outward_pulls,
     released,
+    size_at,
+    spans,
     sunk,
     touch,
+    under,
 )
 from crms_fenicsx.model.cable_state import CableNode, CableState
 from crms_fenicsx.model.crossing import Crossing

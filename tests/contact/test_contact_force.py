@@ -10,8 +10,15 @@ from mpi4py import MPI
 from rigid_surfaces import SURFACES, band, curve, rigid, sphere
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.contact.contact_force import contact_forces, paper_forces, runs, turns
-from crms_fenicsx.contact.line_load import WIDTH, smoothed, stretches
+from crms_fenicsx.contact.contact_force import (
+    WIDTH,
+    contact_forces,
+    paper_forces,
+    runs,
+    smoothed,
+    stretches,
+    turns,
+)
 from crms_fenicsx.model.cable_state import CableNode, CableState
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.surface.points import EdgePoint

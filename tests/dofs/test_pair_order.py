@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crms_fenicsx.dofs.pair_order import unique_pairs
+from crms_fenicsx.dofs.block_patterns import unique_pairs
 
 
 @pytest.mark.parametrize(("n", "size"), [(0, 4), (1, 1), (50, 200), (3000, 20)])

@@ -5,7 +5,7 @@ import pytest
 from taylor import Points, TermOnPoints, gradient_order, is_semidefinite, noise, stiffness_error
 
 from crms_fenicsx import Bar, IsotropicMembrane, Scene, meshes
-from crms_fenicsx.energies.bars import SLACK, BarEnergy, BarTable, JointLoads
+from crms_fenicsx.energies.bar_energy import SLACK, BarEnergy, BarTable, JointLoads
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.taylor import TermsWithDyads, stiffness_order
 

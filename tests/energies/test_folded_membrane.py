@@ -31,8 +31,8 @@ from term_twins import area, axes_of, density, strain, unfolded
 
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.folded_membrane import FoldedCells, FoldedMembraneEnergy
-from crms_fenicsx.energies.membrane import MembraneEnergy
-from crms_fenicsx.energies.stiffening import FLOOR
+from crms_fenicsx.energies.kinematics import FLOOR
+from crms_fenicsx.energies.membrane_energy import MembraneEnergy
 from crms_fenicsx.meshes import from_arrays
 from crms_fenicsx.model.materials import LINEAR, IsotropicMembrane, OrthotropicMembrane
 from crms_fenicsx.runtime.compat import geometry_dofmap

@@ -23,7 +23,7 @@ from term_twins import area, axes_of, density, strain
 
 from crms_fenicsx import meshes
 from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.energies.membrane import MembraneEnergy
+from crms_fenicsx.energies.membrane_energy import MembraneEnergy
 from crms_fenicsx.model.materials import IsotropicMembrane, OrthotropicMembrane
 from crms_fenicsx.runtime.compat import interpolation_points
 from crms_fenicsx.runtime.errors import InputError

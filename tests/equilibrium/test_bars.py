@@ -23,7 +23,7 @@ from crms_fenicsx import (
 )
 from crms_fenicsx.output import draw
 from crms_fenicsx.verification.verifier import Verifier
-from crms_fenicsx.views.lines import bar_lines
+from crms_fenicsx.views.view_data import bar_lines
 
 FOIL = IsotropicMembrane(E=3000.0, nu=0.3, thickness=0.1, prestress=1.0)
 A, H, EA = 4.0, 1.0, 1000.0

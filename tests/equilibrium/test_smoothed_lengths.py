@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from crms_fenicsx.equilibrium import friction_loop
+from crms_fenicsx.equilibrium import search
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.minimization.outcome import Outcome
 
@@ -31,7 +31,7 @@ def test_friction_is_renewed_once(monkeypatch: pytest.MonkeyPatch) -> None:
         solved.append("in cells")
         return FOUND
 
-    monkeypatch.setattr(friction_loop, "FrictionLoop", Loop)
+    monkeypatch.setattr(search, "FrictionLoop", Loop)
     system: Any = SimpleNamespace(scene=None, renew_excess=lambda: changes.pop(0))
     contacts: Any = SimpleNamespace(solve_in_cells=in_cells)
     found = EquilibriumSearch(system, slide=True)._unsmoothed(FOUND, contacts)

@@ -153,7 +153,7 @@ def test_scenes_without_bars_and_ponds_are_not_looked_at(
     comm: MPI.Intracomm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nor are frames without compression factorised."""
-    monkeypatch.setattr("crms_fenicsx.equilibrium.stability.ExactTangent", None)
+    monkeypatch.setattr("crms_fenicsx.equilibrium.instability.ExactTangent", None)
     scene = sheet(comm)
     solver = Solver(scene)
     solver.advance(pressure=0.1)

@@ -12,7 +12,7 @@ from mpi4py import MPI
 
 from crms_fenicsx import InputError, meshes
 from crms_fenicsx.form_finding import FormCable, find_form
-from crms_fenicsx.form_finding.search import FormSearch
+from crms_fenicsx.form_finding.form_search import FormSearch
 from crms_fenicsx.meshes import MembraneMesh
 
 

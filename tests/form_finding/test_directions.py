@@ -9,10 +9,10 @@ from taylor import noise
 
 from crms_fenicsx import meshes
 from crms_fenicsx.form_finding import FormCable, find_form
-from crms_fenicsx.form_finding.cables import edge_lines
-from crms_fenicsx.form_finding.directions import Directions
 from crms_fenicsx.form_finding.film import SOFTEST, Film
+from crms_fenicsx.form_finding.form_cables import edge_lines
 from crms_fenicsx.form_finding.linear_system import LinearSystem
+from crms_fenicsx.form_finding.supports import Directions
 from crms_fenicsx.model.materials import IsotropicMembrane
 from crms_fenicsx.model.membrane import Membrane
 

@@ -8,7 +8,7 @@ from form_meshes import cylinder, order, sail
 from mpi4py import MPI
 
 from crms_fenicsx import meshes
-from crms_fenicsx.form_finding import FoundForm, find_form, search
+from crms_fenicsx.form_finding import FoundForm, find_form, form_search
 
 
 def test_disturbance_falls_with_the_mesh(comm: MPI.Intracomm) -> None:
@@ -47,5 +47,5 @@ def test_vertices_hard_to_hold_are_let_go(
     comm: MPI.Intracomm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert wave(comm).deviation < 0.03
-    monkeypatch.setattr(search, "MUCH", 1.0)
+    monkeypatch.setattr(form_search, "MUCH", 1.0)
     assert wave(comm).deviation > 0.05

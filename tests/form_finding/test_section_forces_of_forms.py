@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from crms_fenicsx import IsotropicMembrane, OrthotropicMembrane, Solver, meshes
 from crms_fenicsx.form_finding import FoundForm, find_form
-from crms_fenicsx.output.report.model_data import model_data
+from crms_fenicsx.output.report.model_tables import model_data
 
 pytestmark = pytest.mark.usefixtures("comm")
 FOIL = IsotropicMembrane(E=1000.0, nu=0.3, thickness=1.0)

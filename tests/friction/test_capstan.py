@@ -16,7 +16,7 @@ from crms_fenicsx import Cable, Friction, InputError, Scene, Solver
 from crms_fenicsx.energies.axial_friction import CapstanTension
 from crms_fenicsx.energies.capstan_chain import ENERGY, LAW, find_slips, spread_evenly
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.friction.axial_iteration import capstan_bounds
+from crms_fenicsx.friction.passes import capstan_bounds
 from crms_fenicsx.model.laid_cable import LaidCable
 
 
@@ -266,7 +266,7 @@ def test_cables_with_and_without_in_one_scene(comm) -> None:
     assert np.ptp(plain.tensions) == 0.0
     assert rough.tensions[-1] > 1.1 * rough.tensions[0]
     assert rough.tension == pytest.approx(plain.tension, rel=1e-2)
-    from crms_fenicsx.views.lines import cable_lines
+    from crms_fenicsx.views.view_data import cable_lines
 
     of_plain, of_rough = (np.asarray(line.data["tension"]) for line in cable_lines(scene.net))
     assert of_plain.shape == ()

@@ -25,7 +25,7 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.equilibrium import friction_loop
+from crms_fenicsx.equilibrium import search
 from crms_fenicsx.paths.friction_release import straighten_kinks
 from crms_fenicsx.paths.path_change import PathChange
 from crms_fenicsx.paths.tried_paths import TriedPaths
@@ -295,7 +295,7 @@ def test_refused_step_leaves_no_trace(comm, monkeypatch) -> None:
     scene, solver, cable = anchored(comm, 0.2)
     solver.advance(move={cable: (0.0, 3.0, 0.0)})
     before = cable.grip, scene.energy, cable.positions.copy()
-    monkeypatch.setattr(friction_loop, "MAX_PASSES", 1)
+    monkeypatch.setattr(search, "MAX_PASSES", 1)
     with pytest.raises(ConvergenceError, match="friction forces still change by"):
         Solver(scene, max_halvings=0).advance(move={cable: (0.0, 3.0, 0.0)})
     assert cable.grip is before[0]
@@ -362,7 +362,7 @@ def test_forces_that_go_round_in_circles_are_told(comm, monkeypatch, change: flo
     """Crude ones with a warning; if they are nothing at all the step has not converged."""
     _, solver, cable = anchored(comm, Friction(0.2))
     lags = [Circling(change)]
-    monkeypatch.setattr(friction_loop.FrictionLoop, "_lags", lambda self: lags)
+    monkeypatch.setattr(search.FrictionLoop, "_lags", lambda self: lags)
     if change > 0.1:
         with pytest.raises(ConvergenceError, match=r"friction forces still change by 50\.0% after"):
             solver.advance(L0={cable: 0.985 * cable.length})
@@ -371,4 +371,4 @@ def test_forces_that_go_round_in_circles_are_told(comm, monkeypatch, change: flo
     with told if comm.rank == 0 else nullcontext():
         step = solver.advance(L0={cable: 0.985 * cable.length})
     assert step.outcome.unsettled == change
-    assert step.outcome.passes == friction_loop.PATIENCE + 1
+    assert step.outcome.passes == search.PATIENCE + 1

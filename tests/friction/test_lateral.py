@@ -10,15 +10,13 @@ import pytest
 from friction_scene import friction_dome, shaken_fractions
 
 from crms_fenicsx.contact.contact_force import contact_forces
-from crms_fenicsx.friction import lateral_iteration as grips
-from crms_fenicsx.friction.aitken import AitkenRelaxation
+from crms_fenicsx.friction import passes as law
 from crms_fenicsx.friction.lateral import end_step, energies, remap, start_step
-from crms_fenicsx.friction.lateral_iteration import LateralIteration
+from crms_fenicsx.friction.passes import AitkenRelaxation, LateralIteration
 from crms_fenicsx.friction.slip import node_slips
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.cable_state import CableNode, CableState
-from crms_fenicsx.model.friction import Friction
-from crms_fenicsx.model.friction_history import Grip, MaterialCurve
+from crms_fenicsx.model.friction import Friction, LateralFrictionState, MaterialCurve
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.surface.points import EdgePoint, VertexPoint
 
@@ -50,7 +48,7 @@ def gripped(bounds, moving=None):
     n = len(bounds)
     supports = tuple((k, k + 1) for k in range(n))
     way = np.zeros(n) if moving is None else np.array(moving, dtype=float)
-    return Grip(NOWHERE, supports, np.array(bounds, dtype=float), way, known=True)
+    return LateralFrictionState(NOWHERE, supports, np.array(bounds, dtype=float), way, known=True)
 
 
 @pytest.mark.parametrize(
@@ -107,10 +105,10 @@ def found_from(monkeypatch, law):
     def bounds(cable, grip, shape, settled):
         return law(grip.bounds.sum()) * shares, grip.moving
 
-    monkeypatch.setattr(grips, "_bounds", bounds)
+    monkeypatch.setattr(law, "_bounds", bounds)
     lag = LateralIteration(cable)
     for passes in range(1, 60):
-        if lag.renew(None) <= grips.SETTLED:
+        if lag.renew(None) <= law.SETTLED:
             return cable.grip.bounds, passes
     raise AssertionError("never settles")
 
@@ -128,7 +126,7 @@ def found_from(monkeypatch, law):
 )
 def test_bounds_are_found_in_a_few_passes(monkeypatch, law, root, most):
     bounds, passes = found_from(monkeypatch, law)
-    assert bounds.sum() == pytest.approx(root, rel=5 * grips.SETTLED)
+    assert bounds.sum() == pytest.approx(root, rel=5 * law.SETTLED)
     assert passes <= most
 
 
@@ -219,7 +217,7 @@ def test_end_of_a_step():
         assert not cable.grip.moving.any()
         after = node_slips(cable, cable.grip.curve, shape)
         np.testing.assert_allclose(after.slip, np.clip(before.slip, -eps, eps), atol=1e-12)
-        far = np.abs(before.slip) > grips.SLIDES * before.size
+        far = np.abs(before.slip) > law.SLIDES * before.size
         assert far.any() and not far.all()
         np.testing.assert_array_equal(after.moving, np.sign(before.slip) * far)
         again = energies(cable, shape)
@@ -244,19 +242,19 @@ def test_kinetic_coefficient_where_it_slides():
     scene, shape = slid_dome(Friction(0.4, static=0.6), size=0.15)
     cable = scene.cables[0]
     slips = node_slips(cable, cable.grip.curve, shape)
-    far = np.abs(slips.slip) > grips.SLIDES * slips.size
+    far = np.abs(slips.slip) > law.SLIDES * slips.size
     assert far.any() and not far.all()
     rows = [cable.grip.row_of[s] for s in slips.supports]
     bearing = contact_forces(cable, shape).bearing[slips.nodes]
-    found, moving = grips._bounds(cable, cable.grip, shape, settled=False)
+    found, moving = law._bounds(cable, cable.grip, shape, settled=False)
     np.testing.assert_allclose(found[rows], 0.6 * bearing, rtol=1e-14)
     assert not moving.any()
-    found, moving = grips._bounds(cable, cable.grip, shape, settled=True)
+    found, moving = law._bounds(cable, cable.grip, shape, settled=True)
     np.testing.assert_allclose(found[rows], np.where(far, 0.4, 0.6) * bearing, rtol=1e-14)
     np.testing.assert_array_equal(moving[rows], np.sign(slips.slip) * far)
     # not unset in the step, though the slip has become small
     cable.update(grip=replace(cable.grip, moving=np.ones_like(cable.grip.moving)))
-    assert grips._bounds(cable, cable.grip, shape, settled=True)[1].all()
+    assert law._bounds(cable, cable.grip, shape, settled=True)[1].all()
 
 
 def test_what_slides_is_seen_even_if_the_bounds_settle_at_once(monkeypatch):
@@ -269,7 +267,7 @@ def test_what_slides_is_seen_even_if_the_bounds_settle_at_once(monkeypatch):
         asked.append(settled)
         return np.full(2, 0.4 if settled else 0.6), np.full(2, 1.0 if settled else 0.0)
 
-    monkeypatch.setattr(grips, "_bounds", bounds)
-    assert LateralIteration(cable).renew(SimpleNamespace()) > grips.SETTLED
+    monkeypatch.setattr(law, "_bounds", bounds)
+    assert LateralIteration(cable).renew(SimpleNamespace()) > law.SETTLED
     assert asked == [False, True]
     assert cable.grip.bounds.tolist() == [0.4, 0.4]

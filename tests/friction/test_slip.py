@@ -11,8 +11,7 @@ from rigid_surfaces import band, curve, rigid, sphere
 
 from crms_fenicsx.friction.lateral import start_step
 from crms_fenicsx.friction.slip import material_curve, node_slips
-from crms_fenicsx.model.friction import Friction
-from crms_fenicsx.model.friction_history import MaterialCurve
+from crms_fenicsx.model.friction import Friction, MaterialCurve
 
 
 def some_curve(points, part=None, elastic=None, moving=None):

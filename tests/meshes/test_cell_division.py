@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from crms_fenicsx import InputError, MeshError, meshes
-from crms_fenicsx.meshes.cell_geometry import area_vectors
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
+from crms_fenicsx.meshes.triangles import area_vectors
 from crms_fenicsx.runtime.compat import geometry_dofmap
 
 TENT = np.array([(0, 0, 0), (1, 0, 1), (2, 0, 0), (0, 1, 0), (1, 1, 1), (2, 1, 0)], dtype=float)

@@ -8,7 +8,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from crms_fenicsx import meshes
-from crms_fenicsx.dofs.vertex_places import vertex_places
+from crms_fenicsx.dofs.layout import vertex_places
 from crms_fenicsx.meshes.membrane_mesh import moved, vertex_ids
 
 

@@ -8,7 +8,7 @@ from mpi4py import MPI
 from taylor import OnMesh, dense, noise
 from term_scene import FABRIC, ISOTROPIC, STIFF, cable_square, displaced
 
-from crms_fenicsx.minimization.cluster_gather import gather
+from crms_fenicsx.minimization.clusters import gather
 from crms_fenicsx.minimization.local_potential import LocalPotential
 from crms_fenicsx.minimization.relaxation import LocalRelaxation
 

@@ -9,8 +9,7 @@ import pytest
 from mpi4py import MPI
 
 from crms_fenicsx import Bar, Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.minimization.chord import is_convex_from
-from crms_fenicsx.minimization.stability import ExactTangent
+from crms_fenicsx.minimization.stability import ExactTangent, is_convex_from
 
 COMM = MPI.COMM_SELF
 

@@ -22,7 +22,7 @@ from crms_fenicsx import (
     meshes,
 )
 from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.energies.membrane import MembraneEnergy
+from crms_fenicsx.energies.membrane_energy import MembraneEnergy
 from crms_fenicsx.meshes import from_arrays
 
 MU = 3.0

@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.output import History
 from crms_fenicsx.output.history import Value
-from crms_fenicsx.output.report.tables import Table
+from crms_fenicsx.output.report.page import Table
 from crms_fenicsx.runtime.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("comm")

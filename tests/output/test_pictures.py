@@ -21,12 +21,11 @@ from crms_fenicsx.output import (
     draw_shape,
     join_pictures,
 )
+from crms_fenicsx.output.figures.cable_lines import _subdivided, common_value, in_words, limits_of
 from crms_fenicsx.output.figures.camera import Camera, brightness, visible
-from crms_fenicsx.output.figures.history import default_panels, units_of_results
-from crms_fenicsx.output.figures.lines import _subdivided
-from crms_fenicsx.output.figures.paths import _spaced_steps
-from crms_fenicsx.output.figures.scales import common_value, in_words, limits_of
-from crms_fenicsx.output.figures.surface import _among, _outline
+from crms_fenicsx.output.figures.draw_paths import _spaced_steps
+from crms_fenicsx.output.figures.draw_surface import _among, _outline
+from crms_fenicsx.output.figures.plots import default_panels, units_of_results
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
 
@@ -435,7 +434,7 @@ def test_history_plots(tmp_path: Path) -> None:
 
 
 def test_which_columns_share_a_panel_and_what_they_are_called() -> None:
-    from crms_fenicsx.output.figures.history import _grouped, _with_unit
+    from crms_fenicsx.output.figures.plots import _grouped, _with_unit
 
     assert _grouped(a_history(), "step") == [["energy"], ["tension cable 1", "tension cable 2"]]
     assert _grouped(a_history(), "energy") == [["tension cable 1", "tension cable 2"]]

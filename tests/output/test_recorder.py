@@ -20,8 +20,8 @@ from crms_fenicsx.cables.deformed_surface import current_surface
 from crms_fenicsx.minimization.minimizer import Minimizer
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.output import History, Line, draw, draw_history, draw_paths
-from crms_fenicsx.output.figures import scene as scene_pictures
-from crms_fenicsx.output.figures.history import default_panels
+from crms_fenicsx.output.figures import draw_scene
+from crms_fenicsx.output.figures.plots import default_panels
 
 pytestmark = pytest.mark.usefixtures("comm")
 COMM = MPI.COMM_WORLD
@@ -142,9 +142,7 @@ def test_cables_lift_off_in_files_and_pictures(
     ends = [(-80.0, 45.0, 0.0), (180.0, 52.0, 0.0)]
     cable = scene.lay_cable(Cable(EA=32000.0), ends)
     drawn: list[dict[str, object]] = []
-    monkeypatch.setattr(
-        scene_pictures, "draw_shape", lambda *given, **options: drawn.append(options)
-    )
+    monkeypatch.setattr(draw_scene, "draw_shape", lambda *given, **options: drawn.append(options))
     lifted = []
     for number in (2, 3):
         solver.advance(move={cable: (0.0, 0.0, -10.0)})
@@ -206,7 +204,7 @@ def test_pictures_get_the_whole_surface(
     solver = run(None)
     drawn = []
     monkeypatch.setattr(
-        scene_pictures, "draw_shape", lambda *given, **options: drawn.append((given, options))
+        draw_scene, "draw_shape", lambda *given, **options: drawn.append((given, options))
     )
     draw(solver, folder / "shape.png", colour=colour, view=(0.0, 20.0))
     surface, results = current_surface(solver.scene.net), solver.results()
@@ -241,7 +239,7 @@ def test_paths_are_drawn_over_the_whole_stress_free_mesh(
     solver = run(None)
     drawn = []
     monkeypatch.setattr(
-        scene_pictures, "draw_path", lambda *given, **options: drawn.append((given, options))
+        draw_scene, "draw_path", lambda *given, **options: drawn.append((given, options))
     )
     line = Line(solver.scene.cables[0].positions)
     draw_paths(solver.scene, folder / "paths.png", [line], unit="cm")
@@ -269,9 +267,9 @@ def test_drawing_needs_nothing_but_the_scene(folder: Path) -> None:
 
 def test_meshes_too_large_for_a_picture(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     solver = Solver(sheet(COMM, 7))
-    monkeypatch.setattr(scene_pictures, "MOST_CELLS", 2 * 7 * 7)
+    monkeypatch.setattr(draw_scene, "MOST_CELLS", 2 * 7 * 7)
     draw(solver, folder / "drawn.png")
-    monkeypatch.setattr(scene_pictures, "MOST_CELLS", 2 * 7 * 7 - 1)
+    monkeypatch.setattr(draw_scene, "MOST_CELLS", 2 * 7 * 7 - 1)
     for call, message in (
         (lambda: draw(solver, folder / "not.png"), "not drawn: the mesh has 98 cells.*ParaView"),
         (

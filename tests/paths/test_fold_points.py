@@ -8,9 +8,8 @@ from cabled_square import CABLE, PRESSURE, sheet
 from crms_fenicsx import Scene, Solver
 from crms_fenicsx.cables.points_on_edges import bends
 from crms_fenicsx.meshes.triangles import arc_lengths
-from crms_fenicsx.paths.creased_surface import CreasedSurface
-from crms_fenicsx.paths.fold_points import FoldPoints, NodesOnEdges
-from crms_fenicsx.paths.path_parts import vertices_near
+from crms_fenicsx.paths.creased_surface import CreasedSurface, FoldPoints, NodesOnEdges
+from crms_fenicsx.paths.path_change import vertices_near
 from crms_fenicsx.surface.points import EdgePoint
 
 

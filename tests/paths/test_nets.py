@@ -17,10 +17,10 @@ from crms_fenicsx import Scene, Solver
 from crms_fenicsx.cables.strip_positions import StripShape
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import BEYOND
-from crms_fenicsx.paths import vertex_trials
-from crms_fenicsx.paths.held_vertices import Run
+from crms_fenicsx.paths import vertex_passing
+from crms_fenicsx.paths.held_vertices import VertexRun
 from crms_fenicsx.paths.tried_paths import TriedPaths
-from crms_fenicsx.paths.vertex_trials import Trial, VertexTrials
+from crms_fenicsx.paths.vertex_passing import Trial, VertexTrials
 from crms_fenicsx.surface.points import EdgePoint
 
 T_EXACT, Z_EXACT = (68.176, 33.193), 4.4317
@@ -162,10 +162,10 @@ def test_nets_do_not_depend_on_the_ranks(comm) -> None:
 
 def test_crossed_cables_pass_only_vertices_that_hold_them(comm, monkeypatch) -> None:
     """Strings do not know where crossings are pressed in, and say more: see `is_crossed`."""
-    from crms_fenicsx.paths import retrace
+    from crms_fenicsx.paths import geodesic_sliding
 
     passed: list[tuple[set[int], set[int]]] = []
-    pull = retrace.shorten
+    pull = geodesic_sliding.shorten
 
     def recorded(points, surface, *, held_at=None, **options):
         result = pull(points, surface, held_at=held_at, **options)
@@ -179,7 +179,7 @@ def test_crossed_cables_pass_only_vertices_that_hold_them(comm, monkeypatch) -> 
             passed.append((set(result.flips) - near, set(free) - near))
         return result
 
-    monkeypatch.setattr(retrace, "shorten", recorded)
+    monkeypatch.setattr(geodesic_sliding, "shorten", recorded)
     for seed in (1, 2):
         scene = random_net(comm, seed)
         Solver(scene).advance(pressure=2 * PRESSURE)
@@ -192,7 +192,7 @@ class Trials(VertexTrials):
 
     def __init__(self, n: int) -> None:
         super().__init__(change=None, tried=TriedPaths())  # type: ignore[arg-type]
-        self.runs = [(c, Run((10 + c,), True, (), 1.0)) for c in range(n)]
+        self.runs = [(c, VertexRun((10 + c,), True, (), 1.0)) for c in range(n)]
         self.known: dict[int, set[tuple[int, ...]]] = {c: set() for c in range(n)}
 
     def _held(self) -> list[Trial]:
@@ -206,7 +206,7 @@ class Trials(VertexTrials):
 
 
 def test_runs_are_left_together_then_by_halves_of_halves(monkeypatch) -> None:
-    monkeypatch.setattr(vertex_trials, "pass_run", lambda *_: True)
+    monkeypatch.setattr(vertex_passing, "pass_run", lambda *_: True)
     trials, tried = Trials(8), []
     while group := trials.next(energy=0.0, scale=1.0):
         tried.append([c for c, _ in group])
@@ -217,7 +217,7 @@ def test_runs_are_left_together_then_by_halves_of_halves(monkeypatch) -> None:
 
 
 def test_rounds_end_when_they_gain_little(monkeypatch) -> None:
-    monkeypatch.setattr(vertex_trials, "pass_run", lambda *_: True)
+    monkeypatch.setattr(vertex_passing, "pass_run", lambda *_: True)
     trials = Trials(4)
     for energy, goes_on in ((0.0, True), (-1.0, True), (-1.5, True), (-1.5 - 1e-7, False)):
         assert bool(trials.next(energy, scale=1.0)) == goes_on
@@ -225,7 +225,7 @@ def test_rounds_end_when_they_gain_little(monkeypatch) -> None:
 
 
 def test_runs_without_a_way_are_not_tried_again(monkeypatch) -> None:
-    monkeypatch.setattr(vertex_trials, "pass_run", lambda change, c, run, shape: c == 2)
+    monkeypatch.setattr(vertex_passing, "pass_run", lambda change, c, run, shape: c == 2)
     trials = Trials(3)
     assert [c for c, _ in trials.next(energy=0.0, scale=1.0)] == [2]
     trials.halve([trials.runs[2]])

@@ -22,7 +22,7 @@ from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.results.reactions import held_lengths
 from crms_fenicsx.results.summary import ALL_SUPPORTS, OTHER_SUPPORTS
 from crms_fenicsx.runtime.compat import geometry_dofmap
-from crms_fenicsx.study.quantities import displacements
+from crms_fenicsx.study.values import displacements
 from crms_fenicsx.surface.points import EdgePoint
 
 R, P = 5.0, 0.4

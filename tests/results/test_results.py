@@ -15,8 +15,7 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.cables.deformed_surface import current_surface
-from crms_fenicsx.cables.enclosed_volume import gained_volume
+from crms_fenicsx.cables.deformed_surface import current_surface, gained_volume
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.polygons import best_fan

@@ -11,7 +11,7 @@ from reference_meshes import square
 
 from crms_fenicsx import Bar, Cable, Friction, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.verification.plain_vertices import plain_vertices
+from crms_fenicsx.verification.cable_forces import plain_vertices
 from crms_fenicsx.verification.report import Verification
 from crms_fenicsx.verification.verifier import Verifier
 

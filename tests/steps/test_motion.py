@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from crms_fenicsx import Cable, InputError, IsotropicMembrane, Rotation, Scene, Solver, meshes
-from crms_fenicsx.steps.motion import Motion
+from crms_fenicsx.steps.movements import Motion
 
 TURN = Rotation((0.0, 0.0, 0.0), (0.0, 0.0, 2.0), np.pi / 6)
 

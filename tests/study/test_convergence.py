@@ -15,7 +15,7 @@ from crms_fenicsx import (
 )
 from crms_fenicsx.form_finding import FormCable, find_form
 from crms_fenicsx.study import convergence
-from crms_fenicsx.study.quantities import displacements
+from crms_fenicsx.study.values import displacements
 
 pytestmark = pytest.mark.usefixtures("comm")
 

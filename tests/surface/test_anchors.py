@@ -22,8 +22,7 @@ from trace_surfaces import (
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.surface.feet import feet_of
 from crms_fenicsx.surface.points import CellPoint
-from crms_fenicsx.surface.route import near_section
-from crms_fenicsx.surface.trace import trace
+from crms_fenicsx.surface.trace import near_section, trace
 
 SNAP = 1e-3  # the default of `trace`
 

@@ -7,9 +7,9 @@ import pytest
 from trace_surfaces import cap, grid, hall, scattered
 
 from crms_fenicsx.meshes.triangles import closest, double_areas, longest_sides
-from crms_fenicsx.surface import feet, plane_cuts
+from crms_fenicsx.surface import feet, plane_section
 from crms_fenicsx.surface.feet import feet_of, nearest_within, pairs_within
-from crms_fenicsx.surface.plane_cuts import Plane, strips
+from crms_fenicsx.surface.plane_section import Plane, strips
 
 SURFACES = {
     "cap": lambda rng: cap(2.9),
@@ -94,7 +94,7 @@ def test_pairs_within_reach(monkeypatch, block):
 @pytest.mark.parametrize("block", [1, 10**7])
 def test_strips_along_planes(monkeypatch, block):
     """Cell by cell, with and without a margin."""
-    monkeypatch.setattr(plane_cuts, "PAIRS", block)
+    monkeypatch.setattr(plane_section, "PAIRS", block)
     rng = np.random.default_rng(7)
     points, cells = grid(12)
     up = np.array([0.0, 0.0, 1.0])

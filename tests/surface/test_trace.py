@@ -26,8 +26,7 @@ from trace_surfaces import (
 from crms_fenicsx.meshes.triangles import longest_sides
 from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.surface.points import CellPoint, EdgePoint, VertexPoint
-from crms_fenicsx.surface.route import near_section
-from crms_fenicsx.surface.trace import IndirectLeg, _direct_way, trace
+from crms_fenicsx.surface.trace import IndirectLeg, _direct_way, near_section, trace
 
 
 def sheared(points, a, b):

@@ -38,7 +38,8 @@ def test_sound_states_pass(comm: MPI.Intracomm) -> None:
         step = roped(comm, friction).steps[-1]
         assert step.verification is not None and step.verification.passed
         assert str(step.verification).startswith("verified\n  values not finite ")
-        assert step.verification["virtual work"].value < 1e-4
+        work = step.verification["virtual work"]
+        assert work.value < 0.05 * work.limit
     with pytest.raises(KeyError):
         step.verification["something else"]
 

@@ -20,7 +20,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from crms_fenicsx.energies.membrane import MembraneEnergy
+from crms_fenicsx.energies.membrane_energy import MembraneEnergy
 from crms_fenicsx.model.materials import LINEAR, MembraneMaterial
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.compat import geometry_dofmap, interpolation_points

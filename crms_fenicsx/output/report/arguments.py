@@ -1,8 +1,9 @@
-"""Checks of what users give to a report."""
+"""The arguments of a report, checked, and its files."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,13 +12,13 @@ from mpi4py import MPI
 
 from crms_fenicsx.model.materials import OrthotropicMembrane
 from crms_fenicsx.output.figures.axes3d import check_view
-from crms_fenicsx.output.figures.scene import COLOURS
+from crms_fenicsx.output.figures.draw_scene import COLOURS
 from crms_fenicsx.output.report.case import TENSION
-from crms_fenicsx.output.report.files import check_path
 from crms_fenicsx.output.report.results_tables import Units
+from crms_fenicsx.output.report.sections import Report
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, raised_together
-from crms_fenicsx.runtime.files import absolute
+from crms_fenicsx.runtime.files import absolute, make_writable, replaced
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.steps.load_cases import Combination
 
@@ -153,3 +154,27 @@ def checked_pictures(scene: Scene, pictures: Sequence[str] | None) -> tuple[str,
                 "scene.set_strengths(...) before."
             )
     return tuple(pictures)
+
+
+def check_path(path: Path) -> None:
+    """Refuse a path that no report can be written to; not collective."""
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"report: filename = {str(path)!r} is no page; give one with .html.")
+    if path.is_dir():
+        raise InputError(f"report: {path} is a folder; give the name of a file in it.")
+    make_writable(path.parent)
+
+
+def write(path: Path, report: Report) -> list[Path]:
+    """Write a report's page and its tables; not collective.
+
+    All of them are complete before the first takes the place of one that is there. Returns the
+    files.
+    """
+    texts = {path: report.html()}
+    for table in report.tables():
+        texts[path.with_name(f"{path.stem}_{table.name}.csv")] = table.csv()
+    with ExitStack() as files:
+        for file, text in texts.items():
+            files.enter_context(replaced(file)).write_text(text, encoding="utf-8")
+    return list(texts)

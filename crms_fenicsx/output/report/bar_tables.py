@@ -6,8 +6,8 @@ import re
 from collections.abc import Sequence
 
 from crms_fenicsx.output.report.case import Case
+from crms_fenicsx.output.report.page import Cell, Table
 from crms_fenicsx.output.report.results_tables import Units, clean
-from crms_fenicsx.output.report.tables import Cell, Table
 
 FAMILY = 10
 """So many bars or more whose names differ in a number at their end share rows of a page."""

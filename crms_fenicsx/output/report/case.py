@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.output.figures.scene import SIGNED, HasSystem, draw
+from crms_fenicsx.output.figures.draw_scene import SIGNED, HasSystem, draw
 from crms_fenicsx.results.summary import Summary, summary
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.verification.report import Verification

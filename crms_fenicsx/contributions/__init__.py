@@ -1,1 +1,0 @@
-"""What each physical feature of a scene contributes to its potential."""

@@ -1,0 +1,203 @@
+"""Strain energy of straight bars, ``EA/2 (l - L0)^2 / L0``, and loads on their joints.
+
+A bar's force is N = EA (l - L0)/L0, its stiffness EA/L0 d d^T + N/l (I - d d^T), d its direction.
+In compression the second part is negative: H0, which must be positive definite, goes without it. A
+guy is slack where it is shorter than L0, and has no energy there; H0 keeps a small part of its
+stiffness, so that a joint that only slack guys hold does not fly off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Self
+
+import numba
+import numpy as np
+from petsc4py import PETSc
+
+from crms_fenicsx.dofs.block_patterns import RowSizes, SegmentPattern, rows_of
+from crms_fenicsx.dofs.elements import ElementTable
+from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.energies.segments import difference
+from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.model.bar import SHORTEST
+from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans, Indices
+
+SLACK = 1e-3
+"""Part of its axial stiffness that a slack guy has in H0."""
+
+
+@dataclass(frozen=True)
+class BarTable(ElementTable):
+    """This rank's bars."""
+
+    ends: Indices  # (n, 2) blocks of their ends
+    EA: Array  # EA, L0: (n,) axial stiffness (force) and unstressed length (length)
+    L0: Array
+    tension_only: Booleans  # (n,) whether they can be slack
+    addresses = ("ends",)
+
+    @property
+    def element_blocks(self) -> tuple[Indices, Indices]:
+        return rows_of(self.ends)
+
+    @classmethod
+    def joined(cls, tables: Sequence[Self]) -> Sequence[Self]:
+        names = [field.name for field in fields(cls)]
+        return [cls(*(np.concatenate([getattr(t, name) for t in tables]) for name in names))]
+
+
+class BarEnergy(EnergyTerm):
+    """Strain energy of bars.
+
+    Attributes: `lengths`, `forces` (n,): lengths (length) and axial forces (force), tension
+    positive, at the last evaluation; `least`, `loose`: least axial force, and slack of guys,
+    relative to their length, up to which they count as taut, that the second derivatives know of;
+    where stability is looked at they are others.
+    """
+
+    name = "bars"
+    exact_hessian = True
+    least, loose = -np.inf, 0.0
+
+    def __init__(self, table: BarTable) -> None:
+        self.table = table
+        self.lengths, self.forces = np.zeros((2, len(table.EA)))
+        self._pattern = SegmentPattern(table.ends)
+
+    def attach(self, unknowns: Unknowns) -> None:
+        super().attach(unknowns)
+        self._X = unknowns.X
+
+    def sums(self, x: Array, out: Array) -> None:
+        """Energy of this rank's bars (force x length)."""
+        t = self.table
+        out[0] = _energy(self._X, x, t.ends, t.EA, t.L0, t.tension_only, self.lengths, self.forces)
+
+    def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
+        """Add the bars' pull on their ends."""
+        _add_forces(self._X, x, self.table.ends, self.forces, g)
+
+    def rounding(self, x: Array, sums: Array) -> float:
+        """Squared norm of the forces that rounding leaves at the ends of this rank's bars.
+
+        Of a bar's direction and of its length, from coordinates that may be longer than itself.
+        """
+        ends = self._X[self.table.ends] + x[self.table.ends]
+        far = np.linalg.norm(ends, axis=2).max(axis=1, initial=0.0)
+        stiffness = np.abs(self.forces) / self._least_lengths() + self.table.EA / self.table.L0
+        return float(np.sum((EPSILON * stiffness * far) ** 2))
+
+    def count_stiffness(self, sizes: RowSizes) -> None:
+        self._pattern.count(sizes)
+
+    def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+        """Add the stiffness without what compression takes off it."""
+        self._add(x, SLACK, 0.0, A)
+
+    def add_hessian(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+        """Add the second derivatives."""
+        self._add(x, 0.0, self.least, A)
+
+    def _add(self, x: Array, slack: float, least: float, A: PETSc.Mat) -> None:
+        """Add stiffness, slack guys with a part of theirs, forces no less than some."""
+        t = self.table
+        axial = (
+            np.where(t.tension_only & (self.lengths < (1 - self.loose) * t.L0), slack, 1.0)
+            * t.EA
+            / t.L0
+        )
+        lengths = self._least_lengths()
+        across = np.maximum(self.forces, least) / lengths
+        ways = self._X[t.ends] + x[t.ends]
+        d = (ways[:, 1] - ways[:, 0]) / lengths[:, None]
+        along = d[:, :, None] * d[:, None, :]
+        self._pattern.own_values[:] = (axial - across)[:, None, None] * along
+        self._pattern.own_values += across[:, None, None] * np.eye(3)
+        self._pattern.add(A, self.unknowns)
+
+    def _least_lengths(self) -> Array:
+        """The lengths, but those of bars whose ends meet, which have no direction."""
+        return np.maximum(self.lengths, SHORTEST * self.table.L0)
+
+    def elements_on(self, chosen: Booleans) -> BarTable | None:
+        some = chosen[self.table.ends].any(axis=1)
+        if not some.any():
+            return None
+        return BarTable(*(getattr(self.table, field.name)[some] for field in fields(BarTable)))
+
+    def of_elements(self, table: BarTable, sums: Array) -> BarEnergy:
+        return BarEnergy(table)
+
+    def element_energies(self, sums: Array) -> Array:
+        energies: Array = self.forces * self.forces * self.table.L0 / (2 * self.table.EA)
+        return energies
+
+
+@numba.njit(cache=True)
+def _energy(X, x, ends, EA, L0, tension_only, lengths, forces):  # type: ignore[no-untyped-def]
+    """Energy of bars between blocks (n, 2); their lengths and forces."""
+    total = 0.0
+    for b in range(ends.shape[0]):
+        _, _, _, lengths[b] = difference(X, x, ends[b, 0], ends[b, 1])
+        strain = (lengths[b] - L0[b]) / L0[b]
+        if tension_only[b] and strain < 0.0:
+            strain = 0.0
+        forces[b] = EA[b] * strain
+        total += 0.5 * forces[b] * strain * L0[b]
+    return total
+
+
+@numba.njit(cache=True)
+def _add_forces(X, x, ends, forces, g):  # type: ignore[no-untyped-def]
+    """Add ``sum forces * d(lengths)/dx`` to g, (n_blocks, 3)."""
+    for s in range(ends.shape[0]):
+        a, b = ends[s, 0], ends[s, 1]
+        r0, r1, r2, d = difference(X, x, a, b)
+        c = forces[s] / d if d > 0.0 else 0.0
+        r = (r0, r1, r2)
+        for i in range(3):
+            g[a, i] -= c * r[i]
+            g[b, i] += c * r[i]
+
+
+class JointLoads(EnergyTerm):
+    """Potential ``-F . u`` of forces on joints.
+
+    Attributes: `forces` (n, 3): the forces (force). Shapes: blocks (n,).
+    """
+
+    name = "dead load"
+    exact_hessian = True
+
+    def __init__(self, blocks: Indices) -> None:
+        self._blocks, self.forces = blocks, np.zeros((len(blocks), 3))
+
+    def sums(self, x: Array, out: Array) -> None:
+        """Work of the forces (force x length)."""
+        out[0] = _work(x, self._blocks, self.forces)
+
+    def energy(self, sums: Array) -> float:
+        """Minus the work of the forces since the joints were made (force x length)."""
+        return -float(sums[0])
+
+    def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
+        """Subtract the forces."""
+        _subtract(g, self._blocks, self.forces)
+
+
+@numba.njit(cache=True)
+def _work(x, blocks, forces):  # type: ignore[no-untyped-def]
+    total = 0.0
+    for k in range(len(blocks)):
+        for i in range(3):
+            total += x[blocks[k], i] * forces[k, i]
+    return total
+
+
+@numba.njit(cache=True)
+def _subtract(g, blocks, forces):  # type: ignore[no-untyped-def]
+    for k in range(len(blocks)):
+        for i in range(3):
+            g[blocks[k], i] -= forces[k, i]

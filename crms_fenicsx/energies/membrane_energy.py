@@ -1,0 +1,278 @@
+"""Strain energy of the plain (not folded) membrane cells, assembled by DOLFINx (section 2.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from dolfinx.fem import petsc as fem_petsc
+from petsc4py import PETSc
+
+from crms_fenicsx.dofs.block_patterns import RowSizes
+from crms_fenicsx.energies.integral import Integral, one_point
+from crms_fenicsx.energies.kinematics import (
+    Kinematics,
+    Stiffening,
+    tangent_basis,
+    tensile_part,
+    warp_field,
+)
+from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.meshes.triangles import area_vectors, cell_normals
+from crms_fenicsx.model.materials import (
+    LINEAR,
+    N_PARAMETERS,
+    ORTHOTROPIC_TENSION_FIELD,
+    UFL_LAW,
+    LawTerms,
+    MembraneMaterial,
+    law_terms,
+)
+from crms_fenicsx.model.ufl_material import UflMembrane
+from crms_fenicsx.runtime.arrays import EPSILON, Array, Indices
+from crms_fenicsx.runtime.compat import geometry_dofmap
+
+if TYPE_CHECKING:
+    from crms_fenicsx.energies.tension_field import TensionField
+
+
+class MembraneEnergy(EnergyTerm):
+    """Strain energy of the cells whose `plain` indicator is 1, in total formulation.
+
+    Attributes: `plain`: 1 in plain cells, 0 in folded cells, which leave this term without a new
+    form; `integral`: energy and nodal forces; `stiffening`: what is in the stiffness only.
+    """
+
+    name = "membrane"
+    exact_hessian = True
+    integral: Integral
+    stiffening: Stiffening
+
+    def __init__(
+        self,
+        u: fem.Function,
+        materials: Mapping[int, MembraneMaterial],
+        cell_tags: Any = None,
+    ) -> None:
+        V, mesh = u.function_space, u.function_space.mesh
+        self.u = u
+        self.plain = fem.Function(fem.functionspace(mesh, ("DG", 0)))
+        self.plain.x.array[:] = 1.0
+        self.stiffening = Stiffening(mesh)
+        self.materials = materials
+        self.cell_tags = cell_tags
+        cells = np.arange(mesh.topology.index_map(2).size_local, dtype=np.int32)
+        self.warps: dict[int, fem.Function | None] = {}
+        for tag, material in materials.items():
+            own = cells if cell_tags is None else cell_tags.find(tag)
+            warp = None if material.warp is None else warp_field(mesh, material, own)
+            self.warps[tag] = warp
+        self.tension_field = self._tension_field(cells)
+        areas = np.linalg.norm(area_vectors(mesh)[: len(cells)], axis=1)
+        self._area = float(areas.sum())
+        self._parameters: dict[int, fem.Constant] = {}
+        self.terms: dict[int, tuple[LawTerms, Kinematics]] = {}
+        for tag, material in materials.items():
+            kinematics = Kinematics(u, tangent_basis(mesh, self.warps[tag]))
+            parameters = self._parameters[tag] = fem.Constant(mesh, material.parameters)
+            if material.law == ORTHOTROPIC_TENSION_FIELD:
+                assert self.tension_field is not None
+                law = self.tension_field.terms(parameters)
+            elif isinstance(material, UflMembrane):
+                law = material.law_terms(kinematics.strain(), parameters)
+            else:
+                law = law_terms(material.law, kinematics.strain(), parameters)
+            self.terms[tag] = (law, kinematics)
+        self.renew_materials()
+        v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
+        dx = one_point(mesh, subdomain_data=cell_tags)
+        self.stiffness_form = fem.form(self._stiffness(v, du, dx))
+        prepare = None if self.tension_field is None else self.tension_field.update
+        self.integral = Integral(V, self._variation, prepare, cell_tags)
+        self._cell_values: dict[int, fem.Expression] = {}
+
+    def renew_materials(self) -> None:
+        """Take the numbers that `materials` have now; laws and warps are as before."""
+        materials = self.materials.values()
+        self._modulus = max(material.reference_modulus for material in materials)
+        self._prestress = max(float(np.abs(m.prestress_vector).max()) for m in materials)
+        for tag, parameters in self._parameters.items():
+            parameters.value[:] = self.materials[tag].parameters
+        if self.tension_field is not None:
+            self.tension_field.parameters[:] = self._of_tension_field()
+
+    def _of_tension_field(self) -> Array:
+        """Parameters of the materials that wrinkle and are orthotropic, in the tags' order."""
+        own = sorted(self.materials.items())
+        wrinkle = [m.parameters for _, m in own if m.law == ORTHOTROPIC_TENSION_FIELD]
+        return np.array(wrinkle)
+
+    def _on(self, tag: int, dx: ufl.Measure) -> ufl.Measure:
+        """The measure on one part."""
+        return dx if self.cell_tags is None else dx(tag)
+
+    def _variation(self, v: Any, q: Any, dx: ufl.Measure) -> Any:
+        """The form of energy and gradient, as `Integral` wants it."""
+        variation: Any = 0
+        for tag, (law, kinematics) in self.terms.items():
+            work = ufl.inner(law.stress, kinematics.strain_variation(v))
+            variation += self.plain * (law.energy * q + work) * self._on(tag, dx)
+        return variation
+
+    def _stiffness(self, v: Any, du: Any, dx: ufl.Measure) -> Any:
+        """The form of the stiffness, positive semidefinite."""
+        stiffness: Any = 0
+        for tag, (law, kinematics) in self.terms.items():
+            linear = self.materials[tag].law == LINEAR
+            a, b = kinematics.strain_variation(v), kinematics.strain_variation(du)
+            compressible = linear or self.materials[tag].law == UFL_LAW
+            S = law.stress
+            if compressible:
+                tensile = tensile_part(S)
+                S = tensile + self.stiffening.compression * (S - tensile)
+            S = S + self.stiffening.prestress * ufl.Identity(2)
+            dv = [ufl.dot(ufl.grad(v), e) for e in kinematics.basis]
+            ddu = [ufl.dot(ufl.grad(du), e) for e in kinematics.basis]
+            geometric = sum(S[i, j] * ufl.dot(dv[i], ddu[j]) for i in (0, 1) for j in (0, 1))
+            material_part = law.tangent(a, b)
+            if not linear:
+                material_part += self.stiffening.floor * law.taut_tangent(a, b)
+            stiffness += self.plain * (material_part + geometric) * self._on(tag, dx)
+        return stiffness
+
+    def _tension_field(self, cells: npt.NDArray[np.int32]) -> TensionField | None:
+        """The law of the wrinkling orthotropic cells among the owned ones, None without any."""
+        wanted = sorted(
+            tag for tag, own in self.materials.items() if own.law == ORTHOTROPIC_TENSION_FIELD
+        )
+        if not wanted:
+            return None
+        from crms_fenicsx.energies.tension_field import TensionField
+
+        tags = self.material_tags(cells)
+        own = np.isin(tags, wanted)
+        parameters = self._of_tension_field()
+        row = np.searchsorted(wanted, tags[own]).astype(np.int32)
+        return TensionField(self.u, cells[own], self.material_axes(cells[own]), parameters, row)
+
+    def sums(self, x: Array, out: Array) -> None:
+        """This rank's part of the energy."""
+        out[0] = self.integral.value
+
+    def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
+        """Add the nodal forces of this rank's cells."""
+        self.unknowns.add_to_vertices(self.integral.gradient, g)
+
+    def rounding(self, x: Array, sums: Array) -> float:
+        """Squared norm of the forces that rounding leaves at this rank's vertices.
+
+        A cell's forces are its section force times its size, of which the squares sum up to the
+        area. The section force is that of the prestress and, from displacement gradients of the
+        size of the largest displacement over a quarter of the membrane, that of the strain.
+        """
+        if self._area == 0.0:
+            return 0.0
+        gradient = 4 * float(np.abs(self.u.x.array).max(initial=0.0)) / self._area**0.5
+        force = self._prestress + self._modulus * gradient
+        return self._area * (4 * EPSILON * force) ** 2
+
+    def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+        """Add the positive semidefinite stiffness of this rank's cells."""
+        if self.tension_field is not None:
+            self.tension_field.update_tangents()
+        fem_petsc.assemble_matrix(A, self.stiffness_form)
+
+    def add_hessian(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+        """Add the second derivatives."""
+        with self.stiffening.none():
+            self.add_stiffness(x, sums, A)
+
+    def add_stiffness_without_cables(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+        """Add the stiffness of all of this rank's cells, folded ones as if they were plain."""
+        plain = self.plain.x.array.copy()
+        self.plain.x.array[:] = 1.0
+        try:
+            self.add_stiffness(x, sums, A)
+        finally:
+            self.plain.x.array[:] = plain
+
+    def count_stiffness(self, sizes: RowSizes) -> None:
+        """Count the blocks that an edge of this rank's cells makes, of both its vertices."""
+        a, b = self.edges().T
+        sizes.add(np.concatenate([a, b]), np.concatenate([b, a]))
+
+    @property
+    def links(self) -> Indices:  # type: ignore[override]
+        """Vertices along the sides of cells, if these can be relaxed alone."""
+        none = np.zeros((0, 2), dtype=np.int32)
+        return none if self.twin is None else self.edges()
+
+    def edges(self) -> Indices:
+        """Blocks of the vertices of all local edges, (n, 2)."""
+        return self.unknowns.vertex_blocks()[self._edge_dofs]
+
+    @cached_property
+    def _edge_dofs(self) -> Indices:
+        """Local degrees of freedom of these vertices, the same in all layouts."""
+        topology = self.u.function_space.mesh.topology
+        topology.create_connectivity(1, 0)
+        vertices = topology.index_map(0)
+        dof_of = np.zeros(vertices.size_local + vertices.num_ghosts, dtype=np.int32)
+        dof_of[topology.connectivity(2, 0).array] = self.u.function_space.dofmap.list.ravel()
+        return dof_of[topology.connectivity(1, 0).array.reshape(-1, 2)]
+
+    def cell_results(self) -> Array:
+        """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state of the owned cells.
+
+        In the material axes, (n, 7), as of `FoldedMembraneEnergy.results`; folded cells are treated
+        as plain. Collective: the first call compiles.
+        """
+        mesh = self.u.function_space.mesh
+        cells = np.arange(mesh.topology.index_map(2).size_local, dtype=np.int32)
+        tags = self.material_tags(cells)
+        results = np.zeros((len(cells), 7))
+        if self.tension_field is not None:
+            self.tension_field.update()
+        for tag, (law, kinematics) in self.terms.items():
+            if tag not in self._cell_values:
+                E, S = kinematics.strain(), law.stress
+                values = [E[0, 0], E[1, 1], 2 * E[0, 1], S[0, 0], S[1, 1], S[0, 1], law.state]
+                # One point is enough, as all this is constant in a cell.
+                self._cell_values[tag] = fem.Expression(
+                    ufl.as_vector(values), np.array([[1 / 3, 1 / 3]])
+                )
+            own = cells[tags == tag]
+            results[own] = self._cell_values[tag].eval(mesh, own).reshape(len(own), 7)
+        return results
+
+    def material_tags(self, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+        """Tag of each of the cells' material, (n,)."""
+        if self.cell_tags is None:
+            return np.full(len(cells), next(iter(self.materials)), dtype=np.int32)
+        order = np.searchsorted(self.cell_tags.indices, cells)
+        return np.asarray(self.cell_tags.values[order], dtype=np.int32)
+
+    def laws(self, cells: npt.NDArray[np.int32]) -> tuple[Indices, Array]:
+        """Stress laws of the cells and the laws' parameters, (n,) and (n, N_PARAMETERS)."""
+        tags, material = np.unique(self.material_tags(cells), return_inverse=True)
+        materials = [self.materials[int(tag)] for tag in tags]
+        laws = np.array([own.law for own in materials], dtype=np.int32)
+        parameters = np.array([own.parameters for own in materials]).reshape(-1, N_PARAMETERS)
+        return laws[material], parameters[material]
+
+    def material_axes(self, cells: npt.NDArray[np.int32]) -> Array:
+        """In-plane axes 1 and 2 of the cells' stress-free shape, (n, 2, 3)."""
+        mesh = self.u.function_space.mesh
+        x = mesh.geometry.x[geometry_dofmap(mesh)[cells]]
+        first = x[:, 1] - x[:, 0]
+        for tag, warp in self.warps.items():
+            if warp is not None:
+                own = self.material_tags(cells) == tag
+                first[own] = warp.x.array.reshape(-1, 3)[cells[own]]
+        first /= np.linalg.norm(first, axis=1)[:, None]
+        return np.stack([first, np.cross(cell_normals(mesh)[cells], first)], axis=1)

@@ -1,0 +1,246 @@
+"""The cables' points, tension and friction."""
+
+from __future__ import annotations
+
+import logging
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from crms_fenicsx.cables.element_tables import CableTables, cable_tables, damping
+from crms_fenicsx.cables.node_positions import NodePositions
+from crms_fenicsx.cables.numbering import CableNumbering
+from crms_fenicsx.dofs.layout import FrameBlocks, Unknowns
+from crms_fenicsx.energies.axial_friction import CapstanTension
+from crms_fenicsx.energies.cable_tension import CableTension
+from crms_fenicsx.energies.lateral_friction import LateralFriction
+from crms_fenicsx.energies.paper.friction_element import FrictionElementEnergy
+from crms_fenicsx.energies.paper.step_cable import StepCableTension
+from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.equilibrium.contribution import Contribution
+from crms_fenicsx.equilibrium.fold_contribution import FoldContribution
+from crms_fenicsx.equilibrium.membrane_contribution import (
+    MembraneContribution,
+    PressureContribution,
+)
+from crms_fenicsx.friction import lateral
+from crms_fenicsx.friction.axial import end_axial_step, grip_table, is_aligned, store_solution
+from crms_fenicsx.friction.lateral import element_table, slip_table
+from crms_fenicsx.minimization.damping import Damping
+from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
+from crms_fenicsx.scene import Scene
+
+
+class FrictionContribution(Contribution):
+    """Terms of friction sideways, and the state of all friction.
+
+    Attributes: `stick_slip`, `elements`: terms of Coulomb's law and of the paper's friction
+    elements; None without such cables.
+    """
+
+    def __init__(self, scene: Scene, cables: CableContribution) -> None:
+        super().__init__(scene)
+        self.cables = cables
+        self.stick_slip: LateralFriction | None = None
+        self.elements: FrictionElementEnergy | None = None
+
+    @property
+    def is_stale(self) -> bool:
+        """Whether friction along some cable holds it at other nodes than the potential has."""
+        return not all(is_aligned(cable) for cable in self.scene.cables)
+
+    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+        laws = {cable.cable.sideways.law for cable in self.cables.taut if cable.cable.sideways}
+        if not laws:
+            return []
+        for cable in self.cables.taut:
+            lateral.remap(cable)
+        numbering, shape = self.cables.numbering, self.scene.net.strip_shape()
+        terms: list[EnergyTerm] = []
+        if "coulomb" in laws:
+            self.stick_slip = LateralFriction(slip_table(numbering, shape))
+            terms.append(self.stick_slip)
+        if "step" in laws:
+            self.elements = FrictionElementEnergy(element_table(numbering, shape))
+            terms.append(self.elements)
+        return terms
+
+    def renew_friction(self) -> None:
+        capstan = self.cables.capstan
+        if self.stick_slip is None is self.elements and capstan is None:
+            return
+        numbering, shape = self.cables.numbering, self.scene.net.strip_shape()
+        if self.stick_slip is not None:
+            self.stick_slip.renew(slip_table(numbering, shape))
+        if self.elements is not None:
+            self.elements.renew(element_table(numbering, shape))
+        if capstan is not None:
+            capstan.renew(grip_table(numbering, shape))
+
+    def write_scene(self, potential: Potential) -> None:
+        energies = self.scene.energies
+        if "friction" in energies:  # the state has what it stores; the rest is heat
+            shape = self.scene.net.strip_shape()
+            energies["friction"] = sum(lateral.energies(c, shape)[0] for c in self.scene.cables)
+        if self.cables.capstan is not None:
+            self._write_gripped(self.cables.capstan, potential)
+
+    def _write_gripped(self, capstan: CapstanTension, potential: Potential) -> None:
+        """Copy the state of the cables that friction holds along to the scene."""
+        energies, sums = self.scene.energies, potential.sums_of(capstan)
+        tensions, (stored, lost) = capstan.tensions(sums), capstan.friction(sums)
+        for c, cable in enumerate(self.cables.gripped):
+            spans, nodes = capstan.spans_of(c), capstan.nodes_of(c)
+            unstressed, slips = capstan.unstressed[spans], capstan.slips[nodes]
+            store_solution(cable, sums[spans], unstressed, tensions[spans], slips, float(lost[c]))
+        energies["cables"] -= capstan.friction_potential
+        energies["friction"] = energies.get("friction", 0.0) + float(stored.sum())
+
+    def commit(self) -> None:
+        gripped = [cable for cable in self.scene.cables if cable.grip is not None]
+        held_along = [cable for cable in self.scene.cables if cable.axial is not None]
+        if not gripped and not held_along:
+            return
+        shape = self.scene.net.strip_shape()
+        for cable in gripped:
+            lateral.end_step(cable, shape)
+        for cable in held_along:
+            end_axial_step(cable, shape)
+
+
+if TYPE_CHECKING:
+    from crms_fenicsx.energies.axial_friction import CapstanTension
+
+logger = logging.getLogger("crms_fenicsx")
+
+UNSMOOTHED = 1e-13
+"""How far the length that a cable's tension comes from may be from that of its polyline, relative
+to its unstressed length."""
+
+
+class CableContribution(Contribution):
+    """Tension of the cables as they lie now; made anew when they are laid, tighten or slacken.
+
+    Attributes: `numbering`: numbering of the cables' points; `unknowns`: the layout with these
+    points; `node_positions`: copies the positions of the points to the cables; `taut`: the cables
+    in tension; `tables`: this rank's elements of the cables in tension; None without any; `folds`:
+    contribution of the folded cells; `tension`, `sliding`: term of the cables in tension that slide
+    along themselves freely, and these; `capstan`, `gripped`: term of those that friction holds
+    along their axis, and these.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        membrane: MembraneContribution,
+        pressure: PressureContribution,
+        frame: FrameBlocks | None = None,
+    ) -> None:
+        super().__init__(scene)
+        assert scene.net.strip is not None
+        self.numbering = CableNumbering(scene.cables, scene.net.strip, scene.u)
+        self.unknowns = self.numbering.unknowns(frame)
+        self.numbering.hold(self.unknowns)
+        self.node_positions = NodePositions(self.numbering, self.unknowns)
+        self.taut = [cable for cable in scene.cables if cable.taut]
+        self.sliding = [cable for cable in self.taut if cable.axial is None]
+        self.gripped = [cable for cable in self.taut if cable.axial is not None]
+        self.tension: CableTension | None = None
+        self.capstan: CapstanTension | None = None
+        self.tables: CableTables | None = None
+        if self.taut:
+            self.tables = cable_tables(self.numbering, membrane.energy, scene.membrane.pressed)
+            folded = self.tables.folded.cells
+            scene.membrane.refuse_folds(folded, "a cable has slid too far")
+            membrane.fold(folded)
+        self.folds = FoldContribution(scene, membrane, pressure, self.numbering, self.tables)
+
+    def damping(self) -> Damping | None:
+        """What damps the quasi-Newton steps of the cables' points; None without tension."""
+        return None if self.tables is None else damping(self.numbering, self.tables.segments)
+
+    @property
+    def has_history(self) -> bool:
+        return any(cable.cable.law == "step" for cable in self.scene.cables)
+
+    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+        terms: list[EnergyTerm] = []
+        if self.tables is not None and self.sliding:
+            self.tension = self._tension_term(self.tables)
+            terms.append(self.tension)
+        if self.tables is not None and self.gripped:
+            from crms_fenicsx.energies.axial_friction import CapstanTension
+            from crms_fenicsx.friction.axial import chain_table, grip_table, remap_axial
+
+            for cable in self.gripped:
+                remap_axial(cable)
+            grips = grip_table(self.numbering, self.scene.net.strip_shape())
+            L0 = np.array([cable.L0 + cable.excess for cable in self.gripped])
+            self.capstan = CapstanTension(chain_table(self.numbering, self.tables), grips, L0)
+            terms.append(self.capstan)
+        return terms
+
+    def _tension_term(self, tables: CableTables) -> CableTension:
+        EA = np.array([cable.cable.EA for cable in self.sliding])
+        L0 = np.array([cable.L0 for cable in self.sliding])
+        starts = [cable.step_start for cable in self.sliding]
+        one = np.array([cable.axial is None for cable in self.taut])
+        mine, number = one[tables.cable], np.cumsum(one, dtype=np.int32) - np.int32(1)
+        links = (tables.segments[mine], tables.eps[mine], number[tables.cable[mine]])
+        if any(starts):
+            return StepCableTension(*links, EA, L0, starts)
+        return CableTension(*links, EA, L0)
+
+    def read_scene(self, potential: Potential) -> None:
+        numbering, unknowns = self.numbering, self.unknowns
+        own = numbering.blocks[numbering.blocks >= 0]
+        places = unknowns.X.copy()
+        numbering.place_points(places)
+        potential.x[own] = places[own] - unknowns.X[own]
+        unknowns.update_ghosts(potential.x_vector)  # far vertices, with rails on them
+        numbering.rails.place(unknowns, potential.x)
+        if self.tension is not None:
+            self.tension.L0[:] = [cable.L0 for cable in self.sliding]
+            self.tension.excess[:] = [cable.excess for cable in self.sliding]
+        if self.capstan is not None:
+            self.capstan.L0[:] = [cable.L0 + cable.excess for cable in self.gripped]
+
+    def locate(self, potential: Potential) -> None:
+        self.node_positions.gather(potential.x)
+
+    def write_scene(self, potential: Potential) -> None:
+        self.locate(potential)
+        tensions = dict.fromkeys(self.scene.cables, 0.0)
+        if self.tension is not None:
+            forces = self.tension.tensions(potential.sums_of(self.tension))
+            tensions.update(zip(self.sliding, map(float, forces), strict=True))
+        for cable, tension in tensions.items():
+            length = polyline_length(cable.positions[cable.contacts()])
+            cable.update(length=length, tension=tension)
+
+    def renew_excess(self, potential: Potential) -> bool:
+        lengths: list[tuple[LaidCable, float]] = []
+        if self.tension is not None:
+            sums = potential.sums_of(self.tension)
+            lengths += [(c, float(length)) for c, length in zip(self.sliding, sums, strict=True)]
+        if self.capstan is not None:
+            sums = potential.sums_of(self.capstan)
+            for c, cable in enumerate(self.gripped):
+                spans = sums[self.capstan.spans_of(c)]
+                lengths.append((cable, float(spans.sum()) - cable.excess))
+        changed = False
+        for cable, length in lengths:
+            more = length - cable.length
+            if abs(more) > UNSMOOTHED * cable.L0:
+                logger.debug("%s: smoothing adds %.3g to its length", cable.name, more)
+                cable.update(excess=cable.excess + more)
+                changed = True
+        return changed
+
+    def commit(self) -> None:
+        if self.tension is not None:
+            for cable, start in zip(self.sliding, self.tension.starts, strict=False):
+                cable.update(step_start=start)
+        for cable in self.scene.cables:
+            cable.update(ends_before=cable.positions[[0, -1]])

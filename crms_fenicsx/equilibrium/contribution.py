@@ -1,0 +1,82 @@
+"""The protocol of what a physical feature contributes to the potential, and the terms of users."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.model.crossing import NodeId
+from crms_fenicsx.scene import Scene
+
+
+class Contribution:
+    """One feature of a scene: its terms, and what goes between them and the scene.
+
+    Every method does nothing by default. All are called on all ranks, in the order of the terms.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+
+    @property
+    def is_stale(self) -> bool:
+        """Whether its terms do not fit the scene any more, and must be made anew. Collective."""
+        return False
+
+    @property
+    def has_history(self) -> bool:
+        """Whether it depends on the state at the start of a load step."""
+        return False
+
+    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+        """Make its terms for a layout, the same ones on all ranks. Collective."""
+        return []
+
+    def read_scene(self, potential: Potential) -> None:
+        """Copy loads, parameters and the state from the scene to the terms and the potential."""
+
+    def locate(self, potential: Potential) -> None:
+        """Copy the positions of cable points from the potential to the scene. Collective."""
+
+    def write_scene(self, potential: Potential) -> None:
+        """Copy the solved state to the scene, whose `energies` are those of the potential."""
+
+    def renew_friction(self) -> None:
+        """Take the friction forces of the scene's cables. Collective."""
+
+    def renew_excess(self, potential: Potential) -> bool:
+        """Take off the cables' lengths what smoothing adds to them; say whether that changed."""
+        return False
+
+    def caught_nodes(self, limit: float) -> set[NodeId]:
+        """Find fold points at which an edge has a kink of more than a limit (rad). Collective."""
+        return set()
+
+    def commit(self) -> None:
+        """End a load step at the scene's current state. Collective."""
+
+
+class AddedTermsContribution(Contribution):
+    """The terms of `Scene.add_term`."""
+
+    @property
+    def has_history(self) -> bool:
+        return any(term.has_history for term in self.scene.terms)
+
+    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+        return list(self.scene.terms)
+
+
+def force_per_area(scene: Scene, potential: Potential) -> float:
+    """Mean size of the forces of added terms (force per area) at the current state. Collective."""
+    potential.bring_up_to_date()
+    g, unknowns = potential.g, potential.unknowns  # free between two solves
+    g[:] = 0.0
+    for term in scene.terms:
+        term.add_gradient(potential.x, potential.sums_of(term), g)
+    unknowns.gather_forces(potential.g_vector, g)
+    g[: unknowns.n_owned][unknowns.held[: unknowns.n_owned]] = 0.0
+    sizes = np.linalg.norm(g[: unknowns.n_owned], axis=1)
+    return float(scene.comm.allreduce(float(sizes.sum()))) / scene.membrane.size**2

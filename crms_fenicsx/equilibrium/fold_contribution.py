@@ -1,0 +1,179 @@
+"""Cells that cables fold: strain energy, penalty and pressure, and plain cells as such.
+
+DOLFINx's forms know all cells at once; what relaxes vertices next to a cable needs few.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from dolfinx import fem
+from petsc4py import PETSc
+
+from crms_fenicsx.cables.element_tables import CableTables, depth_of
+from crms_fenicsx.cables.numbering import CableNumbering
+from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.energies.fold_penalty import FoldPenalty
+from crms_fenicsx.energies.folded_membrane import FoldedCells, FoldedMembraneEnergy
+from crms_fenicsx.energies.folded_pressure import Facets, FoldedFollowerPressure, FoldedWind
+from crms_fenicsx.energies.membrane_energy import MembraneEnergy
+from crms_fenicsx.energies.paper.step_folded_membrane import (
+    FoldedStepPressure,
+    StepFoldedMembraneEnergy,
+)
+from crms_fenicsx.energies.paper.step_membrane import StepMembraneEnergy
+from crms_fenicsx.energies.pressure import FollowerPressure
+from crms_fenicsx.energies.term import CompiledCells, EnergyTerm
+from crms_fenicsx.equilibrium.contribution import Contribution
+from crms_fenicsx.equilibrium.membrane_contribution import (
+    MembraneContribution,
+    PressureContribution,
+)
+from crms_fenicsx.meshes.triangles import cell_sides
+from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.model.crossing import NodeId
+from crms_fenicsx.model.materials import UFL_LAW
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
+from crms_fenicsx.scene import Scene
+
+
+class PlainCells:
+    """This rank's plain cells."""
+
+    def __init__(self, unknowns: Unknowns, membrane: MembraneEnergy) -> None:
+        self._energy, mesh = membrane, membrane.u.function_space.mesh
+        self.cells = np.flatnonzero(
+            membrane.plain.x.array[: mesh.topology.index_map(2).size_local]
+        ).astype(np.int32)
+        dofs = membrane.u.function_space.dofmap.list[self.cells]
+        self.blocks = unknowns.vertex_blocks()[dofs]
+
+    def _around(self, chosen: Booleans) -> Indices:
+        """Rows of the cells with chosen vertices."""
+        return np.flatnonzero(chosen[self.blocks].any(axis=1)).astype(np.int32)
+
+    def membrane(self) -> CompiledCells:
+        """Twin of their strain energy."""
+        stiffening = self._energy.stiffening
+        return CompiledCells(self._cells, lambda table: FoldedMembraneEnergy(table, stiffening))
+
+    def _cells(self, chosen: Booleans) -> FoldedCells | None:
+        """The cells with chosen vertices, (n_local,)."""
+        rows, membrane = self._around(chosen), self._energy
+        if len(rows) == 0:
+            return None
+        cells, n = self.cells[rows], 3 * len(rows)
+        sides = cell_sides(membrane.u.function_space.mesh, cells)
+        laws, parameters = membrane.laws(cells)
+        ends = self.blocks[rows]
+        return FoldedCells(
+            cells=cells,
+            segments=np.stack([ends, np.roll(ends, -1, axis=1)], axis=2).reshape(-1, 2),
+            eps=np.zeros(n),
+            side_pointers=np.arange(n + 1, dtype=np.int32),
+            side_segments=np.arange(n, dtype=np.int32),
+            sides=np.arange(n, dtype=np.int32).reshape(-1, 3),
+            side_vectors=np.einsum("nki,nai->nka", sides, membrane.material_axes(cells)),
+            laws=laws,
+            parameters=parameters,
+        )
+
+    def pressure(
+        self, pressed: fem.Function, pressure: fem.Constant, origin: Array
+    ) -> CompiledCells:
+        """Twin of the pressure on those of the cells that are under it."""
+
+        def facets(chosen: Booleans) -> Facets | None:
+            rows = self._around(chosen)
+            rows = rows[pressed.x.array[self.cells[rows]] > 0.0]
+            none = np.zeros((0, 3), dtype=np.int32)
+            table = Facets(self.blocks[rows], np.ones(len(rows)), none)
+            return table if len(rows) else None
+
+        return CompiledCells(facets, lambda table: FoldedFollowerPressure(table, pressure, origin))
+
+
+class FoldContribution(Contribution):
+    """Terms of the folded cells, which have left those of the plain cells.
+
+    Attributes: `energy`: strain energy of the folded cells, if there are any; `wind`: wind on them;
+    None if there are none, or no wind.
+    """
+
+    wind: FoldedWind | None = None
+
+    def __init__(
+        self,
+        scene: Scene,
+        membrane: MembraneContribution,
+        pressure: PressureContribution,
+        numbering: CableNumbering,
+        tables: CableTables | None,
+    ) -> None:
+        super().__init__(scene)
+        self.membrane, self.pressure = membrane, pressure
+        self.numbering, self.tables = numbering, tables
+
+    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+        self.wind = None
+        # Every rank has the same terms, so that sums line up; folds may be on some ranks only.
+        if self.tables is None or not self.membrane.has_folds:
+            return []
+        self.energy, self.penalty = self._fold_term(self.tables), self._penalty_term(self.tables)
+        terms: list[EnergyTerm] = [self.energy, self.penalty]
+        self._make_twins(unknowns)
+        if self.pressure.sealed is not None:
+            self.pressure.sealed.parts.append(self._pressure_term(self.tables))
+        elif self.pressure.term is not None:
+            terms.append(self._pressure_term(self.tables))
+        if any(load.suction is not None for load in self.scene.loads):
+            one = fem.Constant(self.scene.mesh.mesh, PETSc.ScalarType(1.0))
+            self.wind = FoldedWind(*depth_of(self.numbering), one, self.scene.membrane.centre)
+            terms.append(self.wind)
+        return terms
+
+    def read_scene(self, potential: Potential) -> None:
+        if self.wind is not None:
+            loads = self.scene.loads
+            winds = [load.factor * load.suction for load in loads if load.suction is not None]
+            self.wind.take(np.sum(winds, axis=0))
+
+    def _make_twins(self, unknowns: Unknowns) -> None:
+        """Let plain cells be relaxed with the folded ones where their laws are compiled."""
+        energy, pressure = self.membrane.energy, self.pressure
+        if self.membrane.has_history or UFL_LAW in (m.law for m in energy.materials.values()):
+            return
+        cells = PlainCells(unknowns, energy)
+        energy.twin = cells.membrane()
+        if isinstance(pressure.term, FollowerPressure):
+            centre = self.scene.membrane.centre
+            pressure.term.twin = cells.pressure(pressure.cells, pressure.value, centre)
+
+    def _fold_term(self, tables: CableTables) -> FoldedMembraneEnergy:
+        plain = self.membrane.energy
+        if isinstance(plain, StepMembraneEnergy):
+            return StepFoldedMembraneEnergy(tables.folded, plain, self.membrane.folded_energy)
+        return FoldedMembraneEnergy(tables.folded, plain.stiffening)
+
+    def _penalty_term(self, tables: CableTables) -> FoldPenalty:
+        if self.scene.literal_penalty is not None:
+            return FoldPenalty(tables.literal_penalty(self.scene.literal_penalty))
+        plain = self.membrane.energy
+        tags = plain.material_tags(tables.folded.cells)
+        moduli = np.array([plain.materials[int(tag)].reference_modulus for tag in tags])
+        return FoldPenalty(tables.penalty(self.scene.penalty, moduli))
+
+    def _pressure_term(self, tables: CableTables) -> EnergyTerm:
+        pressure = self.pressure
+        if self.scene.pressure_law == "total":
+            return FoldedFollowerPressure(tables.facets, pressure.value, self.scene.membrane.centre)
+        return FoldedStepPressure(tables.facets, pressure.value, pressure.folded_volume)
+
+    def caught_nodes(self, limit: float) -> set[NodeId]:
+        """As `Contribution`; judged at the state last evaluated, not for the literal penalty."""
+        if self.tables is None or self.scene.literal_penalty is not None:
+            return set()
+        mine: set[NodeId] = set()
+        if len(self.tables.kinks):
+            rows = self.tables.kink_nodes[np.abs(self.penalty.residuals) > limit]
+            mine = set(self.numbering.nodes.ids(rows))
+        return set().union(*self.scene.comm.allgather(mine))

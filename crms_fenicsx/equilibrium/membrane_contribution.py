@@ -1,0 +1,208 @@
+"""The membrane's strain energy in plain cells, its supports, pressure and loads."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.energies.dead_load import DeadLoad
+from crms_fenicsx.energies.membrane_energy import MembraneEnergy
+from crms_fenicsx.energies.paper.step_history import StepHistory
+from crms_fenicsx.energies.paper.step_membrane import StepMembraneEnergy
+from crms_fenicsx.energies.paper.step_pressure import StepPressure
+from crms_fenicsx.energies.pressure import FollowerPressure, RimPressure, rim_of
+from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.equilibrium.contribution import Contribution
+from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.runtime.arrays import Indices
+from crms_fenicsx.scene import Scene
+
+NOTHING, AXIAL_NOTHING = 1e-12, 1e-8
+"""Strains, of a membrane as large as the scene and of cables and bars, whose forces are nothing."""
+
+
+class MembraneContribution(Contribution):
+    """Strain energy of the plain cells; its forms are compiled once.
+
+    Attributes: `energy`: the term; `folded_energy` (1,): strain energy of folded cells in the steps
+    before, with the step-wise strain (force x length); `has_folds`: whether some rank has folded
+    cells.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        law = MembraneEnergy if scene.strain_law == "total" else StepMembraneEnergy
+        self.energy = law(scene.u, scene.materials, scene.membrane.cell_tags)
+        self.folded_energy = np.zeros(1)
+        self.has_folds = False
+        history = scene.step_history
+        if isinstance(self.energy, StepMembraneEnergy) and history is not None:
+            assert history.cells is not None
+            self.energy.history.x.array[:] = history.cells.ravel()
+            self.energy.energy_n, self.folded_energy[0] = history.energy, history.folded_energy
+
+    @property
+    def has_history(self) -> bool:
+        return self.scene.strain_law == "step"
+
+    def unfold(self) -> None:
+        """Let all cells be plain."""
+        self.energy.plain.x.array[:] = 1.0
+        self.energy.twin = None
+        self.has_folds = False
+
+    def fold(self, cells: Indices) -> None:
+        """Leave this rank's folded cells to terms of their own. Collective."""
+        self.energy.plain.x.array[cells] = 0.0
+        self.has_folds = self.scene.comm.allreduce(len(cells), op=MPI.SUM) > 0
+
+    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+        if isinstance(self.energy, StepMembraneEnergy) and not self.has_folds:
+            self.energy.energy_n += float(self.folded_energy[0])
+            self.folded_energy[0] = 0.0
+        return [self.energy]
+
+    def read_scene(self, potential: Potential) -> None:
+        blocks = potential.unknowns.vertex_blocks()
+        potential.x[blocks] = self.scene.u.x.array.reshape(-1, 3)
+
+    def commit(self) -> None:
+        if isinstance(self.energy, StepMembraneEnergy):
+            self.scene.step_history = replace(
+                self.scene.step_history or StepHistory(),
+                cells=self.energy.history.x.array.reshape(-1, 6).copy(),
+                energy=self.energy.energy_n,
+                folded_energy=float(self.folded_energy[0]),
+            )
+
+
+def hold(scene: Scene, unknowns: Unknowns) -> None:
+    """Prescribe the displacements of held vertices in a layout, and put the floor below it."""
+    unknowns.held[unknowns.vertex_blocks()] = scene.held
+    if scene.floor_level is not None:
+        lower = np.full_like(unknowns.X, -np.inf)
+        lower[:, 2] = scene.floor_level - unknowns.X[:, 2]
+        lower[unknowns.held] = -np.inf
+        lower[unknowns.rails] = -np.inf
+        unknowns.bounds = (lower, np.full_like(lower, np.inf))
+
+
+def tiny_force(scene: Scene) -> float:
+    """Return a force that is nothing without any load; with one, forces are told from its own.
+
+    However stiff the membrane is, it is nothing to a cable in tension, or to a bar, either.
+    """
+    if scene.pressure != 0.0 or any(load.factor * load.intensity != 0.0 for load in scene.loads):
+        return 0.0
+    materials = scene.materials.values()
+    section = max(m.reference_modulus + float(m.prestress_vector.max()) for m in materials)
+    axial = [cable.cable.EA for cable in scene.cables if cable.taut]
+    axial += [bar.bar.EA for bar in scene.bars]
+    return min([NOTHING * section * scene.membrane.size, *(AXIAL_NOTHING * EA for EA in axial)])
+
+
+if TYPE_CHECKING:
+    from crms_fenicsx.energies.sealed_pressure import SealedPressure
+
+
+class PressureContribution(Contribution):
+    """Pressure on the plain cells, and on what closes the volume where the rim slides in planes.
+
+    Attributes: `cells`: 1 in the plain cells under pressure, else 0; `value`: the pressure (force
+    per area); 1 where the air is sealed, and another one knows it; `term`: pressure on these cells;
+    None before there has been any; `sealed`: pressure of sealed air, of which `term` is a part;
+    None if there is none; `folded_volume` (1,): volume gained under folded cells in the steps
+    before, with the paper's pressure (length cubed).
+    """
+
+    def __init__(self, scene: Scene, membrane: MembraneContribution) -> None:
+        super().__init__(scene)
+        self.membrane = membrane
+        self.cells = fem.Function(membrane.energy.plain.function_space)
+        self.value = fem.Constant(scene.mesh.mesh, PETSc.ScalarType(0.0))
+        self.term: FollowerPressure | StepPressure | None = None
+        self.sealed: SealedPressure | None = None
+        self._history = scene.step_history or StepHistory()
+        self.folded_volume = np.array([self._history.folded_volume])
+
+    @property
+    def is_stale(self) -> bool:
+        acts = self.scene.pressure != 0.0 or self.scene.air is not None
+        return acts and self.term is None
+
+    @property
+    def has_history(self) -> bool:
+        return self.scene.pressure_law == "step"
+
+    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+        self.cells.x.array[:] = self.membrane.energy.plain.x.array * self.scene.membrane.pressed
+        if self.term is None:
+            idle = self.scene.pressure == 0.0 and "pressure" not in self.scene.energies
+            if idle and self.scene.air is None:
+                return []
+            self.term = self._make_term()
+        self.term.twin, self.sealed = None, None
+        if isinstance(self.term, StepPressure):
+            if not self.membrane.has_folds:
+                self.term.volume_n += float(self.folded_volume[0])
+                self.folded_volume[0] = 0.0
+            return [self.term]
+        if self.scene.air is None:
+            return [self.term, *self._rim_terms()]
+        from crms_fenicsx.energies.sealed_pressure import SealedPressure
+
+        self.value.value = 1.0
+        self.sealed = SealedPressure(self.scene.air, self.term, self._rim_terms(), self.value)
+        return [self.sealed]
+
+    def _make_term(self) -> FollowerPressure | StepPressure:
+        scene = self.scene
+        if scene.pressure_law == "total":
+            return FollowerPressure(scene.u, self.cells, self.value, scene.membrane.centre)
+        term = StepPressure(scene.u, self.cells, self.value)
+        term.volume_n = self._history.volume
+        return term
+
+    def _rim_terms(self) -> list[EnergyTerm]:
+        rim = rim_of(self.scene.membrane)
+        if self.scene.comm.allreduce(len(rim.sliding), op=MPI.SUM) == 0:
+            return []
+        return [RimPressure(rim, self.value, self.scene.membrane.centre)]
+
+    def read_scene(self, potential: Potential) -> None:
+        if self.sealed is None:
+            self.value.value = self.scene.pressure
+        elif self.scene.air is not None:
+            self.sealed.air = self.scene.air
+
+    def write_scene(self, potential: Potential) -> None:
+        if self.sealed is not None:
+            self.scene._pressure = self.sealed.pressure(potential.sums_of(self.sealed))
+
+    def commit(self) -> None:
+        if self.has_history:
+            self.scene.step_history = replace(
+                self.scene.step_history or StepHistory(),
+                volume=self.term.volume_n if isinstance(self.term, StepPressure) else 0.0,
+                folded_volume=float(self.folded_volume[0]),
+            )
+
+
+class MembraneLoadsContribution(Contribution):
+    """The loads that `Scene.put_load` and `Scene.put_wind` have put on the membrane."""
+
+    term: DeadLoad | None = None
+
+    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+        self.term = DeadLoad(len(self.scene.held)) if self.scene.loads else None
+        return [] if self.term is None else [self.term]
+
+    def read_scene(self, potential: Potential) -> None:
+        if self.term is not None:
+            self.term.take(self.scene.loads)

@@ -1,0 +1,111 @@
+"""Water on the membrane, on plain and on folded cells."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+
+from crms_fenicsx.cables.element_tables import facets_of
+from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.energies.folded_pressure import Facets
+from crms_fenicsx.energies.ponding import Ponding
+from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.equilibrium.cable_contribution import CableContribution
+from crms_fenicsx.equilibrium.contribution import Contribution
+from crms_fenicsx.equilibrium.membrane_contribution import MembraneContribution
+from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.model.pond import Pond
+from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.scene import Scene
+
+TOUCH = 1e-9
+"""Distance from the water's level, relative to the membrane's size, within which it is touched."""
+
+
+class PondContribution(Contribution):
+    """The ponds that `Scene.put_pond` has put on the membrane; made anew with the folded cells.
+
+    Attributes: `ponds`: the terms, in the order of the scene's ponds.
+    """
+
+    def __init__(
+        self, scene: Scene, membrane: MembraneContribution, cables: CableContribution | None
+    ) -> None:
+        super().__init__(scene)
+        self.membrane, self.cables = membrane, cables
+        self.ponds: list[Ponding] = []
+
+    def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
+        datum = float(self.scene.membrane.centre[2])
+        self.ponds = [
+            Ponding(pond, self._facets(pond, unknowns), datum) for pond in self.scene.ponds
+        ]
+        return list(self.ponds)
+
+    def _facets(self, pond: Pond, unknowns: Unknowns) -> Facets:
+        """This rank's plain cells and facets of folded cells that a pond can stand on."""
+        membrane = self.scene.membrane
+        cells, own = pond.cells(membrane), membrane.mesh.mesh.topology.index_map(2).size_local
+        plain = cells[:own] & (self.membrane.energy.plain.x.array[:own] > 0.5)
+        corners = unknowns.vertex_blocks()[membrane.V.dofmap.list[:own][plain]]
+        weights: Array = np.ones(len(corners))
+        if self.cables is not None and self.cables.tables is not None:
+            folded = facets_of(self.cables.numbering, cells)
+            corners = np.concatenate([corners, folded.corners])
+            weights = np.concatenate([weights, folded.weights])
+        return Facets(corners, weights, np.zeros((0, 3), dtype=np.int32))
+
+    def read_scene(self, potential: Potential) -> None:
+        for term, pond in zip(self.ponds, self.scene.ponds, strict=True):
+            term.pond, term.level = pond, pond.level
+
+    def write_scene(self, potential: Potential) -> None:
+        self.scene._ponds = tuple(
+            replace(
+                term.pond,
+                level=term.level,
+                volume=term.pond.volume
+                if term.pond.given == "volume"
+                else float(potential.sums_of(term)[1]),
+            )
+            for term in self.ponds
+        )
+
+    def add_pressure(self, potential: Potential, g: Array, factor: float) -> None:
+        """Add the water's forces on the membrane, times a factor, to `g`, (n_local, 3)."""
+        for term in self.ponds:
+            term.add_pressure(potential.x, g, factor)
+
+    @contextmanager
+    def raised(self) -> Iterator[None]:
+        """Raise given levels by next to nothing: a dry roof at its level is about to be wet."""
+        known = [term.pond for term in self.ponds]
+        for term, pond in zip(self.ponds, known, strict=True):
+            if pond.given == "level":
+                term.pond = replace(pond, level=pond.level + TOUCH * self.scene.membrane.size)
+        try:
+            yield
+        finally:
+            for term, pond in zip(self.ponds, known, strict=True):
+                term.pond = pond
+
+    @contextmanager
+    def without(self, term: Ponding) -> Iterator[None]:
+        """Let a pond weigh nothing for a while."""
+        pond, term.pond = term.pond, replace(term.pond, factor=0.0)
+        try:
+            yield
+        finally:
+            term.pond = pond
+
+    def force_per_area(self, potential: Potential) -> float:
+        """Weight of the water over the membrane's area (force per area). Collective."""
+        potential.bring_up_to_date()
+        weight = sum(
+            term.pond.factor * term.pond.weight * float(potential.sums_of(term)[1])
+            for term in self.ponds
+        )
+        return abs(weight) / self.scene.membrane.size**2

@@ -1,0 +1,328 @@
+"""The search for a form: updates of the reference, then Newton's method."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx.form_finding.film import SOFTEST, STIFFEST, Film, Inflation
+from crms_fenicsx.form_finding.form_cables import EdgeLine
+from crms_fenicsx.form_finding.linear_system import LinearSystem
+from crms_fenicsx.form_finding.supports import Directions
+from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.errors import ConvergenceError, as_text
+from crms_fenicsx.runtime.progress import progress
+
+TOLERANCE = 1e-12
+"""Unbalanced force, relative to the forces in the cells, and error of what is prescribed."""
+BALANCED, SMALL = 1e-6, 0.1
+"""Unbalanced force across the form from which on vertices are held: relative to the forces in the
+cells, and to the unbalanced force within it."""
+UPDATES, MOST = 2, 200
+"""Updates of the reference before Newton's method is tried, and most iterations of either."""
+FALLEN, FALLING = 0.5, 0.9
+"""Largest part of the residual that an iteration of Newton's method leaves, to be any good: alone,
+and where an elasticity damps it."""
+MUCH = 0.05
+"""Largest section force of the elasticity that holds vertices, relative to those prescribed, from
+which on they are let go once more."""
+WEAKEST, STRONGEST = 1.0, 10.0
+"""Modulus of the elasticity that damps Newton's method, as those that hold vertices."""
+THINNEST = 1e-3
+"""Smallest area of a cell over the square of its longest side, relative to the start mesh."""
+JUMP = 5.0
+"""Largest factor by which a tension changes in an iteration."""
+
+State = tuple[Array, list[float], float]
+"""Displacements, tensions and the pressure."""
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What a form is judged by."""
+
+    numbers: Array  # its area, the lengths and the tensions of its cables, and its pressure
+    support_forces: Array  # forces of the supports on this rank's vertices (force), (n, 3)
+
+
+class FormSearch:
+    """Moves a film and its cables to equilibrium.
+
+    The unknown tensions and the pressure are found with the shape: each has an equation, and a
+    column of forces. The linear systems with them are solved by block elimination.
+    """
+
+    def __init__(
+        self,
+        membrane: Membrane,
+        film: Film,
+        lines: list[EdgeLine],
+        inflation: Inflation,
+        prefix: str,
+    ) -> None:
+        self.membrane, self.film, self.lines, self.inflation = membrane, film, lines, inflation
+        self.comm = membrane.comm
+        self.directions = Directions(membrane, film, lines)
+        self.system = LinearSystem(film, lines, self.directions, prefix)
+        self._found = [line for line in lines if line.cable.tension is None]
+        self._force = film.largest * membrane.size
+        self._thickness = self._shapes()
+        for line in lines:
+            self._begin(line)
+        self.iterations = 0
+        self.holding = False
+        """Whether the elasticity that holds vertices is part of the equilibrium found."""
+        self.support_forces: Array = np.zeros((0, 3))
+        """Forces of the supports on this rank's vertices (force), (n, 3)."""
+        self.freely: Figures | None = None
+        """Those of the form before the vertices were held."""
+        self._damping = 0.0
+        self._held_at = self._state()
+        self._share = np.inf
+
+    def _begin(self, line: EdgeLine) -> None:
+        """Give a cable a tension to begin with: what is not known for an arc of its length."""
+        line.measure(self.film.positions(), self.comm)
+        cable = line.cable
+        if cable.tension is not None:
+            line.tension = cable.tension
+        else:
+            line.tension = line.length * (cable.force_density or self.film.largest)
+
+    def run(self, lift: Array) -> None:
+        """Find the form. Collective.
+
+        Shapes and units: lift (n, 3) (length).
+        """
+        updates = wait = UPDATES
+        best, error = 1.0, self._measure()
+        with progress(self.comm, -np.log10(TOLERANCE), "finding the form") as bar:
+            while self._unbalanced > TOLERANCE or self.iterations == 0:
+                if self.iterations == MOST:
+                    raise ConvergenceError(
+                        f"find_form: after {MOST} iterations the unbalanced force is still "
+                        f"{self._unbalanced:.2g} of that in the cells; {NO_FORM}"
+                    )
+                before, newton = self._state(), updates == 0
+                self._step(newton, lift if self.iterations == 0 else None)
+                self.iterations += 1
+                found = self._measure() if self._check_cells(newton) else np.inf
+                if not newton:
+                    updates -= 1
+                elif found < (FALLING if self._damping else FALLEN) * error:
+                    self._damping = self._damping / 10.0 if self._damping > WEAKEST else 0.0
+                else:
+                    updates = self._try_harder(before, wait)
+                    wait = max(wait, updates)
+                    found = self._measure()
+                if self.holding and found <= TOLERANCE and self._may_move_on():
+                    self.holding, self.film.modulus = False, SOFTEST
+                    found = self._measure()
+                error = self._hold() if self._may_hold(newton and updates == 0) else found
+                if error < best:
+                    bar.advance(np.log10(best / max(error, TOLERANCE)), f"residual {error:.1e}")
+                    best = max(error, TOLERANCE)
+        self._check_tensions()
+
+    def _may_hold(self, newton: bool) -> bool:
+        """Whether the form is found but for the places of vertices within it."""
+        return newton and not self.holding and self._across < max(BALANCED, SMALL * self._within)
+
+    def _may_move_on(self) -> bool:
+        """Whether vertices that were held moved to where less of what holds them is needed.
+
+        Collective.
+        """
+        film = self.film
+        share = film.section_forces(True) - film.section_forces(False)
+        own = float(np.abs(share).max(initial=0.0)) / film.largest
+        before, self._share = self._share, self.comm.allreduce(own, op=MPI.MAX)
+        return film.isotropic and MUCH < self._share < FALLING * before
+
+    def _hold(self) -> float:
+        """Hold the vertices within the form where they are; return the residual. Collective."""
+        self.freely = self.figures()
+        self._held_at, self.holding, self._damping = self._state(), True, 0.0
+        self.film.reference.x.array[:] = self.film.u.x.array
+        return self._measure()
+
+    def _try_harder(self, before: State, wait: int) -> int:
+        """Go back and stiffen what damps or holds; return updates to make where it is stiffest."""
+        self._go_back(self._held_at if self.holding else before)
+        if self.holding and self.film.modulus < STIFFEST:
+            self.film.modulus *= 10.0
+            return 0
+        if not self.holding and not self.film.isotropic:
+            self._measure()
+            self._hold()  # balanced across alone there may be no form
+            return 0
+        if not self.holding and self._damping < STRONGEST:
+            self._damping = max(10.0 * self._damping, WEAKEST)
+            return 0
+        self.holding, self.film.modulus, self._damping = False, SOFTEST, 0.0
+        return 2 * wait
+
+    def _state(self) -> State:
+        tensions = [line.tension for line in self.lines]
+        return self.film.u.x.array.copy(), tensions, self.inflation.pressure
+
+    def _go_back(self, state: State) -> None:
+        self.film.u.x.array[:], tensions, self.inflation.pressure = state
+        for line, tension in zip(self.lines, tensions, strict=True):
+            line.tension = tension
+
+    def _measure(self) -> float:
+        """Take forces and the errors of equations; return the residual that is to fall.
+
+        It is that across the form until vertices are held. Collective.
+        """
+        film, x = self.film, self.film.positions()
+        self._slopes: list[Array] = []
+        forces = film.forces(self.holding)
+        for line in self.lines:
+            line.measure(x, self.comm)
+            self._slopes.append(film.gathered(line.slope(len(x))))
+            forces += line.tension * self._slopes[-1]
+        if self.inflation.acts:
+            self.inflation.measure(x)
+            forces -= self.inflation.pressure * self.inflation.growth
+        free = self.directions.free
+        self.support_forces = np.where(free, 0.0, forces)
+        self._forces = np.where(free, forces, 0.0)
+        gaps, sizes = [], []
+        for line in self.lines:
+            cable = line.cable
+            if cable.length is not None:
+                gaps.append(line.length - cable.length)
+                sizes.append(cable.length)
+            elif cable.force_density is not None:
+                gaps.append(cable.force_density * line.length - line.tension)
+                sizes.append(cable.force_density * line.length)
+        if self.inflation.is_found:
+            gaps.append(self.inflation.gap)
+            sizes.append(self.inflation.size)
+        self._gaps = np.array(gaps)
+        error = float(np.max(np.abs(gaps) / np.array(sizes), initial=0.0))
+        self._unbalanced = max(self._size(self._forces), error)
+        if self.holding:
+            return self._unbalanced
+        self.directions.take()
+        across = _projected(self.directions.across, self._forces)
+        self._across = max(self._size(across), error)
+        self._within = self._size(self._forces - across)
+        return self._across
+
+    def _size(self, forces: Array) -> float:
+        """Norm of forces (n, 3) relative to those in the cells and cables. Collective."""
+        square = self.comm.allreduce(float(np.vdot(forces, forces)))
+        return float(square**0.5 / (self._force + sum(line.tension for line in self.lines)))
+
+    def figures(self) -> Figures:
+        """Those of the current form. Collective."""
+        lines = self.lines
+        numbers = [self.film.area(), *(line.length for line in lines)]
+        numbers += [line.tension for line in lines] + [self.inflation.pressure]
+        return Figures(np.array(numbers), self.support_forces)
+
+    def _step(self, newton: bool, lift: Array | None) -> None:
+        """Move by the solution of the linear equations. Collective."""
+        film, inflation, lines = self.film, self.inflation, self.lines
+        n, pulls = len(film.start), self._slopes
+        forces, growth = self._forces, inflation.growth
+        if not newton or not self.holding:
+            evens = [film.gathered(line.even_slope(n)) for line in lines]
+        if not newton:
+            self.system.update()
+            for line, even, slope in zip(lines, evens, pulls, strict=True):
+                forces = forces + line.tension * (even - slope)
+            pulls = evens
+        elif self.holding:
+            self.system.balance(inflation.pressure, film.modulus)
+        else:
+            film.reference.x.array[:] = film.u.x.array
+            self.system.balance_across(inflation.pressure, self._damping)
+            counted = self.directions.counted
+            forces = _projected(counted, forces)
+            for line, even in zip(lines, evens, strict=True):
+                forces += line.tension * _projected(self.directions.along, even)
+            pulls = [_projected(counted, slope) for slope in pulls]
+            growth = _projected(counted, growth) if inflation.acts else growth
+        start = np.zeros_like(forces)
+        if lift is not None:
+            start = np.where(self.directions.free, 0.0, lift[: len(start)])
+            forces = forces + self.system.times(start)
+        self.system.factorise()
+        columns, rows, diagonal = self._border(pulls, growth)
+        border = (columns, rows, diagonal, self._gaps)
+        way, ways, change = self.system.bordered(-forces, start, *border)
+        for k, line in enumerate(self._found):
+            change[k] = np.clip(change[k], (1 / JUMP - 1) * line.tension, JUMP * line.tension)
+            line.tension += float(change[k])
+        for one, by in zip(ways, change, strict=True):
+            way -= by * one
+        if inflation.is_found:
+            inflation.pressure += float(change[-1])
+        film.u.x.array[: way.size] += way.ravel()
+        film.u.x.scatter_forward()
+
+    def _border(
+        self, pulls: list[Array], growth: Array
+    ) -> tuple[list[Array], list[Array], list[float]]:
+        """Forces of the unknown tensions and pressure, and derivatives of their equations."""
+        columns, rows, diagonal = [], [], []
+        for line, pull, slope in zip(self.lines, pulls, self._slopes, strict=True):
+            density = line.cable.force_density
+            if line.cable.tension is None:
+                columns.append(pull)
+                rows.append(slope if density is None else density * slope)
+                diagonal.append(0.0 if density is None else -1.0)
+        if self.inflation.is_found:
+            columns.append(-growth)
+            rows.append(self.inflation.gap_slope)
+            diagonal.append(0.0)
+        return columns, rows, diagonal
+
+    def _shapes(self) -> Array:
+        """Area over the square of the longest side of this rank's cells, (n,)."""
+        corners = self.film.positions()[self.membrane.V.dofmap.list]
+        sides = np.roll(corners, -1, axis=1) - corners
+        areas = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) / 2
+        return np.asarray(areas / np.einsum("nij,nij->ni", sides, sides).max(axis=1, initial=0.0))
+
+    def _check_cells(self, newton: bool) -> bool:
+        """Whether no cell has collapsed; an error where not even updates keep them. Collective."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            shares = self._shapes() / self._thickness
+        worst = float(np.min(np.nan_to_num(shares, nan=0.0), initial=np.inf))
+        least, rank = self.comm.allreduce((worst, self.comm.rank), op=MPI.MINLOC)
+        if least > THINNEST or newton:
+            return least > THINNEST
+        place = np.zeros(3)
+        if self.comm.rank == rank:
+            cell = int(np.argmin(np.nan_to_num(shares, nan=0.0)))
+            place = self.membrane.positions()[self.membrane.V.dofmap.list[cell]].mean(axis=0)
+        place = self.comm.bcast(place, root=rank)
+        raise ConvergenceError(f"find_form: cells collapse near {as_text(place)}; {NO_FORM}")
+
+    def _check_tensions(self) -> None:
+        for line in self._found:
+            if line.tension <= 1e-9 * self._force:
+                raise ConvergenceError(
+                    f"find_form: the cable {line.cable.group!r} would be slack; give it less "
+                    "length."
+                )
+
+
+def _projected(directions: Array, forces: Array) -> Array:
+    """Parts of forces (n, 3) in directions, by projectors (n, 3, 3)."""
+    return np.asarray(np.einsum("nij,nj->ni", directions, forces))
+
+
+NO_FORM = (
+    "there is no such form, or none near the start mesh. Supports may be too far apart for a "
+    "surface between them, cables too weak or too long for the film, or the pressure too high."
+)
+"""What a message says of forms that are not found."""

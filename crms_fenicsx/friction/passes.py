@@ -1,0 +1,266 @@
+"""Passes that settle the friction forces, sideways and along the cables.
+
+The forces are brought to those of the state that they lead to, and this can go back and forth among
+few states, where nodes begin to slide or to touch. The part is found by Aitken's rule for vectors
+(B. M. Irons and R. C. Tuck, Int. J. Numer. Meth. Engng 1, 1969).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.contact.contact_force import contact_forces, wrap_angles
+from crms_fenicsx.energies.capstan_chain import LAW, find_slips
+from crms_fenicsx.energies.smooth_coulomb import coulomb_forces
+from crms_fenicsx.friction.axial import LEAST_PART, RestPlaces, between_contacts, reference_arcs
+from crms_fenicsx.friction.cone import Slip, full_slips, law_along, law_sideways, slips_sideways
+from crms_fenicsx.friction.slip import held_nodes, node_slips, slip_forces
+from crms_fenicsx.model.friction import LateralFrictionState
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.runtime.arrays import Array
+
+
+class AitkenRelaxation:
+    """Part of a change that is taken."""
+
+    def __init__(self, least: float) -> None:
+        self.least = least
+        self._part = 1.0
+        self._last: tuple[Hashable, Array] | None = None
+
+    def factor(self, what: Hashable, change: Array) -> float:
+        """The part of a change (n,) to take; the one before counts if it was of the same."""
+        if self._last is not None and self._last[0] == what:
+            bend = change - self._last[1]
+            size = float(bend @ bend)
+            if size > 0.0:
+                part = -self._part * float(self._last[1] @ bend) / size
+                self._part = min(max(part, self.least), 1.0)
+        self._last = what, change
+        return self._part
+
+
+SLIDES = 0.05
+"""Slip in a load step, relative to the cells' size, from which on a node slides: with less, noise
+would set off an avalanche where the static coefficient is larger; with much more it comes late."""
+
+SETTLED, NEARLY = 1e-3, 0.02
+"""Change of the bounds, relative to their sum, below which they have settled, and nearly so."""
+
+LEAST_SHARE = 0.1
+"""Least part of a change in how the bounds are divided that is taken."""
+
+STEEPEST = 0.9
+"""Largest part of a change of their sum that is taken to come back from the state."""
+
+AGAINST = 30.0
+"""As `STEEPEST`, where the state answers a larger sum by a smaller one."""
+
+
+class LateralIteration:
+    """Brings the bounds of one cable in a load step to those of the state that they lead to.
+
+    The bounds are proportional to the tension, and a stiff cable that slides soon loses it: taking
+    their sum over would converge slowly, so it is found by the secant method. How it is divided
+    among the nodes can go back and forth between two states, so of a change of that a part is
+    taken.
+    """
+
+    settled = SETTLED
+
+    def __init__(self, cable: LaidCable) -> None:
+        self.cable = cable
+        self.change = np.inf
+        self._forget()
+
+    def _forget(self) -> None:
+        self._pace = AitkenRelaxation(LEAST_SHARE)
+        self._sums: tuple[float, float] | None = None
+
+    def renew(self, shape: StripShape) -> float:
+        """Take the bounds from the current state; return their change, relative to their sum."""
+        cable, grip = self.cable, self.cable.grip
+        assert grip is not None
+        if not cable.taut:
+            return 0.0
+        # Only what slides while the bounds change little slides because it must.
+        nearly = self.change < NEARLY
+        found, moving = _bounds(cable, grip, shape, settled=nearly)
+        self.change = _change(grip.bounds, found)
+        if self.change <= SETTLED and not nearly:
+            found, moving = _bounds(cable, grip, shape, settled=True)
+            self.change = _change(grip.bounds, found)
+        total, used = float(found.sum()), float(grip.bounds.sum())
+        coupled = replace(grip, cone=law_sideways(cable, grip, shape))
+        if coupled.cone is not None and used > 0.0:
+            friction = cable.cable.sideways
+            assert friction is not None
+            slips = node_slips(cable, grip.curve, shape)
+            changes = slip_forces(friction, coupled, slips) - slip_forces(friction, grip, slips)
+            self.change = max(self.change, float(np.abs(changes).sum()) / used)
+        if self.change <= SETTLED:  # the state found stays the one that belongs to its bounds
+            return self.change
+        if not grip.known or np.any(moving != grip.moving):  # another law from here on
+            self._forget()
+        elif total > 0.0 < used:
+            shares = grip.bounds / used
+            change = found / total - shares
+            part = self._pace.factor(grip.supports, change)
+            found = np.asarray(self._add_up(used, total) * (shares + part * change))
+        cable.update(grip=replace(coupled, bounds=found, moving=moving, known=True))
+        return self.change
+
+    def _add_up(self, used: float, found: float) -> float:
+        """Where the sum that is used and that which is found will be equal, by their logarithms."""
+        here, slope = (float(np.log(used)), float(np.log(found))), 0.0
+        if self._sums is not None and here[0] != self._sums[0]:
+            slope = (here[1] - self._sums[1]) / (here[0] - self._sums[0])
+        self._sums = here
+        step = (here[1] - here[0]) / (1 - min(max(slope, -AGAINST), STEEPEST))
+        return float(np.exp(here[0] + step))
+
+
+def _change(used: Array, found: Array) -> float:
+    """Change of the bounds, relative to their sum."""
+    total, before = float(found.sum()), float(used.sum())
+    if before == 0.0 == total:
+        return 0.0
+    return float(np.abs(found - used).sum()) / max(total, 1e-3 * before)
+
+
+def _bounds(
+    cable: LaidCable, grip: LateralFrictionState, shape: StripShape, settled: bool
+) -> tuple[Array, Array]:
+    """Friction bounds in the current state (force), and the directions in which nodes slide."""
+    friction = cable.cable.sideways
+    assert friction is not None
+    slips = node_slips(cable, grip.curve, shape)
+    moving = grip.moving.copy()
+    rows = [grip.row_of[support] for support in slips.supports]
+    if settled:
+        starts = (np.abs(slips.slip) > SLIDES * slips.size) & (moving[rows] == 0.0)
+        moving[rows] = np.where(starts, np.sign(slips.slip), moving[rows])
+    in_motion = (moving[rows] != 0.0) | (slips.moving * slips.slip > 0.0)
+    coefficients = np.full(len(grip.supports), friction.at_rest)
+    coefficients[rows] = np.where(in_motion, friction.mu, friction.at_rest)
+    return coefficients * contact_forces(cable, shape).bearing[held_nodes(cable)], moving
+
+
+AXIALLY_SETTLED = 1e-4
+"""Change of the tensions, relative to the sum of the bounds, below which these have settled. What
+is sharper than sideways costs one short pass here."""
+
+
+MOST_TURNS, TURNED = 30, 1e-6
+"""How often the direction of the friction force is taken from the slips that it leads to, and
+their change, relative to the largest one, below which it has been found."""
+
+
+@dataclass(frozen=True)
+class _Law:
+    """Coulomb's law along a cable, solved."""
+
+    # most, eps, elastic: (n,) most logarithm of the ratio of tensions at nodes, and the slips
+    # (length) at which it is reached and that are elastic at most
+    most: Array
+    eps: Array
+    elastic: Array
+    # slips (n,), unstressed (n + 1,): slips and unstressed lengths of the spans (length)
+    slips: Array
+    unstressed: Array
+
+
+class AxialIteration:
+    """Brings the bounds of one cable in a load step to those of the state that they lead to."""
+
+    settled = AXIALLY_SETTLED
+
+    def __init__(self, cable: LaidCable) -> None:
+        self.cable = cable
+        self._pace = AitkenRelaxation(LEAST_PART)
+
+    def renew(self, shape: StripShape) -> float:
+        """Take the bounds from the current state.
+
+        Returns change of the tension that follows from them, relative to their sum.
+        """
+
+        cable, grip = self.cable, self.cable.axial
+        assert grip is not None
+        if not cable.taut or cable.length <= cable.L0 or len(grip.spans) != len(grip.supports) + 1:
+            return 0.0
+        places, EA = reference_arcs(cable, shape), cable.cable.EA
+        wrap = cable.cable.along * wrap_angles(cable, shape)[places.nodes]
+        law = self._law(places, wrap, shape)
+        strains = (grip.spans - law.unstressed) / law.unstressed
+        mean, eps = np.sqrt(strains[1:] * strains[:-1]), law.eps
+        bounds = EA * capstan_bounds(mean, law.most, law.slips / eps)
+        total, used = float(bounds.sum()), float(grip.bounds.sum())
+        if used == 0.0 == total:
+            return 0.0
+        # What counts is the tension: as nodes move along their edges, neighbours share differently.
+        changes = bounds - grip.bounds
+        if cable.cable.cone:  # where other slips are the law has another width
+            before = np.where(grip.bounds > 0.0, grip.eps, 1.0)
+            changes = coulomb_forces(law.slips, bounds, eps)
+            changes -= coulomb_forces(grip.slips, grip.bounds, before)
+            total = float(EA * capstan_bounds(mean, wrap, np.zeros(len(wrap))).sum())
+        error = np.abs(np.cumsum(changes)).max()
+        change = float(error) / max(total, 1e-3 * used)
+        if change > self.settled:  # the state found stays the one that belongs to its bounds
+            tensions = between_contacts(cable, EA * strains)
+            elastic = law.elastic
+            if used > 0.0:
+                part = self._pace.factor(grip.supports, bounds - grip.bounds)
+                # Where nothing holds the cable, now or before, eps has no meaning.
+                before = np.where(grip.bounds > 0.0, grip.eps, eps)
+                eps = (1 - part) * before + part * np.where(wrap > 0.0, eps, before)
+                bounds = (1 - part) * grip.bounds + part * bounds
+            elastic = elastic if cable.cable.cone else eps
+            cable.update(
+                axial=replace(grip, bounds=bounds, eps=eps, elastic=elastic, tensions=tensions)
+            )
+        return change
+
+    def _law(self, places: RestPlaces, wrap: Array, shape: StripShape) -> _Law:
+        """Solve Coulomb's law along the cable for the lengths of its spans."""
+        cable, grip = self.cable, self.cable.axial
+        assert grip is not None
+        slips, unstressed = grip.slips.copy(), np.zeros(len(grip.spans))
+        full = full_slips(cable, places.size, wrap)
+        L0 = cable.L0 + cable.excess
+        if not cable.cable.cone or cable.grip is None:
+            find_slips(LAW, grip.spans, places.rest, L0, wrap, full, slips, unstressed)
+            return _Law(wrap, full, full, slips, unstressed)
+        sideways = slips_sideways(cable, cable.grip, shape, places.nodes)
+        for _ in range(MOST_TURNS):
+            before, along = slips.copy(), Slip.of(cable.cable.along, slips, full)
+            bound, width, elastic = law_along(sideways, along)
+            most, eps = wrap * bound, full * width
+            find_slips(LAW, grip.spans, places.rest, L0, most, eps, slips, unstressed)
+            if np.abs(slips - before).max(initial=0.0) <= TURNED * np.abs(slips).max(initial=0.0):
+                break
+        return _Law(most, eps, full * elastic, slips, unstressed)
+
+
+def capstan_bounds(mean: Array, wrap: Array, y: Array) -> Array:
+    """Friction bounds with which the potential has the tensions of the law, relative to EA.
+
+    With the tensions T1 and T2 and ``P = T + T^2/(2 EA)``, the work of the tension per unstressed
+    arc, it is ``(P2 - P1)/f'(y)``; the difference ``T2 - T1 = 2 sqrt(T1 T2) sinh(wrap/2)`` of a
+    node that slides is written so that it stays accurate for small angles. Shapes: mean (n,), wrap
+    (n,), y (n,).
+    """
+    share = np.minimum(np.abs(y), 1.0)
+    z = wrap * share * (2.0 - share)
+    return wrap * (mean * _sinhc(z / 2) + mean**2 * _sinhc(z))
+
+
+def _sinhc(x: Array) -> Array:
+    """sinh(x)/x."""
+    small = np.abs(x) < 1e-4
+    return np.where(small, 1 + x**2 / 6, np.sinh(x) / np.where(small, 1.0, x))

@@ -1,1 +1,0 @@
-"""Shortest paths on a triangulated surface."""

@@ -1,0 +1,312 @@
+"""Clusters of blocks gathered on one rank each, and their dense stiffness.
+
+Elements are where their cells are. A cluster whose elements are of several ranks is solved by the
+one that owns most of its blocks; the others tell it their elements and the state of the blocks
+there. So all clusters are solved alike, however the mesh is divided.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import TypeVar
+
+import numba
+import numpy as np
+import scipy.sparse as sp
+from mpi4py import MPI
+from scipy.linalg import lapack
+from scipy.sparse.csgraph import connected_components
+
+from crms_fenicsx.dofs.block_patterns import BlockPattern
+from crms_fenicsx.dofs.cluster_layout import ClusterLayout
+from crms_fenicsx.dofs.elements import ElementTable
+from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.local_blocks import LocalBlocks
+from crms_fenicsx.minimization.membrane_multigrid import EXACT_SHIFT, SHIFT
+from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
+
+
+class ClusterMatrix:
+    """Stiffness of clusters, which terms add to as to a PETSc matrix."""
+
+    def __init__(self, layout: ClusterLayout) -> None:
+        self.layout = layout
+        self._sizes = 3 * np.diff(layout.starts)
+        self._offsets = np.append(0, np.cumsum(self._sizes**2))
+        self._values = np.zeros(self._offsets[-1])
+        self._local = np.arange(len(layout.blocks)) - layout.starts[layout.cluster]
+        row = 3 * self._local[:, None] + np.arange(3)
+        size, offset = self._sizes[layout.cluster], self._offsets[layout.cluster]
+        self._diagonal = offset[:, None] + row * (size[:, None] + 1)
+        self._places: dict[BlockPattern, tuple[Indices, Array, Integers, Integers]] = {}
+
+    def of(self, cluster: int) -> Array:
+        """Matrix of one cluster, (3 k, 3 k), to be changed in place."""
+        n = self._sizes[cluster]
+        return self._values[self._offsets[cluster] : self._offsets[cluster + 1]].reshape(n, n)
+
+    def clear(self) -> None:
+        """Set all entries to zero."""
+        self._values[:] = 0.0
+
+    def take(self, pattern: BlockPattern) -> None:
+        """Add a pattern's values; blocks of what is held are left out."""
+        if pattern not in self._places:
+            self._places[pattern] = self._find(pattern)
+        sources, weights, starts, strides = self._places[pattern]
+        _scatter(pattern.values, sources, weights, starts, strides, self._values)
+
+    def _find(self, pattern: BlockPattern) -> tuple[Indices, Array, Integers, Integers]:
+        """Which of a pattern's blocks go where, and what part of them."""
+        layout = self.layout
+        (rows, cols), sources, weights = layout.whole.spread(pattern.rows, pattern.cols)
+        i, j = layout.number[rows], layout.number[cols]
+        kept = np.flatnonzero((i >= 0) & (j >= 0))
+        i, j, sources, weights = i[kept], j[kept], sources[kept], weights[kept]
+        cluster = layout.cluster[i]
+        strides = self._sizes[cluster]
+        starts = self._offsets[cluster] + 3 * (self._local[i] * strides + self._local[j])
+        return sources, weights, starts, strides
+
+    def close(self, exact: bool = False) -> None:
+        """Shift the diagonal a little, and decouple what is not free to move.
+
+        A cluster's shift is from its own stiffness, whichever others are here; it is less for
+        second derivatives.
+        """
+        layout, n = self.layout, self.layout.n_clusters
+        traces = np.maximum(self._values[self._diagonal].sum(axis=1), 0.0)
+        stiff = traces > 0.0
+        logs = np.bincount(layout.cluster[stiff], np.log(traces[stiff]), n)
+        count = np.bincount(layout.cluster[stiff], minlength=n)
+        means = np.exp(logs / np.maximum(count, 1))[layout.cluster]
+        part = EXACT_SHIFT if exact else SHIFT
+        self._values[self._diagonal] += part * (traces + means)[:, None]
+        for block, component in np.argwhere(layout.held):
+            K, at = self._matrix_at(block)
+            K[at + component] = K[:, at + component] = 0.0
+            K[at + component, at + component] = means[block]
+        for block, d, mean in zip(
+            layout.rails, layout.directions, means[layout.rails], strict=True
+        ):
+            K, at = self._matrix_at(block)
+            along = np.outer(d, d)
+            K[at : at + 3] = along @ K[at : at + 3]
+            K[:, at : at + 3] = K[:, at : at + 3] @ along
+            K[at : at + 3, at : at + 3] += mean * (np.eye(3) - along)
+
+    def _matrix_at(self, block: int) -> tuple[Array, int]:
+        """Matrix of a block's cluster, and where the block begins in it."""
+        return self.of(int(self.layout.cluster[block])), 3 * int(self._local[block])
+
+    def solve(self, cluster: int, b: Array) -> Array | None:
+        """Solve ``K y = b``, (3 k,), and leave K's factor; None if K is not definite."""
+        factor, info = lapack.dpotrf(self.of(cluster).T, lower=1, overwrite_a=1)
+        if info != 0:
+            return None
+        y: Array = lapack.dpotrs(factor, b, lower=1)[0]
+        return y
+
+
+@numba.njit(cache=True)
+def _scatter(values, sources, weights, starts, strides, out):  # type: ignore[no-untyped-def]
+    """Add blocks (n, 3, 3) times their weights at their starts, rows a stride apart."""
+    for k in range(len(sources)):
+        v, w = values[sources[k]], weights[k]
+        for i in range(3):
+            for j in range(3):
+                out[starts[k] + i * strides[k] + j] += w * v[i, j]
+
+
+LARGEST = 400
+"""Blocks of a cluster beyond which it is left to the minimiser of all unknowns."""
+
+SPRINGS = -1
+"""What stands for the number of the term whose elements damp the steps."""
+
+Tables = Sequence[tuple[int, ElementTable]]
+Message = TypeVar("Message")
+
+
+@dataclass(frozen=True)
+class Clusters:
+    """Clusters with their elements, and the state of the n blocks that these address."""
+
+    numbers: Integers  # (n,) global numbers of the blocks
+    owned: Booleans  # (n,) whether they are the rank's own that tells of them
+    # X, x, g: (n, 3) positions at zero displacement, displacements and forces of the whole
+    # potential
+    X: Array
+    x: Array
+    g: Array
+    moves: Booleans  # (n,) whether they are of the clusters; all others are held
+    held: Booleans  # (n, 3) components with a prescribed value
+    directions: Array  # (n, 3) lines of rails; zero for others
+    # rides_on, weights: (n, 3) global numbers of what riders ride on, -1 for others, and its
+    # weights
+    rides_on: Integers
+    weights: Array
+    tables: Tables  # numbers of terms of the potential, and elements of each
+
+    @classmethod
+    def of(cls, potential: Potential, moving: Indices, tables: Tables) -> Clusters:
+        """This rank's elements of clusters with some blocks of its layout."""
+        unknowns, n = potential.unknowns, potential.unknowns.n_local
+        used = np.zeros(n, dtype=bool)
+        used[moving] = True
+        for _, table in tables:
+            for name in table.addresses:
+                used[getattr(table, name)] = True
+        used[unknowns.interpolation[used[unknowns.riders]]] = True
+        blocks = np.flatnonzero(used)
+        number = np.full(n, -1, dtype=np.int32)
+        number[blocks] = np.arange(len(blocks))
+        numbers, moves = unknowns.numbers(), np.zeros(n, dtype=bool)
+        moves[moving] = True
+        directions, weights = np.zeros((n, 3)), np.zeros((n, 3))
+        rides_on = np.full((n, 3), -1, dtype=np.int64)
+        directions[unknowns.rails] = unknowns.directions
+        rides_on[unknowns.riders] = numbers[unknowns.interpolation]
+        weights[unknowns.riders] = unknowns.weights
+        values = (
+            numbers.astype(np.int64), np.arange(n) < unknowns.n_owned, unknowns.X, potential.x,
+            potential.g, moves, unknowns.held, directions, rides_on, weights,
+        )  # fmt: skip
+        told = [(k, table.renumbered(number)) for k, table in tables]
+        return cls(*(value[blocks] for value in values), told)  # type: ignore[call-arg, arg-type]
+
+    @classmethod
+    def joined(cls, parts: Sequence[Clusters]) -> Clusters:
+        """The elements that several ranks have of the same clusters."""
+        if len(parts) == 1:
+            return parts[0]
+        numbers = np.concatenate([part.numbers for part in parts])
+        # Of what several know the owner's is the last, and stays.
+        order = np.argsort(np.concatenate([part.owned for part in parts]), kind="stable")
+        _, last, place = np.unique(numbers[order[::-1]], return_index=True, return_inverse=True)
+        kept = order[::-1][last]
+        places = np.empty(len(order), dtype=np.int32)
+        places[order[::-1]] = place
+        at = np.split(places, np.cumsum([len(part.numbers) for part in parts])[:-1])
+        names = [field.name for field in fields(cls) if field.name != "tables"]
+        values = [np.concatenate([getattr(part, name) for part in parts])[kept] for name in names]
+        told = [
+            (k, t.renumbered(own)) for p, own in zip(parts, at, strict=True) for k, t in p.tables
+        ]
+        return cls(*values, told)  # type: ignore[call-arg]
+
+    def layout(self) -> LocalBlocks:
+        """The blocks as a layout."""
+        blocks = LocalBlocks(self.X)
+        blocks.held[:] = self.held
+        riders = np.flatnonzero(self.rides_on[:, 0] >= 0).astype(np.int32)
+        order = np.argsort(self.numbers)
+        on = order[np.searchsorted(self.numbers[order], self.rides_on[riders])]
+        blocks.set_riders(riders, on.astype(np.int32), self.weights[riders])
+        rails = np.flatnonzero(self.directions.any(axis=1)).astype(np.int32)
+        blocks.set_rails(rails, self.directions[rails])
+        return blocks
+
+    def elements_of(self, term: int) -> Sequence[ElementTable]:
+        """Elements of a term, in as few tables as it needs."""
+        tables = [table for k, table in self.tables if k == term]
+        return type(tables[0]).joined(tables) if tables else ()
+
+
+def gather(potential: Potential, moves: Booleans, shared: Booleans) -> Clusters:
+    """Gather the clusters that this rank is to solve. Collective.
+
+    Shapes: moves (n_local,), shared (n_local,).
+    """
+    unknowns, comm = potential.unknowns, potential.comm
+    blocks, tables = np.flatnonzero(moves).astype(np.int32), _elements(potential, moves)
+    elements = [table.element_blocks for k, table in tables if k != SPRINGS]
+    layout = ClusterLayout(unknowns, blocks, elements)
+    rank = _solvers(layout, shared)[layout.cluster]
+    parts = {}
+    for solver in {comm.rank, *map(int, rank[rank >= 0])}:
+        own = np.sort(layout.blocks[rank == solver])
+        some = tables
+        if len(own) < len(blocks):
+            chosen = np.zeros_like(moves)
+            chosen[own] = True
+            some = _elements(potential, chosen)
+        parts[solver] = Clusters.of(potential, own, some)
+    return Clusters.joined(exchange(comm, parts))
+
+
+def _elements(potential: Potential, moves: Booleans) -> Tables:
+    """This rank's elements that depend on some blocks, or on what rides on them."""
+    unknowns, chosen = potential.unknowns, moves.copy()
+    chosen[unknowns.riders] |= chosen[unknowns.interpolation].any(axis=1)
+    tables = [(k, term.elements_on(chosen)) for k, term in enumerate(potential.terms)]
+    if potential.damping is not None:
+        tables.append((SPRINGS, potential.damping.elements_on(chosen)))
+    return [(k, table) for k, table in tables if table is not None]
+
+
+def _solvers(layout: ClusterLayout, shared: Booleans) -> Integers:
+    """Rank that is to solve each cluster, or -1 if it is too large. Collective.
+
+    Shapes: shared (n_local,).
+    """
+    unknowns = layout.whole
+    assert isinstance(unknowns, Unknowns)
+    comm = unknowns.comm
+    own = layout.cluster[layout.blocks < unknowns.n_owned]
+    sizes = np.bincount(own, minlength=layout.n_clusters)
+    solvers = np.where(sizes > LARGEST, -1, comm.rank)
+    if comm.size == 1:
+        return solvers
+    known = shared[layout.blocks]
+    seen, piece = np.unique(layout.cluster[known], return_inverse=True)
+    told = comm.allgather((unknowns.numbers()[layout.blocks[known]], piece, sizes[seen]))
+    counts = [len(own_sizes) for _, _, own_sizes in told]
+    starts = np.cumsum([0, *counts])
+    numbers, block = np.unique(np.concatenate([part[0] for part in told]), return_inverse=True)
+    pieces = np.concatenate(
+        [part[1] + start for part, start in zip(told, starts[:-1], strict=True)]
+    )
+    size, edges = starts[-1] + len(numbers), (pieces, starts[-1] + block)
+    graph = sp.csr_matrix((np.ones(len(pieces), dtype=np.int8), edges), shape=(size, size))
+    cluster = connected_components(graph, directed=False)[1][: starts[-1]]
+    shares = np.zeros((int(cluster.max(initial=-1)) + 1, comm.size), dtype=np.int64)
+    ranks = np.repeat(np.arange(comm.size), counts)
+    np.add.at(shares, (cluster, ranks), np.concatenate([part[2] for part in told]))
+    most = np.where(shares.sum(axis=1) > LARGEST, -1, shares.argmax(axis=1))
+    solvers[seen] = most[cluster[starts[comm.rank] : starts[comm.rank + 1]]]
+    return solvers
+
+
+def give_back(
+    potential: Potential, clusters: Clusters, blocks: Indices, flags: Booleans
+) -> Booleans:
+    """Hand displacements to the owners of blocks, which put them into the potential. Collective.
+
+    Shapes: blocks, flags (m,). Returns the flags of this rank's blocks, (n_local,).
+    """
+    starts = potential.unknowns.starts
+    numbers, x = clusters.numbers[blocks], clusters.x[blocks]
+    owner = np.searchsorted(starts, numbers, side="right") - 1
+    messages: dict[int, tuple[Integers, Array, Booleans]] = {}
+    for other in map(int, np.unique(owner)):
+        own = owner == other
+        messages[other] = numbers[own] - starts[other], x[own], flags[own]
+    found: Booleans = np.zeros(potential.unknowns.n_local, dtype=bool)
+    for place, values, flag in exchange(potential.comm, messages):
+        potential.x[place] = values
+        found[place] = flag
+    return found
+
+
+def exchange(comm: MPI.Intracomm, messages: Mapping[int, Message]) -> list[Message]:
+    """Send messages to ranks; return those received, in the ranks' order. Collective."""
+    own = messages.get(comm.rank)
+    if comm.size == 1:
+        return [] if own is None else [own]
+    others = [messages.get(rank) if rank != comm.rank else None for rank in range(comm.size)]
+    received = comm.alltoall(others)
+    received[comm.rank] = own
+    return [message for message in received if message is not None]

@@ -1,0 +1,234 @@
+"""Paint cables over a surface, in colours by value."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crms_fenicsx.output.figures.axes3d import RIM, STRIPES, Axes3D, annotate
+from crms_fenicsx.output.figures.camera import offsets_within, visible
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
+from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.views.view_data import Line
+
+if TYPE_CHECKING:
+    from matplotlib.cm import ScalarMappable
+
+NO_VALUE = (0.784, 0.784, 0.784)
+_SAME = 1e-3
+"""Relative: a colour bar over less would show differences that its ticks cannot tell."""
+
+
+def common_value(values: Array) -> float | None:
+    """Return the value that all share to three digits; None where they differ or none is finite."""
+    finite = values[np.isfinite(values)]
+    if len(finite) == 0 or np.ptp(finite) > _SAME * np.abs(finite).max():
+        return None
+    return float(finite.mean())
+
+
+def in_words(label: str, value: float) -> str:
+    """Return a label with its value; a unit in brackets at the label's end follows the value."""
+    found = re.fullmatch(r"(.*?)\s*\[(.*)\]", label)
+    name, unit = found.groups() if found else (label, "")
+    return " ".join(part for part in (name, f"{value:.4g}", unit) if part)
+
+
+def limits_of(values: Array) -> tuple[float, float]:
+    """Return the ends of the values' colours: their own, or from 0 if that is not far away."""
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
+    if 0.0 < low < 0.5 * high:
+        low = 0.0
+    elif 0.5 * low < high < 0.0:
+        high = 0.0
+    if low == high:
+        margin = 0.05 * abs(low) or 1.0
+        low, high = low - margin, high + margin
+    return low, high
+
+
+def colouring(
+    values: Array | None, label: str, limits: tuple[float, float] | None, colours: str
+) -> tuple[ScalarMappable | None, str]:
+    """Return the map from values to colours, or else what a legend says of their common value."""
+    if values is None:
+        return None, ""
+    same = common_value(values) if limits is None else None
+    if same is not None:
+        return None, in_words(label, same)
+    return _mappable(colours, values, limits), ""
+
+
+def _mappable(colours: str, values: Array, limits: tuple[float, float] | None) -> ScalarMappable:
+    """Return matplotlib's map from values to a named scale of colours, NaN in grey."""
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import ListedColormap, Normalize
+
+    # a little white leaves room for the shade, which dark colours would swallow
+    shades = 0.86 * colormaps[colours](np.linspace(0.0, 1.0, 256))[:, :3] + 0.14
+    colormap = ListedColormap(shades)
+    colormap.set_bad(NO_VALUE)
+    return ScalarMappable(Normalize(*(limits_of(values) if limits is None else limits)), colormap)
+
+
+if TYPE_CHECKING:
+    from matplotlib.cm import ScalarMappable
+
+CABLE = "#c8322b"
+_SHORTEST = 3  # pieces of a line: less is a speck in a crease
+
+
+@dataclass(frozen=True)
+class LineStyle:
+    """How lines are painted."""
+
+    # of each line that has a colour by value: one, one per point or one per segment
+    values: list[Array]
+    # map from values to colours; None: all in the colour of a plain cable
+    paint: ScalarMappable | None
+    note: str  # what a legend says of a value that all lines have, or ""
+    off: list[Booleans]  # segments of each line that are off the surface
+
+
+def line_style(
+    lines: Sequence[Line],
+    name: str | None,
+    label: str,
+    limits: tuple[float, float] | None,
+    colours: str,
+    loose: str | None,
+) -> LineStyle:
+    """Choose how lines are painted; arguments as for `draw_shape`."""
+    for data in (name, loose):
+        _check_data(lines, data)
+    off = [_off_segments(line, loose) for line in lines]
+    if name is None:
+        return LineStyle([], None, "", off)
+    values = [np.asarray(line.data[name]) for line in lines]
+    paint, note = colouring(np.concatenate([v.ravel() for v in values]), label, limits, colours)
+    if note and len(lines) > 1:
+        note = f"{len(lines)} cables: {note}"
+    elif note and lines[0].name:
+        note = f"{lines[0].name}: {note}"
+    return LineStyle(values, paint, note, off)
+
+
+def _check_data(lines: Sequence[Line], name: str | None) -> None:
+    if name is None:
+        return
+    if not lines:
+        raise InputError(f"line_values {name!r}, but there are no lines; leave it out")
+    for number, line in enumerate(lines):
+        if name not in line.data:
+            raise InputError(
+                f"line {number} {line.name!r} has no {name!r}; it has "
+                f"{', '.join(line.data) or 'no data'}"
+            )
+
+
+def _off_segments(line: Line, name: str | None) -> Booleans:
+    """Say which segments of a line are off the surface, (k - 1,)."""
+    count = len(np.asarray(line.points))
+    given = np.zeros(()) if name is None else np.asarray(line.data[name])
+    if given.shape == (count,):
+        given = np.maximum(given[1:], given[:-1])
+    return np.broadcast_to(given != 0.0, count - 1)
+
+
+def paint_lines(
+    axes3d: Axes3D,
+    lines: Sequence[Line],
+    style: LineStyle,
+    triangles: Array,
+    tolerance: float,
+    clip: tuple[Array, Array] | None,
+    show_names: bool,
+) -> None:
+    """Paint what is seen of lines.
+
+    Shapes: triangles (m, 3, 3).
+    """
+    from matplotlib.collections import LineCollection
+
+    runs: list[Array] = []
+    run_values: list[float] = []
+    run_off: list[bool] = []
+    for number, line in enumerate(lines):
+        nodes, segment, middle = _subdivided(axes3d.camera.project(line.points), 2.5 * axes3d.point)
+        seen = _seen(axes3d, 0.5 * (nodes[1:] + nodes[:-1]), triangles, tolerance, clip)
+        values: Array = np.zeros(len(segment))
+        if style.paint is not None:
+            values = _interpolated(style.values[number], segment, middle, segment[-1] + 2)
+        off = style.off[number][segment]
+        # a run: pieces that are seen, one after the other, in one colour and style
+        for start, end in _runs(np.column_stack([seen, values, off])):
+            if seen[start]:
+                runs.append(nodes[start : end + 1])
+                run_values.append(float(values[start]))
+                run_off.append(bool(off[start]))
+        if show_names and line.name and seen.any():
+            annotate(axes3d.axes, line.name, nodes[np.flatnonzero(seen)[-1] + 1, :2], (4, 4), 8.5)
+    if not runs:
+        return
+    order = np.argsort([run[:, 2].mean() for run in runs], kind="stable")
+    paths = [runs[i][:, :2] for i in order]
+    cores = CABLE if style.paint is None else style.paint.to_rgba(np.array(run_values)[order])
+    styles = [STRIPES if run_off[i] else "solid" for i in order]
+    for zorder, colour, thick, dashes in ((3, RIM, 2.9, "solid"), (4, cores, 1.7, styles)):
+        axes3d.axes.add_collection(
+            LineCollection(
+                paths, colors=colour, linewidths=thick, linestyles=dashes, joinstyle="round",
+                capstyle="butt" if dashes is styles and any(run_off) else "round", zorder=zorder,
+            )
+        )  # fmt: skip
+
+
+def _seen(
+    axes3d: Axes3D,
+    middles: Array,
+    triangles: Array,
+    tolerance: float,
+    clip: tuple[Array, Array] | None,
+) -> Booleans:
+    """Say which pieces of a line are seen, by their middles; no specks of what is hidden."""
+    seen = visible(middles, triangles, tolerance)
+    if clip is not None:
+        places = axes3d.camera.place(middles)
+        seen &= np.all((places >= clip[0]) & (places <= clip[1]), axis=1)
+    if len(seen) >= 2 * _SHORTEST:
+        for start, end in _runs(seen[:, None]):
+            seen[start:end] &= end - start >= _SHORTEST
+    return seen
+
+
+def _runs(kinds: NDArray[np.generic]) -> list[tuple[int, int]]:
+    """Return first row and end of each run of equal rows."""
+    starts = np.flatnonzero(np.r_[True, np.any(kinds[1:] != kinds[:-1], axis=1)])
+    return list(zip(starts, [*starts[1:], len(kinds)], strict=True))
+
+
+def _interpolated(given: Array, segment: Integers, middle: Array, count: int) -> Array:
+    """Return the values at pieces' middles of a line of `count` points."""
+    if given.shape == (count,):
+        return given[segment] + middle * (given[segment + 1] - given[segment])
+    return np.broadcast_to(given, count - 1)[segment]
+
+
+def _subdivided(nodes: Array, step: float) -> tuple[Array, Integers, Array]:
+    """Cut a projected polyline's segments into pieces no longer than `step`.
+
+    Returns the nodes (s + 1, 3), each piece's segment (s,) and its middle's place along it (s,).
+    """
+    lengths = np.linalg.norm(np.diff(nodes[:, :2], axis=0), axis=1)
+    counts = np.maximum(np.ceil(lengths / step), 1).astype(np.int64)
+    segment, k = offsets_within(counts)
+    start = (k / counts[segment])[:, None]
+    cut = nodes[segment] + start * (nodes[segment + 1] - nodes[segment])
+    return np.vstack([cut, nodes[-1:]]), segment, (k + 0.5) / counts[segment]

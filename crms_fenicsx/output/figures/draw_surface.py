@@ -1,0 +1,322 @@
+"""Draw a surface with its cables, painted from back to front."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from crms_fenicsx.output.figures.axes3d import (
+    INK,
+    Axes3D,
+    bounds,
+    check_colours,
+    check_view,
+)
+from crms_fenicsx.output.figures.cable_lines import (
+    CABLE,
+    NO_VALUE,
+    colouring,
+    line_style,
+    paint_lines,
+)
+from crms_fenicsx.output.figures.camera import Camera, brightness, visible
+from crms_fenicsx.output.figures.picture import checked_picture
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
+from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.views.view_data import Line, Surface, checked_points
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_FABRIC = (0.80, 0.86, 0.93)
+_ON_SURFACE = 0.006  # of the size: triangles that come unfolded pass over their cable
+_GHOST = (0.20, 0.33, 0.60)
+
+
+def draw_shape(
+    filename: str | Path | None,
+    points: ArrayLike,
+    triangles: ArrayLike,
+    lines: Sequence[Line] = (),
+    *,
+    values: ArrayLike | None = None,
+    label: str = "",
+    limits: tuple[float, float] | None = None,
+    colours: str = "viridis",
+    line_values: str | None = None,
+    line_label: str = "",
+    line_limits: tuple[float, float] | None = None,
+    line_colours: str = "YlOrRd",
+    loose: str | None = None,
+    show_names: bool = False,
+    title: str = "",
+    unit: str = "",
+    view: tuple[float, float] = (-60.0, 30.0),
+    perspective: bool = True,
+    ghost: tuple[ArrayLike, ArrayLike] | None = None,
+    edges: bool = True,
+    hidden: ArrayLike | None = None,
+    box: bool | tuple[ArrayLike, ArrayLike] = True,
+    width: float = 8.0,
+    dpi: int = 200,
+) -> Figure | None:
+    """Draw a surface and the cables on it, in a box from which its size can be read.
+
+    Cables are seen where no part of the surface is in front of them. Not collective: call it on
+    one rank, with all of the surface.
+
+    Parameters
+    ----------
+    filename : str, Path or None
+        Picture to write; its suffix (.png, .pdf, .svg ...) says the format. None returns it.
+    points, triangles : (n, 3) array of length, (m, 3) array of int
+        The surface.
+    lines : sequence of Line
+        Cables.
+    values : (n,) or (m,) array, optional
+        Colours by value, per vertex or per triangle; NaN is grey. Without it, plain fabric.
+    label : str
+        Of the values' colour bar, with its unit in brackets. Values that are all the same get no
+        bar: the surface is painted plainly, and a legend tells the value.
+    limits : (low, high), optional
+        Ends of the colours; by default those of the values, or 0 if that is near. With limits
+        there is always a bar.
+    colours : str
+        Name of a matplotlib colour map.
+    line_values : str, optional
+        Name of the lines' data that colour them ("tension"), with a colour bar of its own.
+    line_label, line_limits, line_colours
+        As those of the surface; lines with the same value are painted in one colour.
+    loose : str, optional
+        Name of the lines' data that say where they are off the surface (not zero): there they are
+        striped. Of data per point, segments are off if one of their ends is.
+    show_names : bool
+        Write each line's name beside it.
+    title : str
+    unit : str
+        Of length, for the box.
+    view : (azimuth, elevation)
+        Where the viewer stands, in degrees; see `Camera`.
+    perspective : bool
+        Mild perspective; otherwise parallel projection.
+    ghost : (points, triangles), optional
+        A second shape, such as the reference, drawn faintly.
+    edges : bool
+        Draw the edges of the triangles where these are large enough.
+    hidden : (h, 2) array of int, optional
+        Pairs of vertices; edges between them are not drawn, such as those that cut a polygon
+        into triangles.
+    box : bool or (low, high)
+        Draw the box with its ticks; or the box's lowest and highest corner, which pictures to
+        compare should share. Lines end where they leave such a box.
+    width : float
+        The picture's, in inches; its height follows from the shape's.
+    dpi : int
+        Pixels per inch, of a file.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Without a file, which a notebook shows; else None.
+
+    Raises
+    ------
+    InputError
+        For arrays that do not fit together, lines without `line_values`, or a file that cannot
+        be written.
+    """
+    surface = Surface(points, triangles).checked()
+    lines = [line.checked() for line in lines]
+    faint = None if ghost is None else Surface(*ghost).checked()
+    values = _per_triangle(values, surface)
+    check_colours(colours, line_colours)
+    line_label = line_label or line_values or ""
+    style = line_style(lines, line_values, line_label, line_limits, line_colours, loose)
+    if len(np.asarray(surface.points)) == 0 and not lines:
+        raise InputError("nothing to draw: no points and no lines; give one of them")
+    check_view(view)
+    corners = None if isinstance(box, bool) else _checked_box(box)
+    inner = _checked_hidden(hidden, surface)
+    path = checked_picture(filename)
+
+    spatial, ghostly = _corners(surface), None if faint is None else _corners(faint)
+    shapes = [spatial, *(np.asarray(line.points) for line in lines)]
+    low, high = corners or bounds(shapes if ghostly is None else [*shapes, ghostly])
+    size = float(np.linalg.norm(high - low))
+    near = perspective and abs(view[1]) < 85.0  # a plan is parallel, or it cannot be measured
+    camera = Camera(*view, 0.5 * (low + high), 3.5 * size if near else np.inf)
+
+    paint, note = colouring(values, label, limits, colours)
+    bars = [(scale, text) for scale, text in ((paint, label), (style.paint, line_label)) if scale]
+    axes3d = Axes3D(camera, low, high, title, len(bars), width)
+    for place, (scale, text) in enumerate(bars):
+        axes3d.add_bar(scale, text, place)
+    striped = "off the membrane" if any(part.any() for part in style.off) else ""
+    axes3d.add_legend(
+        [(_FABRIC, note, "patch"), (CABLE, style.note, "line"), (CABLE, striped, "stripes")]
+    )
+    if box is not False:
+        axes3d.draw_box(unit)
+
+    flat = camera.project(spatial)
+    face_colours = np.tile(_FABRIC, (len(flat), 1))
+    if values is not None:
+        face_colours[~np.isfinite(values)] = NO_VALUE
+        face_colours = face_colours if paint is None else paint.to_rgba(values)[:, :3]
+    shown = np.full((len(flat), 3), edges) & ~_among(np.asarray(surface.triangles), inner)
+    _paint_triangles(axes3d, spatial, flat, face_colours, ghostly, shown)
+    tolerance = _ON_SURFACE * size
+    _paint_outline(axes3d, surface, flat, tolerance, INK)
+    if faint is not None:
+        _paint_outline(axes3d, faint, flat[:0], tolerance, (*_GHOST, 0.6))
+    clip = None if corners is None else (low - 1e-6 * size, high + 1e-6 * size)
+    paint_lines(axes3d, lines, style, flat, tolerance, clip, show_names)
+    return axes3d.finished(path, dpi)
+
+
+def _corners(surface: Surface) -> Array:
+    """Return the corners of a surface's triangles, (m, 3, 3)."""
+    return np.asarray(surface.points)[np.asarray(surface.triangles)]
+
+
+def _checked_box(box: tuple[ArrayLike, ArrayLike]) -> tuple[Array, Array]:
+    if len(box) != 2:
+        raise InputError(f"box {box!r}; give True, False or its corners (low, high)")
+    low, high = checked_points("box corners", np.array(box, dtype=np.float64))
+    if not np.all(low < high):
+        raise InputError(f"box from {low} to {high}: the first corner must be the lower one")
+    return low, high
+
+
+def _checked_hidden(hidden: ArrayLike | None, surface: Surface) -> Integers:
+    pairs = np.asarray(() if hidden is None else hidden)
+    if pairs.size == 0:
+        return np.empty((0, 2), dtype=np.int64)
+    if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "iu":
+        raise InputError(
+            f"hidden has shape {pairs.shape} and type {pairs.dtype}; give pairs of vertices, (h, 2)"
+        )
+    if not 0 <= pairs.min() <= pairs.max() < len(np.asarray(surface.points)):
+        raise InputError(
+            f"hidden refers to vertices {pairs.min()} to {pairs.max()}, but there are "
+            f"{len(np.asarray(surface.points))} points"
+        )
+    return pairs.astype(np.int64)
+
+
+def _among(triangles: Integers, pairs: Integers) -> Booleans:
+    """Say which sides of the triangles (corner k to k + 1) are among pairs of vertices, (m, 3)."""
+    if len(triangles) == 0 or len(pairs) == 0:
+        return np.zeros((len(triangles), 3), dtype=bool)
+    n = int(triangles.max()) + 1 + int(pairs.max())
+    sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1), axis=-1)
+    wanted = np.sort(pairs, axis=1)
+    return np.isin(sides[..., 0] * n + sides[..., 1], wanted[:, 0] * n + wanted[:, 1])
+
+
+def _per_triangle(values: ArrayLike | None, surface: Surface) -> Array | None:
+    """Return values per triangle; those per vertex become the mean of the triangle's corners."""
+    if values is None:
+        return None
+    array = np.asarray(values, dtype=np.float64)
+    triangles = np.asarray(surface.triangles)
+    if array.shape == (len(triangles),):
+        return array
+    if array.shape == (len(np.asarray(surface.points)),):
+        return array[triangles].mean(axis=1)
+    raise InputError(
+        f"values have shape {array.shape}; give one for each of the "
+        f"{len(np.asarray(surface.points))} vertices or {len(triangles)} triangles"
+    )
+
+
+def _paint_triangles(
+    axes3d: Axes3D,
+    spatial: Array,
+    flat: Array,
+    colours: Array,
+    faint: Array | None,
+    shown: Booleans,
+) -> None:
+    """Paint the surface and the `faint` triangles; `shown` (m, 3): which sides get an edge."""
+    from matplotlib.collections import PolyCollection
+
+    diffuse, specular = brightness(axes3d.camera, spatial)
+    faces = colours * (0.44 + 0.62 * diffuse)[:, None] + 0.16 * specular[:, None]
+    faces = np.column_stack([np.clip(faces, 0, 1), np.ones(len(faces))])
+    strength = _edge_strength(axes3d, flat)
+    dark = np.column_stack([faces[:, :3] * (1.0 - 0.45 * strength), faces[:, 3]])
+    # without edges of their own, the faces' rims close the seams that antialiasing leaves
+    rimmed: Booleans = np.all(shown, axis=1) & (strength > 0)
+    rims = np.where(rimmed[:, None], dark, faces)
+    thick = 0.25 + 0.2 * strength * rimmed
+    polygons = list(flat[..., :2])
+    depth: Array = np.mean(flat[..., 2], axis=1)
+    # where a side has none, the others come as strokes of their own, right after the face
+    some, side = np.nonzero(shown & ~rimmed[:, None] & (strength > 0))
+    polygons += list(np.stack([flat[some, side, :2], flat[some, (side + 1) % 3, :2]], axis=1))
+    faces, rims = np.concatenate([faces, dark[some]]), np.concatenate([rims, dark[some]])
+    thick = np.concatenate([thick, np.full(len(some), 0.25 + 0.2 * strength)])
+    depth = np.concatenate([depth, depth[some]])
+    if faint is not None:
+        extra = axes3d.camera.project(faint)
+        strength = _edge_strength(axes3d, extra)
+        polygons += list(extra[..., :2])
+        faces = np.concatenate([faces, np.tile((*_GHOST, 0.10), (len(extra), 1))])
+        rims = np.concatenate([rims, np.tile((*_GHOST, 0.5 * strength), (len(extra), 1))])
+        thick = np.concatenate([thick, np.full(len(extra), 0.4)])
+        depth = np.concatenate([depth, extra[..., 2].mean(axis=1)])
+    order = np.argsort(depth, kind="stable")
+    axes3d.axes.add_collection(
+        PolyCollection(
+            [polygons[i] for i in order], facecolors=faces[order], edgecolors=rims[order],
+            linewidths=thick[order], joinstyle="round", zorder=1,
+        )
+    )  # fmt: skip
+
+
+def _paint_outline(
+    axes3d: Axes3D, surface: Surface, flat: Array, tolerance: float, colour: Any
+) -> None:
+    """Paint what is seen of a surface's border; `flat` are the triangles that may hide it."""
+    from matplotlib.collections import LineCollection
+
+    outline = _outline(np.asarray(surface.points), np.asarray(surface.triangles))
+    if len(outline):
+        ends = axes3d.camera.project(outline)
+        seen = visible(ends.mean(axis=1), flat, tolerance)
+        axes3d.axes.add_collection(
+            LineCollection(
+                list(ends[seen, :, :2]), colors=[colour], linewidths=0.8, capstyle="round", zorder=2
+            )
+        )
+
+
+def _edge_strength(axes3d: Axes3D, flat: Array) -> float:
+    """Return how strongly to draw edges, 0 to 1: those of a fine mesh would be all one sees."""
+    if len(flat) == 0:
+        return 0.0
+    sides = flat[..., :2] - np.roll(flat[..., :2], 1, axis=1)
+    points = float(np.median(np.linalg.norm(sides, axis=2))) / axes3d.point
+    return 0.0 if points < 3.0 else float(np.clip((points - 3.0) / 12.0, 0.15, 1.0))
+
+
+def _outline(points: Array, triangles: Integers) -> Array:
+    """Return the ends (b, 2, 3) of the edges that belong to one triangle only.
+
+    Vertices at the same place count as one, as the parts of folded triangles may bring their own.
+    """
+    if len(triangles) == 0:
+        return np.empty((0, 2, 3))
+    step = 1e-9 * float(np.ptp(points, axis=0).max()) or 1.0
+    _, first, same = np.unique(
+        np.round(points / step), axis=0, return_index=True, return_inverse=True
+    )
+    merged = same.reshape(-1)[triangles]
+    pairs = np.sort(merged[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    pairs, counts = np.unique(pairs, axis=0, return_counts=True)
+    return points[first[pairs[counts == 1]]]

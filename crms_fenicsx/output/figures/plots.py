@@ -1,0 +1,299 @@
+"""Plots of a run's history, and of errors over the size of cells."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from itertools import cycle
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx.output.figures.axes3d import (
+    DISTINCT,
+    INK,
+    style_axes,
+    with_unit,
+)
+from crms_fenicsx.output.figures.picture import checked_picture, finished, given_file, new_figure
+from crms_fenicsx.output.history import History
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.errors import InputError, collective, raised_together
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Series = tuple[Sequence[float], float, float, float]
+"""Values of a quantity on the levels, its limit, how far that may be wrong, and its size."""
+
+
+def draw_convergence(
+    comm: MPI.Intracomm,
+    filename: str | Path | None,
+    cells: Sequence[int],
+    series: Mapping[str, Series],
+    *,
+    title: str = "",
+    width: float = 8.0,
+) -> Figure | None:
+    """Plot how far values are from their limits, in parts of their sizes. Collective."""
+    file = given_file("draw", filename)
+    with raised_together(comm):
+        if comm.rank == 0:
+            return _draw(checked_picture(file), cells, series, title, width)
+    return None
+
+
+def _draw(
+    path: Path | None,
+    cells: Sequence[int],
+    series: Mapping[str, Series],
+    title: str,
+    width: float,
+) -> Figure | None:
+    figure = new_figure(width, 0.62 * width)
+    axis = figure.subplots()
+    size = np.sqrt(cells[0] / np.asarray(cells, dtype=float))
+    largest, colours = 0.0, cycle(DISTINCT)
+    for name, (values, limit, bar, scale) in series.items():
+        errors = np.abs(np.asarray(values) - limit)
+        if errors.max() <= 0.0:
+            continue
+        there = errors > 0.0
+        low = np.minimum(bar, 0.9 * errors)[there]  # a bar to 0 has no end on this scale
+        bars = np.stack([low, np.full_like(low, bar)]) / scale
+        axis.errorbar(
+            size[there], errors[there] / scale, bars.tolist(),
+            color=next(colours), marker="o", markersize=4, linewidth=1.4, capsize=3,
+            elinewidth=0.8, label=name,
+        )  # fmt: skip
+        largest = max(largest, float(errors.max() / scale))
+    if largest > 0.0:
+        axis.plot(size, largest * size**2, "--", color=INK, linewidth=0.9, label="order 2")
+        axis.set_xscale("log", base=2)
+        axis.set_yscale("log")
+        axis.legend(fontsize=8, frameon=False, labelcolor=INK, loc="upper left",
+                    bbox_to_anchor=(1.0, 1.0))  # fmt: skip
+    axis.set_xlabel("size of the cells, in parts of the first mesh's", fontsize=9, color=INK)
+    axis.set_ylabel("distance from the limit, in parts of the size", fontsize=9, color=INK)
+    style_axes(axis, 8)
+    if title:
+        figure.suptitle(title, fontsize=11, color=INK)
+    figure.tight_layout()
+    return finished(figure, path, 160)
+
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_SEEN = 0.01
+"""Share of a panel's largest value from which on a column is seen in it."""
+
+
+@collective
+def draw_history(
+    history: History,
+    filename: str | Path | None = None,
+    x: str = "step",
+    panels: Sequence[Sequence[str]] | None = None,
+    *,
+    unit: str = "",
+    force: str = "",
+    units: Mapping[str, str] | None = None,
+    title: str = "",
+    width: float = 8.0,
+    dpi: int = 160,
+) -> Figure | None:
+    """Plot columns of a history, in panels. Collective on the history's ranks.
+
+    Parameters
+    ----------
+    history
+        Such as ``solver.history``.
+    filename
+        Picture to write; its suffix (.png, .pdf, .svg ...) says the format. None returns it.
+    x
+        Column of the horizontal axis.
+    panels
+        Columns that share a panel. By default those of `default_panels`; of a table that has none
+        of these, every column of numbers, where those that differ in a last number only
+        ("slip 1", "slip 2") share one.
+    unit, force
+        Names of the units of length and force, for labels.
+    units
+        Other units by column, or by the beginning of its name ("tension": "kN").
+    title
+        Of all panels.
+    width, dpi
+        Width in inches; pixels per inch.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        On the first rank, without a file; a notebook shows it. Else None.
+
+    Raises
+    ------
+    InputError
+        On all ranks: an empty history, a column that does not exist or holds text, or a file that
+        cannot be written.
+    """
+    if not isinstance(history, History):
+        raise InputError(
+            f"draw_history: history is of type {type(history).__name__}; give a History."
+        )
+    checks.same(
+        history.comm, "draw_history", filename=filename, x=x, panels=panels, unit=unit, force=force,
+        units=units, title=title, width=width, dpi=dpi,
+    )  # fmt: skip
+    filename = given_file("draw_history", filename)
+    if len(history) == 0:
+        raise InputError("the history is empty; draw it after the first step")
+    if panels is None:
+        panels = default_panels(history) or _grouped(history, x)
+    if not panels or not all(panels):
+        raise InputError(f"panels {panels!r}: nothing to plot over {x!r}; name columns in each")
+    for column in [x, *(column for panel in panels for column in panel)]:
+        if history[column].dtype.kind not in "if":
+            raise InputError(f"column {column!r} holds text; plot columns of numbers")
+    named = units_of_results(unit, force) | dict(units or {})
+    with raised_together(history.comm):
+        if history.comm.rank == 0:
+            path = checked_picture(filename)
+            return _draw_panels(history, path, x, panels, named, title, width, dpi)
+    return None
+
+
+def _draw_panels(
+    history: History,
+    path: Path | None,
+    x: str,
+    panels: Sequence[Sequence[str]],
+    units: Mapping[str, str],
+    title: str,
+    width: float,
+    dpi: int,
+) -> Figure | None:
+    across = 1 if len(panels) == 1 else 2
+    down = -(-len(panels) // across)
+    figure = new_figure(width, 2.5 * down + (0.4 if title else 0.0))
+    axes = figure.subplots(down, across, squeeze=False)
+    for axis, panel in zip(axes.flat, panels, strict=False):
+        _plot(axis, history, x, panel, units)
+    for axis in axes.flat[len(panels) :]:
+        axis.remove()
+    if title:
+        figure.suptitle(title, fontsize=11, color=INK)
+    figure.tight_layout(w_pad=2.0, h_pad=1.2)
+    return finished(figure, path, dpi)
+
+
+def units_of_results(length: str, force: str) -> dict[str, str]:
+    """Units of the quantities that results hold, as far as those of length and force tell."""
+    found = {"length": length, "L0": length, "volume": f"{length}³" if length else ""}
+    found |= {"tension": force, "residual": force}
+    if length and force:
+        found |= {
+            "stress": f"{force}/{length}",
+            "pressure": f"{force}/{length}²",
+            "energy": f"{force} {length}",
+        }
+    return {name: unit for name, unit in found.items() if unit}
+
+
+def default_panels(history: History) -> list[list[str]]:
+    """Columns that show a run: what drives it, then what it answers, as far as it changes.
+
+    These are pressure, load factor, unstressed lengths, volume, tensions and energies. An energy
+    that would not be seen beside the others is left out.
+    """
+    groups = [
+        [column for column in history.columns if column == name or column.startswith(f"{name} ")]
+        for name in ("pressure", "load", "L0", "volume", "tension", "energy")
+    ]
+    shown = [[c for c in group if np.ptp(_extent([history[c]])) > 0.0] for group in groups]
+    if not any(shown):  # a single step, say
+        shown = [[c for c in group if np.any(history[c] != 0.0)] for group in groups]
+    largest = [max((_size(history[c]) for c in group), default=0.0) for group in shown]
+    seen = [
+        [c for c in group if _size(history[c]) >= _SEEN * size]
+        for group, size in zip(shown, largest, strict=True)
+    ]
+    return [group for group in seen if group]
+
+
+def _size(values: Array) -> float:
+    return float(np.nanmax(np.abs(values)))
+
+
+def _grouped(history: History, x: str) -> list[list[str]]:
+    groups: dict[str, list[str]] = {}
+    for column in history.columns:
+        if column != x and column != "step" and history[column].dtype.kind in "if":
+            groups.setdefault(_family(column), []).append(column)
+    return list(groups.values())
+
+
+def _family(column: str) -> str:
+    return re.sub(r"\s*\d+$", "", column) or column
+
+
+def _common(panel: Sequence[str]) -> str:
+    """Return the words that all columns begin with, or else all their families."""
+    words = [column.split() for column in panel]
+    same = [step[0] for step in zip(*words, strict=False) if len(set(step)) == 1]
+    begins = " ".join(same)
+    if same and all(f"{column} ".startswith(f"{begins} ") for column in panel):
+        return begins
+    return ", ".join(dict.fromkeys(_family(column) for column in panel))
+
+
+def _plot(
+    axis: Any, history: History, x: str, panel: Sequence[str], units: Mapping[str, str]
+) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    marker = "o" if len(history) <= 40 else ""
+    label = panel[0] if len(panel) == 1 else _common(panel)
+    low, high = _extent([history[column] for column in panel])
+    if low < 0.0 < high:
+        axis.axhline(0.0, color="#9aa1ab", linewidth=0.8, zorder=1)
+    colours = cycle(DISTINCT)
+    for column in panel:
+        whole = len(panel) > 1 and column == label  # "energy", of which the others are parts
+        axis.plot(
+            history[x], history[column], color=INK if whole else next(colours),
+            label=column.removeprefix(f"{label} "), linewidth=2.2 if whole else 1.4,
+            marker=marker, markersize=3.5,
+        )  # fmt: skip
+    axis.set_ylabel(_with_unit(label, panel[0], units), fontsize=9, color=INK)
+    axis.set_xlabel(_with_unit(x, x, units), fontsize=9, color=INK)
+    style_axes(axis, 8)
+    if history[x].dtype.kind == "i":
+        axis.xaxis.set_major_locator(MaxNLocator(integer=True))
+    if all(history[column].dtype.kind == "i" for column in panel):
+        axis.yaxis.set_major_locator(MaxNLocator(integer=True))
+    # the same range in all panels, also where a column starts late
+    low, high = _extent([history[x]])
+    air = 0.03 * (high - low) or 0.5
+    axis.set_xlim(low - air, high + air)
+    for side in ("top", "right"):
+        axis.spines[side].set_visible(False)
+    if len(panel) > 1:
+        axis.legend(  # above, where it covers no curve
+            fontsize=8, frameon=False, labelcolor=INK, ncols=min(len(panel), 4),
+            loc="lower left", bbox_to_anchor=(-0.02, 1.0), borderaxespad=0.0,
+            columnspacing=1.2, handlelength=1.4,
+        )  # fmt: skip
+
+
+def _extent(arrays: Sequence[Any]) -> tuple[float, float]:
+    return min(float(np.nanmin(a)) for a in arrays), max(float(np.nanmax(a)) for a in arrays)
+
+
+def _with_unit(label: str, column: str, units: Mapping[str, str]) -> str:
+    fitting = [key for key in units if column == key or column.startswith(key + " ")]
+    return with_unit(label, units[max(fitting, key=len)] if fitting else "")

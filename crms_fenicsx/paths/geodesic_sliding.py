@@ -1,0 +1,210 @@
+"""Geodesic sliding: cables without friction slide sideways until they are straight.
+
+A taut cable without friction lies along a geodesic of the current, folded surface. Instead of
+moving it over one vertex per equilibrium, its path is pulled taut on the shape that is there and
+the new path tried: it is kept if the energy falls, else only half of the flips are tried. No path
+is tried twice, so this ends.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence, Set
+
+from crms_fenicsx.contact.lift_off import drape
+from crms_fenicsx.contact.span_projection import with_span_projections
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.tolerances import BEYOND
+from crms_fenicsx.paths.creased_surface import CreasedSurface, FoldPoints, NodesOnEdges
+from crms_fenicsx.paths.path_change import (
+    PathChange,
+    is_crossed,
+    lifted_runs,
+    slid_off,
+    vertices_near,
+)
+from crms_fenicsx.paths.tried_paths import TriedPaths
+from crms_fenicsx.surface.corridor import Corridor, corridor, why_invalid
+from crms_fenicsx.surface.flip_geodesic import shorten
+from crms_fenicsx.surface.intrinsic import MissingCells
+from crms_fenicsx.surface.points import SurfacePoint, VertexPoint
+
+GRIP = 0.05
+"""Angle (rad) by which a path along mesh lines must bend at a vertex to leave it before the cable
+has pressed its crease into the membrane: a path along a line of the mesh stays there."""
+
+
+class GeodesicSliding:
+    """Pulls the paths of the cables taut."""
+
+    def __init__(self, change: PathChange, tried: TriedPaths) -> None:
+        self.change, self.tried, self.net = change, tried, change.net
+        self._followed: set[Corridor] = set()
+        """Ways of cables without anchors that are known to be possible: that is so once for all."""
+
+    def straighten(self) -> bool:
+        """Pull the paths of cables taut that have not been in equilibrium yet. Collective.
+
+        A taut cable on a bad path would cut into the membrane, and nothing converge. Returns
+        whether there were any.
+        """
+        fresh = [
+            cable
+            for cable in self.net.cables
+            if cable.taut and not cable.path_is_geodesic and _leaves_cells(cable)
+        ]
+        if not fresh:
+            return False
+        others = [cable for cable in self.net.cables if cable not in fresh]
+        for cable in fresh:
+            cable.update(lifted=cable.lifted & False)
+        self._slide(fresh, folded_by=others, fresh=True)
+        shape = self.net.strip_shape()
+        for cable in fresh:
+            if not cable.sleeve:
+                drape(cable, shape)
+            # Pulled straight it may turn out to be too long for its path: slack after all.
+            taut = cable.is_tight(nearly=True)
+            cable.update(taut=taut, path_is_geodesic=taut)
+        return True
+
+    def lay_again(self, numbers: Set[int]) -> None:
+        """Forget where the fold points of some cables are, given by number, so that `straighten`
+        puts them on straight edges."""
+        for c in numbers:
+            self.net.cables[c].update(path_is_geodesic=False)
+
+    def renew_projections(self) -> list[str]:
+        """Bring the paths of lifted parts under their spans; say which changed. Collective."""
+        changes: list[str] = []
+        off = [cable for cable in self.net.cables if cable.taut and cable.lifted.any()]
+        if not off:
+            return changes
+        surface = self.change.surface()
+        for cable in off:
+            for rings in itertools.count(1):
+                try:
+                    found = with_span_projections(cable, surface.shape)
+                    break
+                except MissingCells as missing:
+                    self.net.grow_strip(missing.vertices, rings)
+                    surface = self.change.surface()
+            # A span that turns over its own touchdown keeps the projection that it had.
+            if found is not None and not why_invalid(corridor(found[0]), surface.opposite_vertices):
+                points, lifted = found
+                surface = self.change.surface([v for point in points for v in point.support])
+                self.change.replace(cable, points, lifted, surface)
+                changes.append(f"{cable.name} hangs over other cells")
+        return changes
+
+    def check_on_membrane(self) -> None:
+        """Make sure that no cable has slid off the membrane. Collective."""
+        for cable in self.net.cables:
+            nodes = [cable.nodes[k] for k in cable.contacts()]
+            places = [set(node.point.support) for node in nodes if node.point is not None]
+            if not cable.taut or not places or len(cable.blocked) < len(places):
+                continue
+            common = set.intersection(*places)
+            surface = self.change.surface(sorted(common))
+            for vertex in common:
+                if surface.is_boundary((vertex,)):
+                    raise slid_off(cable, surface.shape.at(vertex))
+
+    def slide(self, max_flips: int | None = None) -> int:
+        """Pull the paths of all cables in tension taut on the current surface. Collective.
+
+        Returns how many vertices the cable that has passed most has; 0: no path has changed.
+        """
+        self.tried.forget_moved(self.net.cables)
+        free = [
+            cable
+            for cable in self.net.cables
+            if cable.taut and _leaves_cells(cable) and self.tried.uses_geodesic(cable)
+        ]
+        return self._slide(free, max_flips) if free else 0
+
+    def _slide(
+        self,
+        cables: Sequence[LaidCable],
+        max_flips: int | None = None,
+        folded_by: Sequence[LaidCable] | None = None,
+        fresh: bool = False,
+    ) -> int:
+        folds = self.change.folds()
+        if folded_by is not None:
+            folds = FoldPoints(folded_by, NodesOnEdges())
+        surface = CreasedSurface(self.net.strip_shape(), folds)
+        done: list[tuple[LaidCable, tuple[list[SurfacePoint], list[bool], int]]] = []
+        for cable in cables:
+            for rings in itertools.count(1):
+                try:
+                    done.append((cable, self._pulled(cable, surface, max_flips, fresh)))
+                    break
+                except MissingCells as missing:
+                    self.net.grow_strip(missing.vertices, rings)
+                    surface = CreasedSurface(self.net.strip_shape(), folds)
+        most = 0
+        for cable, (points, lifted, flips) in done:
+            if flips or fresh:
+                self.change.replace(cable, points, lifted, surface)
+                most = max(most, flips)
+        if most or fresh:
+            nodes = [node.point for cable in cables for node in cable.nodes]
+            self.net.grow_strip([v for p in nodes if p is not None for v in p.support])
+        return most
+
+    def _pulled(
+        self, cable: LaidCable, surface: CreasedSurface, max_flips: int | None, fresh: bool
+    ) -> tuple[list[SurfacePoint], list[bool], int]:
+        """The path pulled taut: its points, which of them are lifted, how many flips."""
+        path = list(cable.path.points)
+        refused = self.tried.refused.setdefault(cable.name, set())
+        held_at = None
+        if is_crossed(cable) and not fresh:
+            visited = {p.vertex for p in path if isinstance(p, VertexPoint)}
+            left = {v for _, *vertices in self.tried.left.get(cable.name, ()) for v in vertices}
+            held_at = visited | vertices_near(cable, BEYOND) - left
+        points: list[SurfacePoint] = []
+        lifted: list[bool] = []
+        passed = 0
+        for is_off, run in lifted_runs(cable):
+            new = path[run.start : run.stop]
+            if not is_off:
+                # Pulled between the places under the spans at its ends, or the anchors beyond.
+                before, after = self.change.beyond(cable, surface, path, run)
+                joined = self.change.with_anchors(cable, surface)
+                string = [*before, *new, *after]
+                fits = self._may_lie(string, joined)
+                if not fits and len(string) > len(new):  # a span turns over its own touchdown
+                    before, after, string = [], [], new
+                    fits = self._may_lie(string, joined)
+                if fits and len(string) > 2:
+                    given = corridor(string)
+                    refused.add(given)
+                    if held_at is None or held_at:  # else it does not flip over any vertex
+                        result = shorten(
+                            string, joined, refused=refused, max_flips=max_flips,
+                            grip=GRIP if fresh else 0.0, held_at=held_at,
+                            checked=given in self._followed,
+                        )  # fmt: skip
+                        if not before and not after:
+                            self._followed.add(given)
+                        passed += len(result.flips)
+                        new = list(result.points[len(before) : len(result.points) - len(after)])
+            points += new
+            lifted += [is_off] * len(new)
+        if passed or fresh:
+            n = self.change.n_vertices
+            if len(points) < 2 or any(max(point.support) >= n for point in points):
+                raise slid_off(cable, cable.positions[cable.path_nodes()[0]])
+        return points, lifted, passed
+
+    def _may_lie(self, string: Sequence[SurfacePoint], surface: CreasedSurface) -> bool:
+        """Whether a cable can follow a path."""
+        given = corridor(string)
+        return given in self._followed or why_invalid(given, surface.opposite_vertices) is None
+
+
+def _leaves_cells(cable: LaidCable) -> bool:
+    """Whether a cable may slide to other cells with nothing but the membrane's shape to say so."""
+    return cable.slides_freely and not cable.in_edge
