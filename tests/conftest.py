@@ -10,7 +10,7 @@ from crms_fenicsx.runtime import errors
 
 @pytest.fixture(scope="session")
 def comm() -> MPI.Intracomm:
-    """All ranks. A test that has it runs on any number of them, and every other on one only."""
+    """All ranks. A test that has it passes on any number of them, and every other runs on one."""
     return MPI.COMM_WORLD
 
 
@@ -32,13 +32,34 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
         option.numprocesses, option.dist = "auto", "worksteal"
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Under mpirun, skip what does not use `comm`: each rank would do the same once more."""
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Let all tests that can run under mpirun."""
+    help_text = "under mpirun, run all tests that have `comm`, and not only those marked `ranks`"
+    parser.addoption("--all-ranks", action="store_true", help=help_text)
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Under mpirun, skip what says nothing about ranks: each rank would do the same once more.
+
+    Of tests marked `ranks` the first and the last case run, of which there may be many. What is
+    marked `slow` runs where a `-m` or a test's own name asks for it.
+    """
     if MPI.COMM_WORLD.size > 1:
-        skip = pytest.mark.skip(reason="nothing in it is distributed")
+        cases: dict[str, list[pytest.Item]] = {}
         for item in items:
-            if "comm" not in getattr(item, "fixturenames", ()):
+            cases.setdefault(item.nodeid.partition("[")[0], []).append(item)
+        ends = {id(item) for found in cases.values() for item in (found[0], found[-1])}
+        skip = pytest.mark.skip(reason="it says nothing about ranks")
+        for item in items:
+            chosen = item.get_closest_marker("ranks") is not None and id(item) in ends
+            if "comm" not in getattr(item, "fixturenames", ()) or not (
+                chosen or config.option.all_ranks
+            ):
                 item.add_marker(skip)
+    if not config.option.markexpr and not any("::" in given for given in config.args):
+        slow = [item for item in items if item.get_closest_marker("slow") is not None]
+        items[:] = [item for item in items if item.get_closest_marker("slow") is None]
+        config.hook.pytest_deselected(items=slow)
 
 
 @pytest.hookimpl(hookwrapper=True)

@@ -96,6 +96,7 @@ SHOWN: dict[str, tuple[Callable[[], Any], str]] = {
 }
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("name", SHOWN)
 def test_a_line_says_the_essentials(name: str) -> None:
     make, pattern = SHOWN[name]
@@ -131,6 +132,7 @@ def test_ranges_and_numbers() -> None:
     assert (counted(1, "bar"), counted(0, "bar")) == ("1 bar", "0 bars")
 
 
+@pytest.mark.ranks
 def test_errors_are_short() -> None:
     """No other error before it, and few calls of the package between it and who made it."""
     scene: Scene = sheet(COMM, 2)

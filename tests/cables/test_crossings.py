@@ -478,6 +478,7 @@ def square(comm: MPI.Intracomm) -> tuple[Scene, list[LaidCable], Solver]:
     return crossed_square(comm)
 
 
+@pytest.mark.ranks
 def test_crossing_cables_share_a_point_in_equilibrium(square) -> None:
     """The upper one presses on the lower one; what is left carries the pressure around it."""
     scene, cables, _ = square
@@ -499,6 +500,7 @@ def test_crossing_cables_share_a_point_in_equilibrium(square) -> None:
     assert -left[2] < scene.pressure * 200.0 / 3
 
 
+@pytest.mark.ranks
 def test_the_number_of_processes_does_not_matter(square) -> None:
     scene, cables, _ = square
     alone, twins, _ = crossed_square(MPI.COMM_SELF)
@@ -537,6 +539,7 @@ def test_the_material_curve_is_on_the_stress_free_membrane(square) -> None:
     assert seen >= {"anchor", "rider", "fold", "crossing"}
 
 
+@pytest.mark.ranks
 def test_beside_a_lifted_point_a_crossing_is_where_the_other_cable_has_it(comm) -> None:
     """Its own cell point is old, and where neither cable has it, it is off the membrane."""
     _, cables, solver = crossed_square(comm)
@@ -583,6 +586,7 @@ def test_which_lies_on_top_does_not_matter_while_both_press_on_the_membrane(comm
     assert found[0].energy == pytest.approx(found[1].energy, rel=1e-9)
 
 
+@pytest.mark.ranks
 def test_all_pairs_of_many_cables_are_found(comm) -> None:
     """A net of three by two, laid at once."""
     scene = Scene(meshes.rectangle(comm, 100.0, 100.0, 20.0), ISOTROPIC)

@@ -72,6 +72,7 @@ def test_points_are_on_their_edges_in_order(tables) -> None:
     assert list(slow.numbering.on_edge.items()) == list(slow.on_edge.items())
 
 
+@pytest.mark.ranks
 def test_segments_are_those_of_the_links(tables) -> None:
     slow, fast = tables
     numbering, own = slow.numbering, slow.own_links()
@@ -94,6 +95,7 @@ def test_smoothing_is_that_of_the_cells_around(tables) -> None:
     np.testing.assert_allclose(fast.eps, expected, rtol=1e-12)
 
 
+@pytest.mark.ranks
 def test_folded_cells_have_the_parts_of_their_sides(tables) -> None:
     slow, fast = tables
     sides, segments = slow.sides()
@@ -104,6 +106,7 @@ def test_folded_cells_have_the_parts_of_their_sides(tables) -> None:
     assert np.array_equal(np.repeat(parts, parts) > 1, fast.folded.eps > 0)
 
 
+@pytest.mark.ranks
 def test_kinks_are_where_chords_leave_sides(tables) -> None:
     slow, fast = tables
     kinks = slow.kinks()
@@ -112,6 +115,7 @@ def test_kinks_are_where_chords_leave_sides(tables) -> None:
     assert slow.numbering.nodes.ids(fast.kink_nodes) == [node for _, _, node in kinks]
 
 
+@pytest.mark.ranks
 def test_facets_are_those_of_the_pieces(tables) -> None:
     """All cells are under pressure."""
     slow, fast = tables
@@ -121,6 +125,7 @@ def test_facets_are_those_of_the_pieces(tables) -> None:
     assert fast.facets.weights.tolist() == weights.tolist()
 
 
+@pytest.mark.ranks
 def test_sliding_points_are_damped_along_their_edges(tables) -> None:
     slow, fast = tables
     sliders = slow.sliders()
@@ -129,6 +134,7 @@ def test_sliding_points_are_damped_along_their_edges(tables) -> None:
     assert found.fractions.tolist() == [fraction for _, fraction in sliders]
 
 
+@pytest.mark.ranks
 def test_simplices_are_those_around_the_cells(tables) -> None:
     strip = tables[0].strip
     found: Simplices = strip.simplices

@@ -143,6 +143,7 @@ def test_an_oblique_cable_over_a_held_boundary(comm) -> None:
     assert max(abs(pull_at(cable, k)[1]) for k in places) > 5e-3 * cable.tension
 
 
+@pytest.mark.ranks
 def test_the_number_of_processes_does_not_matter(comm) -> None:
     (apart, cable, _), (alone, twin, _) = oblique(comm), oblique(MPI.COMM_SELF)
     assert cable.tension == pytest.approx(twin.tension, rel=1e-9)
@@ -161,6 +162,7 @@ def spanned(comm: MPI.Intracomm) -> tuple[Scene, LaidCable, Solver]:
     return scene, cable, solver
 
 
+@pytest.mark.ranks
 def test_spans_from_rails_on_any_number_of_processes(comm) -> None:
     """Their ends may belong to ranks that have no cell of each other's."""
     scene, cable, solver = spanned(comm)
@@ -205,6 +207,7 @@ def whole(comm: MPI.Intracomm) -> tuple[System, OnMesh]:
     return system, OnMesh(system.unknowns, scene.u, system.potential.terms)
 
 
+@pytest.mark.ranks
 def test_gradient_and_stiffness_of_a_whole_potential(comm) -> None:
     system, f = whole(comm)
     assert comm.allreduce(f.unknowns.n_rails) >= 3 and comm.allreduce(f.unknowns.n_riders) >= 1
@@ -217,6 +220,7 @@ def test_gradient_and_stiffness_of_a_whole_potential(comm) -> None:
     }  # fmt: skip
 
 
+@pytest.mark.ranks
 def test_whole_potential_does_not_depend_on_the_number_of_ranks(comm) -> None:
     found = []
     for group in (comm, MPI.COMM_SELF):
@@ -248,6 +252,7 @@ def test_an_anchor_may_come_to_a_rail(comm) -> None:
     assert comm.allreduce(int(beside.sum())) == 6
 
 
+@pytest.mark.ranks
 def test_a_moved_edge_takes_its_rail_along(comm) -> None:
     """Turned and shifted with its edge, the rail keeps its place there, slack or taut."""
     scene = ridged(comm)

@@ -52,6 +52,7 @@ def straight_over(comm: MPI.Intracomm) -> tuple[Scene, LaidCable]:
     return scene, cable
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("ends", PATHS)
 def test_its_length_is_the_cables(comm: MPI.Intracomm, ends: str) -> None:
     scene, cable = tightened(comm, ends, structured=False)
@@ -135,6 +136,7 @@ def test_laid_again_where_it_is_lifted(comm: MPI.Intracomm) -> None:
     assert again.lifted.sum() >= 3
 
 
+@pytest.mark.ranks
 def test_laid_again_across_another(comm: MPI.Intracomm) -> None:
     """The point where two cross inside a cell is in the line, but in no path."""
     scene, solver = inflated(comm)
@@ -155,6 +157,7 @@ def test_a_line_after_the_shape_has_changed_is_a_route_like_others(comm: MPI.Int
     assert again.length == pytest.approx(cable.length, rel=1e-2)
 
 
+@pytest.mark.ranks
 def test_tensions_along_it(comm: MPI.Intracomm) -> None:
     """One for each part, also where an anchor lies on the membrane's held edge."""
     scene, solver = inflated(comm)

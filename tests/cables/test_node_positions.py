@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from cable_edits import put
 from mpi4py import MPI
 from term_scene import cable_square, displaced
@@ -24,6 +25,7 @@ def vertices(scene: Scene) -> dict[int, np.ndarray]:
     return {i: x for part in scene.comm.allgather(own) for i, x in part.items()}
 
 
+@pytest.mark.ranks
 def test_places_in_space_on_edges_and_on_the_membrane(comm: MPI.Intracomm) -> None:
     system = cable_square(comm)
     scene = system.scene
@@ -63,6 +65,7 @@ def test_places_in_space_on_edges_and_on_the_membrane(comm: MPI.Intracomm) -> No
         assert all(far) and not cable.blocked
 
 
+@pytest.mark.ranks
 def test_a_point_at_a_vertex_is_blocked(comm: MPI.Intracomm) -> None:
     system = cable_square(comm)
     scene = system.scene

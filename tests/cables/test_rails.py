@@ -90,6 +90,7 @@ def everywhere(f: OnMesh, values: Array) -> Array:
     return np.concatenate(f.unknowns.comm.allgather(values)).ravel()
 
 
+@pytest.mark.ranks
 def test_rails_stay_on_their_lines(comm) -> None:
     """Ghosts too, wherever the minimiser wants them."""
     f = cables(comm)
@@ -144,6 +145,7 @@ def test_stiffness_is_projected(comm) -> None:
     assert is_semidefinite(f.matrix(x))
 
 
+@pytest.mark.ranks
 def test_stiffness_and_dyads_are_the_second_derivative(comm) -> None:
     f = cables(comm)
     f.value(shaken(f, 1))
@@ -163,6 +165,7 @@ def test_stiffness_and_dyads_are_the_second_derivative(comm) -> None:
     assert stiffness_error(f, x, d) < 1e-7
 
 
+@pytest.mark.ranks
 def test_minimiser_gets_forces_along_the_lines(comm) -> None:
     """Those across them count as the scene's own force, to which it compares."""
     f, twin = cables(comm), cables(comm, rails=False)
@@ -182,6 +185,7 @@ def test_minimiser_gets_forces_along_the_lines(comm) -> None:
     X.destroy()
 
 
+@pytest.mark.ranks
 def test_initial_hessian_is_its_dense_twin(comm) -> None:
     """P K P, and the size of K across the lines and where points are held."""
     f = cables(comm)

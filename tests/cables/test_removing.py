@@ -55,6 +55,7 @@ def numbers(scene: Scene) -> list[float]:
     return values + [x for cable in scene.cables for x in (cable.tension, cable.length)]
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("names", [["a"], ["a", "across"], ["across", "a", "b"]])
 @pytest.mark.parametrize("gone", [0, -1])
 def test_as_if_it_had_never_been(names: list[str], gone: int) -> None:
@@ -134,6 +135,7 @@ def test_a_new_cable_of_its_name_inherits_nothing() -> None:
     assert scene.lay_cable(SMOOTH, PATHS["b"]).name == "cable 4", "no name of another one"
 
 
+@pytest.mark.ranks
 def test_what_cannot_be_removed() -> None:
     scene, other = sheet(2), sheet(2)
     cable, theirs = lay(scene, "a"), lay(other, "a")
@@ -186,6 +188,7 @@ def script(folder: Path, resume: bool) -> Solver:
     return solver
 
 
+@pytest.mark.ranks
 def test_resumed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """After each of its load steps and after all, from what a process that was killed then left."""
     kept, keep = 0, Journal.keep
@@ -212,6 +215,7 @@ def test_resumed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         assert again.scene.dissipated == pytest.approx(whole.scene.dissipated, rel=1e-6)
 
 
+@pytest.mark.ranks
 def test_saved_and_loaded(folder: Path) -> None:
     solver = inflated(["a", "across", "b"], ROUGH)
     solver.scene.remove("a")

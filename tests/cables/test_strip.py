@@ -65,6 +65,7 @@ def some_vertices(scene: Scene) -> list[int]:
     ]
 
 
+@pytest.mark.ranks
 def test_cells_around_vertices(comm: MPI.Intracomm) -> None:
     scene = scene_of(comm)
     vertices = some_vertices(scene)
@@ -75,6 +76,7 @@ def test_cells_around_vertices(comm: MPI.Intracomm) -> None:
     assert len(cells_at(scene.membrane, []).cells) == 0
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("rings", [1, 2, 3])
 def test_it_grows_ring_by_ring(comm: MPI.Intracomm, rings: int) -> None:
     scene = scene_of(comm)
@@ -121,6 +123,7 @@ def test_cells_around_vertices_edges_and_cells(comm: MPI.Intracomm) -> None:
     assert [strip.row_of[int(v)] for v in strip.vertices] == list(range(len(strip.vertices)))
 
 
+@pytest.mark.ranks
 def test_held_edges_are_those_of_held_groups(comm: MPI.Intracomm) -> None:
     """The boundary's edges near the vertices, and no edge between two held vertices inside."""
     scene = scene_of(comm)
@@ -142,6 +145,7 @@ def test_held_edges_are_those_of_held_groups(comm: MPI.Intracomm) -> None:
     assert cells_at(free.membrane, vertices).held_edges == frozenset()
 
 
+@pytest.mark.ranks
 def test_its_shape_is_the_scenes(comm: MPI.Intracomm) -> None:
     scene = scene_of(comm)
     strip = cells_at(scene.membrane, some_vertices(scene))
@@ -177,6 +181,7 @@ def test_its_normals_are_those_of_the_cells(comm: MPI.Intracomm) -> None:
         assert size == pytest.approx(np.linalg.norm(own, axis=1).mean() ** 0.5)
 
 
+@pytest.mark.ranks
 def test_laying_a_cable_gathers_the_cells_around_its_points(comm: MPI.Intracomm) -> None:
     scene = scene_of(comm)
     cable = scene.lay_cable(Cable(32000.0), [(0.0, 31.0), (100.0, 52.0)])

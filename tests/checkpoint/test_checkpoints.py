@@ -99,6 +99,7 @@ def assert_same(one: object, other: object, what: str) -> None:
         assert one == other or one != one, what
 
 
+@pytest.mark.ranks
 def test_a_run_goes_on_as_if_it_had_not_ended(folder: Path) -> None:
     solver = sheet(COMM)
     first_half(solver)
@@ -139,6 +140,7 @@ def test_a_run_goes_on_as_if_it_had_not_ended(folder: Path) -> None:
         np.testing.assert_array_equal(again.history[column], solver.history[column], column)
 
 
+@pytest.mark.ranks
 def test_saved_and_loaded_by_other_numbers_of_processes(folder: Path) -> None:
     """By all ranks and by two halves of them, and by one and by all."""
     if COMM.size == 1:
@@ -164,6 +166,7 @@ def test_saved_and_loaded_by_other_numbers_of_processes(folder: Path) -> None:
     halves.Free()
 
 
+@pytest.mark.ranks
 def test_laws_with_history(folder: Path) -> None:
     """The paper's laws know of all steps before: stresses, shapes, volume, tension."""
 
@@ -235,6 +238,7 @@ def test_results_go_on(folder: Path) -> None:
     assert text.count("DataSet") == 1 and 'timestep="3.0"' in text
 
 
+@pytest.mark.ranks
 def test_another_scene_is_refused(folder: Path) -> None:
     inflated().save(folder / "point")
     moved = meshes.rectangle(COMM, 100.0, 100.001, size=100 / 3, structured=True)
@@ -322,6 +326,7 @@ def change(path: Path, name: str, value: object) -> None:
     path.write_text(signed(data))
 
 
+@pytest.mark.ranks
 def test_broken_files_are_named(folder: Path) -> None:
     solver = inflated()
     solver.save(folder / "good")
@@ -362,6 +367,7 @@ class Killed(BaseException):
     pass
 
 
+@pytest.mark.ranks
 def test_killed_at_any_moment_one_checkpoint_is_complete(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

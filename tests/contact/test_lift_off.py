@@ -38,6 +38,7 @@ def top(scene) -> float:
     return max(scene.comm.allgather(float(scene.positions()[:, 2].max(initial=-np.inf))))
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("kind", ["on mesh lines", *KINDS])
 def test_cable_that_touches_in_part_converges(comm, kind: str) -> None:
     """The contact ends at points of edges: T and z scatter by a fraction of a cell's error."""
@@ -53,6 +54,7 @@ def test_cable_that_touches_in_part_converges(comm, kind: str) -> None:
     assert x[2] == pytest.approx(Z_EXACT, abs=0.002)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("seed", range(10))
 def test_random_anchors_neither_pull_nor_penetrate(comm, seed: int) -> None:
     """A few thousandths of the tension are the mesh's: normals turn from cell to cell."""
@@ -101,6 +103,7 @@ def test_slack_cable_leaves_the_membrane_as_it_is_without_cables(comm) -> None:
     assert top(scene) == pytest.approx(height, rel=1e-8)
 
 
+@pytest.mark.ranks
 def test_cable_lifts_off_altogether(comm) -> None:
     """It is a straight bar then, and the membrane that without cables."""
     scene, cable, solver = held_down(comm, 9)
@@ -146,6 +149,7 @@ def test_cable_from_a_mast_runs_free_and_then_lies_on_the_membrane(comm, kind: s
     assert deepest(scene, cable) < 1e-6
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("kind", KINDS)
 def test_contacts_are_released_as_one_by_one(comm, kind: str) -> None:
     """In a state that is none of equilibrium: some press, some pull; some are lifted already."""

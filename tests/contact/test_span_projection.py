@@ -73,6 +73,7 @@ def test_towards_anchors(comm) -> None:
     np.testing.assert_allclose(place, at + 0.2 * along, atol=1e-9)
 
 
+@pytest.mark.ranks
 def test_unknown_cells_are_asked_for(comm) -> None:
     scene = clamped(square(comm, 7, "unstructured"))
     between = np.array([(0.0, 20.0, 0.0), (100.0, 20.0, 0.0)])
@@ -86,6 +87,7 @@ def test_unknown_cells_are_asked_for(comm) -> None:
         project_span(shape, first, node_place(shape, first), last, np.array([95.0, 20.0, 0.0]))
 
 
+@pytest.mark.ranks
 def test_bent_edges_and_anchors_of_the_folded_surface(comm) -> None:
     _, shape = whole(comm, "structured")
     points = route(shape, (0, 13), (100, 71))

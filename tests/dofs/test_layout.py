@@ -25,6 +25,8 @@ from crms_fenicsx.model.laid_cable import polyline_length
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.scene import Scene
 
+pytestmark = pytest.mark.ranks
+
 
 class Springs(EnergyTerm):
     """Half the square of the distance from one place of all points, vertices only counted where

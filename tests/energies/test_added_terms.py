@@ -111,6 +111,7 @@ def test_stiffness_in_h0_spares_iterations(comm: MPI.Intracomm) -> None:
     assert taken[StiffSprings] < taken[Springs]
 
 
+@pytest.mark.ranks
 def test_with_cables(comm: MPI.Intracomm) -> None:
     scene = sheet(comm, 8, "unstructured")
     solver = Solver(scene)
@@ -140,6 +141,7 @@ def test_weight_of_a_flat_sheet(comm: MPI.Intracomm) -> None:
     assert low[0] == pytest.approx(low[1], rel=0.1) and low[0] < -1.0
 
 
+@pytest.mark.ranks
 def test_an_integral_joins_the_pass_over_the_mesh(comm: MPI.Intracomm) -> None:
     scene = sheet(comm, 8)
     term = Foundation(scene, 1e-3)
@@ -198,6 +200,7 @@ def test_taylor_test_of_a_wrong_term(comm: MPI.Intracomm) -> None:
     refused(lambda: taylor_test(term, scene.u), "not symmetric")
 
 
+@pytest.mark.ranks
 def test_bad_terms_are_refused(comm: MPI.Intracomm) -> None:
     scene = sheet(comm, 4)
 
@@ -274,6 +277,7 @@ class Wear(Springs):
         self.rest, self.ended = x[: self.unknowns.n_vertices].copy(), self.ended + 1
 
 
+@pytest.mark.ranks
 def test_a_term_with_history(comm: MPI.Intracomm, tmp_path: Path) -> None:
     scene = sheet(comm, 4)
     scene.add_term(wear := Wear(k=0.05))

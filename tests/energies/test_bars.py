@@ -105,6 +105,7 @@ def test_loads_on_joints_are_linear():
     assert not g[[0, 2, 4]].any()
 
 
+@pytest.mark.ranks
 def test_bars_between_joints_and_vertices_of_any_rank(comm):
     """The first rank computes bars to vertices that it has not."""
     mesh = meshes.rectangle(comm, 8.0, 6.0, 2.0, structured=True)

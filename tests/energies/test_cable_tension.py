@@ -187,6 +187,7 @@ def test_gradient_on_free_points():
     assert gradient_order(f, x, d) == pytest.approx(2, abs=0.03)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("size", [0.3, 3.0])
 def test_gradient_on_the_membrane(comm, size):
     f = on_mesh(cable_square(comm), "CableTension")
@@ -219,6 +220,7 @@ def test_stiffness_lacks_the_dyad_of_the_whole_cable_alone():
     np.testing.assert_allclose(f.matrix(x) + dyads, hessian, atol=1e-5 * np.abs(hessian).max())
 
 
+@pytest.mark.ranks
 def test_stiffness_on_the_membrane(comm):
     """With riders and anchors, on any number of ranks."""
     system = cable_square(comm)

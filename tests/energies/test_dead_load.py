@@ -87,6 +87,7 @@ def test_gradient_and_energy(comm):
     assert energy == pytest.approx(-0.7 * f.dot(forces, x), rel=1e-11)
 
 
+@pytest.mark.ranks
 def test_gradient_beside_cables(comm):
     """With all the other terms around it and ghosts, riders and fold points among the unknowns."""
     system = cable_square(comm)
@@ -106,6 +107,7 @@ def test_a_scene_without_a_load_has_none(comm):
     assert "dead load" not in names
 
 
+@pytest.mark.ranks
 def test_supports_carry_the_load(comm):
     """The reactions balance weight to the solver's tolerance; so do they with cables that fold."""
     scene = Scene(irregular_square(comm), ISOTROPIC)
@@ -167,6 +169,7 @@ def test_no_equilibrium_leaves_the_load_of_the_last_good_state(comm, monkeypatch
     assert scene.load("load").factor == 0.5
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("force", "message"),
     [
@@ -220,6 +223,7 @@ def test_bad_factors(comm):
         Solver(scene).advance(load=np.nan)
 
 
+@pytest.mark.ranks
 def test_forces_from_elsewhere(comm):
     """Nodal forces of a dead load, given as a function, are that load; what is copied stays."""
     found = []
@@ -240,6 +244,7 @@ def test_forces_from_elsewhere(comm):
     np.testing.assert_allclose(found[1], found[0], rtol=1e-9, atol=1e-7)
 
 
+@pytest.mark.ranks
 def test_forces_that_cannot_be_put(comm):
     scene = lifted_scene(comm)
     other = fem.Function(fem.functionspace(scene.mesh.mesh, ("Lagrange", 1)))

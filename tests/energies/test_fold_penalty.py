@@ -56,6 +56,7 @@ def test_gradient(weighted):
         assert gradient_order(f, x, d) == pytest.approx(2, abs=0.03)
 
 
+@pytest.mark.ranks
 @KINDS
 def test_gradient_on_the_membrane(comm, weighted):
     choices = {} if weighted else {"literal_penalty": 30.0}
@@ -177,6 +178,7 @@ def test_coefficients_follow_the_cells_stiffness(comm):
     assert comm.allreduce(len(rows)) > 40
 
 
+@pytest.mark.ranks
 def test_kinks_are_measured_between_neighbours_on_the_side(comm):
     """Next to a fold point on its side may be another cable's, not the side's end."""
     system = cable_square(comm)

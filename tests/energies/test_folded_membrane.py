@@ -137,6 +137,7 @@ def test_cell_with_straight_sides_is_the_plain_cell(material, folds, shift):
     np.testing.assert_allclose(g[3:], 0, atol=1e-12 * np.abs(forces).max(initial=1.0))
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("material", [ISOTROPIC, TENSED_FABRIC], ids=["relaxed", "fabric"])
 def test_straight_folds_on_a_mesh_are_plain_cells(comm, material):
     system = cable_square(comm, material)
@@ -194,6 +195,7 @@ def test_gradient_of_a_cell(material, folds, stretch):
     assert gradient_order(f, x, rng.normal(size=x.shape)) == pytest.approx(2, abs=0.02)
 
 
+@pytest.mark.ranks
 @every_material
 @pytest.mark.parametrize("size", [0.3, 3.0])
 def test_gradient_on_a_mesh(comm, material, size):
@@ -309,6 +311,7 @@ def test_rigid_motion_changes_nothing(comm, material):
     np.testing.assert_allclose(moment, 0, atol=1e-9 * size)
 
 
+@pytest.mark.ranks
 def test_tables_of_the_scene(comm):
     """Folded cells are those that leave the membrane term, with all their area and sides."""
     system = cable_square(comm)

@@ -32,6 +32,7 @@ def volume(points):
     return np.einsum("ni,ni", points[:, 0], np.cross(points[:, 1], points[:, 2])) / 6
 
 
+@pytest.mark.ranks
 def test_derivatives(comm):
     system = windy_square(comm, gusty)
     f = on_mesh(system, "FoldedWind")
@@ -42,6 +43,7 @@ def test_derivatives(comm):
         assert stiffness_error(exact, x, d, h=1e-5) < 2e-6, name
 
 
+@pytest.mark.ranks
 def test_facets_of_each_cell_close(comm):
     """So its forces balance each other, and the volume is the same from anywhere."""
     system = windy_square(comm, gusty)

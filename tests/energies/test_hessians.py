@@ -14,6 +14,7 @@ TERMS = [
 ]  # fmt: skip
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("material", [ISOTROPIC, STIFF, FABRIC], ids=["wrinkling", "raw", "fabric"])
 @pytest.mark.parametrize("name", TERMS)
 def test_second_derivatives(comm, name, material):
@@ -28,6 +29,7 @@ def test_second_derivatives(comm, name, material):
         assert stiffness_error(f, x, d, h=1e-5) < 2e-6, way
 
 
+@pytest.mark.ranks
 def test_second_derivatives_of_the_whole(comm):
     """The remainder of the potential's expansion is of third order."""
     system = cable_square(comm)

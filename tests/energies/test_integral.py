@@ -13,6 +13,7 @@ from crms_fenicsx.model.materials import MembraneMaterial
 BOTH = "MembraneEnergy", "FollowerPressure"
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("material", [ISOTROPIC, FABRIC])
 def test_terms_together_are_those_alone(comm: MPI.Intracomm, material: MembraneMaterial) -> None:
     system = cable_square(comm, material)

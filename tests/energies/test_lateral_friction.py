@@ -256,6 +256,7 @@ def slid(system, size):
     return x[: unknowns.n_owned].copy()
 
 
+@pytest.mark.ranks
 def test_term_of_a_scene(comm):
     """Nodes that stick and nodes that slide, two on one edge, and rails."""
     system = friction_square(comm, Friction(0.4, tolerance=0.01))
@@ -307,6 +308,7 @@ def test_paper_element_is_linear():
         np.testing.assert_allclose(g, expected, atol=1e-15)
 
 
+@pytest.mark.ranks
 def test_paper_elements_of_a_scene(comm):
     """Their work begins at zero, and grows with the slip to the side to which a node slides."""
     system = friction_square(comm, Friction(0.4, law="step"))

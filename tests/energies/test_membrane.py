@@ -103,6 +103,7 @@ def test_the_shapes_tested_have_all_states(comm, material):
     assert states_of(scene, term) == {0.0, 1.0, 2.0}
 
 
+@pytest.mark.ranks
 @every_material
 @pytest.mark.parametrize("stretch, size", [(1.15, 0.2), (0.97, 3.0)])
 def test_gradient(comm, material, stretch, size):
@@ -118,6 +119,7 @@ def test_a_wrong_gradient_has_order_one(comm):
     assert gradient_order(f, 0.15 * X + 0.2 * noise(X, 1), noise(X, 2)) < 1.9
 
 
+@pytest.mark.ranks
 @every_material
 def test_stiffness_is_exact_where_all_is_taut(comm, material):
     _, term, f, X = membrane_on(comm, material)
@@ -202,6 +204,7 @@ def test_no_energy_and_no_forces_without_displacement(comm, material):
     assert not np.any(g)
 
 
+@pytest.mark.ranks
 def test_folded_cells_leave_the_term(comm):
     _, term, f, X = membrane_on(comm, ISOTROPIC)
     x = 0.1 * X
@@ -272,6 +275,7 @@ def test_warp_normal_to_the_membrane(comm, bad):
         MembraneEnergy(scene.u, scene.materials)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     "bad",
     [

@@ -66,6 +66,7 @@ def ponds(comm: MPI.Intracomm, **given: float) -> tuple[Scene, System, Ponding]:
     return scene, system, system.ponds.ponds[0]
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("given", [{"level": 0.4}, {"volume": 4000.0}], ids=["level", "volume"])
 def test_taylor_with_folded_cells(comm: MPI.Intracomm, given: dict[str, float]) -> None:
     """On both sides of the water's line; a given volume has its dyad beside the same Hessian."""
@@ -102,6 +103,7 @@ def test_its_forces_are_normal(comm: MPI.Intracomm) -> None:
     vector.destroy()
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("volume", [1e-3, 40.0, 4e3, 1e7])
 def test_any_volume_finds_its_level(comm: MPI.Intracomm, volume: float) -> None:
     """From far below or above, in few drops as in a flood."""

@@ -88,6 +88,7 @@ def test_origin_does_not_matter_while_the_boundary_is_held(comm):
     assert energies[0] != 0.0
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("origin", [(0.0, 0.0, 0.0), (50.0, 50.0, 0.0)])
 def test_gradient_of_the_follower_pressure(comm, origin):
     _, _, f, X = pressure_on(comm, FollowerPressure, origin=origin)
@@ -335,6 +336,7 @@ def test_mirrored_folded_cells_have_mirrored_forces():
     np.testing.assert_allclose(there, back * (1, -1, 1), atol=1e-15)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("size", [0.3, 3.0])
 def test_gradient_on_folded_cells(comm, size):
     system = cable_square(comm)
@@ -354,6 +356,7 @@ def test_straight_folds_have_the_volume_of_plain_cells(comm):
     assert comm.allreduce(int(np.sum(system.membrane.energy.plain.x.array == 0))) > 20
 
 
+@pytest.mark.ranks
 def test_folded_step_pressure(comm):
     """Linear in a step with the forces of the step's start, which are a third of each facet's
     area vector; steps add up."""

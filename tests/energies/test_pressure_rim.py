@@ -57,6 +57,7 @@ def square(comm: MPI.Intracomm, part: str) -> Scene:
     return scene
 
 
+@pytest.mark.ranks
 def test_parts_of_a_symmetric_square(comm: MPI.Intracomm) -> None:
     """Energy and volume are those of the whole, also with a cable across the plane."""
     found: dict[str, list[np.ndarray]] = {}
@@ -124,6 +125,7 @@ def test_a_cable_that_folds_a_sliding_edge_is_refused(comm: MPI.Intracomm) -> No
         Solver(scene).advance(pressure=0.01)
 
 
+@pytest.mark.ranks
 def test_free_edges_are_in_equilibrium_with_the_follower_pressure(comm: MPI.Intracomm) -> None:
     """After one call with the paper's pressure, whatever the steps; with a cable too."""
     energies = []

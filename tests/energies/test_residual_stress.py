@@ -27,6 +27,7 @@ def energy_one_by_one(scene: Scene, forces: np.ndarray) -> float:
     return total
 
 
+@pytest.mark.ranks
 def test_residual_stress(comm: MPI.Intracomm) -> None:
     scene = Scene(irregular_square(comm, 20.0), ISOTROPIC)
     forces = np.random.default_rng(comm.rank).normal(size=(len(scene.V.dofmap.list), 3, 3))

@@ -16,6 +16,7 @@ from crms_fenicsx.minimization.taylor import TermsWithDyads
 from crms_fenicsx.model.sealed_air import LEAST, SealedAir
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("exponent", [1.0, 1.4])
 def test_taylor_with_folded_cells(comm: MPI.Intracomm, exponent: float) -> None:
     """All parts of the volume count, and the dyad is what a given pressure's Hessian lacks."""
@@ -37,6 +38,7 @@ def test_taylor_with_folded_cells(comm: MPI.Intracomm, exponent: float) -> None:
         assert stiffness_error(f, x, d, h=1e-5) < 2e-6
 
 
+@pytest.mark.ranks
 def test_taylor_where_the_rim_slides(comm: MPI.Intracomm) -> None:
     scene = octant(comm, 3)
     scene.seal(volume=65.0)

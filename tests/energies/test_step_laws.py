@@ -65,6 +65,7 @@ def test_step_strain_converges_with_the_strain(comm, material) -> None:
     assert abs(differences[-1]) < 1e-3
 
 
+@pytest.mark.ranks
 def test_step_strain_in_folded_cells_converges_with_the_strain(comm) -> None:
     """Small loads, so that only the difference of the laws in folded cells could remain."""
     tensions = []
@@ -111,6 +112,7 @@ def test_stresses_of_the_step_law_tend_to_those_of_the_total_law(comm, material)
 TOTAL = {"strain": "total", "pressure": "total", "cable": "total"}
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("laws", [
     {}, {"strain": "step"}, {"pressure": "step"}, {"strain": "step", "pressure": "step"},
     {"cable": "step"}, {"strain": "step", "pressure": "step", "cable": "step"},

@@ -35,6 +35,7 @@ def stepped(comm, material, **options):
     return f, first
 
 
+@pytest.mark.ranks
 @MATERIALS
 def test_gradient(comm, material) -> None:
     f, first = stepped(comm, material)

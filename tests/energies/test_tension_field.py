@@ -232,6 +232,7 @@ def uniaxial_or_linear(material: MembraneMaterial, e: Array, state: int) -> Arra
     return np.asarray((n @ e) / (n @ C @ n) * n)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("state", STATES)
 @pytest.mark.parametrize("warp", [(1.0, 0.0, 0.0), (1.0, 2.0, 0.3), (-1.0, 0.5, 0.0), turning])
 def test_patch(comm: MPI.Intracomm, state: str, warp: Any) -> None:
@@ -283,6 +284,7 @@ def test_parts_of_different_materials(comm: MPI.Intracomm) -> None:
         np.testing.assert_allclose(mixed, expected, atol=1e-12)
 
 
+@pytest.mark.ranks
 def test_inflated_square_of_isotropic_data(comm: MPI.Intracomm) -> None:
     E, nu, t = 300.0, 0.25, 0.08
     mesh, energies, states = square(comm, 16), [], []

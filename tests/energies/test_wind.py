@@ -69,6 +69,7 @@ def test_uniform_suction_is_the_pressure(comm):
     np.testing.assert_allclose(found, exact, rtol=1e-8)
 
 
+@pytest.mark.ranks
 def test_uniform_suction_under_a_cable_is_the_pressure(comm):
     """It acts on the facets of folded cells, and on the points between them."""
     found = under_suction(comm, 12.0, True, load=0.6)
@@ -92,6 +93,7 @@ def test_parts_have_coefficients_of_their_own(comm):
     np.testing.assert_allclose(total, expected, atol=1e-9)
 
 
+@pytest.mark.ranks
 def test_supports_carry_the_wind_of_the_shape_that_it_leads_to(comm):
     """Reactions against the integral over the final shape, in one step and in three."""
     tops = []
@@ -122,6 +124,7 @@ def test_wind_needs_the_exact_pressure(comm):
     solver.advance(pressure=0.005)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("pressure", "coefficient", "message"),
     [

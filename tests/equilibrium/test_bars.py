@@ -163,6 +163,7 @@ def test_guys_are_tightened_and_anchors_moved(comm):
     assert west.force == pytest.approx(3.0 * 10 / 8, rel=1e-2)
 
 
+@pytest.mark.ranks
 def test_chains_without_stiffness_find_their_funicular(comm):
     """Straight, slack and held by nothing at first: it hangs with the moments of a beam."""
     for bar in (Bar(1e6), Bar(1e6, tension_only=True)):
@@ -240,6 +241,7 @@ def tent(comm, folder=None, resume=None, ranks=None):
     return solver
 
 
+@pytest.mark.ranks
 def test_a_tent_on_masts_is_in_balance(comm):
     """Anchors, held corners and the ends of cables there carry the load, its area known."""
     solver = tent(comm)
@@ -256,6 +258,7 @@ def test_a_tent_on_masts_is_in_balance(comm):
     assert scene.bar("mast 0").force < -1.0
 
 
+@pytest.mark.ranks
 def test_bars_do_not_depend_on_who_has_the_vertices(comm):
     """Also where the first rank, which computes them, has no cell."""
 
@@ -272,6 +275,7 @@ def test_bars_do_not_depend_on_who_has_the_vertices(comm):
     np.testing.assert_allclose(*forces, rtol=1e-7)
 
 
+@pytest.mark.ranks
 def test_a_cable_ends_at_a_joint_that_its_balance_moves(comm):
     scene = sheet(comm, 1.0)
     tops = []
@@ -302,6 +306,7 @@ def test_a_cable_ends_at_a_joint_that_its_balance_moves(comm):
         scene.lay_cable(Cable(1.0), [flat, (4.0, 1.5, 0.0)])
 
 
+@pytest.mark.ranks
 def test_branches_and_checkpoints_have_the_bars(comm, tmp_path):
     folder = Path(comm.bcast(str(tmp_path)))
     solver = tent(comm, folder / "run", False)
@@ -370,6 +375,7 @@ def test_what_is_written_has_the_bars(comm, tmp_path):
     assert (folder / "cables.pvd").exists()
 
 
+@pytest.mark.ranks
 def test_joints_that_nothing_holds_are_refused(comm):
     scene = sheet(comm)
     solver = Solver(scene)

@@ -149,6 +149,7 @@ def reference(request: pytest.FixtureRequest) -> tuple[str, Result]:
     return kind, result(kind, Variant())
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("name", list(VARIANTS))
 def test_what_must_not_matter(reference: tuple[str, Result], name: str) -> None:
     kind, expected = reference
@@ -195,6 +196,7 @@ def test_ends_move_all_the_way(kind: str) -> None:
     assert (aside < 0.3).all() and {cable.nodes[k].kind for k in (1, -2)} <= {"rail", "vertex"}
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("kind", [FREE, LINE])
 def test_the_number_of_processes_does_not_matter(kind: str) -> None:
     """Distributed over all ranks, and whole on each of them."""
@@ -219,6 +221,7 @@ def forces_of(solver: Solver, names: set[str]) -> Array:
     return potential.g[: potential.unknowns.n_owned].copy()
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("kind", [FREE, LINE])
 def test_forces_and_energies_balance(kind: str) -> None:
     scene, cable, solver = solved(kind, Variant())

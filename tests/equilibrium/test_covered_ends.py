@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import warnings
 
+import pytest
 from mpi4py import MPI
 
 from crms_fenicsx import Cable, IsotropicMembrane, PathWarning, Scene, Solver, meshes
+
+pytestmark = pytest.mark.ranks
 
 
 def test_an_end_that_the_membrane_rises_above_is_told(comm: MPI.Intracomm) -> None:

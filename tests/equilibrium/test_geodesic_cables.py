@@ -100,6 +100,7 @@ def tightened(comm: MPI.Intracomm, n: int, place: Map, ends: np.ndarray):
     return scene, cable
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("name", SURFACES)
 def test_cable_on_a_rigid_surface_is_a_geodesic(comm, name: str) -> None:
     """Jitter scatters the errors, so that the fitted order is that of three sizes roughly."""

@@ -28,6 +28,7 @@ def order(sizes: list[float], errors: list[float]) -> float:
     return float(np.polyfit(np.log(sizes), np.log(np.abs(errors)), 1)[0])
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("n", "wrinkling", "w", "W"),
     [
@@ -109,6 +110,7 @@ def cable_on_square(comm, n: int, kind: str):
     return scene, cable, float(np.interp(50.0, x[1:-1, 0], x[1:-1, 2]))
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("n", "T", "w", "W"),
     [
@@ -139,6 +141,7 @@ def test_cable_on_mesh_lines_converges(comm) -> None:
         assert order([1 / 8, 1 / 16, 1 / 32], list(error)) > 1.9
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("kind", ["structured", "unstructured", "rotated"])
 def test_cable_anywhere_converges(comm, kind: str) -> None:
     """Meshes that know nothing of the cable: it crosses cells in mid-row or anyhow."""

@@ -28,6 +28,7 @@ def slid(comm, n, kind, path=ENDS, L0=100.0, *, steps=1, slide=True):
     return scene, cable, step
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("kind", KINDS)
 def test_sliding_cable_converges(comm, kind: str) -> None:
     """The blocked cable has T = 103.8178, .7 % off, and y = 30; so these tolerances tell."""
@@ -42,6 +43,7 @@ def test_sliding_cable_converges(comm, kind: str) -> None:
     assert x[2] == pytest.approx(MIDDLE[2], abs=0.005)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("n", [9, 17])
 def test_equilibrium_does_not_depend_on_where_a_cable_is_laid(comm, n: int, kind: str) -> None:
@@ -105,6 +107,7 @@ def test_mirrored_and_renumbered_scenes_have_mirrored_equilibria(comm) -> None:
         np.testing.assert_allclose(other[2], x, rtol=0, atol=1e-6)
 
 
+@pytest.mark.ranks
 def test_without_sliding_a_cable_is_blocked_and_says_so(comm) -> None:
     detour = [ENDS[0], (50.0, 40.0), ENDS[1]]
     free = slid(comm, 9, "unstructured", detour, 103.0)[0]

@@ -54,6 +54,7 @@ def advanced(solver: Solver, kind: type[Warning] = InstabilityWarning, **loads: 
     return step
 
 
+@pytest.mark.ranks
 def test_a_mast_without_guys(comm: MPI.Intracomm) -> None:
     scene = sheet(comm)
     mast(scene)
@@ -118,6 +119,7 @@ def test_refused_or_ignored(comm: MPI.Intracomm) -> None:
         Solver(scene, stability="maybe")  # type: ignore[arg-type]
 
 
+@pytest.mark.ranks
 def test_a_prop_under_a_sheet(comm: MPI.Intracomm) -> None:
     """It stands while the sheet holds its head: N / l is less than the stiffness sideways."""
     soft = IsotropicMembrane(E=1e-3, nu=0.3, thickness=1.0, prestress=1.0, wrinkling=False)
@@ -134,6 +136,7 @@ def test_a_prop_under_a_sheet(comm: MPI.Intracomm) -> None:
     assert "the vertex at (2, 2, 0)" in step.warnings[0].text
 
 
+@pytest.mark.ranks
 def test_water_at_the_level_of_a_flat_roof(comm: MPI.Intracomm) -> None:
     """Dry, but the least sag draws water; a hair below the roof it does not."""
     for level, kind in ((0.0, PondWarning), (-1e-3, None)):

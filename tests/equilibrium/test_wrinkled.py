@@ -20,6 +20,7 @@ def evaluations(solver: Solver) -> int:
     return sum(step.outcome.evaluations for step in solver.steps)
 
 
+@pytest.mark.ranks
 def test_a_sheared_square(comm: MPI.Intracomm) -> None:
     """One side moved along itself by a fifth of its length; half of that or all at once."""
     energies = []
@@ -50,6 +51,7 @@ def tent(
     return Solver(scene, max_halvings=0), cables
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("tension", [5.0, 8.0, 12.0])
 def test_forming_a_tent(comm: MPI.Intracomm, tension: float) -> None:
     """Its edges give way by 2 cm, by which it has lost most of its prestress."""

@@ -73,6 +73,7 @@ def test_arguments(comm: MPI.Intracomm, mesh: MembraneMesh, idle: None) -> None:
             find_form(**good, **two)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("given", "match"),
     [

@@ -36,6 +36,7 @@ def folder_of(comm: MPI.Intracomm, path: Path) -> Path:
     return Path(comm.bcast(str(path)))
 
 
+@pytest.mark.ranks
 def test_load(comm: MPI.Intracomm, form: FoundForm, tmp_path: Path) -> None:
     """Cables and bars of the same name stay the objects; others come from the checkpoint."""
     folder = folder_of(comm, tmp_path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from form_meshes import CORNERS, SIDES, nodes
 from mpi4py import MPI
 from taylor import noise
@@ -38,6 +39,7 @@ def sail(comm: MPI.Intracomm) -> tuple[Membrane, Film, list, Directions]:
     return membrane, film, lines, directions
 
 
+@pytest.mark.ranks
 def test_directions_of_vertices(comm: MPI.Intracomm) -> None:
     """One across the surface, two across a cable, none where all is held."""
     membrane, _, _, directions = sail(comm)
@@ -55,6 +57,7 @@ def test_directions_of_vertices(comm: MPI.Intracomm) -> None:
         np.testing.assert_allclose(projectors @ projectors, projectors, atol=1e-12)
 
 
+@pytest.mark.ranks
 def test_matrix_across(comm: MPI.Intracomm) -> None:
     membrane, film, lines, directions = sail(comm)
     n, all_n = len(directions.free), len(film.start)

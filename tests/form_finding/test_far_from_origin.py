@@ -48,6 +48,7 @@ def all_points(form: FoundForm) -> np.ndarray:
     return np.concatenate(form.mesh.mesh.comm.allgather(owned))
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("make", [tent, dome, bubble])
 def test_forms_far_from_the_origin(comm: MPI.Intracomm, make: object) -> None:
     near, far = (make(comm, at) for at in (0.0 * FAR, FAR))  # type: ignore[operator]

@@ -50,6 +50,7 @@ def test_forces_are_those_of_cells(comm: MPI.Intracomm, forces: tuple[float, flo
     assert work == pytest.approx(comm.allreduce(work_one_by_one(membrane, forces, way)), rel=1e-10)
 
 
+@pytest.mark.ranks
 def test_forces_are_derivatives(comm: MPI.Intracomm) -> None:
     """Of the area, and where the rim stays of the volume."""
     film, membrane = film_on(comm, (2.0, 2.0))
@@ -70,6 +71,7 @@ def test_forces_are_derivatives(comm: MPI.Intracomm) -> None:
         assert comm.allreduce(float(np.vdot(slope, way[:n]))) == pytest.approx(expected, rel=1e-7)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("forces", [(2.0, 2.0), (3.0, 1.0)])
 def test_stiffness_is_a_derivative(comm: MPI.Intracomm, forces: tuple[float, float]) -> None:
     """With the elasticity that holds vertices, and a pressure."""

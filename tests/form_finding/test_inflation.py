@@ -44,6 +44,7 @@ def test_domes_are_caps(comm: MPI.Intracomm, rise: float) -> None:
         assert order(sizes, error) > 1.5
 
 
+@pytest.mark.ranks
 def test_domes_by_pressure(comm: MPI.Intracomm) -> None:
     """Those below the hemisphere, whose pressure is the largest."""
     mesh = meshes.circle(comm, RADIUS, 1.0)

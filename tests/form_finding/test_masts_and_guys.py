@@ -52,6 +52,7 @@ def test_reactions_of_a_flat_sail(comm: MPI.Intracomm) -> None:
     assert order(sizes, errors) > 1.7
 
 
+@pytest.mark.ranks
 def test_reactions_balance_cables_film_and_pressure(comm: MPI.Intracomm) -> None:
     """Those of a dome carry its pressure; of a tent each carries what a held scene tells."""
     dome = find_form(meshes.circle(comm, 10.0, 2.0), 2.0, fixed=["boundary"], rise=4.0)
@@ -94,6 +95,7 @@ def test_reactions_of_a_half_in_its_plane_of_symmetry(comm: MPI.Intracomm) -> No
     assert half.reactions["front"] == pytest.approx([0.0, -8.0, 0.0], abs=1e-9)
 
 
+@pytest.mark.ranks
 def test_the_first_step_moves_nothing(comm: MPI.Intracomm) -> None:
     form = sail(comm, 1.0, lift=3.0, structured=False, tension=25.0)
     scene = form.scene(FABRIC, STEEL, bars=stayed(form))

@@ -63,6 +63,7 @@ def unbalanced(solver: Solver, forces: np.ndarray) -> float:
     return scene.comm.allreduce(float(np.abs(free).max(initial=0.0)), op=MPI.MAX)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(("make", "fabric"), [(catenoid, FOIL), (dome, FOIL), (saddle, FABRIC)])
 def test_results_have_the_residual_section_forces(
     comm: MPI.Intracomm, make: object, fabric: object

@@ -96,6 +96,7 @@ def graded(comm: MPI.Intracomm, n: int) -> tuple[FoundForm, np.ndarray]:
     return find_form(mesh, S, fixed=CORNERS, cables=cables), np.diff(grid)
 
 
+@pytest.mark.ranks
 def test_links_keep_their_shares_of_a_cable(comm: MPI.Intracomm) -> None:
     """Also where the start mesh has them of different lengths, and with second order."""
     length, segment, _ = arc(10.0, 16.0)

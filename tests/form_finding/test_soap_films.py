@@ -11,6 +11,7 @@ from crms_fenicsx import ConvergenceError, IsotropicMembrane, Solver, meshes
 from crms_fenicsx.form_finding import FormCable, find_form
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("height", "neck", "area"), [(12.0, 7.450711, 699.9643), (10.0, 8.483379, 599.1797)]
 )
@@ -69,6 +70,7 @@ def test_edges_of_a_flat_sail_are_arcs(comm: MPI.Intracomm, structured: bool) ->
         assert order(sizes, error) > 1.6
 
 
+@pytest.mark.ranks
 def test_cables_by_force_density_and_length_are_those_by_tension(comm: MPI.Intracomm) -> None:
     """But for where vertices lie in the surface, which makes a small part of the mesh's error."""
     form = sail(comm, 1.0, lift=3.0, tension=25.0)

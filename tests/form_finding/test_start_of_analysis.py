@@ -64,6 +64,7 @@ FORMS = {
 }
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("name", FORMS)
 def test_the_first_step_moves_nothing(comm: MPI.Intracomm, name: str) -> None:
     """And a load on it is carried, also on a membrane that is no stiffer than its prestress."""
@@ -104,6 +105,7 @@ def test_the_stresses_are_those_prescribed(comm: MPI.Intracomm) -> None:
     assert order(sizes, moves) > 0.8
 
 
+@pytest.mark.ranks
 def test_forms_do_not_depend_on_the_ranks(comm: MPI.Intracomm) -> None:
     """Also where some have no cell; groups are those of the start mesh."""
 

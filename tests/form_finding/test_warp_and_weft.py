@@ -27,6 +27,7 @@ def wave(comm: MPI.Intracomm, size: float, stress: object, warp: object) -> floa
     return float(x[middle, 2]) / SLOPE
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("stress", "warp", "ratio"),
     [

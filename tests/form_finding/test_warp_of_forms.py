@@ -79,6 +79,7 @@ def test_which_warp_counts(comm: MPI.Intracomm) -> None:
     assert warps(mixed.scene({"left": FABRIC, "right": FABRIC})) == {"left": Y, "right": X}
 
 
+@pytest.mark.ranks
 def test_warps_of_parts_in_another_order(comm: MPI.Intracomm) -> None:
     """Each part has its own, whatever the order of the keys."""
     stress = {"left": (2.0, 1.0), "right": (1.0, 2.0)}

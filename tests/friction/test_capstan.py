@@ -33,6 +33,7 @@ def pull(solver: Solver, cable: LaidCable, by: float, steps: int = 1) -> float:
 # the law
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("jitter", [0.0, 0.25])
 @pytest.mark.parametrize("mu", [0.1, 0.3, 1.0])
 def test_sliding_rope_follows_the_capstan_law(comm, mu: float, jitter: float) -> None:
@@ -164,6 +165,7 @@ def test_units_do_not_matter(comm) -> None:
     np.testing.assert_allclose(tensions[0], tensions[1], rtol=1e-8)
 
 
+@pytest.mark.ranks
 def test_a_failed_step_leaves_no_trace(comm) -> None:
     """The state saved has the grip: a step taken again gives the same to the last digit."""
     from crms_fenicsx.equilibrium.state import State
@@ -253,6 +255,7 @@ def test_friction_zero_changes_nothing(comm) -> None:
     np.testing.assert_array_equal(cable.tensions, np.full(len(cable.contacts()) - 1, cable.tension))
 
 
+@pytest.mark.ranks
 def test_cables_with_and_without_in_one_scene(comm) -> None:
     """Two cables side by side, far apart: the one without has the same tension everywhere."""
     scene = sheet(comm, 9)
@@ -308,6 +311,7 @@ def term_of(f: OnMesh) -> CapstanTension:
     return term
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(("size", "eps"), [(0.3, 0.05), (3.0, 1.0)])
 def test_gradient(comm, size: float, eps: float) -> None:
     """Of the reduced energy: slips are eliminated, and rest depends on the places on edges."""
@@ -331,6 +335,7 @@ def test_gradient_of_rest(comm) -> None:
     assert gradient_order(f, x, d) == pytest.approx(2, abs=0.03)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(("bound", "eps"), [(3.0, 0.05), (1e4, 1e-3), (1e-3, 1e-6)])
 def test_stiffness_is_positive_semidefinite_and_has_few_dyads(comm, bound, eps) -> None:
     f = on_mesh(gripped(comm, bound, eps), "CapstanTension")

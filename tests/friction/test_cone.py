@@ -165,6 +165,7 @@ def test_pure_sliding_along_is_a_capstan(comm) -> None:
     np.testing.assert_allclose(T, tensions[0], rtol=1e-4)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(("mu", "along", "degrees"), [(0.3, 0.3, 60.0), (0.3, 0.15, 30.0)])
 def test_cable_that_is_dragged_obliquely(comm, mu: float, along: float, degrees: float) -> None:
     """Against an ordinary differential equation; single meshes are off by 3 %."""

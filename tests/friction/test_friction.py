@@ -180,6 +180,7 @@ def test_vanishing_friction(comm) -> None:
     np.testing.assert_allclose(results[1], results[0], rtol=1e-5)
 
 
+@pytest.mark.ranks
 def test_idle_steps(comm) -> None:
     """Nothing moves where nothing changes."""
     scene, solver, cable = anchored(comm, 0.2)
@@ -193,6 +194,7 @@ def test_idle_steps(comm) -> None:
     assert scene.dissipated - dissipated < 1e-3 * dissipated
 
 
+@pytest.mark.ranks
 def test_crossing_cables(comm) -> None:
     """Two cables with friction that cross: next to none of it is none, a lot of it holds both."""
     found = []
@@ -228,6 +230,7 @@ def lattice_result(comm, x: np.ndarray, cells: np.ndarray, unit: float = 1.0) ->
     return [cable.tension / unit, scene.energy / unit**2, scene.dissipated / unit**2]
 
 
+@pytest.mark.ranks
 def test_invariance(comm) -> None:
     """The equilibrium is that of the lag's tolerance, in whatever order things are tried."""
     points, cells = rotated_lattice(9)
@@ -240,6 +243,7 @@ def test_invariance(comm) -> None:
         np.testing.assert_allclose(found, expected, rtol=1e-3)
 
 
+@pytest.mark.ranks
 def test_ends_that_move_along_the_boundary_and_off_it(comm) -> None:
     """The boundary presses on the cable's end much more than the rest does on all of it."""
     scene = sheet(comm, 9, "unstructured")
@@ -290,6 +294,7 @@ def test_caught_points_are_put_back_once_where_the_cable_is() -> None:
         cable.update(positions=cable.positions + 1e-3 * cable.length)
 
 
+@pytest.mark.ranks
 def test_refused_step_leaves_no_trace(comm, monkeypatch) -> None:
     """After a step that fails, friction knows nothing of it."""
     scene, solver, cable = anchored(comm, 0.2)

@@ -41,6 +41,7 @@ def furthest(way: Curve, cable) -> float:
     return float(np.abs(way.sideways(cable.positions)).max()) / H
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("name", ["sphere", *SURFACES])
 def test_a_cable_stays_if_friction_can_hold_it(comm, name):
     """Ratio over mu = 0.95: it moves by no more than single fold points give way, at places where
@@ -50,6 +51,7 @@ def test_a_cable_stays_if_friction_can_hold_it(comm, name):
     assert furthest(way, cable) < 0.06
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("name", "kind"),
     [*(("sphere", kind) for kind in KINDS), *((name, "delaunay") for name in SURFACES)],
@@ -81,6 +83,7 @@ def test_tension_that_is_lost_or_kept_does_not_matter(comm, EA, strain):
     assert way.coefficient_of(cable.positions) == pytest.approx(mu, rel=0.08)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("share", [0.97, 0.9], ids=["in its cells", "over vertices"])
 def test_direction_mirror_and_numbers_do_not_matter(comm, share):
     """On the same path results are alike to the solver's tolerance. Where the cable passes vertices

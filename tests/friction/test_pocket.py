@@ -54,6 +54,7 @@ def pull(solver: Solver, cable: LaidCable, by: float) -> None:
     solver.advance(move={cable.end: by * last / np.linalg.norm(last)})
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("back", [False, True])
 @pytest.mark.parametrize("rise", [0.0, RISE])
 def test_sliding_cable_has_the_ratio_of_the_capstan(comm, rise: float, back: bool) -> None:

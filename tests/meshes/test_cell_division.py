@@ -49,6 +49,7 @@ def test_rectangle_is_the_structured_one_of_half_the_size(comm):
     assert set(fine.points) == set(coarse.points)
 
 
+@pytest.mark.ranks
 def test_cells_stay_on_the_rank_of_their_parents(comm):
     def all_on_the_last(midpoints):
         return np.full(len(midpoints), comm.size - 1)
@@ -66,6 +67,7 @@ SHAPES = {
 }
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("name", SHAPES)
 def test_new_vertices_lie_on_the_surface_that_the_generator_knows(comm, name):
     """The missing area goes with the square of the size."""
@@ -124,6 +126,7 @@ def test_a_function_says_where_new_vertices_belong(comm):
     assert np.allclose(x[~new, 2], 0.0)  # vertices stay
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("project", "message"),
     [
@@ -139,6 +142,7 @@ def test_refused_functions(comm, project, message):
     assert isinstance(error.value, MeshError) == ("area" in message)
 
 
+@pytest.mark.ranks
 def test_seams_parts_and_hidden_cells(comm):
     """A wall below a roof, cut in two by it."""
     x = [(0, 0, 0), (1, 0, 0), (2, 0, 0), (0, 1, 0), (1, 1, 0), (2, 1, 0), (1, 0, -1), (1, 1, -1)]
@@ -229,6 +233,7 @@ def canonical(comm, mesh):
     return ids[order], x[order]
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("shape", ["grid", "equilateral", "cap"])
 def test_mesh_is_the_same_however_it_is_shared_out(comm, shape):
     """Also where sides of cells are equally long; and with a rank that has no cell."""
@@ -257,6 +262,7 @@ def test_mesh_is_the_same_however_it_is_shared_out(comm, shape):
         assert np.array_equal(places, x)
 
 
+@pytest.mark.ranks
 def test_bisected_cells_stay_on_the_rank_of_their_parents(comm):
     mesh = meshes.circle(comm, 1.0, 0.5, ranks=lambda x: np.full(len(x), comm.size - 1))
     fine = adapted(mesh)
@@ -329,6 +335,7 @@ def test_seams_are_not_torn(comm):
     assert n[0] - n[1] + n[2] == 1
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("cells", "message"),
     [([-1], "names -1, but"), ([10**6], "names 1000000, but"), ([0.5], "whole numbers"),

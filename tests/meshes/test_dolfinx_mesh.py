@@ -9,6 +9,8 @@ from mpi4py import MPI
 
 from crms_fenicsx import InputError, IsotropicMembrane, MeshError, Scene, Solver, meshes
 
+pytestmark = pytest.mark.ranks
+
 NAMES = {"left half": (2, 4), "front": (1, 7), "corner": (0, 2)}
 
 

@@ -78,6 +78,7 @@ def shuffled(points, cells, seed):
 # --- geometry and distribution ---------------------------------------------------------------
 
 
+@pytest.mark.ranks
 def test_cells_keep_their_vertex_order(comm):
     points, cells = grid(7, lambda x, y: x * y)
     cells = cells[:, [2, 0, 1]]  # not sorted, all upward
@@ -90,12 +91,14 @@ def test_cells_keep_their_vertex_order(comm):
     assert np.array_equal(x, points[mesh.geometry.input_global_indices])
 
 
+@pytest.mark.ranks
 def test_other_ranks_need_no_arrays(comm):
     points, cells = (SQUARE, HALVES) if comm.rank == 0 else (None, None)
     outside = (0.0, 0.0, 1.0) if comm.rank == 0 else None
     assert area(from_arrays(comm, points, cells, outside=outside)) == pytest.approx(1.0)
 
 
+@pytest.mark.ranks
 def test_one_cell_on_any_number_of_ranks(comm):
     membrane = from_arrays(
         comm, SQUARE[:3], [(0, 1, 2)], parts={"all": [0]}, point_groups={"tip": [2]}
@@ -105,6 +108,7 @@ def test_one_cell_on_any_number_of_ranks(comm):
     assert point_places(membrane, "tip").tolist() == [[1.0, 1.0, 0.0]]
 
 
+@pytest.mark.ranks
 def test_vertex_nodes_agree_cell_by_cell(comm):
     mesh = from_arrays(comm, *grid(4)).mesh
     nodes = vertex_nodes(mesh)
@@ -112,6 +116,7 @@ def test_vertex_nodes_agree_cell_by_cell(comm):
         assert nodes[mesh.topology.connectivity(2, 0).links(cell)].tolist() == of_cell.tolist()
 
 
+@pytest.mark.ranks
 def test_mesh_carries_forms(comm):
     mesh = from_arrays(comm, *grid(4, lambda x, y: 2.0 * x)).mesh
     one = dolfinx.fem.Constant(mesh, 1.0)
@@ -145,6 +150,7 @@ def test_turned_cells_are_turned_back(comm, seed):
     assert total_area_vector(by_parts)[2] == pytest.approx(1.0)
 
 
+@pytest.mark.ranks
 def test_pieces_are_oriented_one_by_one(comm):
     points, cells = grid(3)
     both = np.vstack([points, points + np.array([2.0, 0.0, 0.0])])
@@ -190,6 +196,7 @@ def test_bad_outside(comm, outside):
 # --- groups ----------------------------------------------------------------------------------
 
 
+@pytest.mark.ranks
 def test_groups_survive_distribution(comm):
     n = 8
     points, cells = shuffled(*grid(n), seed=5)
@@ -221,6 +228,7 @@ def test_groups_survive_distribution(comm):
     assert len(point_places(membrane, "ridge")) == n + 1
 
 
+@pytest.mark.ranks
 def test_ghosts_belong_to_groups(comm):
     """Each rank finds exactly those of its vertices, ghosts too, that lie where the group is."""
     points, cells = grid(8)
@@ -271,6 +279,7 @@ DOUBLE_CONE = np.array(
 DOUBLE_CONE_CELLS = [(0, 1, 2), (0, 2, 3), (0, 3, 1), (0, 4, 5), (0, 5, 6), (0, 6, 4)]
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("points", "cells", "message"),
     [
@@ -299,6 +308,7 @@ def test_bad_surfaces(comm, points, cells, message):
         from_arrays(comm, points, cells)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("groups", "message"),
     [

@@ -79,6 +79,7 @@ def assert_two_rectangles(membrane):
 # --- gmsh ------------------------------------------------------------------------------------
 
 
+@pytest.mark.ranks
 def test_model_of_the_user(comm, session):
     if session:
         two_rectangles(session)
@@ -88,6 +89,7 @@ def test_model_of_the_user(comm, session):
         assert len(session.model.getPhysicalGroups()) == 5
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("version", [2.2, 4.1])
 def test_msh_round_trip(comm, session, folder, version):
     if session:
@@ -159,6 +161,7 @@ def test_geo_script(comm):
     assert area(tent) == pytest.approx(dblquad(density, 0.0, 1.0, 0.0, 1.0)[0], rel=2e-3)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -230,6 +233,7 @@ def write_mesh(*cells, points=POINTS, **more):
     return lambda file: meshio.Mesh(points, list(cells), **more).write(file)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("name", "write", "message"),
     [

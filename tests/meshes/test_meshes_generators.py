@@ -38,6 +38,7 @@ def side_lengths(membrane):
 # --- plane shapes ----------------------------------------------------------------------------
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("structured", [False, True])
 def test_rectangle(comm, structured):
     membrane = meshes.rectangle(comm, 3.0, 2.0, 0.3, corner=(-1.0, 5.0), structured=structured)
@@ -86,6 +87,7 @@ def test_circle_and_ellipse_converge(comm):
 ARROW = [(0.0, 0.0), (2.0, 0.0), (2.0, 2.0), (1.0, 0.5)]
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("corners", [ARROW, ARROW[::-1]])
 def test_polygon(comm, corners):
     membrane = meshes.polygon(comm, corners, 0.2)
@@ -113,6 +115,7 @@ def test_polygon_with_names_of_its_sides(comm):
 # --- curved shapes ---------------------------------------------------------------------------
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("height", [0.2, 1.0, 1.6])
 def test_spherical_cap(comm, height):
     errors = []
@@ -143,6 +146,7 @@ def hall_rise(distance, end):
 HALLS = [(40.0, 60.0, 12.0), (60.0, 40.0, 25.0), (30.0, 30.0, 15.0)]
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(("width", "depth", "height"), HALLS)
 def test_air_hall_has_the_documented_shape(comm, width, depth, height):
     size, corner = 2.5, np.array([-5.0, 7.0])
@@ -257,6 +261,7 @@ def test_refinement_refines_near_its_line_only(comm, shape):
 # --- refused arguments -----------------------------------------------------------------------
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -308,6 +313,7 @@ def test_bad_arguments(comm, make, message):
         make(comm)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("why", [None, "libGLU.so.1"])
 def test_without_gmsh_it_says_what_to_install(comm, monkeypatch, why) -> None:
     """Where it is not there, or cannot be loaded; structured rectangles do without."""

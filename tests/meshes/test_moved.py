@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
@@ -12,6 +13,7 @@ from crms_fenicsx.dofs.layout import vertex_places
 from crms_fenicsx.meshes.membrane_mesh import moved, vertex_ids
 
 
+@pytest.mark.ranks
 def test_moved(comm: MPI.Intracomm) -> None:
     """Groups, numbers and distribution stay, and so does the first mesh."""
     mesh = meshes.rectangle(comm, 3.0, 2.0, 0.5)

@@ -12,6 +12,8 @@ from mpi4py import MPI
 from crms_fenicsx import InputError, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.form_finding import find_form
 
+pytestmark = pytest.mark.ranks
+
 FABRIC = IsotropicMembrane(E=1e3, nu=0.3, thickness=1.0, prestress=5.0)
 
 

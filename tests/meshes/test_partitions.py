@@ -18,7 +18,7 @@ from crms_fenicsx import (
 from crms_fenicsx.output import draw
 from crms_fenicsx.runtime.errors import MeshError
 
-pytestmark = pytest.mark.usefixtures("comm")
+pytestmark = [pytest.mark.usefixtures("comm"), pytest.mark.ranks]
 
 SIDE, CELLS = 100.0, 7
 CROSSING = (40.0, 33.0)

@@ -36,6 +36,7 @@ KINDS = [
 ]
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("kind", KINDS, ids=str)
 def test_distribution_tears_nothing(comm, kind, seed):
@@ -132,6 +133,7 @@ def alone(wall):
     return scene.energy, cable.tension, scene.volume, way, scene.positions()[seam, 2].max()
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("wall", [SOFT, STIFF])
 def test_any_number_of_ranks_finds_the_same(comm, wall):
     scene, cable = tightened(comm, wall)
@@ -165,6 +167,7 @@ def test_cables_stay_on_the_roof():
         assert np.all(points[list(crossed[0]), 1] < 60.0)  # laid at y = 65
 
 
+@pytest.mark.ranks
 def test_what_cables_see_of_a_seam(comm):
     """Neighbours, normals, sizes, slips and projections of spans are those of the roof alone."""
     scene = tent(comm, SOFT)
@@ -209,6 +212,7 @@ def test_what_cables_see_of_a_seam(comm):
     )  # the wall's own rim
 
 
+@pytest.mark.ranks
 def test_gradient_with_folded_seams(comm):
     scene = tent(comm, STIFF, rise=20.0)
     scene.lay_cable(CABLE, [(0.0, 31.0), (100.0, 44.0)], tension=30.0)
@@ -301,6 +305,7 @@ def test_pressure_on_both_sides_of_a_seam_needs_it_held(comm):
         Scene(mesh, ROOF, pressure_on="roof")
 
 
+@pytest.mark.ranks
 def test_pressure_on_a_part_of_a_flat_sheet(comm):
     """Where it ends the sheet must be held, and then the other part stays as it is."""
     points, cells, _ = walled_roof(n=4, walls=())

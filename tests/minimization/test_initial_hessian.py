@@ -46,6 +46,7 @@ def dense(potential, h0):
     return K
 
 
+@pytest.mark.ranks
 def test_its_memory_is_there_beforehand_and_not_much_too_much(comm) -> None:
     """PETSc would raise an error for a row that has more entries than counted."""
     _, h0 = at_some_state(comm)
@@ -81,6 +82,7 @@ def test_it_is_symmetric_positive_definite() -> None:
     assert np.linalg.eigvalsh(H).min() > 0.5 * SHIFT
 
 
+@pytest.mark.ranks
 def test_dyad_columns_are_gradients_of_the_lengths(comm) -> None:
     system = cable_square(comm)
     potential, n = system.potential, system.unknowns.n_owned
@@ -102,6 +104,7 @@ def test_dyad_columns_are_gradients_of_the_lengths(comm) -> None:
         assert slope == pytest.approx((lengths[0][k] - lengths[1][k]) / (2 * step), rel=1e-6)
 
 
+@pytest.mark.ranks
 def test_a_scene_without_tension_has_no_dyads(comm) -> None:
     assert list(cable_square(comm, taut=False).potential.dyads()) == []
 
@@ -159,6 +162,7 @@ def test_multigrid_is_for_many_unknowns(comm, monkeypatch) -> None:
     assert solver.system.minimizer.h0.pc.getType() == "fieldsplit"
 
 
+@pytest.mark.ranks
 def test_multigrid_solves_too_and_leaves_alone_what_is_held(comm, monkeypatch, multigrid) -> None:
     """Held components and those across rails are no business of its coarse levels."""
     monkeypatch.setattr("crms_fenicsx.minimization.initial_hessian.ACCURACY", 1e-11)
@@ -183,6 +187,7 @@ def test_multigrid_solves_too_and_leaves_alone_what_is_held(comm, monkeypatch, m
     assert back.norm() < 2e-9 * b.norm()
 
 
+@pytest.mark.ranks
 def test_multigrid_leads_to_the_same_equilibrium(comm, multigrid, monkeypatch) -> None:
     """By the same H0: the second derivatives, which may be indefinite, are for factorisations."""
     monkeypatch.setattr(minimizer, "EXACT", 0.0)

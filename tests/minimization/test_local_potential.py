@@ -12,6 +12,8 @@ from crms_fenicsx.minimization.clusters import gather
 from crms_fenicsx.minimization.local_potential import LocalPotential
 from crms_fenicsx.minimization.relaxation import LocalRelaxation
 
+pytestmark = pytest.mark.ranks
+
 
 def evaluated(material=ISOTROPIC, size=0.3):
     """A potential at some state with forces, on this process alone, and its layout."""

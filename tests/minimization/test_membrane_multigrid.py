@@ -168,6 +168,7 @@ def scene_with(comm, what: str) -> System:
     return system
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("what", ["rails", "crossings", "floor"])
 def test_it_leads_to_the_step_of_a_factorisation(comm, what: str, monkeypatch) -> None:
     monkeypatch.setattr("crms_fenicsx.minimization.initial_hessian.ACCURACY", 1e-11)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from mpi4py import MPI
 from term_scene import cable_square, displaced
 
 from crms_fenicsx.minimization.potential import Potential
+
+pytestmark = pytest.mark.ranks
 
 
 def shaken(comm: MPI.Intracomm) -> tuple[Potential, list]:

@@ -8,7 +8,7 @@ from term_scene import cable_square, displaced
 
 from crms_fenicsx.minimization import relaxation
 
-pytestmark = pytest.mark.usefixtures("comm")
+pytestmark = [pytest.mark.usefixtures("comm"), pytest.mark.ranks]
 
 
 def scattered(midpoints):

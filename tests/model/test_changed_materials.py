@@ -58,6 +58,7 @@ def softer(material: Any) -> Any:
     return replace(material, **moduli, prestress=0.1)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("kind", KINDS)
 def test_leads_to_where_it_would_have_been_from_the_beginning(
     comm: MPI.Intracomm, kind: str, monkeypatch: pytest.MonkeyPatch
@@ -159,6 +160,7 @@ def test_a_branch_takes_it_back(comm: MPI.Intracomm) -> None:
     assert scene.energy == sum(soft.energies.values())
 
 
+@pytest.mark.ranks
 def test_in_checkpoints(comm: MPI.Intracomm, tmp_path: Path) -> None:
     """A script that builds the scene as at first goes on with the materials of the checkpoint."""
     folder = Path(comm.bcast(str(tmp_path)))
@@ -194,6 +196,7 @@ def test_a_resumed_script_must_change_it_alike(comm: MPI.Intracomm, tmp_path: Pa
         script(250.0, True)
 
 
+@pytest.mark.ranks
 def test_what_differs_by_more_than_numbers_is_refused(comm: MPI.Intracomm) -> None:
     scene = scene_of(comm, FABRIC)
 

@@ -251,6 +251,7 @@ def test_material_for_a_part_that_does_not_exist(comm):
         Scene(irregular_square(comm), {"left": ISOTROPIC, "roof": FABRIC})
 
 
+@pytest.mark.ranks
 def test_cells_without_material(comm):
     # on one rank or on all: cells of the other part may be on some only
     with pytest.raises(InputError, match="cells have no material"):

@@ -142,6 +142,7 @@ def test_biaxial_patch(comm: MPI.Intracomm, psi: Any) -> None:
         assert scene.energy == pytest.approx(energy, rel=1e-10)
 
 
+@pytest.mark.ranks
 def test_bad_densities_are_refused(comm: MPI.Intracomm) -> None:
     scene = square(comm, STIFF)
 
@@ -180,6 +181,7 @@ def halves(comm: MPI.Intracomm) -> Any:
     return from_arrays(comm, points, cells, parts={"left": left, "right": right})
 
 
+@pytest.mark.ranks
 def test_parts_and_cables(comm: MPI.Intracomm) -> None:
     mesh, fabric = halves(comm), UflMembrane(isotropic)
     with pytest.raises(InputError, match="part 'right' has a UflMembrane"):

@@ -45,6 +45,7 @@ ON_ONE_RANK: dict[str, Draw] = {
 }
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("name", [*DRAWN, *ON_ONE_RANK])
 def test_a_figure_shows_what_a_file_has(tmp_path: Path, name: str) -> None:
     file = Path(COMM.bcast(str(tmp_path))) / "drawn.png"

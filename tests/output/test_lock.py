@@ -13,6 +13,8 @@ from crms_fenicsx import InputError, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.output import History
 from crms_fenicsx.runtime import files
 
+pytestmark = pytest.mark.ranks
+
 HOLDER = """
 import fcntl, os, sys, time
 file = open(sys.argv[1], "a")

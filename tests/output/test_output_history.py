@@ -70,6 +70,7 @@ def test_a_later_row_may_bring_columns(folder: Path) -> None:
         assert list(one)[2] == {"step": 2, "tension cable 1": 61.0}
 
 
+@pytest.mark.ranks
 def test_appending_equals_writing_all_at_once(folder: Path) -> None:
     """The kept lines against formatting every row anew, here by a plain join."""
     rng = np.random.default_rng(1)
@@ -105,6 +106,7 @@ def test_the_old_run_stays_until_the_new_one_has_a_row(folder: Path) -> None:
     assert read_together(path) == "time\n0.5\n"
 
 
+@pytest.mark.ranks
 def test_killed_between_writing_and_replacing(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -134,6 +136,7 @@ def test_killed_between_writing_and_replacing(
     assert read_together(path) == "step,energy\n0,1.0\n1,2.0\n"
 
 
+@pytest.mark.ranks
 def test_a_folder_that_cannot_be_written(folder: Path) -> None:
     if COMM.rank == 0:
         (folder / "file").write_text("")
@@ -156,6 +159,7 @@ def test_a_read_only_folder(folder: Path) -> None:
             folder.chmod(0o700)
 
 
+@pytest.mark.ranks
 def test_a_full_disk_reaches_all_ranks(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     history = History(folder / "history.csv", COMM)
 
@@ -168,6 +172,7 @@ def test_a_full_disk_reaches_all_ranks(folder: Path, monkeypatch: pytest.MonkeyP
     assert len(history) == 0
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("row", "message"),
     [

@@ -13,7 +13,7 @@ from vtu_file import read_vtu
 from crms_fenicsx.output import Line, Series, Surface, shared_file
 from crms_fenicsx.runtime.errors import InputError
 
-pytestmark = pytest.mark.usefixtures("comm")
+pytestmark = [pytest.mark.usefixtures("comm"), pytest.mark.ranks]
 COMM = MPI.COMM_WORLD
 
 

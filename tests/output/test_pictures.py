@@ -387,6 +387,7 @@ def tightened(comm: MPI.Intracomm, results: Path | None = None) -> Solver:
     return solver
 
 
+@pytest.mark.ranks
 def test_a_scene_is_drawn_by_all_ranks_together(comm: MPI.Intracomm, tmp_path: Path) -> None:
     """With more than one rank, some have no cell."""
     folder = comm.bcast(tmp_path)

@@ -43,6 +43,7 @@ def run(results: Path | None) -> Solver:
     return solver
 
 
+@pytest.mark.ranks
 def test_history_of_a_run() -> None:
     solver = run(None)
     scene, history = solver.scene, solver.history
@@ -87,6 +88,7 @@ def read_step(folder: Path, collection: str, time: float) -> list[VtuFile]:
     ]
 
 
+@pytest.mark.ranks
 def test_files_of_a_run(folder: Path) -> None:
     solver = run(folder / "out")
     scene = solver.scene
@@ -157,6 +159,7 @@ def test_cables_lift_off_in_files_and_pictures(
     )
 
 
+@pytest.mark.ranks
 def test_a_folder_that_cannot_be_written_is_refused_at_once(folder: Path) -> None:
     if COMM.rank == 0:
         (folder / "taken").write_text("a file")
@@ -195,6 +198,7 @@ def test_a_failed_step_is_not_recorded_and_the_run_goes_on(
     np.testing.assert_array_equal(solver.history["step"], [1, 2, 3])
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     "colour", [None, "stress", "stress 2", "warp", "strain", "state", "displacement", "utilisation"]
 )
@@ -233,6 +237,7 @@ def test_pictures_get_the_whole_surface(
             assert options["label"]
 
 
+@pytest.mark.ranks
 def test_paths_are_drawn_over_the_whole_stress_free_mesh(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -287,6 +292,7 @@ def test_meshes_too_large_for_a_picture(folder: Path, monkeypatch: pytest.Monkey
     assert {path.name for path in folder.iterdir()} == {"drawn.png", "path.png"}
 
 
+@pytest.mark.ranks
 def test_what_cannot_be_drawn_is_said_on_all_ranks(folder: Path) -> None:
     solver = Solver(sheet(COMM, 7))
     with pytest.raises(InputError, match="colour = 'blue' is not known"):

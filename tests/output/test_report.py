@@ -13,7 +13,7 @@ from report_page import Page, read_csv
 from walled_roof import roof_mesh
 
 from crms_fenicsx import Cable, InputError, OrthotropicMembrane, Scene, Solver
-from crms_fenicsx.output.report import contents
+from crms_fenicsx.output.report import sections
 from crms_fenicsx.output.report.page import Table, number, per_cent, place
 from crms_fenicsx.output.report.results_tables import bars
 
@@ -42,6 +42,7 @@ def tent(comm: MPI.Intracomm, on_one_rank: bool = False) -> Solver:
     return solver
 
 
+@pytest.mark.ranks
 def test_a_report_of_combinations(comm: MPI.Intracomm, folder: Path) -> None:
     solver = tent(comm)
     scene = solver.scene
@@ -125,6 +126,7 @@ def test_a_report_of_the_current_state(comm: MPI.Intracomm, folder: Path) -> Non
     assert any("Not in equilibrium: Current state" in word for word in page.words)
 
 
+@pytest.mark.ranks
 def test_bad_reports_write_nothing(comm: MPI.Intracomm, folder: Path) -> None:
     solver, other = tent(comm), tent(comm)
     found = other.combine({"snow": {"snow": 0.1}})
@@ -185,7 +187,7 @@ def test_pictures_that_do_not_fit_are_left_out(
     comm: MPI.Intracomm, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     solver = tent(comm)
-    monkeypatch.setattr(contents, "LARGEST", 150_000)
+    monkeypatch.setattr(sections, "LARGEST", 150_000)
     solver.report(folder / "now.html")
     comm.barrier()
     text = (folder / "now.html").read_text(encoding="utf-8")

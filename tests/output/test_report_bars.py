@@ -40,6 +40,7 @@ def braced(comm: MPI.Intracomm, folder: Path | None = None) -> Solver:
     return solver
 
 
+@pytest.mark.ranks
 def test_all_supports_carry_all_loads(comm: MPI.Intracomm) -> None:
     """Statics: the flat rim gives the pressure's forces, the water's amount its weight."""
     solver = braced(comm)
@@ -61,6 +62,7 @@ def test_all_supports_carry_all_loads(comm: MPI.Intracomm) -> None:
     assert found.bars["mast"].force < -1.0
 
 
+@pytest.mark.ranks
 def test_a_report_has_them_all(comm: MPI.Intracomm, tmp_path: Path) -> None:
     folder = Path(comm.bcast(str(tmp_path)))
     solver = braced(comm)

@@ -93,6 +93,7 @@ KEPT: dict[str, Callable[[Scene], object]] = {
 }
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("what", CHANGES)
 def test_a_changed_scene_is_not_in_equilibrium(
     comm: MPI.Intracomm, folder: Path, what: str
@@ -174,6 +175,7 @@ def test_another_solver_and_a_scene_without_steps(comm: MPI.Intracomm, folder: P
         Solver(fresh).estimate_error()
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("changed", [False, True])
 def test_checkpoints_know_whether_it_was_in_equilibrium(
     comm: MPI.Intracomm, folder: Path, changed: bool

@@ -32,6 +32,7 @@ def assert_same(found: tuple[Scene, LaidCable], fresh: tuple[Scene, LaidCable], 
     np.testing.assert_allclose(place(found[1], 50.0), place(fresh[1], 50.0), atol=0.05 * 100 / N)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("kind", KINDS)
 def test_ends_dragged_along_the_boundary(comm, kind: str) -> None:
     """Over vertices of the boundary, and back, the cable ends in the state of one laid there."""
@@ -55,6 +56,7 @@ def test_ends_moved_over_many_cells_at_once(comm) -> None:
     assert_same((scene, cable), fresh[:2], 1e-4)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("movement", "stays"), [((-4, 0, -2), True), ((0, 4, -2), False), ((0, -4, -2), False)]
 )
@@ -67,6 +69,7 @@ def test_an_end_moved_aside_lays_its_cable_anew(comm, movement, stays: bool) -> 
     assert cable.path_is_geodesic == stays
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("kind", ["structured", "unstructured"])
 def test_ends_moved_off_and_through_the_air(comm, kind: str) -> None:
     scene, cable, solver = solved(comm, kind, [(0, 30), (100, 30)], 100.0)
@@ -93,6 +96,7 @@ def test_an_end_that_comes_back_is_held_again(comm) -> None:
     assert (scene.energy, cable.tension) == pytest.approx(before, rel=1e-4)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("last", [False, True])
 def test_an_anchor_moved_over_the_membrane_and_back(comm, last: bool) -> None:
     """The path's end follows it from cell to cell; left behind it would lead there and back."""

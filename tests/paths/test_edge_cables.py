@@ -66,6 +66,7 @@ def test_other_cables_can_lift_off(comm: MPI.Intracomm) -> None:
     assert scene.lay_cable(Cable(1000.0), [(0.0, 0.0), (10.0, 0.0)], name="free").sleeve
 
 
+@pytest.mark.ranks
 def test_an_edge_cable_to_masts(comm: MPI.Intracomm) -> None:
     """Its anchors lie beyond the corners; the sail's corners hang on cables alone."""
     scene = Scene(

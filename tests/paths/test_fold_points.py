@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from cabled_square import CABLE, PRESSURE, sheet
 
 from crms_fenicsx import Scene, Solver
@@ -30,6 +31,7 @@ def same(found: FoldPoints, expected: dict) -> bool:
     return alike and set(found) == set(expected) and len(found) == len(expected)
 
 
+@pytest.mark.ranks
 def test_points_are_those_of_a_table_made_anew(comm) -> None:
     scene, kept = net(comm), NodesOnEdges()
     cables = scene.cables
@@ -51,6 +53,7 @@ def test_points_are_those_of_a_table_made_anew(comm) -> None:
     assert kept.of(cables[1:]) is kept.of(cables[1:])
 
 
+@pytest.mark.ranks
 def test_bent_edges_are_measured_as_by_arrays(comm) -> None:
     scene = net(comm)
     shape, folds = scene.net.strip_shape(), bends(scene.cables)

@@ -33,6 +33,7 @@ def arc_between(start: np.ndarray, end: np.ndarray) -> float:
     return 25.0 * np.arccos(a @ b / np.linalg.norm(a) / np.linalg.norm(b))
 
 
+@pytest.mark.ranks
 def test_length_on_a_dome(comm) -> None:
     scene = dome(comm, 3.0)
     facets, surface = over(scene, measured_on="facets"), over(scene)
@@ -81,6 +82,7 @@ def test_free_spans_and_anchors_are_straight(comm) -> None:
     assert 0.0 <= surface.L0 - facets.length < 0.01
 
 
+@pytest.mark.ranks
 def test_laid_again_in_its_fold(comm) -> None:
     """A line of a cable that comes back as a path is as long as it is: it is where it is."""
     scene = dome(comm, 3.0)

@@ -41,6 +41,7 @@ def scene_of(comm: MPI.Intracomm, deformed: bool, seed: int) -> Scene:
     return scene
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("deformed", [False, True])
 @pytest.mark.parametrize("route", ROUTES)
 def test_on_any_partition(comm: MPI.Intracomm, route: str, deformed: bool) -> None:

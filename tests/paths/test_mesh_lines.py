@@ -75,6 +75,7 @@ def lined(comm, kind: str, n: int):
 WAYS = ("straight", "detour", "after", "steps", "beyond and back", "away and back")
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("kind", ["structured", "crossed", "unstructured"])
 def test_one_equilibrium_whatever_the_way(comm, kind: str) -> None:
     """The line y = 30 is one of the meshes with structure; all ways end beside it."""
@@ -122,6 +123,7 @@ def test_a_tie_stays_one(comm) -> None:
         assert {node.kind for node in scene.cables[0].nodes[1:-1]} == {"vertex"}
 
 
+@pytest.mark.ranks
 def test_a_cable_that_a_line_holds_is_refused(comm, monkeypatch) -> None:
     """Kept from leaving the line it is not verified, though nothing is out of balance."""
     monkeypatch.setattr(VertexTrials, "next", lambda *_: [])
@@ -130,6 +132,7 @@ def test_a_cable_that_a_line_holds_is_refused(comm, monkeypatch) -> None:
         laid(comm, mesh, [(0, 30), (100, 30)], 100.0, "straight")
 
 
+@pytest.mark.ranks
 def test_crossing_cables_on_lines(comm) -> None:
     """A net that is all on lines ends where one laid beside them does."""
     found = []

@@ -86,6 +86,7 @@ def test_crossing_point_lies_on_both_cables(comm, kind: str) -> None:
     assert heights(scene) == pytest.approx([0.0] * len(heights(scene)), abs=1e-9)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("kind", KINDS)
 def test_cables_part_where_the_slacker_one_is_on_top(comm, kind: str) -> None:
     together, upper, lower = crossed(comm, 9, kind)
@@ -116,6 +117,7 @@ def random_net(comm, seed: int) -> Scene:
     return scene
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("seed", range(6))
 def test_random_nets_converge(comm, seed: int) -> None:
     """No upper cable runs below a lower one, by more than a thousandth of a cell."""
@@ -126,6 +128,7 @@ def test_random_nets_converge(comm, seed: int) -> None:
     assert min(heights(scene), default=0.0) > -1e-3 * 100 / 11
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("kind", KINDS)
 def test_crossing_slides_over_cells_and_off(comm, kind: str) -> None:
     """A cable is dragged along one that ends at the middle of a side; then they do not cross."""
@@ -151,6 +154,7 @@ def test_crossing_slides_over_cells_and_off(comm, kind: str) -> None:
         assert long.tension == pytest.approx(fresh[2].tension, rel=1e-2)
 
 
+@pytest.mark.ranks
 def test_nets_do_not_depend_on_the_ranks(comm) -> None:
     found = []
     for group in (comm, MPI.COMM_SELF):

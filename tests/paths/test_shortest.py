@@ -28,6 +28,7 @@ def off_circle(cable) -> float:
     return float(np.abs((cable.positions - centre) @ normal).max())
 
 
+@pytest.mark.ranks
 def test_great_circle(comm) -> None:
     """It converges to the great circle from a path 4.3 m beside it, and its length to that."""
     start, end = np.column_stack([CIRCLE[[0, -1]], 2 * [SPHERE - HEIGHT]])

@@ -54,6 +54,7 @@ def test_cable_on_lines_and_across_cells(comm, y):
         assert 0.0 < comm.allreduce(folded) < 0.3 * estimate.total
 
 
+@pytest.mark.ranks
 def test_cap_with_a_cable(comm):
     """The finest of its levels gives -31.102, with 0.01."""
     material = IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3)
@@ -95,6 +96,7 @@ def test_history_has_columns_if_asked(comm):
     assert estimate.relative == pytest.approx(estimate.total / strain_energy)
 
 
+@pytest.mark.ranks
 def test_shares_of_the_cells_do_not_depend_on_who_owns_them(comm):
     def scattered(midpoints):
         return np.random.default_rng(2).integers(0, comm.size, len(midpoints))

@@ -85,6 +85,7 @@ def test_forces_along_a_turned_warp_at_places(comm: MPI.Intracomm) -> None:
     assert np.polyfit(np.log([8, 16, 32]), np.log(errors), 1)[0] < -1.7
 
 
+@pytest.mark.ranks
 def test_reactions_per_length(comm: MPI.Intracomm) -> None:
     """Straight down into the ground: p R along the whole edge, at its corners too."""
     errors = []
@@ -125,6 +126,7 @@ def folded(comm: MPI.Intracomm) -> Solver:
     return solver
 
 
+@pytest.mark.ranks
 def test_places_lie_on_the_folded_surface(comm: MPI.Intracomm) -> None:
     """Points of a cable on the membrane are places of it, also when stress-free."""
     solver = folded(comm)
@@ -149,6 +151,7 @@ def vertices(solver: Solver) -> dict[int, tuple[np.ndarray, np.ndarray]]:
     return {int(v): (X, x) for part in comm.allgather(own) for v, X, x in zip(*part, strict=True)}
 
 
+@pytest.mark.ranks
 def test_places_under_a_cable_are_those_of_folded_cells(comm: MPI.Intracomm) -> None:
     """Against triangles of two fold points and the vertex between them, made from the ids alone."""
     solver = folded(comm)
@@ -215,6 +218,7 @@ def test_summary_knows_the_places_under_cables(comm: MPI.Intracomm) -> None:
             np.testing.assert_allclose(there.positions[0], one.at, atol=1e-12)
 
 
+@pytest.mark.ranks
 def test_functions_have_the_values_of_the_cells(comm: MPI.Intracomm) -> None:
     solver = folded(comm)
     solver.scene.set_strengths((10.0, 8.0))
@@ -253,6 +257,7 @@ def test_functions_have_the_values_of_the_cells(comm: MPI.Intracomm) -> None:
     assert found["warp"][0] == pytest.approx(total / area, rel=1e-7)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("on_one_rank", [False, True])
 def test_summary_of_the_pipe(comm: MPI.Intracomm, on_one_rank: bool) -> None:
     """Also where all other ranks have no cell."""
@@ -316,6 +321,7 @@ def test_forces_of_cables(comm: MPI.Intracomm) -> None:
     assert ridge.contact_largest >= ridge.contact_mean
 
 
+@pytest.mark.ranks
 def test_bad_places_and_names(comm: MPI.Intracomm) -> None:
     solver = folded(comm)
     results = solver.results()

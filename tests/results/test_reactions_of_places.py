@@ -11,6 +11,8 @@ from report_page import read_csv
 
 from crms_fenicsx import Bar, Cable, InputError, IsotropicMembrane, Scene, Solver, meshes
 
+pytestmark = pytest.mark.ranks
+
 SIDE, SNOW, LAMP = 8.0, 0.2, 0.7
 
 

@@ -60,6 +60,7 @@ def sealed(comm: MPI.Intracomm) -> Solver:
 SCENES = [inflated, braced, sealed]
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("build", SCENES)
 def test_zero_in_equilibrium_away_from_supports(
     comm: MPI.Intracomm, build: Callable[[MPI.Intracomm], Solver]
@@ -123,6 +124,7 @@ def times(tangent: Tangent, d: np.ndarray) -> np.ndarray:
     return product
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("build", SCENES)
 def test_tangent_is_the_residuals_difference(
     comm: MPI.Intracomm, build: Callable[[MPI.Intracomm], Solver]

@@ -253,6 +253,7 @@ def loaded_solver() -> Solver:
     return solver
 
 
+@pytest.mark.ranks
 def test_folded_cells_have_the_stresses_that_their_energy_comes_from() -> None:
     solver = loaded_solver()
     results = solver.results()
@@ -263,6 +264,7 @@ def test_folded_cells_have_the_stresses_that_their_energy_comes_from() -> None:
     assert COMM.allreduce(int(results.folded.sum())) > 20
 
 
+@pytest.mark.ranks
 def test_supports_and_anchors_balance_the_pressure() -> None:
     solver = loaded_solver()
     scene = solver.scene
@@ -289,6 +291,7 @@ def test_supports_and_anchors_balance_the_pressure() -> None:
     assert np.abs(west.positions[:, 0]).max(initial=0.0) < 1e-12
 
 
+@pytest.mark.ranks
 def test_anchor_off_the_membrane_against_the_energys_gradient() -> None:
     solver = loaded_solver()
     end = solver.scene.cables[1].end
@@ -334,12 +337,14 @@ def test_volume_under_a_tent() -> None:
     assert gained_volume(scene.net) > 10000
 
 
+@pytest.mark.ranks
 def test_volume_with_folded_cells_is_what_the_pressure_works_on() -> None:
     solver = loaded_solver()
     scene = solver.scene
     assert scene.volume == pytest.approx(-scene.energies["pressure"] / 0.01, rel=1e-12)
 
 
+@pytest.mark.ranks
 def test_surface_has_the_fold_lines_and_no_gaps() -> None:
     solver = loaded_solver()
     scene = solver.scene

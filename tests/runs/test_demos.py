@@ -41,6 +41,7 @@ DENTED = pytest.mark.filterwarnings("ignore::crms_fenicsx.runtime.errors.SnapThr
 """On cells of 6 m the hall dents all at once under snow."""
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     "demo", [pytest.param(one, marks=[DENTED] * (one == "air_hall")) for one in PROMISED]
 )

@@ -24,7 +24,7 @@ from crms_fenicsx.output import History, shared_file
 from crms_fenicsx.runtime import files
 from crms_fenicsx.runtime.arrays import Array
 
-pytestmark = pytest.mark.usefixtures("comm")
+pytestmark = [pytest.mark.usefixtures("comm"), pytest.mark.ranks]
 
 COMM = MPI.COMM_WORLD
 

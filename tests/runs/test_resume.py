@@ -25,7 +25,7 @@ from crms_fenicsx.checkpoint.journal import Journal
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.output import History
 
-pytestmark = pytest.mark.usefixtures("comm")
+pytestmark = [pytest.mark.usefixtures("comm"), pytest.mark.ranks]
 
 COMM = MPI.COMM_WORLD
 CALLS, STEPS = 3, 5

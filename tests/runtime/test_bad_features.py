@@ -12,6 +12,8 @@ from mpi4py import MPI
 from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
 
+pytestmark = pytest.mark.ranks
+
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("where", ["all ranks", "the last rank"])

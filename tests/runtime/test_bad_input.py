@@ -129,6 +129,7 @@ def test_cable_stiffness(EA: Any) -> None:
     refused(lambda: Cable(EA), "Cable", "EA", repr(EA), "give")
 
 
+@pytest.mark.ranks
 def test_laws_by_name(square) -> None:
     refused(lambda: Cable(1.0, law="steps"), "law", "'steps'", "'total' or 'step'")
     for name in ("strain", "pressure"):
@@ -175,22 +176,26 @@ def test_penalty_is_positive(square, name: str, value: Any) -> None:
     refused(lambda: Scene(square, MATERIAL, **{name: value}), "Scene", name, repr(value), "give")
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("z", [NAN, float("-inf"), "x", None])
 def test_height_of_the_floor(scene: Scene, z: Any) -> None:
     refused(lambda: scene.floor(z), "floor", repr(z), "give", scene=scene)
 
 
+@pytest.mark.ranks
 def test_floor_above_the_membrane(scene: Scene) -> None:
     refused(lambda: scene.floor(1.0), "z = 0", "z = 1", "lower", scene=scene)
     scene.floor(0.0)
 
 
+@pytest.mark.ranks
 def test_groups_and_directions(scene: Scene) -> None:
     refused(lambda: scene.fix("rim"), "'rim'", "boundary", "front left", scene=scene)
     refused(lambda: scene.fix("left", "xq"), "'xq'", "x, y and z", scene=scene)
     refused(lambda: scene.fix("left", ""), "''", "x, y and z", scene=scene)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("marker", "words"),
     [
@@ -205,6 +210,7 @@ def test_marker_functions(scene: Scene, marker: Any, words: str) -> None:
     refused(lambda: scene.fix(marker), "marker", words, scene=scene)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("path", "words"),
     [
@@ -260,6 +266,7 @@ def test_pressure_is_a_number(scene: Scene, pressure: Any) -> None:
     refused_load(scene, "pressure", repr(pressure), "give", pressure=pressure)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("vector", [(0, 0, NAN), (0, 0), "up", None, 3.0, ((0, 0, 1),)])
 @pytest.mark.usefixtures("idle")
 def test_movements_are_vectors(scene: Scene, vector: Any) -> None:
@@ -326,6 +333,7 @@ def test_follower_pressure_needs_a_held_boundary(square, directions: str) -> Non
     refused_load(scene, *words, pressure=0.01)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -355,6 +363,7 @@ def two_parts(comm) -> meshes.MembraneMesh:
     return meshes.from_arrays(comm, points, cells, parts=parts)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("material", "words"),
     [
@@ -379,6 +388,7 @@ def test_stepwise_strain_has_no_wrinkles(square) -> None:
     refused(lambda: Scene(square, MATERIAL, strain="step"), *words)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("where", [3, None, ["left", "right"], np.array([1, 2])])
 def test_where_to_fix(scene: Scene, where: Any) -> None:
     refused(lambda: scene.fix(where), repr(where), "one group", scene=scene)
@@ -403,6 +413,7 @@ def test_penalty_in_the_sound_range_does_not_warn(square, arguments: Any) -> Non
     Scene(square, MATERIAL, **arguments)  # warnings are errors here
 
 
+@pytest.mark.ranks
 @pytest.mark.usefixtures("idle")
 def test_displacements_that_are_not_finite(scene: Scene) -> None:
     everywhere = scene.V.tabulate_dof_coordinates()
@@ -439,6 +450,7 @@ class Nested:
 Nested.Error.__qualname__ = "elsewhere.<locals>.Error"
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     "error",
     [IndexError("no row 7"), UnicodeDecodeError("utf-8", b"", 0, 1, "?"), Nested.Error("local")],

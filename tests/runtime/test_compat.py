@@ -13,6 +13,8 @@ from petsc4py import PETSc
 from crms_fenicsx import InputError, IsotropicMembrane, Scene, meshes
 from crms_fenicsx.form_finding import find_form
 
+pytestmark = pytest.mark.ranks
+
 ROOT = Path(__file__).parents[2]
 VERSIONS = r"geometry\.dofmaps?\b|\.create_mesh\([\w.]+, \w+, |interpolation_points\(\)"
 """What is written differently for some DOLFINx; names of arguments have stayed."""

@@ -21,6 +21,8 @@ from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, me
 from crms_fenicsx.output import draw
 from crms_fenicsx.runtime import checks, errors
 
+pytestmark = pytest.mark.ranks
+
 SCENE = """
 from mpi4py import MPI
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes

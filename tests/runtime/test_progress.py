@@ -10,7 +10,7 @@ from mpi4py import MPI
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.runtime.progress import progress
 
-pytestmark = pytest.mark.usefixtures("comm")
+pytestmark = [pytest.mark.usefixtures("comm"), pytest.mark.ranks]
 COMM = MPI.COMM_WORLD
 
 

@@ -99,6 +99,7 @@ def plain(value: Any) -> Any:
     return {k: plain(v) for k, v in vars(value).items() if k != "row_of"}  # follows from others
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("kind", CABLES)
 def test_a_failed_increment_changes_no_cable_and_no_crossing(comm, monkeypatch, kind: str) -> None:
     """Not what it has for the next one either: failures come at any stage, also after all."""

@@ -16,7 +16,7 @@ from mpi4py import MPI
 
 from crms_fenicsx import Cable, Scene, Solver, meshes
 
-pytestmark = pytest.mark.usefixtures("comm")
+pytestmark = [pytest.mark.usefixtures("comm"), pytest.mark.ranks]
 
 PAGE = Path(__file__).parents[2] / "docs" / "how_to" / "coupling.md"
 TIMES, TOLERANCE, MOST = 2, 1e-9, 30

@@ -33,6 +33,7 @@ def closed_form(heat: float, atmosphere: float, exponent: float) -> tuple[float,
     return lam, given(lam)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("heat", "atmosphere", "exponent", "expected"),
     [
@@ -85,6 +86,7 @@ def dome(comm: MPI.Intracomm, folder: Path | None = None, resume: bool | None = 
     return solver
 
 
+@pytest.mark.ranks
 def test_a_cable_over_sealed_air(comm: MPI.Intracomm) -> None:
     """A gust raises the volume less; the same pressure, given, is in the same equilibrium."""
     solver = dome(comm)
@@ -189,6 +191,7 @@ def refused(scene: Scene) -> list[tuple[str, object]]:
     ]  # fmt: skip
 
 
+@pytest.mark.ranks
 def test_bad_input(comm: MPI.Intracomm) -> None:
     scene = clamped(meshes.rectangle(comm, 100.0, 100.0, 50.0))
     for message, call in refused(scene):

@@ -39,6 +39,7 @@ def tensions(solver: Solver) -> list[float]:
     return [cable.tension for cable in solver.scene.cables]
 
 
+@pytest.mark.ranks
 def test_a_branch_comes_back(comm: MPI.Intracomm) -> None:
     """State, loads, energies and cables are as before, and the next step has nothing to do."""
     solver = roof(comm)
@@ -62,6 +63,7 @@ def test_a_branch_comes_back(comm: MPI.Intracomm) -> None:
     assert cases == [None, None, "snow", "snow", None]
 
 
+@pytest.mark.ranks
 def test_what_is_changed_in_a_branch_is_undone(comm: MPI.Intracomm) -> None:
     """Cables laid and removed, supports, a floor and loads, also after an error."""
     solver = roof(comm)
@@ -112,6 +114,7 @@ def test_a_combination_is_what_a_run_of_its_own_gives(comm: MPI.Intracomm) -> No
     assert tensions(solver) == list(found["storm"].snapshot.tensions.values())
 
 
+@pytest.mark.ranks
 def test_a_combination_without_equilibrium_is_named(
     comm: MPI.Intracomm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -163,6 +166,7 @@ def test_bad_branches(comm: MPI.Intracomm) -> None:
         solver.restore(None)  # type: ignore[arg-type]
 
 
+@pytest.mark.ranks
 def test_a_run_with_combinations_resumes(comm: MPI.Intracomm, tmp_path: Path) -> None:
     """Started again it takes all from the checkpoints, wind and its coefficients included."""
 
@@ -230,6 +234,7 @@ def test_to_look_at_a_state_does_not_arrange_its_crossings_anew(
     assert solver.advance().verification is not None
 
 
+@pytest.mark.ranks
 def test_rank_0_gives_the_order(comm: MPI.Intracomm, tmp_path: Path) -> None:
     """Of combinations, their loads, and what is compared on finer meshes."""
     last = comm.rank == comm.size - 1

@@ -42,6 +42,7 @@ def test_a_rotation_is_that_of_its_matrix():
     np.testing.assert_allclose(tiny, 1e-12 * K @ (x - point[:, None]), atol=1e-23)
 
 
+@pytest.mark.ranks
 def test_a_ring_turned_in_steps_goes_on_its_circle(comm):
     """And lands exactly; the membrane turns with it as a rigid body."""
     solver = drum(comm)
@@ -94,6 +95,7 @@ def test_cable_ends_turn(comm):
     np.testing.assert_allclose(cable.positions[[0, -1]], turned(ends, np.pi / 6), atol=1e-14)
 
 
+@pytest.mark.ranks
 def test_groups_need_hold_only_where_functions_move_them(comm):
     mesh = meshes.rectangle(comm, 4.0, 4.0, 1.0, structured=True)
     scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.3, thickness=0.1, prestress=2.0))
@@ -115,6 +117,7 @@ def test_groups_need_hold_only_where_functions_move_them(comm):
         solver.advance(move={"right": Rotation((0, 0, 0), (1, 0, 0), 0.1)})
 
 
+@pytest.mark.ranks
 def test_functions_that_return_something_else_are_refused(comm):
     solver = drum(comm)
     u = solver.scene.u.x.array.copy()

@@ -39,6 +39,7 @@ def depth(scene: Scene) -> float:
     return -scene.comm.allreduce(lowest, op=MPI.MIN)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("k", "expected"), [(1.0, 0.30685), (1.5, 0.95378), (2.0, 3.46647)], ids=str
 )
@@ -87,6 +88,7 @@ def test_water_gathers_without_end(comm: MPI.Intracomm) -> None:
     assert scene.ponds[0].volume == volume
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("part", [0.99, 1.01], ids=["carried", "lost"])
 def test_an_equilibrium_that_is_not_stable(comm: MPI.Intracomm, part: float) -> None:
     """Water on a flat strip that an equal load from below carries: N = weight L^2 / pi^2."""
@@ -152,6 +154,7 @@ def hollow(comm: MPI.Intracomm, folder: Path | None = None, resume: bool | None 
     return solver
 
 
+@pytest.mark.ranks
 def test_ponds_of_both_kinds_under_a_cable(comm: MPI.Intracomm) -> None:
     """Verified, in a branch and back, and with a factor for safety in a combination."""
     solver = hollow(comm)
@@ -194,6 +197,7 @@ def test_ponds_go_on(comm: MPI.Intracomm, tmp_path: Path) -> None:
         assert now.volume == pytest.approx(was.volume, rel=1e-6)
 
 
+@pytest.mark.ranks
 def test_bad_input(comm: MPI.Intracomm) -> None:
     scene = clamped(irregular_square(comm))
     for message, arguments in (

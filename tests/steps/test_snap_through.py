@@ -39,6 +39,7 @@ def limit() -> float:
     return PRESSURE / (1 + PRESSURE * curvature * (1 - NU) / STIFFNESS)
 
 
+@pytest.mark.ranks
 def test_a_dome_turns_inside_out(comm: MPI.Intracomm, tmp_path: Path) -> None:
     """At the load of the closed form within 1 %, in one step that goes far beyond it."""
     solver = dome(comm, 4.0, folder=comm.bcast(tmp_path))

@@ -66,6 +66,7 @@ def assert_same(a: list[np.ndarray], b: list[np.ndarray], tolerance: float = 0.0
         np.testing.assert_allclose(x, y, rtol=tolerance, atol=100.0 * tolerance)
 
 
+@pytest.mark.ranks
 def test_a_failed_step_that_tightened_a_cable_can_be_followed_by_others(
     square: meshes.MembraneMesh, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -97,6 +98,7 @@ class Interrupted(BaseException):
     """Not an Exception, as a keyboard interrupt."""
 
 
+@pytest.mark.ranks
 def test_an_interrupt_leaves_the_last_good_state(
     square: meshes.MembraneMesh, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -137,6 +139,7 @@ def test_movements_of_groups_add_up_and_need_hold_only_where_they_move(
     assert scene.energy == pytest.approx(energy, rel=1e-12)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("pressure", [0.0, 0.01])
 def test_supports_that_move_alike_carry_all_with_them(
     free_mesh: meshes.MembraneMesh, pressure: float
@@ -230,6 +233,7 @@ def test_other_minimisers_find_the_same(
     assert_same(state(other), state(usual), 1e-7)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("package", ["mumps", "superlu_dist"])
 def test_the_factorisation_of_h0_is_an_option(
     square: meshes.MembraneMesh, options: Any, package: str
@@ -272,6 +276,7 @@ def test_options_of_another_prefix_do_not_count(square: meshes.MembraneMesh, opt
     assert PETSc.Options()["crms_tao_blmvm_mat_lmvm_hist_size"] == "7"  # not overwritten
 
 
+@pytest.mark.ranks
 def test_petsc_objects_are_freed(square: meshes.MembraneMesh) -> None:
     scene = clamped(square)
     solver = Solver(scene)
@@ -293,6 +298,7 @@ def test_petsc_objects_are_freed(square: meshes.MembraneMesh) -> None:
     assert gone() is None  # nothing keeps a dropped solver's objects
 
 
+@pytest.mark.ranks
 def test_a_failed_increment_is_halved_and_grows_again(
     square: meshes.MembraneMesh, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -331,6 +337,7 @@ def test_a_failed_increment_is_halved_and_grows_again(
     assert len(tried) - before == 5
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("max_halvings", [0, 2])
 def test_giving_up_leaves_the_last_good_state(
     square: meshes.MembraneMesh, monkeypatch: pytest.MonkeyPatch, max_halvings: int
@@ -480,6 +487,7 @@ def test_the_floor_carries_what_is_pressed_on_it(free_mesh: meshes.MembraneMesh)
         assert total(carried[down, 2].sum()) > 0.1 * scale
 
 
+@pytest.mark.ranks
 def test_a_floor_under_a_cable(free_mesh: meshes.MembraneMesh) -> None:
     scene = clamped(free_mesh)
     scene.floor(-4.0)
@@ -568,6 +576,7 @@ AWKWARD = {
 }
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("case", list(AWKWARD))
 def test_cables_in_awkward_places(square: meshes.MembraneMesh, case: str) -> None:
     """Laid on the flat sheet, inflated and tightened: equilibrium in few evaluations."""
@@ -730,6 +739,7 @@ def test_loads_that_cancel_on_their_way_are_none(square) -> None:
     assert abs(scene.positions()[:, 2]).max(initial=0.0) < 1e-9
 
 
+@pytest.mark.ranks
 def test_what_is_not_finite_ends_a_solve(
     square: meshes.MembraneMesh, monkeypatch: pytest.MonkeyPatch
 ) -> None:

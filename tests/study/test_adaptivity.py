@@ -34,6 +34,7 @@ SHARES = {
 }
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 1.0])
 @pytest.mark.parametrize("name", SHARES)
 def test_marked_cells(comm, name, share):
@@ -69,6 +70,7 @@ def count(solver):
     return solver.scene.mesh.mesh.topology.index_map(2).size_global
 
 
+@pytest.mark.ranks
 def test_adapted_meshes_and_answers_are_the_same_on_any_number_of_processes(comm):
     """And however cells are shared out, also with a rank that has none; as on one process."""
     alone = [adapt(model_2, grid(MPI.COMM_SELF, 6), levels=n, share=0.4) for n in (1, 2, 3)]
@@ -104,6 +106,7 @@ def test_refinement_stops_at_the_tolerance(comm):
     assert count(adapt(model_2, grid(comm, 6), tolerance=2 * first)) == 72
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("how", "message"),
     [

@@ -88,6 +88,7 @@ def sail(mesh):
     return solver
 
 
+@pytest.mark.ranks
 def test_found_form_is_found_on_each_mesh(comm):
     """Of a flat sail the edges are arcs of radius T / s = 12.5: its area is known."""
     square10 = meshes.rectangle(comm, 10.0, 10.0, 1.25, structured=True)
@@ -116,6 +117,7 @@ def rubbed(mesh):
     return solver
 
 
+@pytest.mark.ranks
 def test_friction_has_its_history_on_each_mesh(comm):
     """The finer level is what a script finds that builds the same on the finer mesh."""
     study = convergence(rubbed, grid(comm, 4), 2)
@@ -129,6 +131,7 @@ def length(solver):
     return solver.scene.cable("ridge").L0
 
 
+@pytest.mark.ranks
 def test_levels_do_not_depend_on_who_owns_what(comm):
     def scattered(midpoints):
         return np.random.default_rng(7).integers(0, comm.size, len(midpoints))
@@ -143,6 +146,7 @@ def test_levels_do_not_depend_on_who_owns_what(comm):
     assert two["energy"].remark == "two levels show no order: 2 assumed"
 
 
+@pytest.mark.ranks
 def test_quantities_go_in_the_order_of_the_first_rank(comm):
     names = {"a": lambda solver: 1.0, "b": lambda solver: solver.scene.volume}
     last = comm.rank == comm.size - 1
@@ -222,6 +226,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("name", REFUSED)
 def test_bad_input_is_refused(comm, name):
     given, message = REFUSED[name]
@@ -236,6 +241,7 @@ BUILDS = {
 }
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("name", BUILDS)
 def test_functions_that_build_nothing_are_refused(comm, name):
     build, message = BUILDS[name]

@@ -15,7 +15,7 @@ from crms_fenicsx.minimization.minimizer import Minimizer
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.study import combine_in_groups
 
-pytestmark = pytest.mark.usefixtures("comm")
+pytestmark = [pytest.mark.usefixtures("comm"), pytest.mark.ranks]
 
 TABLE = {
     "snow": {"snow": 1.0},

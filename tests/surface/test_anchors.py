@@ -24,6 +24,8 @@ from crms_fenicsx.surface.feet import feet_of
 from crms_fenicsx.surface.points import CellPoint
 from crms_fenicsx.surface.trace import near_section, trace
 
+pytestmark = pytest.mark.ranks
+
 SNAP = 1e-3  # the default of `trace`
 
 

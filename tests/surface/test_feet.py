@@ -11,6 +11,8 @@ from crms_fenicsx.surface import feet, plane_section
 from crms_fenicsx.surface.feet import feet_of, nearest_within, pairs_within
 from crms_fenicsx.surface.plane_section import Plane, strips
 
+pytestmark = pytest.mark.ranks
+
 SURFACES = {
     "cap": lambda rng: cap(2.9),
     "tube": lambda rng: hall(np.pi),

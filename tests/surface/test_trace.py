@@ -28,6 +28,8 @@ from crms_fenicsx.runtime.errors import PathError
 from crms_fenicsx.surface.points import CellPoint, EdgePoint, VertexPoint
 from crms_fenicsx.surface.trace import IndirectLeg, _direct_way, near_section, trace
 
+pytestmark = pytest.mark.ranks
+
 
 def sheared(points, a, b):
     """Map integer points to others, so that their triangles become slivers."""

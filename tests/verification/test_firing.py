@@ -156,6 +156,7 @@ SPOILT: dict[str, tuple[str, float | Friction, Spoil]] = {
 }  # fmt: skip
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("name", CABLED)
 @pytest.mark.parametrize("what", SPOILT)
 def test_what_is_wrong_with_one_cable_is_found(comm: MPI.Intracomm, name: str, what: str) -> None:
@@ -168,6 +169,7 @@ def test_what_is_wrong_with_one_cable_is_found(comm: MPI.Intracomm, name: str, w
     assert found[check].where == solver.scene.cables[0].name
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("name", CABLED)
 def test_crossing_cables_apart_are_found(comm: MPI.Intracomm, name: str) -> None:
     """By a millionth of the length."""
@@ -203,6 +205,7 @@ WORKING = ("stiff membrane", "tiny forces", *FRAMES)
 slide along them only: beside these the energy of a smaller force is not seen."""
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("name", WORKING)
 def test_a_wrong_energy_is_found(
     comm: MPI.Intracomm, monkeypatch: pytest.MonkeyPatch, name: str
@@ -226,6 +229,7 @@ def test_a_wrong_energy_is_found(
 BALANCE = ("unbalanced forces", "sum of supports and loads", "moment of supports and loads")
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("name", [*CABLED, *FRAMES])
 def test_what_is_wrong_with_the_whole_scene_is_found(
     comm: MPI.Intracomm, monkeypatch: pytest.MonkeyPatch, name: str

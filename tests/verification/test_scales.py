@@ -24,6 +24,7 @@ from crms_fenicsx import Cable, Friction, IsotropicMembrane, Scene, Solver, mesh
 pytestmark = pytest.mark.usefixtures("comm")
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("name", SCENES)
 def test_sound_states_raise_no_alarm(comm: MPI.Intracomm, name: str) -> None:
     """Whichever part is weak beside the others, with and without friction."""
@@ -43,6 +44,7 @@ SPOILT = {
 }
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("what", SPOILT)
 def test_what_is_spoiled_on_one_part_is_found(comm: MPI.Intracomm, name: str, what: str) -> None:
@@ -78,6 +80,7 @@ def test_what_is_spoiled_on_one_part_is_found(comm: MPI.Intracomm, name: str, wh
     assert SPOILT[what] in names(checked(solver, spoil))
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("E", [1.0, 100.0, 1e6])
 @pytest.mark.parametrize(
     ("what", "name"),

@@ -32,6 +32,7 @@ def roped(comm: MPI.Intracomm, friction: float | Friction = 0.0) -> Solver:
     return solver
 
 
+@pytest.mark.ranks
 def test_sound_states_pass(comm: MPI.Intracomm) -> None:
     """With every kind of check, and a text that says so."""
     for friction in (0.0, 0.3, Friction(0.2, along=0.2)):
@@ -121,6 +122,7 @@ def test_slivers_raise_no_alarm(comm: MPI.Intracomm, thin: float) -> None:
     assert step.halvings == 0 and step.verification is not None and step.verification.passed
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("term", ["membrane", "pressure", "cables"])
 def test_an_energy_that_is_not_that_of_the_forces_is_found(
     comm: MPI.Intracomm, monkeypatch: pytest.MonkeyPatch, term: str
@@ -159,6 +161,7 @@ def test_wrong_forces_of_the_pressure_are_no_balance(
     assert {"unbalanced forces"} <= names(checked(solver))
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("what", "name"),
     [
@@ -253,6 +256,7 @@ def test_too_much_friction_is_found(comm: MPI.Intracomm, friction: float | Frict
     assert found == {axial if cable.axial is not None else "friction beyond its bound"}
 
 
+@pytest.mark.ranks
 def test_moved_supports_and_a_floor_run_through_are_found(comm: MPI.Intracomm) -> None:
     """What the loads prescribe, and the obstacle."""
     scene = sheet(comm, 7)
@@ -274,6 +278,7 @@ def test_moved_supports_and_a_floor_run_through_are_found(comm: MPI.Intracomm) -
     assert "depth below the floor" in names(checked(solver, sink))
 
 
+@pytest.mark.ranks
 def test_what_is_not_finite_is_found(comm: MPI.Intracomm) -> None:
     """Not a number compares as nothing; it must not pass for that."""
     solver = roped(comm)

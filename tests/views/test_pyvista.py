@@ -15,7 +15,7 @@ from vtu_file import VtuFile, read_vtu
 
 from crms_fenicsx import Bar, InputError, Scene, Solver
 
-pytestmark = pytest.mark.usefixtures("comm")
+pytestmark = [pytest.mark.usefixtures("comm"), pytest.mark.ranks]
 COMM = MPI.COMM_WORLD
 
 
