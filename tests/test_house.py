@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -27,8 +28,18 @@ DOORS = (
 """Where functions may import modules of the package: kernels, friction, and what most runs do not
 need."""
 
-MOST_LINES, MOST_CODE = 400, 60
-"""Lines of a file, and lines of code of a function."""
+MOST_LINES, MOST_CODE, MOST_ARGUMENTS = 400, 60, 8
+"""Lines of a file, lines of code of a function, and its arguments."""
+
+OPTIONS = set(
+    "Solver.__init__ Scene.lay_cable laying.lay find_form.find_form options.checked_options "
+    "Reporting.report arguments.checked_plan Drawing.draw_history plots.draw_history "
+    "draw_paths.draw_path draw_surface.draw_shape".split()
+)
+"""Functions with more arguments: options of public calls, by name. The list may only shrink."""
+
+
+SCOPES = (ast.Module, ast.ClassDef)
 
 
 def modules() -> dict[str, ast.Module]:
@@ -127,6 +138,36 @@ def test_functions_are_short() -> None:
     assert not long, "\n".join(long)
 
 
+def test_functions_have_few_arguments() -> None:
+    """Compiled kernels and their callers in `energies` aside, which take an element's arrays."""
+    long = set()
+    for module, tree in MODULES.items():
+        if floor(module) in (FLOORS.index("energies"), FLOORS.index("energies.paper")):
+            continue
+        for node in ast.walk(tree):
+            within = node.name if isinstance(node, ast.ClassDef) else module.rpartition(".")[2]
+            for function in getattr(node, "body", ()) if isinstance(node, SCOPES) else ():
+                if isinstance(function, ast.FunctionDef):
+                    given = function.args.posonlyargs + function.args.args
+                    own = sum(a.arg not in ("self", "cls") for a in given)
+                    if own + len(function.args.kwonlyargs) > MOST_ARGUMENTS:
+                        long.add(f"{within}.{function.name}")
+    assert long <= OPTIONS, sorted(long - OPTIONS)
+
+
+def test_no_two_modules_or_classes_have_one_name() -> None:
+    modules = Counter(module.rpartition(".")[2] for module in MODULES)
+    modules = Counter({stem: n for stem, n in modules.items() if stem != "__init__"})
+    classes = Counter(
+        node.name
+        for tree in MODULES.values()
+        for node in tree.body
+        if isinstance(node, ast.ClassDef)
+    )
+    twice = [name for names in (modules, classes) for name, n in names.items() if n > 1]
+    assert not twice, twice
+
+
 def test_docstrings_name_the_parameters_that_there_are() -> None:
     """And no others, nor texts below them, which belong into notes."""
     wrong = []
@@ -184,3 +225,8 @@ def test_tests_lie_where_what_they_test_does() -> None:
     folders = {path.parent.relative_to(tests).as_posix() for path in tests.rglob("test_*.py")}
     packages = {path.parent.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py")}
     assert folders - {"runs"} <= packages
+    assert packages - folders <= {
+        "energies/paper",
+        "output/figures",
+        "output/report",
+    }  # with theirs
