@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from crms_fenicsx.energies.dead_load import joint_load
 from crms_fenicsx.loaded_membrane import LoadedMembrane
 from crms_fenicsx.model.bar import Bar, BarEnd, Joint, MeshVertex, PlacedBar
 from crms_fenicsx.model.frame import Frame
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.model.membrane_load import joint_load
 from crms_fenicsx.model.versions import changes_model
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array

@@ -8,18 +8,18 @@ from collections.abc import Mapping
 from dolfinx import fem
 from mpi4py import MPI
 
-from crms_fenicsx.energies.dead_load import (
+from crms_fenicsx.model.changed_materials import checked_materials
+from crms_fenicsx.model.materials import MembraneMaterial, Strengths, checked_strengths
+from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.model.membrane_load import (
     Area,
     Coefficient,
     MembraneLoad,
     Traction,
-    dead_load,
+    fixed_direction_load,
     nodal_load,
     wind_load,
 )
-from crms_fenicsx.model.changed_materials import checked_materials
-from crms_fenicsx.model.materials import MembraneMaterial, Strengths, checked_strengths
-from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.versions import StateWarning, Versions, changes_model
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, collective
@@ -59,9 +59,10 @@ class LoadedMembrane:
 
     @collective
     def put_load(self, force: Traction, *, name: str = "load", per: Area = "surface") -> None:
-        """Put a dead load on the membrane; `Solver.advance` brings it on by its factor.
+        """Put a load of fixed direction on the membrane.
 
-        Its forces follow from the current shape, and then keep direction and size.
+        Its forces follow from the current shape, and then keep direction and size;
+        `Solver.advance` multiplies them by its factor.
 
         Parameters
         ----------
@@ -90,7 +91,7 @@ class LoadedMembrane:
         """
         checks.same(self.comm, "put_load", force=force, name=name, per=per)
         self._check_new_load("put_load", name)
-        self.add_load(dead_load(self.membrane, force, name, per))
+        self.add_load(fixed_direction_load(self.membrane, force, name, per))
 
     @collective
     def put_wind(self, pressure: float, coefficient: Coefficient, *, name: str = "wind") -> None:

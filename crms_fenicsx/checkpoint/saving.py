@@ -27,10 +27,10 @@ from crms_fenicsx.checkpoint.contents import (
 )
 from crms_fenicsx.checkpoint.fields import Fields, cell_ids, read_fields, write_fields
 from crms_fenicsx.checkpoint.folder import complete, replaced_folder
-from crms_fenicsx.energies.dead_load import MembraneLoad
 from crms_fenicsx.model.bar import BarEnd, Joint, MeshVertex, PlacedBar
 from crms_fenicsx.model.changed_materials import numbers, with_numbers
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.membrane_load import MembraneLoad
 from crms_fenicsx.output.shared_file import read_rows, write_rows
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.checks import LONGEST

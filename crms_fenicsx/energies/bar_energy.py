@@ -1,4 +1,4 @@
-"""Strain energy of straight bars, ``EA/2 (l - L0)^2 / L0``, and loads on their joints.
+"""Strain energy of straight bars, ``EA/2 (l - L0)^2 / L0``.
 
 A bar's force is N = EA (l - L0)/L0, its stiffness EA/L0 d d^T + N/l (I - d d^T), d its direction.
 In compression the second part is negative: H0, which must be positive definite, goes without it. A
@@ -160,44 +160,3 @@ def _add_forces(X, x, ends, forces, g):  # type: ignore[no-untyped-def]
         for i in range(3):
             g[a, i] -= c * r[i]
             g[b, i] += c * r[i]
-
-
-class JointLoads(EnergyTerm):
-    """Potential ``-F . u`` of forces on joints.
-
-    Attributes: `forces` (n, 3): the forces (force). Shapes: blocks (n,).
-    """
-
-    name = "dead load"
-    exact_hessian = True
-
-    def __init__(self, blocks: Indices) -> None:
-        self._blocks, self.forces = blocks, np.zeros((len(blocks), 3))
-
-    def sums(self, x: Array, out: Array) -> None:
-        """Work of the forces (force x length)."""
-        out[0] = _work(x, self._blocks, self.forces)
-
-    def energy(self, sums: Array) -> float:
-        """Minus the work of the forces since the joints were made (force x length)."""
-        return -float(sums[0])
-
-    def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
-        """Subtract the forces."""
-        _subtract(g, self._blocks, self.forces)
-
-
-@numba.njit(cache=True)
-def _work(x, blocks, forces):  # type: ignore[no-untyped-def]
-    total = 0.0
-    for k in range(len(blocks)):
-        for i in range(3):
-            total += x[blocks[k], i] * forces[k, i]
-    return total
-
-
-@numba.njit(cache=True)
-def _subtract(g, blocks, forces):  # type: ignore[no-untyped-def]
-    for k in range(len(blocks)):
-        for i in range(3):
-            g[blocks[k], i] -= forces[k, i]

@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from crms_fenicsx.dofs.layout import FrameBlocks, Unknowns
-from crms_fenicsx.energies.bar_energy import BarEnergy, BarTable, JointLoads
+from crms_fenicsx.energies.bar_energy import BarEnergy, BarTable
+from crms_fenicsx.energies.nodal_forces import JointForces
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.equilibrium.contribution import Contribution
 from crms_fenicsx.minimization.damping import Damping, Springs
@@ -58,7 +59,7 @@ class BarContribution(Contribution):
             )
         )
         mine = blocks.joint_blocks if self.scene.comm.rank == 0 else blocks.joint_blocks[:0]
-        self._loads = JointLoads(mine)
+        self._loads = JointForces(mine)
         return [self._bars, self._loads]
 
     @contextmanager

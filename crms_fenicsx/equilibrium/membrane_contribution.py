@@ -11,8 +11,8 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.energies.dead_load import DeadLoad
 from crms_fenicsx.energies.membrane_energy import MembraneEnergy
+from crms_fenicsx.energies.nodal_forces import NodalForces
 from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.energies.paper.step_membrane import StepMembraneEnergy
 from crms_fenicsx.energies.paper.step_pressure import StepPressure
@@ -197,10 +197,10 @@ class PressureContribution(Contribution):
 class MembraneLoadsContribution(Contribution):
     """The loads that `Scene.put_load` and `Scene.put_wind` have put on the membrane."""
 
-    term: DeadLoad | None = None
+    term: NodalForces | None = None
 
     def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
-        self.term = DeadLoad(len(self.scene.held)) if self.scene.loads else None
+        self.term = NodalForces(len(self.scene.held)) if self.scene.loads else None
         return [] if self.term is None else [self.term]
 
     def read_scene(self, potential: Potential) -> None:

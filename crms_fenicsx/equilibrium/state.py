@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from crms_fenicsx.energies.dead_load import MembraneLoad
 from crms_fenicsx.model.bar import BarState, JointState
 from crms_fenicsx.model.cable_state import CableNode, CableState
 from crms_fenicsx.model.crossing import Crossing
+from crms_fenicsx.model.membrane_load import MembraneLoad
 from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.model.sealed_air import SealedAir
 from crms_fenicsx.model.versions import StateWarning, Version

@@ -94,7 +94,7 @@ class Recorder:
     """Records a scene's load steps.
 
     Attributes: `history`: a row for each step: its number, "halvings" of the increment, "pressure",
-    "load" (factor of the dead load, once there is one), "energy" and that of each kind of term
+    "load" (factor of the load, once there is one), "energy" and that of each kind of term
     ("energy membrane"), "dissipated" by friction in all steps and "passes" of friction forces (once
     a cable has friction), "volume" gained (once there is pressure), "tension", "length" and "L0" of
     each cable by its name ("tension cable 1"; with friction along it also "tension cable 1 start"

@@ -247,7 +247,7 @@ def _check_wind(scene: Scene, factors: Mapping[str, tuple[float, float]]) -> Non
                 raise InputError(
                     f"advance: load of {load.name!r} = {factor:g}, a wind that follows the "
                     'surface, with Scene(..., pressure="step"); use pressure="total", or put the '
-                    "wind as a dead load with scene.put_load."
+                    "wind in a fixed direction with scene.put_load."
                 )
 
 

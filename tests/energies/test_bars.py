@@ -5,7 +5,8 @@ import pytest
 from taylor import Points, TermOnPoints, gradient_order, is_semidefinite, noise, stiffness_error
 
 from crms_fenicsx import Bar, IsotropicMembrane, Scene, meshes
-from crms_fenicsx.energies.bar_energy import SLACK, BarEnergy, BarTable, JointLoads
+from crms_fenicsx.energies.bar_energy import SLACK, BarEnergy, BarTable
+from crms_fenicsx.energies.nodal_forces import JointForces
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.taylor import TermsWithDyads, stiffness_order
 
@@ -96,7 +97,7 @@ def test_some_of_the_bars_make_a_term_of_their_own():
 
 
 def test_loads_on_joints_are_linear():
-    load = JointLoads(np.array([1, 3], dtype=np.int32))
+    load = JointForces(np.array([1, 3], dtype=np.int32))
     load.forces[:] = RNG.normal(size=(2, 3))
     f, x = TermOnPoints(load, X), noise(X, 4)
     energy, g = f.value(x)

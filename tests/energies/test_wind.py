@@ -9,7 +9,7 @@ from taylor import noise
 from term_scene import ISOTROPIC, SIDE, corners, irregular_square
 
 from crms_fenicsx import Cable, InputError, Scene, Solver, meshes
-from crms_fenicsx.energies.dead_load import wind_load
+from crms_fenicsx.model.membrane_load import wind_load
 
 
 def fixed(mesh):

@@ -202,7 +202,7 @@ def _loads(scene: Scene) -> tuple[Row, ...]:
     rows: list[Row] = []
     for load in scene.loads:
         total = scene.comm.allreduce(load.forces.sum(axis=0))
-        kind = "dead load" if load.suction is None else "wind, follows the surface"
+        kind = "fixed direction" if load.suction is None else "wind, follows the surface"
         if load.joints:
             kind, total = "on joints", np.sum([*load.joints.values()], axis=0)
         size = None if load.joints else load.intensity

@@ -1,10 +1,10 @@
 """Loads on the membrane by their nodal forces, which keep direction and size as the shape changes.
 
-Snow and weight are such dead loads. Wind is not: its suction stays normal to the surface, and
-varies over it, and forces of that kind have no potential. A load step with wind is solved with the
-forces of the shape found before, again and again until they are those of its own shape. What it
-adds where cables fold cells is a term of its own, `folded_pressure.FoldedWind`. (The
-paper's pressure, section 2.4, is a dead load in each step.)
+Snow and weight are such loads of fixed direction. Wind is not: its suction stays normal to the
+surface and varies over it, and forces of that kind have no potential. A load step with wind is
+solved with the forces of the shape found before, again and again until they are those of its own
+shape. What it adds where cables fold cells is a term of its own, `folded_pressure.FoldedWind`. (The
+paper's pressure, section 2.4, has a fixed direction in each step.)
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
-from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.meshes.membrane_mesh import outer_first
 from crms_fenicsx.meshes.triangles import area_vectors, double_areas, norm
 from crms_fenicsx.model.membrane import Membrane
@@ -47,7 +46,7 @@ class MembraneLoad:
     forces: Array = field(repr=False)
     intensity: float  # mean size of the force per area at the factor 1, over the whole membrane
     # (m,) or None force per area along the normals of this rank's cells, if the load follows these;
-    # None for a dead load
+    # None for a fixed direction
     suction: Array | None = field(default=None, repr=False)
     factor: float = 0.0  # what the forces are multiplied by; load steps change it
     # forces (force) on joints of bars, by their names
@@ -59,7 +58,7 @@ class MembraneLoad:
         return self.suction is not None and self.factor != 0.0
 
     def turned(self, membrane: Membrane) -> MembraneLoad:
-        """The load with the forces of the membrane's current shape; a dead load as it is."""
+        """The load with the forces of the current shape; one of fixed direction as it is."""
         if self.suction is None or self.factor == 0.0:
             return self
         shape = _Shape(membrane)
@@ -108,10 +107,10 @@ class _Shape:
         return forces
 
 
-def dead_load(
+def fixed_direction_load(
     membrane: Membrane, traction: Traction, name: str = "load", per: Area = "surface"
 ) -> MembraneLoad:
-    """A dead load on the membrane's current shape. Collective.
+    """A load of fixed direction on the membrane's current shape. Collective.
 
     A cell gives a third of its load, taken at its centre, to each of its vertices. That a cable
     folds it changes nothing: the load goes by the triangle of its corners, and together these
@@ -150,7 +149,7 @@ def wind_load(
 
 
 def nodal_load(membrane: Membrane, forces: fem.Function, name: str = "forces") -> MembraneLoad:
-    """A dead load by its forces on the vertices. Collective."""
+    """A load of fixed direction by its forces on the vertices. Collective."""
     nodal = np.zeros(membrane.held.shape)
     with raised_together(membrane.comm):
         if not isinstance(forces, fem.Function) or forces.function_space != membrane.V:
@@ -174,7 +173,7 @@ def nodal_load(membrane: Membrane, forces: fem.Function, name: str = "forces") -
 def joint_load(
     membrane: Membrane, joints: Mapping[str, tuple[float, float, float]], name: str = "joint load"
 ) -> MembraneLoad:
-    """A dead load by its forces on joints of bars, by their names. Collective."""
+    """A load of fixed direction by its forces on joints of bars, by their names. Collective."""
     size = float(norm(np.array([*joints.values()])).sum())
     return MembraneLoad(
         name, np.zeros(membrane.held.shape), size / membrane.size**2, joints=joints,
@@ -230,36 +229,3 @@ def _intensity(membrane: Membrane, shape: _Shape, loads: Array) -> float:
     local = np.array([np.linalg.norm(loads, axis=1).sum(), shape.areas.sum()])
     total, area = membrane.comm.allreduce(local, op=MPI.SUM)
     return float(total / area)
-
-
-class DeadLoad(EnergyTerm):
-    """Potential ``-F . u`` of the nodal forces F of all loads on the membrane.
-
-    Attributes: `forces` (n, 3): what this rank's cells give to its vertices (force).
-    """
-
-    name = "dead load"
-    exact_hessian = True
-
-    def __init__(self, n: int) -> None:
-        self.forces, self._u, self._minus = np.zeros((3, n, 3))
-
-    def take(self, loads: Sequence[MembraneLoad]) -> None:
-        """Take the forces of loads at their factors."""
-        self.forces[:] = 0.0
-        for load in loads:
-            self.forces += load.factor * load.forces
-        np.negative(self.forces, out=self._minus)
-
-    def sums(self, x: Array, out: Array) -> None:
-        """This rank's part of the forces' work (force x length)."""
-        self.unknowns.read_vertices(x, self._u)
-        out[0] = np.vdot(self.forces, self._u)
-
-    def energy(self, sums: Array) -> float:
-        """Minus the work of the forces since the stress-free shape (force x length)."""
-        return -float(sums[0])
-
-    def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
-        """Subtract the forces."""
-        self.unknowns.add_to_vertices(self._minus, g)

@@ -1,4 +1,4 @@
-"""Dead load: forces cell by cell, exact deflection, reactions, cables, load steps, bad input."""
+"""Loads of fixed direction: forces of cells, deflection, reactions, cables, steps, bad input."""
 
 from dataclasses import replace
 
@@ -19,9 +19,10 @@ from term_scene import (
 
 from crms_fenicsx import Cable, ConvergenceError, InputError, Scene, Solver
 from crms_fenicsx.dofs.layout import Unknowns
-from crms_fenicsx.energies.dead_load import DeadLoad, dead_load
+from crms_fenicsx.energies.nodal_forces import NodalForces
 from crms_fenicsx.minimization.minimizer import Minimizer
 from crms_fenicsx.minimization.outcome import Outcome
+from crms_fenicsx.model.membrane_load import fixed_direction_load
 
 
 def lifted_scene(comm):
@@ -44,7 +45,7 @@ def owned_sum(scene, forces):
 
 
 def forces_one_by_one(scene, traction):
-    """The slow twin of `dead_load`: cell after cell."""
+    """The slow twin of `fixed_direction_load`: cell after cell."""
     forces = np.zeros((len(scene.held), 3))
     _, now = corners(scene)
     for dofs, (a, b, c) in zip(scene.V.dofmap.list, now, strict=False):
@@ -60,13 +61,13 @@ def forces_one_by_one(scene, traction):
 def test_forces_of_the_current_shape(comm, moved):
     scene = lifted_scene(comm)
     scene.u.x.array[:] = moved * noise(scene.V.tabulate_dof_coordinates(), 4).ravel()
-    load = dead_load(scene.membrane, wavy)
+    load = fixed_direction_load(scene.membrane, wavy)
     np.testing.assert_allclose(load.forces, forces_one_by_one(scene, wavy), atol=1e-10)
 
 
 def test_a_vector_is_a_force_on_every_cell(comm):
     scene = lifted_scene(comm)
-    load = dead_load(scene.membrane, (1.0, -2.0, 0.5))
+    load = fixed_direction_load(scene.membrane, (1.0, -2.0, 0.5))
     twin = forces_one_by_one(scene, lambda x, n: np.array([[1.0], [-2.0], [0.5]]))
     np.testing.assert_allclose(load.forces, twin, atol=1e-12)
     assert load.intensity == pytest.approx(np.sqrt(5.25), rel=1e-12)
@@ -75,8 +76,8 @@ def test_a_vector_is_a_force_on_every_cell(comm):
 def test_gradient_and_energy(comm):
     """Linear: the energy is minus the forces' work, and a Taylor remainder is nothing at all."""
     scene = lifted_scene(comm)
-    load = dead_load(scene.membrane, wavy)
-    term = DeadLoad(len(scene.held))
+    load = fixed_direction_load(scene.membrane, wavy)
+    term = NodalForces(len(scene.held))
     term.take([replace(load, factor=0.5), replace(load, factor=0.2)])
     f = OnMesh(Unknowns(scene.V), scene.u, [term])
     X = f.unknowns.X[: f.unknowns.n_owned]
@@ -96,7 +97,7 @@ def test_gradient_beside_cables(comm):
     system.prepare()
     system.read_scene()
     f = on_mesh(system)
-    assert any(isinstance(term, DeadLoad) for term in f.potential.terms)
+    assert any(isinstance(term, NodalForces) for term in f.potential.terms)
     x = displaced(f.unknowns, 0.3)
     for name, d in directions(f.unknowns).items():
         assert gradient_order(f, x, d) == pytest.approx(2, abs=0.03), name
@@ -225,13 +226,13 @@ def test_bad_factors(comm):
 
 @pytest.mark.ranks
 def test_forces_from_elsewhere(comm):
-    """Nodal forces of a dead load, given as a function, are that load; what is copied stays."""
+    """Nodal forces of a load, given as a function, are that load; what is copied stays."""
     found = []
     for from_elsewhere in (False, True):
         scene = lifted_scene(comm)
         if from_elsewhere:
             forces = fem.Function(scene.V)
-            own = owned_sum(scene, dead_load(scene.membrane, (0.01, 0.0, 0.02)).forces)
+            own = owned_sum(scene, fixed_direction_load(scene.membrane, (0.01, 0.0, 0.02)).forces)
             forces.x.array[:] = np.nan  # those of ghosts do not count
             forces.x.array[: own.size] = own.ravel()
             scene.put_forces(forces, name="push")
