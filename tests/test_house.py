@@ -23,7 +23,7 @@ DOORS = (
     "energies.membrane_energy cables.deformed_surface paths.held_vertices paths.laying "
     "paths.vertex_passing scene equilibrium minimization.minimizer verification.cable_checks "
     "verification.cable_forces verification.verifier steps.increment_solver "
-    "output.report.reporting study.groups"
+    "study.groups"
 ).split()
 """Where functions may import modules of the package: kernels, friction, and what most runs do not
 need."""
@@ -33,7 +33,7 @@ MOST_LINES, MOST_CODE, MOST_ARGUMENTS = 400, 60, 8
 
 OPTIONS = set(
     "Solver.__init__ Scene.lay_cable laying.lay find_form.find_form options.checked_options "
-    "Reporting.report arguments.checked_plan Drawing.draw_history plots.draw_history "
+    "Drawing.draw_history plots.draw_history "
     "draw_paths.draw_path draw_surface.draw_shape".split()
 )
 """Functions with more arguments: options of public calls, by name. The list may only shrink."""

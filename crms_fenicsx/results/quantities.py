@@ -36,11 +36,11 @@ class CellQuantity:
 
 
 QUANTITIES = {
-    "warp": CellQuantity("section force along warp", "warp_weft", 0, "stress"),
-    "weft": CellQuantity("section force along weft", "warp_weft", 1, "stress"),
+    "warp": CellQuantity("membrane force along warp", "warp_weft", 0, "stress"),
+    "weft": CellQuantity("membrane force along weft", "warp_weft", 1, "stress"),
     "shear": CellQuantity("shear of warp and weft", "warp_weft", 2, "stress"),
-    "true force 1": CellQuantity("larger section force", "true_forces", 0, "stress"),
-    "true force 2": CellQuantity("smaller section force", "true_forces", 1, "stress"),
+    "true force 1": CellQuantity("larger principal membrane force", "true_forces", 0, "stress"),
+    "true force 2": CellQuantity("smaller principal membrane force", "true_forces", 1, "stress"),
     "second Piola warp": CellQuantity(
         "second Piola-Kirchhoff force along warp", "second_piola_warp_weft", 0, "stress"
     ),
@@ -50,8 +50,8 @@ QUANTITIES = {
     "second Piola shear": CellQuantity(
         "second Piola-Kirchhoff shear", "second_piola_warp_weft", 2, "stress"
     ),
-    "strain 1": CellQuantity("larger strain", "strains", 0),
-    "strain 2": CellQuantity("smaller strain", "strains", 1),
+    "strain 1": CellQuantity("larger principal strain", "strains", 0),
+    "strain 2": CellQuantity("smaller principal strain", "strains", 1),
     "state": CellQuantity("0 slack, 1 wrinkled, 2 taut", "state"),
     "utilisation": CellQuantity("utilisation", "utilised"),
 }

@@ -78,8 +78,13 @@ def combine_in_groups(
     >>> found = combine_in_groups(build, mesh, table, groups=4, report="results/dome.html")
     >>> max(found, key=lambda name: found[name].summary.membrane.largest["warp"].value)
     """
-    from crms_fenicsx.output.report.arguments import checked_plan
-    from crms_fenicsx.output.report.reporting import drawn, model_of, results_of, write_report
+    from crms_fenicsx.output.report.reporting import (
+        checked_plan,
+        drawn,
+        model_of,
+        results_of,
+        write_report,
+    )
 
     comm = comm_of("combine_in_groups", mesh)
     checks.same(comm, "combine_in_groups", combinations=combinations, groups=groups, steps=steps,

@@ -85,7 +85,7 @@ def test_a_report_of_combinations(comm: MPI.Intracomm, folder: Path) -> None:
         for table in ("combinations", "overview", "membrane", "envelope", "cables",
                       "cable_envelope", "supports", "anchors", "verification")
     }  # fmt: skip
-    warp = "Section force along warp [kN/m]"
+    warp = "Membrane force along warp [kN/m]"
     rows = [row for row in read_csv(out / "tent_membrane.csv") if row["Result"] == warp]
     for name, (largest, _, summary) in expected.items():
         row = next(r for r in rows if (r["Combination"], r["Part"]) == (name, "whole membrane"))

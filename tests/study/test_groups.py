@@ -73,7 +73,7 @@ def test_groups_find_what_one_solver_finds(comm: MPI.Intracomm, tmp_path: Path) 
     comm.barrier()
     text = page.read_text(encoding="utf-8")
     assert text.count("<img") == 1 + len(TABLE)
-    assert all(f"{name}: larger section force" in text for name in TABLE)
+    assert all(f"{name}: larger principal membrane force" in text for name in TABLE)
     tensions = (folder / "report_cables.csv").read_text().splitlines()[1:]
     assert [line.split(",")[1] for line in tensions] == list(TABLE)
     np.testing.assert_allclose(

@@ -56,13 +56,14 @@ def _of_cells(name: str) -> Colour:
 COLOURS = {
     "height": Colour("height", "length", lambda s, r: s.points[:, 2][s.triangles].mean(axis=1)),
     "displacement": Colour("displacement", "length", lambda s, r: _displacement(s)),
-    "stress": Colour("larger section force", "stress", lambda s, r: r.true_forces[s.parents, 0]),
-    "stress 2": Colour("smaller section force", "stress", lambda s, r: r.true_forces[s.parents, 1]),
-    "strain": Colour("larger strain", "", lambda s, r: r.strains[s.parents, 0]),
     "state": Colour(
         "0 slack, 1 wrinkled, 2 taut", "", lambda s, r: r.state[s.parents].astype(np.float64)
     ),
 } | {name: _of_cells(name) for name in ("warp", "weft", "shear", "utilisation")}
+COLOURS |= {
+    "stress": _of_cells("true force 1"), "stress 2": _of_cells("true force 2"),
+    "strain": _of_cells("strain 1"),
+}  # fmt: skip
 """What `draw` can colour the membrane by."""
 
 

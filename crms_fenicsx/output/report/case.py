@@ -24,6 +24,9 @@ WIDTH = 6.0
 """Of a picture, in inches."""
 
 
+Corner = tuple[float, ...]
+
+
 @dataclass(frozen=True)
 class Picture:
     """A picture of a case: what colours the membrane, and the bytes of a PNG file."""
@@ -41,8 +44,8 @@ class Case:
     # what checks of this very state say; None if it was not verified in this run
     verification: Verification | None
     # low, high: corners of the box around membrane, cables and bars (length)
-    low: tuple[float, ...]
-    high: tuple[float, ...]
+    low: Corner
+    high: Corner
     pictures: tuple[Picture, ...] = ()  # on the first rank
 
 
@@ -52,11 +55,16 @@ def case_of(solver: HasSystem, name: str) -> Case:
     found, scene, comm = summary(system), system.scene, solver.comm
     places = np.concatenate([scene.positions(), *(cable.line for cable in scene.cables),
                              *(bar.points for bar in scene.bars)])  # fmt: skip
-    high = [comm.allreduce(float(x.max(initial=-np.inf)), op=MPI.MAX) for x in places.T]
-    low = [-comm.allreduce(float((-x).max(initial=-np.inf)), op=MPI.MAX) for x in places.T]
     settled = scene.versions.current.equilibrium
     checked = settled.verification if settled is not None and found.in_equilibrium else None
-    return Case(name, found, checked, tuple(low), tuple(high))
+    return Case(name, found, checked, *box(comm, places))
+
+
+def box(comm: MPI.Intracomm, places: Array) -> tuple[Corner, Corner]:
+    """Lowest and highest corner of the box around all ranks' places (n, 3). Collective."""
+    high = [comm.allreduce(float(x.max(initial=-np.inf)), op=MPI.MAX) for x in places.T]
+    low = [-comm.allreduce(float((-x).max(initial=-np.inf)), op=MPI.MAX) for x in places.T]
+    return tuple(low), tuple(high)
 
 
 def with_pictures(

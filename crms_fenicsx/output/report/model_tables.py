@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from datetime import datetime, timezone
 from typing import Any
@@ -19,80 +19,75 @@ from crms_fenicsx.meshes.triangles import area_vectors, cell_sides
 from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.materials import ALL, Strengths
+from crms_fenicsx.model.materials import ALL
 from crms_fenicsx.model.membrane import COMPONENTS
 from crms_fenicsx.output.report.bar_tables import families
+from crms_fenicsx.output.report.case import box
 from crms_fenicsx.output.report.page import Cell, Table, number, shown
-from crms_fenicsx.output.report.results_tables import Units, part_name
+from crms_fenicsx.output.report.results_tables import Units, clean, part_name
 from crms_fenicsx.results.reactions import held_lengths
 from crms_fenicsx.results.summary import held_groups
 from crms_fenicsx.runtime.arrays import Array, Integers, floats
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.scene import Scene
 
-Row = tuple[str | int | float | None, ...]
+Row = tuple[Cell, ...]
 
 
 @dataclass(frozen=True)
-class ModelData:
-    """A scene by plain numbers and texts, the same on all ranks."""
+class Model:
+    """A scene as tables, the same on all ranks, and a PNG of it; empty without one."""
 
-    cells: int  # cells, vertices, ranks: how many there are
-    vertices: int
+    size: float  # largest extent of the stress-free surface (length)
     ranks: int
-    # least, mean and largest length of the cells' stress-free sides (length)
-    sides: tuple[float, float, float]
-    low: tuple[float, ...]  # low, high: corners of the stress-free surface's box (length)
-    high: tuple[float, ...]
-    area: float  # stress-free (length squared)
-    materials: tuple[Row, ...]  # rows: part, its stress-free area, kind of material, its data
-    # by part in warp and weft (force per length); under "" of the whole membrane
-    strengths: Mapping[str, Strengths]
-    supports: tuple[Row, ...]  # rows: group, directions, vertices, length of its edges
-    cables: tuple[Row, ...]  # rows: name, EA, unstressed length, friction, ends, how it lies
-    bars: tuple[Row, ...]  # rows: name, kind, EA, unstressed length, ends
-    joints: tuple[Row, ...]  # rows: name, directions in which it is held, place (length)
-    # rows: name, kind, mean size per area at the factor 1, components of the sum; of ponds no sizes
-    loads: tuple[Row, ...]
-    # names and texts: pressure, laws, sealed air, floor, terms of the user's own
-    other: Mapping[str, str]
-
-    @property
-    def size(self) -> float:
-        """Largest extent (length)."""
-        return max(b - a for a, b in zip(self.low, self.high, strict=True))
+    tables: dict[str, Table]  # by what they list
+    picture: bytes = b""  # on the first rank
+    caption: str = ""  # what the picture shows
 
 
-def model_data(scene: Scene) -> ModelData:
+def model_of_scene(scene: Scene, units: Units) -> Model:
     """Describe a scene. Collective."""
-    mesh, comm = scene.mesh.mesh, scene.comm
-    owned = mesh.topology.index_map(2).size_local
-    sides = np.linalg.norm(cell_sides(mesh, np.arange(owned, dtype=np.int32)), axis=2)
-    least = comm.allreduce(float(sides.min(initial=np.inf)), op=MPI.MIN)
-    largest = comm.allreduce(float(sides.max(initial=0.0)), op=MPI.MAX)
-    cells = mesh.topology.index_map(2).size_global
-    mean = comm.allreduce(float(sides.sum())) / (3 * cells)
-    areas = np.linalg.norm(area_vectors(mesh)[:owned], axis=1)
-    places = scene.membrane.stress_free
-    low = [-comm.allreduce(float((-x).max(initial=-np.inf)), op=MPI.MAX) for x in places.T]
-    high = [comm.allreduce(float(x.max(initial=-np.inf)), op=MPI.MAX) for x in places.T]
-    return ModelData(
-        cells,
-        scene.V.dofmap.index_map.size_global,
-        comm.size,
-        (least, mean, largest),
-        tuple(low),
-        tuple(high),
-        comm.allreduce(float(areas.sum())),
-        _materials(scene, areas),
-        dict(scene.membrane.strengths),
-        _supports(scene),
-        tuple(_cable(cable) for cable in scene.cables),
-        tuple(_bar(bar) for bar in scene.bars),
-        tuple(_joint(joint) for joint in scene.joints),
-        _loads(scene),
-        _other(scene),
-    )
+    m, kN, line = units["length"], units["force"], units["stress"]
+    areas = np.linalg.norm(area_vectors(scene.mesh.mesh)[: _owned_cells(scene)], axis=1)
+    low, high = box(scene.comm, scene.membrane.stress_free)
+    extents = [b - a for a, b in zip(low, high, strict=True)]
+    strengths = [(part_name(part), *pair) for part, pair in scene.membrane.strengths.items()]
+    tables = {
+        "mesh": Table(
+            "Mesh and theory", ("Property", "Value"), _mesh(scene, areas, extents, units)
+        ),
+        "materials": Table(
+            "Membrane", ("Part", f"Area{units['area']}", "Material", "Data"),
+            _materials(scene, areas),
+        ),
+        "strengths": Table("Strengths", ("Part", f"Warp{line}", f"Weft{line}"), strengths),
+        "supports": Table(
+            "Supports of the membrane",
+            ("Group", "Held directions", "Vertices", f"Length of edges{m}"), _supports(scene),
+        ),
+        "cables": Table(
+            "Cables",
+            ("Cable", f"EA{kN}", f"Unstressed length{m}", "Friction", "Start / end", "Lies"),
+            [_cable(cable) for cable in scene.cables],
+        ),
+        "bars": Table(
+            "Bars", ("Bar", "Kind", f"EA{kN}", f"Unstressed length{m}", "Start", "End"),
+            [_bar(bar) for bar in scene.bars],
+        ),
+        "joints": Table(
+            "Joints", ("Joint", "Held directions", *(f"{x}{m}" for x in "xyz")),
+            [_joint(joint) for joint in scene.joints],
+        ),
+        "loads": Table(
+            "Loads at the factor 1",
+            (
+                "Load", "Kind", f"Mean per area{units['pressure']}",
+                *(f"Sum F{x}{kN}" for x in "xyz"),
+            ),
+            _loads(scene),
+        ),
+    }  # fmt: skip
+    return Model(max(extents), scene.comm.size, tables)
 
 
 STATE = {
@@ -102,37 +97,72 @@ STATE = {
 """Tables of a model, with those of their columns that are of the state it is described in."""
 
 
-def merged(models: Mapping[str, ModelData]) -> ModelData:
+def merged(models: Mapping[str, Model]) -> Model:
     """The descriptions of a scene that combinations were brought on with, as one."""
-    tables: dict[str, Any] = {}
-    for table, of_state in STATE.items():
-        found: dict[object, tuple[str, Row]] = {}
+    first = next(iter(models.values()))
+    tables = dict(first.tables)
+    for key, of_state in STATE.items():
+        found: dict[object, tuple[str, Sequence[Cell]]] = {}
         for names, model in models.items():
-            for row in getattr(model, table):
+            for row in model.tables[key].rows:
                 others, known = found.setdefault(row[0], (names, row))
                 a, b = ([x for k, x in enumerate(one) if k not in of_state] for one in (known, row))
                 if a != b:
                     raise InputError(
-                        f"report: the {table} of the combinations {others} and {names} differ: "
+                        f"report: the {key} of the combinations {others} and {names} differ: "
                         f"{tuple(a)} and {tuple(b)}; write a report of its own for each model."
                     )
-        tables[table] = tuple(row for _, row in found.values())
-    texts: dict[str, dict[str, list[str]]] = {}
+        tables[key] = replace(tables[key], rows=[row for _, row in found.values()])
+    texts: dict[Cell, dict[Cell, list[str]]] = {}
     for names, model in models.items():
-        for name, text in model.other.items():
+        for name, text in model.tables["mesh"].rows:
             texts.setdefault(name, {}).setdefault(text, []).append(names)
-    other = {
-        name: "; ".join(
-            text if len(of) == len(models) else f"{', '.join(of)}: {text}"
-            for text, of in found.items()
-        )
-        for name, found in texts.items()
-    }
-    return replace(next(iter(models.values())), other=other, **tables)
+    rows = [
+        (name, "; ".join(
+            str(text) if len(of) == len(models) else f"{', '.join(of)}: {text}"
+            for text, of in every.items()
+        ))
+        for name, every in texts.items()
+    ]  # fmt: skip
+    return replace(first, tables=tables | {"mesh": replace(tables["mesh"], rows=rows)})
 
 
-def _materials(scene: Scene, areas: Array) -> tuple[Row, ...]:
-    membrane, rows = scene.membrane, []
+def in_families(bars: Table) -> Table:
+    """The bars; of a family the first one's data, from its start to the last one's end."""
+    by_name = {str(row[0]): row for row in bars.rows}
+    rows = [
+        (label, *by_name[own[0]][1:-1], by_name[own[-1]][-1])
+        for label, own in families(list(by_name)).items()
+    ]
+    return replace(bars, rows=rows)
+
+
+def _owned_cells(scene: Scene) -> int:
+    return int(scene.mesh.mesh.topology.index_map(2).size_local)
+
+
+def _mesh(scene: Scene, areas: Array, extents: list[float], units: Units) -> list[Row]:
+    mesh, comm, m = scene.mesh.mesh, scene.comm, units["length"]
+    sides = np.linalg.norm(cell_sides(mesh, np.arange(len(areas), dtype=np.int32)), axis=2)
+    cells = mesh.topology.index_map(2).size_global
+    lengths = (
+        comm.allreduce(float(sides.min(initial=np.inf)), op=MPI.MIN),
+        comm.allreduce(float(sides.sum())) / (3 * cells),
+        comm.allreduce(float(sides.max(initial=0.0)), op=MPI.MAX),
+    )
+    rows: list[Row] = [
+        ("Triangular cells", cells),
+        ("Vertices", scene.V.dofmap.index_map.size_global),
+        (f"Sides of cells{m}: least, mean, largest", ", ".join(map(number, lengths))),
+        (f"Extents in x, y, z, stress-free{m}", " by ".join(map(number, extents))),
+        (f"Stress-free area{units['area']}", comm.allreduce(float(areas.sum()))),
+        *_theory(scene).items(),
+    ]
+    return [(name, shown(value)) for name, value in rows]
+
+
+def _materials(scene: Scene, areas: Array) -> list[Row]:
+    membrane, rows = scene.membrane, list[Row]()
     for k, material in membrane.materials.items():
         cells: Integers = np.arange(len(areas))
         if membrane.cell_tags is not None:
@@ -140,7 +170,7 @@ def _materials(scene: Scene, areas: Array) -> tuple[Row, ...]:
         area = scene.comm.allreduce(float(areas[cells].sum()))
         part = membrane.parts.get(k, ALL) or "whole membrane"
         rows.append((part, area, type(material).__name__, _data(material)))
-    return tuple(rows)
+    return rows
 
 
 def _data(thing: Any) -> str:
@@ -160,7 +190,7 @@ def _text(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _supports(scene: Scene) -> tuple[Row, ...]:
+def _supports(scene: Scene) -> list[Row]:
     rows: list[Row] = []
     own, comm = scene.V.dofmap.index_map.size_local, scene.comm
     for name, (directions, dofs) in held_groups(scene.membrane).items():
@@ -171,7 +201,7 @@ def _supports(scene: Scene) -> tuple[Row, ...]:
         count = comm.allreduce(int(np.count_nonzero(dofs < own)))
         rows.append((name, ", ".join(directions), count, length))
     held = comm.allreduce(int(np.count_nonzero(scene.held[:own].any(axis=1))))
-    return (*rows, ("all held vertices", "", held, None))
+    return [*rows, ("all held vertices", "", held, None)]
 
 
 def _cable(cable: LaidCable) -> Row:
@@ -198,7 +228,7 @@ def _joint(joint: Joint) -> Row:
     return joint.name, directions, *floats(joint.position)
 
 
-def _loads(scene: Scene) -> tuple[Row, ...]:
+def _loads(scene: Scene) -> list[Row]:
     rows: list[Row] = []
     for load in scene.loads:
         total = scene.comm.allreduce(load.forces.sum(axis=0))
@@ -206,15 +236,16 @@ def _loads(scene: Scene) -> tuple[Row, ...]:
         if load.joints:
             kind, total = "on joints", np.sum([*load.joints.values()], axis=0)
         size = None if load.joints else load.intensity
-        rows.append((load.name, kind, size, *total.tolist()))
+        rows.append((load.name, kind, size, *clean(total.tolist(), float(abs(total).max()), 1e-9)))
     for pond in scene.ponds:
         given = f"level z = {pond.level:g}" if pond.given == "level" else f"volume {pond.volume:g}"
         kind = f"water of the weight {pond.weight:g} by volume, {given}"
         rows.append((pond.name, kind, None, None, None, None))
-    return tuple(rows)
+    return rows
 
 
-def _other(scene: Scene) -> dict[str, str]:
+def _theory(scene: Scene) -> dict[str, str]:
+    """Pressure, laws, sealed air, floor and the user's own terms, as texts by names."""
     pressed, comm = scene.membrane.pressed, scene.comm
     if comm.allreduce(int(np.count_nonzero(~pressed))):
         free = {k: comm.allreduce(int(np.count_nonzero(~pressed[cells])))
@@ -237,8 +268,8 @@ def _other(scene: Scene) -> dict[str, str]:
     added = [term.name for term in scene.terms]
     if ResidualStress.name in added:
         added.remove(ResidualStress.name)
-        found["Residual section forces"] = (
-            "those of the form beside its prestress, with which it is in equilibrium; the section "
+        found["Residual membrane forces"] = (
+            "those of the form beside its prestress, with which it is in equilibrium; the membrane "
             "forces below have them"
         )
     if added:
@@ -246,83 +277,7 @@ def _other(scene: Scene) -> dict[str, str]:
     return found
 
 
-def mesh(model: ModelData, units: Units) -> Table:
-    """The mesh and what it is computed with."""
-    m = units["length"]
-    extents = [b - a for a, b in zip(model.low, model.high, strict=True)]
-    rows: list[tuple[Cell, ...]] = [
-        ("Triangular cells", model.cells),
-        ("Vertices", model.vertices),
-        (f"Sides of cells{m}: least, mean, largest", ", ".join(map(number, model.sides))),
-        (f"Extents in x, y, z, stress-free{m}", " by ".join(map(number, extents))),
-        (f"Stress-free area{units['area']}", model.area),
-        *model.other.items(),
-    ]
-    return Table("Mesh and theory", ("Property", "Value"), [(a, shown(b)) for a, b in rows])
-
-
-def materials(model: ModelData, units: Units) -> Table:
-    """Materials by part."""
-    columns = ("Part", f"Area{units['area']}", "Material", "Data")
-    return Table("Membrane", columns, model.materials)
-
-
-def strengths(model: ModelData, units: Units) -> Table:
-    """Strengths by part."""
-    rows = [(part_name(part), *pair) for part, pair in model.strengths.items()]
-    line = units["stress"]
-    return Table("Strengths", ("Part", f"Warp{line}", f"Weft{line}"), rows)
-
-
-def supports(model: ModelData, units: Units) -> Table:
-    """Where the membrane is held."""
-    columns = ("Group", "Held directions", "Vertices", f"Length of edges{units['length']}")
-    return Table("Supports of the membrane", columns, model.supports)
-
-
-def cables(model: ModelData, units: Units) -> Table:
-    """The cables."""
-    columns = (
-        "Cable", f"EA{units['force']}", f"Unstressed length{units['length']}", "Friction",
-        "Start / end", "Lies",
-    )  # fmt: skip
-    return Table("Cables", columns, model.cables)
-
-
-def bars(model: ModelData, units: Units) -> Table:
-    """The bars; of a family the first one's data, from its start to the last one's end."""
-    by_name = {str(row[0]): row for row in model.bars}
-    rows: list[tuple[Cell, ...]] = []
-    for label, own in families(list(by_name)).items():
-        _, kind, EA, L0, start, _ = by_name[own[0]]
-        rows.append((label, kind, EA, L0, start, by_name[own[-1]][-1]))
-    columns = (
-        "Bar", "Kind", f"EA{units['force']}", f"Unstressed length{units['length']}", "Start", "End",
-    )  # fmt: skip
-    return Table("Bars", columns, rows)
-
-
-def joints(model: ModelData, units: Units) -> Table:
-    """The joints."""
-    at = (f"{x}{units['length']}" for x in "xyz")
-    return Table("Joints", ("Joint", "Held directions", *at), model.joints)
-
-
-def loads(model: ModelData, units: Units) -> Table:
-    """The loads at the factor 1."""
-    kN = units["force"]
-    columns = (
-        "Load", "Kind", f"Mean per area{units['pressure']}", *(f"Sum F{x}{kN}" for x in "xyz"),
-    )  # fmt: skip
-    rows = []
-    for name, kind, intensity, *total in model.loads:
-        scale = max((abs(x) for x in total if isinstance(x, float)), default=0.0)
-        parts = [0.0 if isinstance(x, float) and abs(x) <= 1e-9 * scale else x for x in total]
-        rows.append((name, kind, intensity, *parts))
-    return Table("Loads at the factor 1", columns, rows)
-
-
-def versions(model: ModelData) -> list[tuple[str, str]]:
+def versions(ranks: int) -> list[tuple[str, str]]:
     """When and with what it was computed."""
     package = __name__.partition(".")[0]
     used = (
@@ -332,7 +287,7 @@ def versions(model: ModelData) -> list[tuple[str, str]]:
         f"NumPy {np.__version__}",
         f"Python {platform.python_version()}",
     )
-    processes = "1 process" if model.ranks == 1 else f"{model.ranks} processes"
+    processes = "1 process" if ranks == 1 else f"{ranks} processes"
     return [
         ("Date", datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")),
         ("Computed with", f"{', '.join(used)}, on {processes}"),

@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from mpi4py import MPI
 
-from crms_fenicsx.equilibrium.system import System
+from crms_fenicsx.model.materials import OrthotropicMembrane
 from crms_fenicsx.model.versions import UNBALANCED
-from crms_fenicsx.output.figures.draw_scene import HasSystem
-from crms_fenicsx.output.report.arguments import Plan, write
-from crms_fenicsx.output.report.case import SHARPEST, Case, case_of, draw_png, with_pictures
-from crms_fenicsx.output.report.model_tables import ModelData, merged, model_data
-from crms_fenicsx.output.report.sections import Model, Report
+from crms_fenicsx.output.figures.axes3d import check_view
+from crms_fenicsx.output.figures.draw_scene import COLOURS, HasSystem
+from crms_fenicsx.output.report.case import (
+    SHARPEST,
+    TENSION,
+    Case,
+    case_of,
+    draw_png,
+    with_pictures,
+)
+from crms_fenicsx.output.report.model_tables import Model, merged, model_of_scene
+from crms_fenicsx.output.report.results_tables import Units
+from crms_fenicsx.output.report.sections import Report
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.errors import collective, raised_together
+from crms_fenicsx.runtime.errors import InputError, collective, raised_together
+from crms_fenicsx.runtime.files import absolute, make_writable, replaced
 from crms_fenicsx.runtime.readonly import ReadOnly
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.steps.load_cases import Combination
@@ -43,6 +52,127 @@ class Reported(HasSystem, Protocol):
         """Bring the scene back to a state."""
 
 
+@dataclass(frozen=True)
+class Plan:
+    """What a report is to be: the options of `Reporting.report`."""
+
+    path: Path  # of the page
+    title: str = "Membrane structure"  # title, about: heading, and names and texts below it
+    about: Mapping[str, str] = field(default_factory=dict)
+    unit: str = ""
+    force: str = ""
+    cable_strengths: Mapping[str, float] = field(default_factory=dict)  # by names (force)
+    pictures: Sequence[str] | None = None  # what colours the membrane in them
+    view: tuple[float, float] = (-60.0, 30.0)
+
+    @property
+    def units(self) -> Units:
+        """Names of the units."""
+        return Units(self.unit, self.force)
+
+    @property
+    def look(self) -> dict[str, Any]:
+        """Options of `draw` that all pictures have."""
+        return {"unit": self.unit, "force": self.force, "view": self.view}
+
+
+def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **options: Any) -> Plan:
+    """Check the arguments of a report. Collective on `comm`."""
+    checks.same(comm, "report", filename=filename, **options)
+    plan = Plan(Path(), **options)
+    plan = replace(plan, about=plan.about or {}, cable_strengths=plan.cable_strengths or {})
+    for name in ("title", "unit", "force"):
+        if not isinstance(value := getattr(plan, name), str):
+            raise InputError(f"report: {name} = {value!r} is no text; give one, or ''.")
+    if not isinstance(plan.about, Mapping) or not all(
+        isinstance(text, str) for pair in plan.about.items() for text in pair
+    ):
+        raise InputError(
+            f"report: about = {plan.about!r}; write texts by names, as in "
+            '{"Project": "Tent", "Author": "..."}.'
+        )
+    strengths = _checked_strengths(scene, plan.cable_strengths)
+    pictures = _checked_pictures(scene, plan.pictures)
+    check_view(plan.view)
+    path = absolute(checks.file("report: filename", filename), comm)
+    with raised_together(comm):  # last, as it makes the folder
+        if comm.rank == 0:
+            _check_path(path)
+    return replace(plan, path=path, cable_strengths=strengths, pictures=pictures)
+
+
+def checked_states(
+    scene: Scene, combinations: Mapping[str, Combination] | None
+) -> dict[str, Combination]:
+    """Combinations of a scene; none for its current state."""
+    if combinations is None:
+        return {}
+    if not isinstance(combinations, Mapping) or not combinations:
+        raise InputError(
+            f"report: combinations = {combinations!r}; give what solver.combine(...) returned, or "
+            "leave it out for the current state."
+        )
+    for name, one in combinations.items():
+        if not isinstance(one, Combination):
+            raise InputError(
+                f"report: combination {name!r} is {one!r}; give what solver.combine(...) returned."
+            )
+        if one.snapshot.scene is not scene:
+            raise InputError(
+                f"report: combination {name!r} is of another scene; let the solver that made it "
+                "write the report."
+            )
+    return {str(name): one for name, one in combinations.items()}
+
+
+def _checked_strengths(scene: Scene, strengths: Mapping[str, float]) -> dict[str, float]:
+    """Strengths of cables by their names (force)."""
+    if not isinstance(strengths, Mapping):
+        raise InputError(
+            f"report: cable_strengths = {strengths!r}; write forces by the cables' names, as in "
+            '{"ridge": 120.0}.'
+        )
+    for name in strengths:
+        scene.cable(name)
+    return {
+        name: checks.positive(f"report: strength of the cable {name!r}", value)
+        for name, value in strengths.items()
+    }
+
+
+def _checked_pictures(scene: Scene, pictures: Sequence[str] | None) -> tuple[str, ...]:
+    """What colours the membrane in pictures."""
+    has = bool(scene.membrane.strengths)
+    if pictures is None:
+        woven = any(isinstance(x, OrthotropicMembrane) for x in scene.materials.values())
+        forces = ("warp", "weft") if woven else ("stress",)
+        lines = (TENSION,) if scene.cables or scene.bars else ()
+        return (*lines, "displacement", *forces, *(("utilisation",) if has else ()))
+    if isinstance(pictures, str) or not isinstance(pictures, Sequence):
+        raise InputError(f'report: pictures = {pictures!r}; write a list, as in ["stress"].')
+    for colour in pictures:
+        if colour not in (TENSION, *COLOURS):
+            raise InputError(
+                f"report: pictures has {colour!r}, which is not known; use some of "
+                f"{[TENSION, *COLOURS]}."
+            )
+        if colour == "utilisation" and not has:
+            raise InputError(
+                "report: pictures has 'utilisation', but there are no strengths; call "
+                "scene.set_strengths(...) before."
+            )
+    return tuple(pictures)
+
+
+def _check_path(path: Path) -> None:
+    """Refuse a path that no report can be written to; not collective."""
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"report: filename = {str(path)!r} is no page; give one with .html.")
+    if path.is_dir():
+        raise InputError(f"report: {path} is a folder; give the name of a file in it.")
+    make_writable(path.parent)
+
+
 def results_of(solver: Reported, states: Mapping[str, Combination]) -> list[Case]:
     """Results of combinations, or of the current state if there are none. Collective."""
     if not states:
@@ -60,13 +190,12 @@ def drawn(
     every: Sequence[Case],
 ) -> list[Case]:  # fmt: skip
     """The cases with pictures in the scale of `every` case. Collective."""
-    if not states:
-        return [with_pictures(solver, case, every, plan.colours, plan.look) for case in cases]
     pictured = []
     with back_to_now(solver):
         for case in cases:
-            solver.restore(states[case.name].snapshot)
-            pictured.append(with_pictures(solver, case, every, plan.colours, plan.look))
+            if states:
+                solver.restore(states[case.name].snapshot)
+            pictured.append(with_pictures(solver, case, every, plan.pictures or (), plan.look))
     return pictured
 
 
@@ -74,12 +203,12 @@ def model_of(solver: Reported, plan: Plan, states: Mapping[str, Combination]) ->
     """The model that combinations were brought on with, or the present one. Collective."""
     base, now = solver.base, solver.scene.versions.current
     if not states:
-        data = model_data(solver.scene)
+        model = model_of_scene(solver.scene, plan.units)
         if base is None or base.version.model_version != now.model_version:
-            return _pictured(solver, plan, data, "The model in its current state")
+            return _pictured(solver, plan, model, "The model in its current state")
         with back_to_now(solver):
             solver.restore(base)
-            return _pictured(solver, plan, data, "The model in its base state, before its loads")
+            return _pictured(solver, plan, model, "The model in its base state, before its loads")
     names = dict[int, list[str]]()
     for name, one in states.items():
         names.setdefault(one.base.version.model_version, []).append(name)
@@ -92,27 +221,34 @@ def model_of(solver: Reported, plan: Plan, states: Mapping[str, Combination]) ->
         models = {}
         for own in names.values():
             solver.restore(states[own[0]].base)
-            models[", ".join(own)] = model_data(solver.scene)
-        data = merged(models)
+            models[", ".join(own)] = model_of_scene(solver.scene, plan.units)
+        model = merged(models)
         solver.restore(first)
-        return _pictured(solver, plan, data, caption)
+        return _pictured(solver, plan, model, caption)
 
 
-def _pictured(solver: Reported, plan: Plan, data: ModelData, caption: str) -> Model:
+def _pictured(solver: Reported, plan: Plan, model: Model, caption: str) -> Model:
     """A model with a picture of the scene's present state. Collective."""
     scene = solver.scene
     if not scene.in_equilibrium():
         caption += f" ({UNBALANCED})"
     names = len(scene.cables) + len(scene.bars) <= MOST_NAMES
-    return Model(data, draw_png(solver, dpi=SHARPEST, show_names=names, **plan.look), caption)
+    png = draw_png(solver, dpi=SHARPEST, show_names=names, **plan.look)
+    return replace(model, picture=png, caption=caption)
 
 
 def write_report(solver: Reported, plan: Plan, model: Model, cases: Sequence[Case]) -> None:
-    """Write the report of all cases. Collective."""
+    """Write a report's page and its tables, all at once when they are complete. Collective."""
     with raised_together(solver.comm):
         if solver.comm.rank == 0:
-            report = Report(plan.title, plan.about, plan.units, model, cases, plan.cable_strengths)
-            write(plan.path, report)
+            about, path = [*plan.about.items()], plan.path
+            report = Report(plan.title, about, plan.units, model, cases, plan.cable_strengths)
+            texts = {path: report.html()}
+            for table in report.tables():
+                texts[path.with_name(f"{path.stem}_{table.name}.csv")] = table.csv()
+            with ExitStack() as files:
+                for file, text in texts.items():
+                    files.enter_context(replaced(file)).write_text(text, encoding="utf-8")
 
 
 @contextmanager
@@ -125,44 +261,32 @@ def back_to_now(solver: Reported) -> Iterator[None]:
         solver.restore(now)
 
 
+def report(
+    solver: Reported, filename: str | Path, combinations: Mapping[str, Combination] | None = None,
+    **options: Any,
+) -> None:  # fmt: skip
+    """Write a report of combinations, or of the current state; see `Plan`. Collective."""
+    listed: object = combinations
+    if isinstance(combinations, Mapping):
+        listed = dict.fromkeys(combinations)
+    checks.same(solver.comm, "report", combinations=listed)
+    states = checks.in_one_order(solver.comm, checked_states(solver.scene, combinations))
+    plan = checked_plan(solver.comm, solver.scene, filename, **options)
+    model, cases = model_of(solver, plan, states), results_of(solver, states)
+    write_report(solver, plan, model, drawn(solver, plan, states, cases, cases))
+
+
 class Reporting:
     """The part of a solver that writes reports."""
 
-    comm: MPI.Intracomm
-    _scene: Scene
-    scene: ReadOnly[Scene]
-    base: Snapshot | None
-
-    @property
-    @abstractmethod
-    def system(self) -> System:
-        """The potential of the scene."""
-
-    @abstractmethod
-    def snapshot(self) -> Snapshot:
-        """The current state."""
-
-    @abstractmethod
-    def restore(self, snapshot: Snapshot) -> None:
-        """Bring the scene back to a state."""
-
     @collective
     def report(
-        self,
-        filename: str | Path,
-        combinations: Mapping[str, Combination] | None = None,
-        *,
-        title: str = "Membrane structure",
-        about: Mapping[str, str] | None = None,
-        unit: str = "",
-        force: str = "",
-        cable_strengths: Mapping[str, float] | None = None,
-        pictures: Sequence[str] | None = None,
-        view: tuple[float, float] = (-60.0, 30.0),
-    ) -> None:
+        self: Reported, filename: str | Path,
+        combinations: Mapping[str, Combination] | None = None, **options: Any,
+    ) -> None:  # fmt: skip
         """Write a report to attach to a calculation: one page of HTML, and CSV tables. Collective.
 
-        The page has the model, combinations, pictures, section forces, utilisation and envelopes,
+        The page has the model, combinations, pictures, membrane forces, utilisation and envelopes,
         cables, bars, ponds, reactions and the verification's verdicts; it loads nothing from
         elsewhere, is smaller than 5 MB, and prints on A4. The tables lie beside it: ``tent.html``
         has ``tent_membrane.csv``, ``tent_cables.csv`` and so on, with all digits. Results are those
@@ -178,22 +302,16 @@ class Reporting:
             Of the page, ending in .html. Files that are there are replaced when all are complete.
         combinations
             What `combine` returned; by default the current state alone.
-        title
-            Heading.
-        about
-            Names and texts below it: ``{"Project": "...", "Author": "..."}``.
-        unit, force
-            Names of the units of length and force, for headings.
-        cable_strengths
-            Strengths of cables by their names, divided by the partial factors (force); those that
-            are named get a utilisation. Those of the fabric are `Scene.set_strengths`'s.
-        pictures
-            What colours the membrane in a picture of each combination, as for `draw`, or "tension",
-            that of cables and bars; by default these, displacement, section forces (of fabrics with
-            a warp along warp and weft) and, with strengths, utilisation. Where the page would be
-            too large, the last ones are left out.
-        view
-            Where the viewer stands, as for `draw`.
+        **options
+            ``title``: heading. ``about``: names and texts below it, as ``{"Project": "..."}``.
+            ``unit``, ``force``: names of the units of length and force, for headings.
+            ``cable_strengths``: strengths of cables by their names, divided by the partial factors
+            (force); those that are named get a utilisation. Those of the fabric are
+            `Scene.set_strengths`'s. ``pictures``: what colours the membrane in a picture of each
+            combination, as for `draw`, or "tension", that of cables and bars; by default these,
+            displacement, membrane forces (of fabrics with a warp along warp and weft) and, with
+            strengths, utilisation. Where the page would be too large, the last ones are left out.
+            ``view``: where the viewer stands, as for `draw`.
 
         Raises
         ------
@@ -206,16 +324,4 @@ class Reporting:
         >>> found = solver.combine({"snow": {"snow": 1.5}, "storm": {"wind": 1.5}})
         >>> solver.report("results/tent/report.html", found, title="Tent", unit="m", force="kN")
         """
-        from crms_fenicsx.output.report.arguments import checked_plan, checked_states
-
-        listed: object = combinations
-        if isinstance(combinations, Mapping):
-            listed = dict.fromkeys(combinations)
-        checks.same(self.comm, "report", combinations=listed)
-        states = checks.in_one_order(self.comm, checked_states(self._scene, combinations))
-        plan = checked_plan(
-            self.comm, self._scene, filename, title=title, about=about, unit=unit, force=force,
-            cable_strengths=cable_strengths, pictures=pictures, view=view,
-        )  # fmt: skip
-        model, cases = model_of(self, plan, states), results_of(self, states)
-        write_report(self, plan, model, drawn(self, plan, states, cases, cases))
+        report(self, filename, combinations, **options)

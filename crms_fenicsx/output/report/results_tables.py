@@ -16,7 +16,6 @@ from crms_fenicsx.results.summary import (
     SUMMED_UP,
     Extreme,
     PartSummary,
-    SupportSummary,
 )
 
 WIDTH, LEFT, RIGHT, ROW, TOP = 760, 190, 140, 24, 26
@@ -121,10 +120,10 @@ def overview(cases: Sequence[Case], units: Units) -> Table:
         )  # fmt: skip
     m = units["length"]
     columns = (
-        "Combination", f"Largest displacement{m}", f"Lowest in z{m}", f"Highest in z{m}",
+        "Combination", f"Largest deflection{m}", f"Lowest in z{m}", f"Highest in z{m}",
         "Slack area", "Wrinkled area", f"Potential energy{units['energy']}",
     )  # fmt: skip
-    return Table("Displacements from the stress-free shape, and state", columns, rows, "overview")
+    return Table("Deflections from the stress-free shape, and state", columns, rows, "overview")
 
 
 def of_case(case: Case, units: Units, size: float) -> Table:
@@ -266,9 +265,10 @@ def supports(cases: Sequence[Case], units: Units, *, every: bool = True) -> Tabl
             if one is None:
                 continue
             label = BOTH if whole and one.parts else name
-            scale = max(map(abs, (*one.total, *one.membrane)))
+            # beside what the total is the sum of
+            scale = max(*map(abs, (*one.total, *one.membrane)), one.mean * one.length)
             along = (one.mean, one.largest) if one.length > 0.0 else (None, None)
-            rows.append((label, case.name, TOTAL, *clean(one.total, scale, one), *along))
+            rows.append((label, case.name, TOTAL, *clean(one.total, scale), *along))
             if one.parts and not whole and (every or one.length == 0.0):
                 for part, force in {"membrane": one.membrane, **one.parts}.items():
                     size = max(map(abs, (*one.total, *force)))
@@ -297,13 +297,9 @@ def anchors(cases: Sequence[Case], units: Units) -> Table:
     return Table("Anchors: forces on the cables' ends", columns, rows, "anchors", headings=3)
 
 
-def clean(
-    force: Sequence[float], scale: float, support: SupportSummary | None = None
-) -> list[float]:
-    """A force without components that are rounding beside it, or beside what it is the sum of."""
-    if support is not None:
-        scale = max(scale, support.mean * support.length)
-    return [x if abs(x) > NOISE * scale else 0.0 for x in force]
+def clean(force: Sequence[float], scale: float, part: float = NOISE) -> list[float]:
+    """A force without components that are rounding beside a scale: below this part of it."""
+    return [x if abs(x) > part * scale else 0.0 for x in force]
 
 
 def verification(cases: Sequence[Case]) -> Table:

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from crms_fenicsx.output.figures.draw_scene import COLOURS
-from crms_fenicsx.output.report import bar_tables, model_tables, results_tables
+from crms_fenicsx.output.report import bar_tables, results_tables
 from crms_fenicsx.output.report.case import TENSION, Case
-from crms_fenicsx.output.report.model_tables import ModelData
+from crms_fenicsx.output.report.model_tables import Model, in_families, versions
 from crms_fenicsx.output.report.page import (
     LARGEST,
     PageSection,
@@ -24,18 +24,18 @@ from crms_fenicsx.output.report.page import (
 from crms_fenicsx.output.report.results_tables import Units, bars
 
 NOTES = (
-    "Section forces are true (Cauchy) forces per current length, positive in tension. The larger "
+    "Membrane forces are true (Cauchy) forces per current length, positive in tension. The larger "
     "and smaller ones are principal values; warp and weft are along the current warp and square to "
     "it, shear belongs to these two. Each triangle has one value, so that largest values at "
     "corners, anchors and cables grow as the mesh becomes finer.",
-    "Utilisation is the larger ratio of the section forces along warp and weft to the strengths "
+    "Utilisation is the larger ratio of the membrane forces along warp and weft to the strengths "
     "given for them, which must contain all partial factors. Shear is not part of it.",
     "Slack and wrinkled shares are parts of the stress-free area: a wrinkled triangle is in "
     "tension in one direction only, a slack one in none.",
-    "Displacements are from the stress-free shape. Reactions are forces that supports exert on all "
-    "that meets there: on the membrane, and on ends of cables and bars. Per length they are forces "
-    "on the membrane over the length of held edges that belongs to each vertex; they contain what "
-    "cables hand on there that pass over. Groups may share vertices.",
+    "Deflections are displacements from the stress-free shape. Reactions are forces that supports "
+    "exert on all that meets there: on the membrane, and on ends of cables and bars. Per length "
+    "they are forces on the membrane over the length of held edges that belongs to each vertex; "
+    "they contain what cables hand on there that pass over. Groups may share vertices.",
     "Contact forces of cables are those along the membrane's normal, per length of cable, smoothed "
     "over a few triangles.",
     "Each equilibrium is checked independently of the solver: virtual work by differences of the "
@@ -54,20 +54,11 @@ def _shows(colour: str) -> str:
 
 
 @dataclass(frozen=True)
-class Model:
-    """What was computed, and a PNG of it that shows what its caption says; empty without one."""
-
-    data: ModelData
-    picture: bytes
-    caption: str
-
-
-@dataclass(frozen=True)
 class Report:
     """All that a report is made of."""
 
     title: str  # title, about: heading, and names and texts below it
-    about: Mapping[str, str]
+    about: Sequence[tuple[str, str]]
     units: Units  # names of the units
     model: Model  # what was computed, with its picture
     cases: Sequence[Case]  # what came of it, one or more
@@ -90,10 +81,10 @@ class Report:
 
     def _page(self) -> str:
         units = self.units
-        about = list(self.about.items())
+        about = list(self.about)
         if units.length or units.force:
             about.append(("Units", ", ".join(x for x in (units.length, units.force) if x)))
-        about += model_tables.versions(self.model.data)
+        about += versions(self.model.ranks)
         sections = [
             PageSection(
                 "Summary", [self._verdict(), key_figures(self._cards()), self._utilisation()]
@@ -121,7 +112,7 @@ class Report:
             results_tables.factors(cases, units),
             results_tables.overview(cases, units),
             results_tables.membrane(cases, units),
-            results_tables.envelope(cases, units, self.model.data.size),
+            results_tables.envelope(cases, units, self.model.size),
             results_tables.supports(cases, units),
             results_tables.verification(cases),
         ]
@@ -179,7 +170,7 @@ class Report:
             card("Largest utilisation of the membrane", "", used, share=True)
         stress = units["stress"].strip(" []")
         forces = {name: one.largest["true force 1"].value for name, one in membranes.items()}
-        card("Largest section force", stress, forces)
+        card("Largest principal membrane force", stress, forces)
         if results_tables.cable_names(cases):
             tensions = {
                 f"{cable}, {case.name}": one.largest
@@ -187,7 +178,7 @@ class Report:
                 for cable, one in case.summary.cables.items()
             }
             card("Largest tension of a cable", units.force, tensions)
-        card("Largest displacement", units.length,
+        card("Largest deflection", units.length,
              {case.name: case.summary.displacement.value for case in cases})  # fmt: skip
         card("Largest wrinkled area", "",
              {name: one.wrinkled for name, one in membranes.items()}, share=True)  # fmt: skip
@@ -212,25 +203,19 @@ class Report:
         return bars(f"Least to largest tension{where}{self.units['force']}", found)
 
     def _model(self) -> list[PageSection]:
-        model, units, picture = self.model.data, self.units, []
-        if self.model.picture:
-            picture = [figure(self.model.picture, self.model.caption, "model")]
-        membrane = [model_tables.materials(model, units)]
-        if model.strengths:
-            membrane.append(model_tables.strengths(model, units))
-        held = [model_tables.supports(model, units)]
-        if model.cables:
-            held.append(model_tables.cables(model, units))
-        if model.bars:
-            held.append(model_tables.bars(model, units))
-        if model.joints:
-            held.append(model_tables.joints(model, units))
-        if model.loads:
-            held.append(model_tables.loads(model, units))
+        model, picture = self.model, []
+        if model.picture:
+            picture = [figure(model.picture, model.caption, "model")]
+        tables = {name: one for name, one in model.tables.items() if one.rows}
+        if "bars" in tables:
+            tables["bars"] = in_families(tables["bars"])
+        made, held = ("materials", "strengths"), ("supports", "cables", "bars", "joints", "loads")
         return [
-            PageSection("Model", [*picture, model_tables.mesh(model, units)]),
-            PageSection("Materials", membrane, 3),
-            PageSection("Supports, cables, bars and loads", held, 3),
+            PageSection("Model", [*picture, tables["mesh"]]),
+            PageSection("Materials", [tables[x] for x in made if x in tables], 3),
+            PageSection(
+                "Supports, cables, bars and loads", [tables[x] for x in held if x in tables], 3
+            ),
         ]
 
     def _combinations(self) -> list[str | Table]:
@@ -242,7 +227,7 @@ class Report:
         ]
 
     def _results(self) -> list[PageSection]:
-        cases, units, size = self.cases, self.units, self.model.data.size
+        cases, units, size = self.cases, self.units, self.model.size
         found = []
         if len(cases) > 1:
             text = "Least and largest values over all combinations, and which of them governs."
