@@ -102,6 +102,14 @@ def remap_axial(cable: LaidCable) -> None:
     new[:, stays] = old[:, rows]
     for gone, heir in heirs:
         new[:3, heir] += old[:3, gone].sum(axis=1, keepdims=True) / len(heir)
+    if cable.cable.cone:
+        # Here eps is as long as the way slid: bounds with another one would do other work, and
+        # changes of the path would be refused for that.
+        new[1:3, stays] = old[1:3, rows]
+        for gone, heir in heirs:
+            added = [k for k in heir if k not in stays]
+            if added and gone.stop > gone.start:
+                new[1:, added] = old[1:, gone].mean(axis=1, keepdims=True)
     bounds, eps, elastic, slips = new
     cable.update(
         axial=replace(grip, supports=now, bounds=bounds, eps=eps, elastic=elastic, slips=slips)

@@ -15,7 +15,7 @@ import pytest
 from processes import run
 from rigid_surfaces import KINDS, STIFF, SURFACES, Curve, band, curve, rigid, sphere
 
-from crms_fenicsx import Cable, Scene, Solver, meshes
+from crms_fenicsx import Cable, OrthotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.model.friction import Friction
 
 H = 0.1
@@ -66,6 +66,18 @@ def test_a_sliding_cable_ends_where_friction_holds_it(comm, name, kind):
     assert step.outcome.passes <= 20
     assert step.halvings == 0
     assert scene.dissipated > 0
+
+
+@pytest.mark.parametrize("warp", [(0.0, 1.0, 0.0), (1.0, 1.0, 0.0)], ids=["along", "oblique"])
+def test_fabric_with_stiff_warp_has_the_same_friction(comm, warp):
+    """On a held cylinder of fabric the geometry decides when a cable slides, and how far."""
+    fabric = OrthotropicMembrane(1e6, 1e5, 2e4, 0.1, 1.0, warp=warp, wrinkling=False)
+    way = curve(SURFACES["cylinder"], 0.5, 0.8)
+    _, cable, _ = pulled(comm, way, way.ratio / 0.95, material=fabric)
+    assert furthest(way, cable) < 0.06
+    mu = 0.85 * way.ratio
+    _, cable, _ = pulled(comm, way, mu, L=way.slid(mu).length, material=fabric)
+    assert way.coefficient_of(cable.positions) == pytest.approx(mu, rel=0.02)
 
 
 @pytest.mark.parametrize(("EA", "strain"), [(1.0, 2e-3), (0.02, 0.4)], ids=["stiff", "soft"])

@@ -10,13 +10,19 @@ import pytest
 from friction_scene import friction_dome, shaken_fractions
 
 from crms_fenicsx.contact.contact_force import contact_forces
-from crms_fenicsx.friction import passes as law
+from crms_fenicsx.friction import passes as iteration
+from crms_fenicsx.friction.axial import remap_axial
 from crms_fenicsx.friction.lateral import end_step, energies, remap, start_step
 from crms_fenicsx.friction.passes import AitkenRelaxation, LateralIteration
 from crms_fenicsx.friction.slip import node_slips
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.cable_state import CableNode, CableState
-from crms_fenicsx.model.friction import Friction, LateralFrictionState, MaterialCurve
+from crms_fenicsx.model.friction import (
+    AxialFrictionState,
+    Friction,
+    LateralFrictionState,
+    MaterialCurve,
+)
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.surface.points import EdgePoint, VertexPoint
 
@@ -79,6 +85,26 @@ def test_bounds_move_to_a_new_path(path, bounds, moving):
     assert cable.grip.bounds.sum() == 12
 
 
+def test_widths_of_the_cone_are_not_shared_out() -> None:
+    """Three nodes in place of two have their force together, and each the width of the two."""
+    cable = along((0, 1), (1, 7), (7, 8), (3, 8), (3, 4))
+    old = gripped([1, 2, 4, 5])
+    cone = replace(cable.cable, friction=Friction(0.5, along=0.5, cone=True))
+    cable._cable = cone
+    widths, none = np.array([0.1, 0.2, 0.4, 0.5]), np.zeros(0)
+    cable.update(
+        axial=AxialFrictionState(
+            NOWHERE, none, old.supports, old.bounds, widths, widths / 2, none, none, none, widths
+        )
+    )
+    remap_axial(cable)
+    axial = cable.axial
+    assert axial is not None
+    np.testing.assert_allclose(axial.bounds, [1, 2, 2, 2, 5])
+    for values, scale in ((axial.eps, 1.0), (axial.elastic, 0.5), (axial.slips, 1.0)):
+        np.testing.assert_allclose(values, scale * np.array([0.1, 0.3, 0.3, 0.3, 0.5]))
+
+
 def test_random_path_changes_keep_the_sum():
     rng = np.random.default_rng(0)
     cable = along(*[(k, k + 1) for k in range(12)])
@@ -105,10 +131,10 @@ def found_from(monkeypatch, law):
     def bounds(cable, grip, shape, settled):
         return law(grip.bounds.sum()) * shares, grip.moving
 
-    monkeypatch.setattr(law, "_bounds", bounds)
+    monkeypatch.setattr(iteration, "_bounds", bounds)
     lag = LateralIteration(cable)
     for passes in range(1, 60):
-        if lag.renew(None) <= law.SETTLED:
+        if lag.renew(None) <= iteration.SETTLED:
             return cable.grip.bounds, passes
     raise AssertionError("never settles")
 
@@ -126,7 +152,7 @@ def found_from(monkeypatch, law):
 )
 def test_bounds_are_found_in_a_few_passes(monkeypatch, law, root, most):
     bounds, passes = found_from(monkeypatch, law)
-    assert bounds.sum() == pytest.approx(root, rel=5 * law.SETTLED)
+    assert bounds.sum() == pytest.approx(root, rel=5 * iteration.SETTLED)
     assert passes <= most
 
 
@@ -217,7 +243,7 @@ def test_end_of_a_step():
         assert not cable.grip.moving.any()
         after = node_slips(cable, cable.grip.curve, shape)
         np.testing.assert_allclose(after.slip, np.clip(before.slip, -eps, eps), atol=1e-12)
-        far = np.abs(before.slip) > law.SLIDES * before.size
+        far = np.abs(before.slip) > iteration.SLIDES * before.size
         assert far.any() and not far.all()
         np.testing.assert_array_equal(after.moving, np.sign(before.slip) * far)
         again = energies(cable, shape)
@@ -242,7 +268,7 @@ def test_kinetic_coefficient_where_it_slides():
     scene, shape = slid_dome(Friction(0.4, static=0.6), size=0.15)
     cable = scene.cables[0]
     slips = node_slips(cable, cable.grip.curve, shape)
-    far = np.abs(slips.slip) > law.SLIDES * slips.size
+    far = np.abs(slips.slip) > iteration.SLIDES * slips.size
     assert far.any() and not far.all()
     rows = [cable.grip.row_of[s] for s in slips.supports]
     bearing = contact_forces(cable, shape).bearing[slips.nodes]
@@ -267,7 +293,7 @@ def test_what_slides_is_seen_even_if_the_bounds_settle_at_once(monkeypatch):
         asked.append(settled)
         return np.full(2, 0.4 if settled else 0.6), np.full(2, 1.0 if settled else 0.0)
 
-    monkeypatch.setattr(law, "_bounds", bounds)
-    assert LateralIteration(cable).renew(SimpleNamespace()) > law.SETTLED
+    monkeypatch.setattr(iteration, "_bounds", bounds)
+    assert LateralIteration(cable).renew(SimpleNamespace()) > iteration.SETTLED
     assert asked == [False, True]
     assert cable.grip.bounds.tolist() == [0.4, 0.4]

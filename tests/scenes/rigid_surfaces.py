@@ -21,6 +21,7 @@ from scipy.spatial import Delaunay, cKDTree
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, meshes
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.materials import MembraneMaterial
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -296,12 +297,13 @@ def rigid(
     friction: float | Friction,
     EA: float = 1.0,
     path: Floats | None = None,
+    material: MembraneMaterial = STIFF,
 ) -> tuple[Scene, LaidCable]:
     """A rigid surface with a cable along a curve, or another path, tied to it at its ends."""
     outside = way.surface.gradient(way.points[len(way.points) // 2])
     outside *= -1.0 if way.surface.inside else 1.0
     membrane = meshes.from_arrays(comm, *mesh, outside=tuple(float(x) for x in outside))
-    scene = Scene(membrane, STIFF)
+    scene = Scene(membrane, material)
     scene.fix(lambda x: np.full(x.shape[1], True))
     route = way.points[::16] if path is None else path  # chords of it are 1e-4 off the curve
     sleeve = way.surface.inside
