@@ -33,8 +33,7 @@ MOST_LINES, MOST_CODE, MOST_ARGUMENTS = 400, 60, 8
 
 OPTIONS = set(
     "Solver.__init__ Scene.lay_cable laying.lay find_form.find_form options.checked_options "
-    "Drawing.draw_history plots.draw_history "
-    "draw_paths.draw_path draw_surface.draw_shape".split()
+    "Drawing.draw_history plots.draw_history".split()
 )
 """Functions with more arguments: options of public calls, by name. The list may only shrink."""
 

@@ -1,8 +1,8 @@
 """What a run leaves behind: its history, files for ParaView, and pictures."""
 
-from crms_fenicsx.output.figures.draw_paths import draw_path
+from crms_fenicsx.output.figures.draw_paths import PathOptions, draw_path
 from crms_fenicsx.output.figures.draw_scene import draw, draw_paths
-from crms_fenicsx.output.figures.draw_surface import draw_shape
+from crms_fenicsx.output.figures.draw_surface import ShapeOptions, draw_shape
 from crms_fenicsx.output.figures.picture import join_pictures
 from crms_fenicsx.output.figures.plots import draw_history
 from crms_fenicsx.output.history import History
@@ -12,7 +12,9 @@ from crms_fenicsx.views.view_data import Line, Surface
 __all__ = [
     "History",
     "Line",
+    "PathOptions",
     "Series",
+    "ShapeOptions",
     "Surface",
     "draw",
     "draw_history",

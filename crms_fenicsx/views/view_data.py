@@ -229,11 +229,11 @@ def surface_piece(
         shape.triangles,
         {"displacement": shape.points - shape.stress_free},
         {name: values[shape.parents] for name, values in fields.items()},
-        _homes(membrane, len(shape.points)),
+        point_homes(membrane, len(shape.points)),
     )
 
 
-def _homes(membrane: Membrane, points: int) -> Integers:
+def point_homes(membrane: Membrane, points: int) -> Integers:
     """Rank and number there of the points of the current surface, (points, 2). Collective.
 
     Vertices belong to their owners. After them come the points of cables on folded cells: each

@@ -24,7 +24,7 @@ from crms_fenicsx.output import (
 from crms_fenicsx.output.figures.cable_lines import _subdivided, common_value, in_words, limits_of
 from crms_fenicsx.output.figures.camera import Camera, brightness, visible
 from crms_fenicsx.output.figures.draw_paths import _spaced_steps
-from crms_fenicsx.output.figures.draw_surface import _among, _outline
+from crms_fenicsx.output.figures.draw_surface import _outline, sides_among
 from crms_fenicsx.output.figures.plots import default_panels, units_of_results
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
@@ -332,9 +332,9 @@ def test_which_sides_are_among_pairs() -> None:
     pairs = np.array([rng.choice(9, 2, replace=False) for _ in range(6)])
     wanted = {frozenset(pair) for pair in pairs.tolist()}
     slow = [[frozenset((t[k], t[(k + 1) % 3])) in wanted for k in range(3)] for t in triangles]
-    np.testing.assert_array_equal(_among(triangles, pairs), slow)
+    np.testing.assert_array_equal(sides_among(triangles, pairs), slow)
     assert 0.05 < np.mean(slow) < 0.5
-    assert not _among(triangles, np.empty((0, 2), dtype=np.int64)).any()
+    assert not sides_among(triangles, np.empty((0, 2), dtype=np.int64)).any()
 
 
 # ---- colours and words ---------------------------------------------------------------------

@@ -78,9 +78,6 @@ def _mappable(colours: str, values: Array, limits: tuple[float, float] | None) -
     return ScalarMappable(Normalize(*(limits_of(values) if limits is None else limits)), colormap)
 
 
-if TYPE_CHECKING:
-    from matplotlib.cm import ScalarMappable
-
 CABLE = "#c8322b"
 _SHORTEST = 3  # pieces of a line: less is a speck in a crease
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,20 +34,39 @@ _LABELS = 0.75  # inches of these
 _CABLE = "#8a8f98"
 
 
-def draw_path(
-    filename: str | Path | None,
-    paths: Sequence[Line],
-    *,
-    points: ArrayLike | None = None,
-    triangles: ArrayLike | None = None,
-    lines: Sequence[Line] = (),
-    view: tuple[float, float] = (-90.0, 90.0),
-    closeups: Mapping[str, Sequence[int]] | None = None,
-    unit: str = "",
-    title: str = "",
-    width: float = 6.5,
-    dpi: int = 180,
-) -> Figure | None:
+@dataclass(frozen=True, kw_only=True)
+class PathOptions:
+    """How `draw_path` draws.
+
+    Parameters
+    ----------
+    points, triangles : (n, 3) array of length, (m, 3) array of int, optional
+        Triangles below the paths.
+    lines : sequence of Line
+        Cables: drawn plainly in grey, or each name in a colour of its own and in the legend.
+    view : (azimuth, elevation)
+        In degrees; by default the plan.
+    closeups : dict of numbers of paths by title, optional
+        Panels beside the picture that show some paths, and the cables there, closely in plan, all
+        at one scale. Where paths coincide, the later ones have smaller markers.
+    unit, title : str
+        The unit of length; heading.
+    width, dpi : float, int
+        Width in inches; pixels per inch.
+    """
+
+    points: ArrayLike | None = None
+    triangles: ArrayLike | None = None
+    lines: Sequence[Line] = ()
+    view: tuple[float, float] = (-90.0, 90.0)
+    closeups: Mapping[str, Sequence[int]] | None = None
+    unit: str = ""
+    title: str = ""
+    width: float = 6.5
+    dpi: int = 180
+
+
+def draw_path(filename: str | Path | None, paths: Sequence[Line], **options: Any) -> Figure | None:
     """Draw the ways that points have gone, with a marker and a number for each step, and cables.
 
     Made for models of a few triangles: nothing hides anything. Not collective.
@@ -57,21 +77,9 @@ def draw_path(
         Picture to write; its suffix says the format. None returns it.
     paths : sequence of Line
         The positions of a point, step 0 first; the lines' names go into a legend. It may be empty
-        if there are `lines`.
-    points, triangles : (n, 3) array of length, (m, 3) array of int, optional
-        Triangles below the paths.
-    lines : sequence of Line
-        Cables: drawn plainly in grey, or each name in a colour of its own and in the legend.
-    view : (azimuth, elevation)
-        In degrees; by default the plan.
-    closeups : dict of numbers of paths by title, optional
-        Panels beside the picture that show some paths, and the cables there, closely in plan, all
-        at one scale. Where paths coincide, the later ones have smaller markers.
-    unit : str
-        Of length.
-    title : str
-    width, dpi : float, int
-        Width in inches; pixels per inch.
+        if there are ``lines``.
+    **options
+        As `PathOptions`: ``points``, ``triangles``, ``lines``, ``closeups`` ...
 
     Returns
     -------
@@ -84,27 +92,29 @@ def draw_path(
         With neither paths nor cables, for arrays that do not fit together, or a file that cannot
         be written.
     """
+    how = PathOptions(**options)
+    lines, closeups = how.lines, how.closeups or {}
     if not paths and not lines:
         raise InputError("nothing to draw: no paths and no lines; give one of them")
-    if (points is None) != (triangles is None):
+    if (how.points is None) != (how.triangles is None):
         raise InputError("points and triangles belong together; give both or neither")
     ways = [np.asarray(path.checked().points) for path in paths]
     cables = [np.asarray(line.checked().points) for line in lines]
     corners = np.empty((0, 3, 3))
-    if points is not None and triangles is not None:
-        surface = Surface(points, triangles).checked()
+    if how.points is not None and how.triangles is not None:
+        surface = Surface(how.points, how.triangles).checked()
         corners = np.asarray(surface.points)[np.asarray(surface.triangles)]
-    _check_closeups(closeups or {}, len(paths))
-    check_view(view)
+    _check_closeups(closeups, len(paths))
+    check_view(how.view)
     file = checked_picture(filename)
 
     low, high = bounds([corners, *ways, *cables])
     size = float(np.linalg.norm(high - low))
-    plan = abs(view[1]) >= 85.0
-    camera = Camera(*view, 0.5 * (low + high), np.inf if plan else 3.5 * size)
+    plan = abs(how.view[1]) >= 85.0
+    camera = Camera(*how.view, 0.5 * (low + high), np.inf if plan else 3.5 * size)
     room = (_CLOSEUP, 0.3 + _CLOSEUP * len(closeups)) if closeups else ()
-    axes3d = Axes3D(camera, low, high, title, 0, width, *room)
-    axes3d.draw_box(unit)
+    axes3d = Axes3D(camera, low, high, how.title, 0, how.width, *room)
+    axes3d.draw_box(how.unit)
     flat = camera.project(corners)
     colours = _cable_colours(lines, len(ways))
     _draw_below(
@@ -128,8 +138,8 @@ def draw_path(
     )
     if closeups:
         below = [cable[:, :2] for cable in cables], [colours[line.name] for line in lines]
-        _add_closeups(axes3d, ways, closeups, corners[..., :2], below, unit)
-    return axes3d.finished(file, dpi)
+        _add_closeups(axes3d, ways, closeups, corners[..., :2], below, how.unit)
+    return axes3d.finished(file, how.dpi)
 
 
 def _check_closeups(closeups: Mapping[str, Sequence[int]], count: int) -> None:

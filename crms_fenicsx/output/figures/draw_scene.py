@@ -3,29 +3,36 @@
 from __future__ import annotations
 
 import warnings
-from abc import abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from mpi4py import MPI
+from numpy.typing import ArrayLike
 
 from crms_fenicsx.cables.deformed_surface import CurrentSurface, current_surface
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.output.figures.axes3d import with_unit
 from crms_fenicsx.output.figures.draw_paths import draw_path
-from crms_fenicsx.output.figures.draw_surface import draw_shape
+from crms_fenicsx.output.figures.draw_surface import draw_shape, sides_among
 from crms_fenicsx.output.figures.picture import given_file
 from crms_fenicsx.output.figures.plots import units_of_results
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.results.quantities import QUANTITIES
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array, Integers
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, PictureWarning, collective, raised_together
 from crms_fenicsx.scene import Scene
-from crms_fenicsx.views.view_data import Line, bar_lines, cable_lines
+from crms_fenicsx.views.view_data import (
+    Line,
+    Surface,
+    bar_lines,
+    cable_lines,
+    point_homes,
+    whole_surface,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -112,7 +119,7 @@ def draw(
     tensions
         Whether to colour the cables by their tensions, which takes a colour bar of its own.
     **options
-        As for `draw_shape`: ``view``, ``box``, ``title``, ``limits`` ...
+        As `ShapeOptions`: ``view``, ``box``, ``title``, ``limits`` ...
 
     Returns
     -------
@@ -147,11 +154,11 @@ def draw(
     scene = system.scene
     if _too_large(scene, f"{filename or 'the scene'} is not drawn"):
         return None
-    surface = current_surface(scene.net)
-    values: Array = np.empty(0)
+    shape = current_surface(scene.net)
+    data: dict[str, ArrayLike] = {"inner": sides_among(shape.triangles, shape.inner)}
     if colour is not None:
         chosen = COLOURS[colour]
-        values = chosen.values(surface, membrane_results(system))
+        data["values"] = chosen.values(shape, membrane_results(system))
         named = units_of_results(unit, force).get(chosen.unit, "")
         options.setdefault("label", with_unit(chosen.label, named))
     if colour == "state":
@@ -163,24 +170,19 @@ def draw(
     if any(cable.lifted.any() for cable in scene.cables):
         options.setdefault("loose", "lifted")
     lines = [*bar_lines(scene.bars), *cable_lines(scene.net)]
-    parts = scene.comm.gather((surface, values, _own_cells(scene) if ghost else None))
+    homes = point_homes(scene.membrane, len(shape.points))
+    surface = whole_surface(scene.comm, Surface(shape.points, shape.triangles, {}, data, homes))
+    free = whole_surface(scene.comm, _stress_free(scene)) if ghost else None
     with raised_together(scene.comm):
-        if parts is not None:
-            pieces, values_of_pieces, cells = zip(*parts, strict=True)
-            counts = [len(piece.points) for piece in pieces]
-            if ghost:
-                free = np.concatenate([piece.stress_free for piece in pieces])
-                options |= {"ghost": (free, _renumbered(cells, counts))}
+        if surface is not None:
+            corners = np.asarray(surface.triangles)
+            sides = np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1)
+            inner = np.asarray(surface.cell_data["inner"])
             return draw_shape(
-                filename,
-                np.concatenate([piece.points for piece in pieces]),
-                _renumbered([piece.triangles for piece in pieces], counts),
-                lines,
-                values=None if colour is None else np.concatenate(values_of_pieces),
-                hidden=_renumbered([piece.inner for piece in pieces], counts),
-                unit=unit,
-                **options,
-            )
+                filename, surface.points, corners, lines, unit=unit,
+                values=surface.cell_data.get("values"), hidden=sides[inner],
+                ghost=None if free is None else (free.points, free.triangles), **options,
+            )  # fmt: skip
     return None
 
 
@@ -214,7 +216,7 @@ def draw_paths(
     paths
         Ways of points, step by step; those of the first rank count.
     **options
-        As for `draw_path`: ``unit``, ``closeups``, ``title`` ...
+        As `PathOptions`: ``unit``, ``closeups``, ``title`` ...
 
     Returns
     -------
@@ -238,14 +240,12 @@ def draw_paths(
     taken = sorted({"points", "triangles"} & set(options))
     if taken:
         raise InputError(f"draw_paths: {taken} come from the scene; use draw_path to draw arrays.")
-    parts = None
+    whole = None
     if not _too_large(scene, f"{filename or 'the picture'} is drawn without the mesh"):
-        parts = scene.comm.gather((scene.membrane.stress_free, _own_cells(scene)))
+        whole = whole_surface(scene.comm, _stress_free(scene))
     with raised_together(scene.comm):
-        if parts is not None:
-            points, cells = zip(*parts, strict=True)
-            options["points"] = np.concatenate(points)
-            options["triangles"] = _renumbered(cells, [len(part) for part in points])
+        if whole is not None:
+            options |= {"points": whole.points, "triangles": whole.triangles}
         if scene.comm.rank == 0:
             return draw_path(filename, paths, lines=lines, **options)
     return None
@@ -264,16 +264,11 @@ def _too_large(scene: Scene, happens: str) -> bool:
     return cells > MOST_CELLS
 
 
-def _own_cells(scene: Scene) -> Integers:
-    """This rank's cells by their vertices, (m, 3)."""
-    cells: Integers = scene.V.dofmap.list[: scene.mesh.mesh.topology.index_map(2).size_local]
-    return cells
-
-
-def _renumbered(parts: Iterable[Integers], counts: Sequence[int]) -> Integers:
-    """Join the ranks' vertex numbers, of `counts` vertices each, into those of all vertices."""
-    starts = np.cumsum([0, *counts[:-1]])
-    return np.concatenate([part + start for part, start in zip(parts, starts, strict=True)])
+def _stress_free(scene: Scene) -> Surface:
+    """This rank's piece of the stress-free mesh."""
+    cells = scene.V.dofmap.list[: scene.mesh.mesh.topology.index_map(2).size_local]
+    points = scene.membrane.stress_free
+    return Surface(points, cells, homes=point_homes(scene.membrane, len(points)))
 
 
 def _displacement(surface: CurrentSurface) -> Array:
@@ -281,21 +276,10 @@ def _displacement(surface: CurrentSurface) -> Array:
     return size[surface.triangles].mean(axis=1)
 
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-
 class Drawing:
     """The part of a solver that draws its scene."""
 
-    comm: MPI.Intracomm
-
-    @property
-    @abstractmethod
-    def system(self) -> System:
-        """The potential of the scene."""
-
-    def draw(self, filename: str | Path | None = None, **options: Any) -> Figure | None:
+    def draw(self: HasSystem, filename: str | Path | None = None, **options: Any) -> Figure | None:
         """Draw the scene in its current state, as `crms_fenicsx.output.draw`. Collective.
 
         Parameters

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,46 +38,12 @@ _ON_SURFACE = 0.006  # of the size: triangles that come unfolded pass over their
 _GHOST = (0.20, 0.33, 0.60)
 
 
-def draw_shape(
-    filename: str | Path | None,
-    points: ArrayLike,
-    triangles: ArrayLike,
-    lines: Sequence[Line] = (),
-    *,
-    values: ArrayLike | None = None,
-    label: str = "",
-    limits: tuple[float, float] | None = None,
-    colours: str = "viridis",
-    line_values: str | None = None,
-    line_label: str = "",
-    line_limits: tuple[float, float] | None = None,
-    line_colours: str = "YlOrRd",
-    loose: str | None = None,
-    show_names: bool = False,
-    title: str = "",
-    unit: str = "",
-    view: tuple[float, float] = (-60.0, 30.0),
-    perspective: bool = True,
-    ghost: tuple[ArrayLike, ArrayLike] | None = None,
-    edges: bool = True,
-    hidden: ArrayLike | None = None,
-    box: bool | tuple[ArrayLike, ArrayLike] = True,
-    width: float = 8.0,
-    dpi: int = 200,
-) -> Figure | None:
-    """Draw a surface and the cables on it, in a box from which its size can be read.
-
-    Cables are seen where no part of the surface is in front of them. Not collective: call it on
-    one rank, with all of the surface.
+@dataclass(frozen=True, kw_only=True)
+class ShapeOptions:
+    """How `draw_shape` draws.
 
     Parameters
     ----------
-    filename : str, Path or None
-        Picture to write; its suffix (.png, .pdf, .svg ...) says the format. None returns it.
-    points, triangles : (n, 3) array of length, (m, 3) array of int
-        The surface.
-    lines : sequence of Line
-        Cables.
     values : (n,) or (m,) array, optional
         Colours by value, per vertex or per triangle; NaN is grey. Without it, plain fabric.
     label : str
@@ -96,11 +63,10 @@ def draw_shape(
         striped. Of data per point, segments are off if one of their ends is.
     show_names : bool
         Write each line's name beside it.
-    title : str
-    unit : str
-        Of length, for the box.
+    title, unit : str
+        Heading, and the unit of length, for the box.
     view : (azimuth, elevation)
-        Where the viewer stands, in degrees; see `Camera`.
+        Where the viewer stands, in degrees; (-90, 90) is the plan with x to the right.
     perspective : bool
         Mild perspective; otherwise parallel projection.
     ghost : (points, triangles), optional
@@ -117,6 +83,49 @@ def draw_shape(
         The picture's, in inches; its height follows from the shape's.
     dpi : int
         Pixels per inch, of a file.
+    """
+
+    values: ArrayLike | None = None
+    label: str = ""
+    limits: tuple[float, float] | None = None
+    colours: str = "viridis"
+    line_values: str | None = None
+    line_label: str = ""
+    line_limits: tuple[float, float] | None = None
+    line_colours: str = "YlOrRd"
+    loose: str | None = None
+    show_names: bool = False
+    title: str = ""
+    unit: str = ""
+    view: tuple[float, float] = (-60.0, 30.0)
+    perspective: bool = True
+    ghost: tuple[ArrayLike, ArrayLike] | None = None
+    edges: bool = True
+    hidden: ArrayLike | None = None
+    box: bool | tuple[ArrayLike, ArrayLike] = True
+    width: float = 8.0
+    dpi: int = 200
+
+
+def draw_shape(
+    filename: str | Path | None, points: ArrayLike, triangles: ArrayLike,
+    lines: Sequence[Line] = (), **options: Any,
+) -> Figure | None:  # fmt: skip
+    """Draw a surface and the cables on it, in a box from which its size can be read.
+
+    Cables are seen where no part of the surface is in front of them. Not collective: call it on
+    one rank, with all of the surface.
+
+    Parameters
+    ----------
+    filename : str, Path or None
+        Picture to write; its suffix (.png, .pdf, .svg ...) says the format. None returns it.
+    points, triangles : (n, 3) array of length, (m, 3) array of int
+        The surface.
+    lines : sequence of Line
+        Cables.
+    **options
+        As `ShapeOptions`: ``values``, ``label``, ``view``, ``title`` ...
 
     Returns
     -------
@@ -129,53 +138,60 @@ def draw_shape(
         For arrays that do not fit together, lines without `line_values`, or a file that cannot
         be written.
     """
+    how = ShapeOptions(**options)
     surface = Surface(points, triangles).checked()
     lines = [line.checked() for line in lines]
-    faint = None if ghost is None else Surface(*ghost).checked()
-    values = _per_triangle(values, surface)
-    check_colours(colours, line_colours)
-    line_label = line_label or line_values or ""
-    style = line_style(lines, line_values, line_label, line_limits, line_colours, loose)
+    faint = None if how.ghost is None else Surface(*how.ghost).checked()
+    values = _per_triangle(how.values, surface)
+    check_colours(how.colours, how.line_colours)
+    line_label = how.line_label or how.line_values or ""
+    style = line_style(
+        lines, how.line_values, line_label, how.line_limits, how.line_colours, how.loose
+    )
     if len(np.asarray(surface.points)) == 0 and not lines:
         raise InputError("nothing to draw: no points and no lines; give one of them")
-    check_view(view)
-    corners = None if isinstance(box, bool) else _checked_box(box)
-    inner = _checked_hidden(hidden, surface)
+    check_view(how.view)
+    corners = None if isinstance(how.box, bool) else _checked_box(how.box)
+    inner = _checked_hidden(how.hidden, surface)
     path = checked_picture(filename)
 
     spatial, ghostly = _corners(surface), None if faint is None else _corners(faint)
     shapes = [spatial, *(np.asarray(line.points) for line in lines)]
     low, high = corners or bounds(shapes if ghostly is None else [*shapes, ghostly])
     size = float(np.linalg.norm(high - low))
-    near = perspective and abs(view[1]) < 85.0  # a plan is parallel, or it cannot be measured
-    camera = Camera(*view, 0.5 * (low + high), 3.5 * size if near else np.inf)
+    near = (
+        how.perspective and abs(how.view[1]) < 85.0
+    )  # a plan is parallel, or it cannot be measured
+    camera = Camera(*how.view, 0.5 * (low + high), 3.5 * size if near else np.inf)
 
-    paint, note = colouring(values, label, limits, colours)
-    bars = [(scale, text) for scale, text in ((paint, label), (style.paint, line_label)) if scale]
-    axes3d = Axes3D(camera, low, high, title, len(bars), width)
+    paint, note = colouring(values, how.label, how.limits, how.colours)
+    bars = [
+        (scale, text) for scale, text in ((paint, how.label), (style.paint, line_label)) if scale
+    ]
+    axes3d = Axes3D(camera, low, high, how.title, len(bars), how.width)
     for place, (scale, text) in enumerate(bars):
         axes3d.add_bar(scale, text, place)
     striped = "off the membrane" if any(part.any() for part in style.off) else ""
     axes3d.add_legend(
         [(_FABRIC, note, "patch"), (CABLE, style.note, "line"), (CABLE, striped, "stripes")]
     )
-    if box is not False:
-        axes3d.draw_box(unit)
+    if how.box is not False:
+        axes3d.draw_box(how.unit)
 
     flat = camera.project(spatial)
     face_colours = np.tile(_FABRIC, (len(flat), 1))
     if values is not None:
         face_colours[~np.isfinite(values)] = NO_VALUE
         face_colours = face_colours if paint is None else paint.to_rgba(values)[:, :3]
-    shown = np.full((len(flat), 3), edges) & ~_among(np.asarray(surface.triangles), inner)
+    shown = np.full((len(flat), 3), how.edges) & ~sides_among(np.asarray(surface.triangles), inner)
     _paint_triangles(axes3d, spatial, flat, face_colours, ghostly, shown)
     tolerance = _ON_SURFACE * size
     _paint_outline(axes3d, surface, flat, tolerance, INK)
     if faint is not None:
         _paint_outline(axes3d, faint, flat[:0], tolerance, (*_GHOST, 0.6))
     clip = None if corners is None else (low - 1e-6 * size, high + 1e-6 * size)
-    paint_lines(axes3d, lines, style, flat, tolerance, clip, show_names)
-    return axes3d.finished(path, dpi)
+    paint_lines(axes3d, lines, style, flat, tolerance, clip, how.show_names)
+    return axes3d.finished(path, how.dpi)
 
 
 def _corners(surface: Surface) -> Array:
@@ -208,7 +224,7 @@ def _checked_hidden(hidden: ArrayLike | None, surface: Surface) -> Integers:
     return pairs.astype(np.int64)
 
 
-def _among(triangles: Integers, pairs: Integers) -> Booleans:
+def sides_among(triangles: Integers, pairs: Integers) -> Booleans:
     """Say which sides of the triangles (corner k to k + 1) are among pairs of vertices, (m, 3)."""
     if len(triangles) == 0 or len(pairs) == 0:
         return np.zeros((len(triangles), 3), dtype=bool)

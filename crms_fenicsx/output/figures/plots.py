@@ -86,9 +86,6 @@ def _draw(
     return finished(figure, path, 160)
 
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 _SEEN = 0.01
 """Share of a panel's largest value from which on a column is seen in it."""
 
