@@ -272,15 +272,15 @@ def test_kinetic_coefficient_where_it_slides():
     assert far.any() and not far.all()
     rows = [cable.grip.row_of[s] for s in slips.supports]
     bearing = contact_forces(cable, shape).bearing[slips.nodes]
-    found, moving = law._bounds(cable, cable.grip, shape, settled=False)
+    found, moving = iteration._bounds(cable, cable.grip, shape, settled=False)
     np.testing.assert_allclose(found[rows], 0.6 * bearing, rtol=1e-14)
     assert not moving.any()
-    found, moving = law._bounds(cable, cable.grip, shape, settled=True)
+    found, moving = iteration._bounds(cable, cable.grip, shape, settled=True)
     np.testing.assert_allclose(found[rows], np.where(far, 0.4, 0.6) * bearing, rtol=1e-14)
     np.testing.assert_array_equal(moving[rows], np.sign(slips.slip) * far)
     # not unset in the step, though the slip has become small
     cable.update(grip=replace(cable.grip, moving=np.ones_like(cable.grip.moving)))
-    assert law._bounds(cable, cable.grip, shape, settled=True)[1].all()
+    assert iteration._bounds(cable, cable.grip, shape, settled=True)[1].all()
 
 
 def test_what_slides_is_seen_even_if_the_bounds_settle_at_once(monkeypatch):
