@@ -23,6 +23,9 @@ from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.runtime.arrays import Indices
 from crms_fenicsx.scene import Scene
 
+if TYPE_CHECKING:
+    from crms_fenicsx.energies.sealed_pressure import SealedPressure
+
 NOTHING, AXIAL_NOTHING = 1e-12, 1e-8
 """Strains, of a membrane as large as the scene and of cables and bars, whose forces are nothing."""
 
@@ -105,10 +108,6 @@ def tiny_force(scene: Scene) -> float:
     axial = [cable.cable.EA for cable in scene.cables if cable.taut]
     axial += [bar.bar.EA for bar in scene.bars]
     return min([NOTHING * section * scene.membrane.size, *(AXIAL_NOTHING * EA for EA in axial)])
-
-
-if TYPE_CHECKING:
-    from crms_fenicsx.energies.sealed_pressure import SealedPressure
 
 
 class PressureContribution(Contribution):

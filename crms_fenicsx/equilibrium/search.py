@@ -107,9 +107,6 @@ class FrictionLoop:
         return lags
 
 
-if TYPE_CHECKING:
-    from crms_fenicsx.equilibrium.contact_loop import ContactLoop
-
 MAX_LENGTHS = 30
 """How often a solve is repeated for what smoothing adds to the lengths of cables."""
 

@@ -111,7 +111,7 @@ class System:
             self.unknowns, damping = self.cables.unknowns, self.cables.damping()
             self.contributions += [self.cables, self.cables.folds]
             if scene.net.has_friction or any(cable.axial is not None for cable in scene.cables):
-                from crms_fenicsx.equilibrium.cable_contribution import FrictionContribution
+                from crms_fenicsx.equilibrium.friction_contribution import FrictionContribution
 
                 self.contributions.append(FrictionContribution(scene, self.cables))
         else:
