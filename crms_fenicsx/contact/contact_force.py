@@ -25,7 +25,7 @@ from crms_fenicsx.meshes.triangles import arc_lengths, cross, dot, norm
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import EPSILON, Array, Integers
 from crms_fenicsx.runtime.checks import counted, span
-from crms_fenicsx.surface.points import EdgePoint, VertexPoint
+from crms_fenicsx.surface.points import EdgePoint, Support, VertexPoint
 
 ACROSS = 0.05
 """Sine of the least angle between a cable and an edge at which the two span a plane."""
@@ -59,6 +59,20 @@ class ContactForces:
     def at(self, nodes: Sequence[int]) -> ContactForces:
         """Those at some of the nodes."""
         return ContactForces(*(getattr(self, field.name)[nodes] for field in fields(self)))
+
+
+def held_nodes(cable: LaidCable) -> list[int]:
+    """Nodes that friction may hold: those that touch the membrane, inside of the cable's ends."""
+    return [
+        k
+        for k in cable.contacts()
+        if cable.nodes[k].kind in ("fold", "rail", "vertex") and 0 < k < len(cable.nodes) - 1
+    ]
+
+
+def supports_of(cable: LaidCable) -> Sequence[Support]:
+    """Places on the mesh of the nodes that friction may hold."""
+    return [cable.nodes[k].support for k in held_nodes(cable)]
 
 
 def contact_forces(cable: LaidCable, shape: StripShape) -> ContactForces:

@@ -22,11 +22,11 @@ import numpy as np
 from crms_fenicsx.cables.element_tables import CableTables
 from crms_fenicsx.cables.numbering import CableNumbering
 from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.contact.contact_force import edge_directions, turns
+from crms_fenicsx.contact.contact_force import edge_directions, held_nodes, turns
 from crms_fenicsx.contact.lift_off import is_foot
 from crms_fenicsx.energies.axial_friction import Chains, Grips
 from crms_fenicsx.energies.smooth_coulomb import coulomb_forces
-from crms_fenicsx.friction.slip import held_nodes, material_place, succession
+from crms_fenicsx.friction.slip import material_place, succession
 from crms_fenicsx.meshes.triangles import arc_lengths
 from crms_fenicsx.model.friction import AxialFrictionState, MaterialCurve
 from crms_fenicsx.model.laid_cable import LaidCable

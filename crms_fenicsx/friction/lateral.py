@@ -18,19 +18,24 @@ import numpy as np
 from crms_fenicsx.cables.numbering import CableNumbering
 from crms_fenicsx.cables.points_on_edges import points_by_edge
 from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.contact.contact_force import contact_forces, directions, paper_forces, turns
+from crms_fenicsx.contact.contact_force import (
+    contact_forces,
+    directions,
+    held_nodes,
+    paper_forces,
+    supports_of,
+    turns,
+)
 from crms_fenicsx.energies.lateral_friction import Slips
 from crms_fenicsx.energies.paper.friction_element import FrictionElements
 from crms_fenicsx.energies.smooth_coulomb import stored_and_lost
 from crms_fenicsx.friction.passes import SLIDES
 from crms_fenicsx.friction.slip import (
     NodeSlips,
-    held_nodes,
     material_curve,
     node_slips,
     slip_forces,
     succession,
-    supports_of,
 )
 from crms_fenicsx.meshes.triangles import norm
 from crms_fenicsx.model.friction import Friction, LateralFrictionState, SidewaysLaw

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.contact.contact_force import contact_forces, wrap_angles
+from crms_fenicsx.contact.contact_force import contact_forces, held_nodes, wrap_angles
 from crms_fenicsx.energies.capstan_chain import LAW, find_slips
 from crms_fenicsx.energies.smooth_coulomb import coulomb_forces
 from crms_fenicsx.friction.axial import LEAST_PART, RestPlaces, between_contacts, reference_arcs
 from crms_fenicsx.friction.cone import Slip, full_slips, law_along, law_sideways, slips_sideways
-from crms_fenicsx.friction.slip import held_nodes, node_slips, slip_forces
+from crms_fenicsx.friction.slip import node_slips, slip_forces
 from crms_fenicsx.model.friction import LateralFrictionState
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array

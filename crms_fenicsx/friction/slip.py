@@ -47,20 +47,6 @@ def succession(
     return stays, rows, heirs
 
 
-def held_nodes(cable: LaidCable) -> list[int]:
-    """Nodes that friction may hold: those that touch the membrane, inside of the cable's ends."""
-    return [
-        k
-        for k in cable.contacts()
-        if cable.nodes[k].kind in ("fold", "rail", "vertex") and 0 < k < len(cable.nodes) - 1
-    ]
-
-
-def supports_of(cable: LaidCable) -> Sequence[Support]:
-    """Places of these nodes on the mesh."""
-    return [cable.nodes[k].support for k in held_nodes(cable)]
-
-
 @dataclass(frozen=True)
 class NodeSlips:
     """Slips of sliding nodes, linear in their places s on their edges: ``slope * s + offset``."""

@@ -334,7 +334,7 @@ for values, *other in found[1:]:
     np.testing.assert_allclose(values, found[0][0], rtol=1e-9, atol=1e-9)
     assert tuple(other) == found[0][1:], (other, found[0][1:])
 names = (
-    "energies.paper.friction_element", "energies.lateral_friction", "friction.lateral_tables",
+    "energies.paper.friction_element", "energies.lateral_friction",
     "friction.lateral", "friction.slip", "paths.friction_release",
 )
 print([name for name in names if "crms_fenicsx." + name in sys.modules])
