@@ -10,7 +10,6 @@ from dolfinx import fem
 
 from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.deformed_surface import gained_volume
-from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.energies.term import EnergyTerm, checked_energy
 from crms_fenicsx.filled_membrane import FilledMembrane
 from crms_fenicsx.loaded_membrane import ANOTHER
@@ -19,7 +18,7 @@ from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import MembraneMaterial
-from crms_fenicsx.model.membrane import Marker, Membrane, warn_of_penalty
+from crms_fenicsx.model.membrane import Marker, Membrane, StepHistory, warn_of_penalty
 from crms_fenicsx.model.versions import changes_model
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices

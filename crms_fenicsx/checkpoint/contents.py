@@ -11,13 +11,13 @@ from typing import Annotated, Any
 import numpy as np
 
 from crms_fenicsx.checkpoint.codec import Plain
-from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.model.bar import Bar, BarState, JointState, MeshVertex
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.cable_state import CableState
 from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.model.materials import MembraneMaterial
+from crms_fenicsx.model.membrane import StepHistory
 from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.model.sealed_air import SealedAir
 from crms_fenicsx.model.ufl_material import UflMembrane

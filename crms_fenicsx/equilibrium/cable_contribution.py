@@ -12,7 +12,6 @@ from crms_fenicsx.cables.node_positions import NodePositions
 from crms_fenicsx.cables.numbering import CableNumbering
 from crms_fenicsx.dofs.layout import FrameBlocks, Unknowns
 from crms_fenicsx.energies.cable_tension import CableTension
-from crms_fenicsx.energies.paper.step_cable import StepCableTension
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.equilibrium.contribution import Contribution
 from crms_fenicsx.equilibrium.fold_contribution import FoldContribution
@@ -105,6 +104,8 @@ class CableContribution(Contribution):
         mine, number = one[tables.cable], np.cumsum(one, dtype=np.int32) - np.int32(1)
         links = (tables.segments[mine], tables.eps[mine], number[tables.cable[mine]])
         if any(starts):
+            from crms_fenicsx.energies.paper.step_cable import StepCableTension
+
             return StepCableTension(*links, EA, L0, starts)
         return CableTension(*links, EA, L0)
 

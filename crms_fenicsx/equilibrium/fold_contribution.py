@@ -16,11 +16,6 @@ from crms_fenicsx.energies.fold_penalty import FoldPenalty
 from crms_fenicsx.energies.folded_membrane import FoldedCells, FoldedMembraneEnergy
 from crms_fenicsx.energies.folded_pressure import Facets, FoldedFollowerPressure, FoldedWind
 from crms_fenicsx.energies.membrane_energy import MembraneEnergy
-from crms_fenicsx.energies.paper.step_folded_membrane import (
-    FoldedStepPressure,
-    StepFoldedMembraneEnergy,
-)
-from crms_fenicsx.energies.paper.step_membrane import StepMembraneEnergy
 from crms_fenicsx.energies.pressure import FollowerPressure
 from crms_fenicsx.energies.term import CompiledCells, EnergyTerm
 from crms_fenicsx.equilibrium.contribution import Contribution
@@ -149,10 +144,12 @@ class FoldContribution(Contribution):
             pressure.term.twin = cells.pressure(pressure.cells, pressure.value, centre)
 
     def _fold_term(self, tables: CableTables) -> FoldedMembraneEnergy:
-        plain = self.membrane.energy
-        if isinstance(plain, StepMembraneEnergy):
-            return StepFoldedMembraneEnergy(tables.folded, plain, self.membrane.folded_energy)
-        return FoldedMembraneEnergy(tables.folded, plain.stiffening)
+        membrane = self.membrane
+        if membrane.stepwise is None:
+            return FoldedMembraneEnergy(tables.folded, membrane.energy.stiffening)
+        from crms_fenicsx.energies.paper.step_folded_membrane import StepFoldedMembraneEnergy
+
+        return StepFoldedMembraneEnergy(tables.folded, membrane.stepwise, membrane.folded_energy)
 
     def _penalty_term(self, tables: CableTables) -> FoldPenalty:
         if self.scene.literal_penalty is not None:
@@ -166,6 +163,8 @@ class FoldContribution(Contribution):
         pressure = self.pressure
         if self.scene.pressure_law == "total":
             return FoldedFollowerPressure(tables.facets, pressure.value, self.scene.membrane.centre)
+        from crms_fenicsx.energies.paper.step_folded_membrane import FoldedStepPressure
+
         return FoldedStepPressure(tables.facets, pressure.value, pressure.folded_volume)
 
     def caught_nodes(self, limit: float) -> set[NodeId]:

@@ -13,17 +13,17 @@ from petsc4py import PETSc
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.membrane_energy import MembraneEnergy
 from crms_fenicsx.energies.nodal_forces import NodalForces
-from crms_fenicsx.energies.paper.step_history import StepHistory
-from crms_fenicsx.energies.paper.step_membrane import StepMembraneEnergy
-from crms_fenicsx.energies.paper.step_pressure import StepPressure
 from crms_fenicsx.energies.pressure import FollowerPressure, RimPressure, rim_of
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.equilibrium.contribution import Contribution
 from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.model.membrane import StepHistory
 from crms_fenicsx.runtime.arrays import Indices
 from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
+    from crms_fenicsx.energies.paper.step_membrane import StepMembraneEnergy
+    from crms_fenicsx.energies.paper.step_pressure import StepPressure
     from crms_fenicsx.energies.sealed_pressure import SealedPressure
 
 NOTHING, AXIAL_NOTHING = 1e-12, 1e-8
@@ -33,22 +33,28 @@ NOTHING, AXIAL_NOTHING = 1e-12, 1e-8
 class MembraneContribution(Contribution):
     """Strain energy of the plain cells; its forms are compiled once.
 
-    Attributes: `energy`: the term; `folded_energy` (1,): strain energy of folded cells in the steps
-    before, with the step-wise strain (force x length); `has_folds`: whether some rank has folded
-    cells.
+    Attributes: `energy`: the term; `stepwise`: the same if the strain is step-wise, or None;
+    `folded_energy` (1,): strain energy of folded cells in the steps before, with the step-wise
+    strain (force x length); `has_folds`: whether some rank has folded cells.
     """
 
     def __init__(self, scene: Scene) -> None:
         super().__init__(scene)
-        law = MembraneEnergy if scene.strain_law == "total" else StepMembraneEnergy
-        self.energy = law(scene.u, scene.materials, scene.membrane.cell_tags)
+        self.stepwise: StepMembraneEnergy | None = None
+        parts = scene.u, scene.materials, scene.membrane.cell_tags
+        if scene.strain_law == "total":
+            self.energy = MembraneEnergy(*parts)
+        else:
+            from crms_fenicsx.energies.paper.step_membrane import StepMembraneEnergy
+
+            self.energy = self.stepwise = StepMembraneEnergy(*parts)
         self.folded_energy = np.zeros(1)
         self.has_folds = False
         history = scene.step_history
-        if isinstance(self.energy, StepMembraneEnergy) and history is not None:
+        if self.stepwise is not None and history is not None:
             assert history.cells is not None
-            self.energy.history.x.array[:] = history.cells.ravel()
-            self.energy.energy_n, self.folded_energy[0] = history.energy, history.folded_energy
+            self.stepwise.history.x.array[:] = history.cells.ravel()
+            self.stepwise.energy_n, self.folded_energy[0] = history.energy, history.folded_energy
 
     @property
     def has_history(self) -> bool:
@@ -66,8 +72,8 @@ class MembraneContribution(Contribution):
         self.has_folds = self.scene.comm.allreduce(len(cells), op=MPI.SUM) > 0
 
     def terms(self, unknowns: Unknowns) -> list[EnergyTerm]:
-        if isinstance(self.energy, StepMembraneEnergy) and not self.has_folds:
-            self.energy.energy_n += float(self.folded_energy[0])
+        if self.stepwise is not None and not self.has_folds:
+            self.stepwise.energy_n += float(self.folded_energy[0])
             self.folded_energy[0] = 0.0
         return [self.energy]
 
@@ -76,11 +82,11 @@ class MembraneContribution(Contribution):
         potential.x[blocks] = self.scene.u.x.array.reshape(-1, 3)
 
     def commit(self) -> None:
-        if isinstance(self.energy, StepMembraneEnergy):
+        if self.stepwise is not None:
             self.scene.step_history = replace(
                 self.scene.step_history or StepHistory(),
-                cells=self.energy.history.x.array.reshape(-1, 6).copy(),
-                energy=self.energy.energy_n,
+                cells=self.stepwise.history.x.array.reshape(-1, 6).copy(),
+                energy=self.stepwise.energy_n,
                 folded_energy=float(self.folded_energy[0]),
             )
 
@@ -127,6 +133,7 @@ class PressureContribution(Contribution):
         self.value = fem.Constant(scene.mesh.mesh, PETSc.ScalarType(0.0))
         self.term: FollowerPressure | StepPressure | None = None
         self.sealed: SealedPressure | None = None
+        self._stepwise: StepPressure | None = None
         self._history = scene.step_history or StepHistory()
         self.folded_volume = np.array([self._history.folded_volume])
 
@@ -147,11 +154,12 @@ class PressureContribution(Contribution):
                 return []
             self.term = self._make_term()
         self.term.twin, self.sealed = None, None
-        if isinstance(self.term, StepPressure):
+        if self._stepwise is not None:
             if not self.membrane.has_folds:
-                self.term.volume_n += float(self.folded_volume[0])
+                self._stepwise.volume_n += float(self.folded_volume[0])
                 self.folded_volume[0] = 0.0
-            return [self.term]
+            return [self._stepwise]
+        assert isinstance(self.term, FollowerPressure)
         if self.scene.air is None:
             return [self.term, *self._rim_terms()]
         from crms_fenicsx.energies.sealed_pressure import SealedPressure
@@ -164,9 +172,11 @@ class PressureContribution(Contribution):
         scene = self.scene
         if scene.pressure_law == "total":
             return FollowerPressure(scene.u, self.cells, self.value, scene.membrane.centre)
-        term = StepPressure(scene.u, self.cells, self.value)
-        term.volume_n = self._history.volume
-        return term
+        from crms_fenicsx.energies.paper.step_pressure import StepPressure
+
+        self._stepwise = StepPressure(scene.u, self.cells, self.value)
+        self._stepwise.volume_n = self._history.volume
+        return self._stepwise
 
     def _rim_terms(self) -> list[EnergyTerm]:
         rim = rim_of(self.scene.membrane)
@@ -188,7 +198,7 @@ class PressureContribution(Contribution):
         if self.has_history:
             self.scene.step_history = replace(
                 self.scene.step_history or StepHistory(),
-                volume=self.term.volume_n if isinstance(self.term, StepPressure) else 0.0,
+                volume=0.0 if self._stepwise is None else self._stepwise.volume_n,
                 folded_volume=float(self.folded_volume[0]),
             )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -307,3 +308,18 @@ def _pressed_cells(mesh: MembraneMesh, pressure_on: Sequence[str] | None) -> Boo
             )
         pressed[mesh.parts[part]] = True
     return pressed
+
+
+@dataclass(frozen=True)
+class StepHistory:
+    """What the step-wise laws know of the load steps before, this rank's part."""
+
+    # (n, 6) or None section forces and shapes of this rank's cells, as
+    # `StepMembraneEnergy.history`; None where the strain has the total law
+    cells: Array | None = None
+    # energy, folded_energy: strain energy so far of plain and folded cells (force x length)
+    energy: float = 0.0
+    folded_energy: float = 0.0
+    # volume, folded_volume: volume gained so far under plain and folded cells (length cubed)
+    volume: float = 0.0
+    folded_volume: float = 0.0

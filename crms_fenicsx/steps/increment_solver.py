@@ -10,12 +10,12 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.contact.lift_off import SUNK, is_foot, size_at
-from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.membrane import StepHistory
 from crms_fenicsx.model.versions import StateWarning
 from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.runtime.errors import as_text

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.equilibrium.state import State
+from crms_fenicsx.model.membrane import StepHistory
 from crms_fenicsx.model.versions import StateWarning
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import as_text

@@ -6,13 +6,12 @@ from copy import deepcopy
 from dataclasses import dataclass
 
 from crms_fenicsx.cables.strip import Strip
-from crms_fenicsx.energies.paper.step_history import StepHistory
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import MembraneMaterial
-from crms_fenicsx.model.membrane import Marker
+from crms_fenicsx.model.membrane import Marker, StepHistory
 from crms_fenicsx.model.versions import Version
 from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.runtime.arrays import Array, Booleans

@@ -311,7 +311,7 @@ def test_dragged_along_the_limit_curve_of_a_cylinder(comm, steps):
     assert slid[1] - slid[0] == pytest.approx(way - lag, rel=0.03)  # 0.8 cells
 
 
-def test_without_friction_nothing_of_it_is_loaded():
+def test_without_friction_nothing_of_it_nor_of_the_papers_laws_is_loaded():
     """However it is said that there is none; and it takes the same work to the same result."""
     code = """
 import sys
@@ -334,7 +334,7 @@ for values, *other in found[1:]:
     np.testing.assert_allclose(values, found[0][0], rtol=1e-9, atol=1e-9)
     assert tuple(other) == found[0][1:], (other, found[0][1:])
 names = (
-    "energies.paper.friction_element", "energies.lateral_friction",
+    "energies.paper", "energies.lateral_friction", "energies.axial_friction",
     "friction.lateral", "friction.slip", "paths.friction_release",
 )
 print([name for name in names if "crms_fenicsx." + name in sys.modules])
