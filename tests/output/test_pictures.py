@@ -368,7 +368,8 @@ def test_units_follow_from_those_of_length_and_force() -> None:
     assert both["stress"] == "kgf/cm"
     assert both["pressure"] == "kgf/cm²"
     assert both["energy"] == "kgf cm"
-    assert units_of_results("m", "") == {"length": "m", "L0": "m", "volume": "m³"}
+    lengths = {"length": "m", "L0": "m", "area": "m²", "volume": "m³"}
+    assert units_of_results("m", "") == lengths
     assert units_of_results("", "") == {}
 
 

@@ -14,8 +14,7 @@ from walled_roof import roof_mesh
 
 from crms_fenicsx import Cable, InputError, OrthotropicMembrane, Scene, Solver
 from crms_fenicsx.output.report import sections
-from crms_fenicsx.output.report.page import Table, number, per_cent, place
-from crms_fenicsx.output.report.results_tables import bars
+from crms_fenicsx.output.report.page import Table, bars, number, per_cent, place
 
 FABRIC = OrthotropicMembrane(800.0, 500.0, 60.0, nu21=0.1, thickness=1.0, warp=(0.0, 1.0, 0.0))
 TABLE = {"snow <&> ice": {"snow": 1.0}, "storm": {"wind": 1.0, "pressure": 0.5}}

@@ -11,8 +11,8 @@ from mpi4py import MPI
 from report_page import Page, read_csv
 
 from crms_fenicsx import Bar, Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.output.report.bar_tables import families
 from crms_fenicsx.output.report.case import case_of
+from crms_fenicsx.output.report.results_tables import families
 
 SNOW, LAMP, WATER = 0.2, 0.5, 10.0
 SIDE = 8.0

@@ -190,8 +190,10 @@ def _draw_panels(
 
 def units_of_results(length: str, force: str) -> dict[str, str]:
     """Units of the quantities that results hold, as far as those of length and force tell."""
-    found = {"length": length, "L0": length, "volume": f"{length}³" if length else ""}
-    found |= {"tension": force, "residual": force}
+    found = dict.fromkeys(("length", "L0"), length)
+    found |= dict.fromkeys(("force", "tension", "residual"), force)
+    if length:
+        found |= {"area": f"{length}²", "volume": f"{length}³"}
     if length and force:
         found |= {
             "stress": f"{force}/{length}",

@@ -21,17 +21,14 @@ from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import ALL
 from crms_fenicsx.model.membrane import COMPONENTS
-from crms_fenicsx.output.report.bar_tables import families
 from crms_fenicsx.output.report.case import box
 from crms_fenicsx.output.report.page import Cell, Table, number, shown
-from crms_fenicsx.output.report.results_tables import Units, clean, part_name
+from crms_fenicsx.output.report.results_tables import Row, Units, clean, families, part_name
 from crms_fenicsx.results.reactions import held_lengths
 from crms_fenicsx.results.summary import held_groups
 from crms_fenicsx.runtime.arrays import Array, Integers, floats
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.scene import Scene
-
-Row = tuple[Cell, ...]
 
 
 @dataclass(frozen=True)

@@ -2,63 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from html import escape
+from typing import Any
 
 from crms_fenicsx.model.materials import ALL
 from crms_fenicsx.model.versions import UNBALANCED
+from crms_fenicsx.output.figures.plots import units_of_results
 from crms_fenicsx.output.report.case import Case
-from crms_fenicsx.output.report.page import Cell, Table, number, per_cent, place
+from crms_fenicsx.output.report.page import Cell, Table, per_cent, place
+from crms_fenicsx.results.cable_and_bar_results import BarResults
 from crms_fenicsx.results.quantities import QUANTITIES
 from crms_fenicsx.results.summary import (
     ALL_SUPPORTS,
     SUMMED_UP,
     Extreme,
-    PartSummary,
 )
-
-WIDTH, LEFT, RIGHT, ROW, TOP = 760, 190, 140, 24, 26
-"""Sizes in units of the drawing: whole width, margins, height of a row, room above."""
-MOST_BARS = 40
-"""More bars than these say nothing at a glance."""
-
-
-def bars(caption: str, rows: Sequence[tuple[str, float, float]], limit: float | None = None) -> str:
-    """A figure with a bar for each row; "" for more than `MOST_BARS` or for nothing but zeros."""
-    most = max([high for _, _, high in rows] + ([limit] if limit is not None else []), default=0.0)
-    if not 0 < len(rows) <= MOST_BARS or most <= 0.0:
-        return ""
-    scale = (WIDTH - LEFT - RIGHT) / most
-    height, ranges = TOP + ROW * len(rows) + 8, any(low > 0.0 for _, low, _ in rows)
-    parts = [f'<line class="axis" x1="{LEFT}" y1="{TOP - 4}" x2="{LEFT}" y2="{height - 4}"/>']
-    for k, (name, low, high) in enumerate(rows):
-        y = TOP + ROW * k
-        bad = ' class="over"' if limit is not None and high > limit else ""
-        start, end = LEFT + scale * low, LEFT + scale * high
-        text = f"{number(low)} to {number(high)}" if ranges else number(high)
-        parts.append(
-            f'<text x="{LEFT - 8}" y="{y + 13}" text-anchor="end">{escape(name)}</text>'
-            f'<rect{bad} x="{start:.1f}" y="{y + 3}" width="{max(end - start, 1.5):.1f}" '
-            f'height="{ROW - 10}"/><text x="{end + 6:.1f}" y="{y + 13}">{text}</text>'
-        )
-    if limit is not None:
-        x = LEFT + scale * limit
-        parts.append(
-            f'<line class="limit" x1="{x:.1f}" y1="{TOP - 6}" x2="{x:.1f}" y2="{height - 4}"/>'
-            f'<text x="{x:.1f}" y="{TOP - 11}" text-anchor="middle">{number(limit)}</text>'
-        )
-    words = "; ".join(f"{name}: {number(low)} to {number(high)}" for name, low, high in rows)
-    return (
-        f'<figure class="chart"><svg viewBox="0 0 {WIDTH} {height}" role="img" '
-        f'aria-label="{escape(f"{caption}. {words}")}">{"".join(parts)}</svg>'
-        f"<figcaption>{escape(caption)}</figcaption></figure>"
-    )
-
 
 WHOLE = "whole membrane"
 BOTH = "supports, anchors and held joints"
 TOTAL = "all that meets there"
+Row = tuple[Cell, ...]
 NOISE = 1e-6
 """Components of a force below this part of the largest one are rounding."""
 
@@ -72,13 +37,8 @@ class Units:
 
     def __getitem__(self, kind: str) -> str:
         """The unit of a kind in brackets after a blank; "" where not known."""
-        m, kN = self.length, self.force
-        known = {"length": m, "force": kN}
-        if m:
-            known |= {"area": f"{m}²", "volume": f"{m}³"}
-        if m and kN:
-            known |= {"stress": f"{kN}/{m}", "pressure": f"{kN}/{m}²", "energy": f"{kN} {m}"}
-        return f" [{known[kind]}]" if known.get(kind) else ""
+        unit = units_of_results(self.length, self.force).get(kind)
+        return f" [{unit}]" if unit else ""
 
 
 def label(name: str, units: Units) -> str:
@@ -92,32 +52,47 @@ def part_name(part: str) -> str:
     return WHOLE if part == ALL else part
 
 
+def names_of(cases: Sequence[Case], kind: str) -> list[str]:
+    """Names of the cables, bars ... that there are in any case; kind: attribute of a summary."""
+    return list(dict.fromkeys(name for case in cases for name in getattr(case.summary, kind)))
+
+
+def _each(cases: Sequence[Case], kind: str) -> Iterator[tuple[str, str, Any]]:
+    """Name, case and results of all of a kind, where a case has them."""
+    for name in names_of(cases, kind):
+        for case in cases:
+            if name in getattr(case.summary, kind):
+                yield name, case.name, getattr(case.summary, kind)[name]
+
+
+def _extremes(case: Case) -> Iterator[tuple[str, str, Extreme, Extreme]]:
+    """Part, quantity, least and largest value of a case."""
+    for part, found in case.summary.parts.items():
+        for name in [name for name in SUMMED_UP if name in found.largest]:
+            yield part, name, found.least[name], found.largest[name]
+
+
 def factors(cases: Sequence[Case], units: Units) -> Table:
     """What each case consists of."""
-    loads = list(dict.fromkeys(load for case in cases for load in case.summary.factors))
-    rows: list[tuple[Cell, ...]] = [
+    loads = names_of(cases, "factors")
+    rows: list[Row] = [
         (case.name, case.summary.pressure, *(case.summary.factors.get(load) for load in loads))
         for case in cases
     ]
-    columns = (
-        "Combination",
-        f"Inner pressure{units['pressure']}",
-        *(f"Factor of {x}" for x in loads),
-    )
+    pressure = f"Inner pressure{units['pressure']}"
+    columns = ("Combination", pressure, *(f"Factor of {x}" for x in loads))
     return Table("Inner pressure and factors of the loads", columns, rows, "combinations")
 
 
 def overview(cases: Sequence[Case], units: Units) -> Table:
     """Deformation and state of the membrane."""
-    rows: list[tuple[Cell, ...]] = []
-    for case in cases:
-        one, membrane = case.summary, case.summary.membrane
-        rows.append(
-            (
-                case.name, one.displacement.value, one.lowest.value, one.highest.value,
-                per_cent(membrane.slack), per_cent(membrane.wrinkled), one.energy,
-            )
-        )  # fmt: skip
+    rows: list[Row] = [
+        (
+            case.name, one.displacement.value, one.lowest.value, one.highest.value,
+            per_cent(one.membrane.slack), per_cent(one.membrane.wrinkled), one.energy,
+        )
+        for case in cases for one in [case.summary]
+    ]  # fmt: skip
     m = units["length"]
     columns = (
         "Combination", f"Largest deflection{m}", f"Lowest in z{m}", f"Highest in z{m}",
@@ -127,31 +102,24 @@ def overview(cases: Sequence[Case], units: Units) -> Table:
 
 
 def of_case(case: Case, units: Units, size: float) -> Table:
-    """Section forces of a case, by parts of the membrane."""
-    rows: list[tuple[Cell, ...]] = []
-    for part, found in case.summary.parts.items():
-        for name in [name for name in SUMMED_UP if name in found.largest]:
-            low, high = found.least[name], found.largest[name]
-            rows.append(
-                (part_name(part), label(name, units), *_tidy(low, high), place(low.at, size),
-                 high.value, place(high.at, size))
-            )  # fmt: skip
+    """Membrane forces of a case, by parts of the membrane."""
+    rows: list[Row] = [
+        (part_name(part), label(name, units), *_tidy(low, high), place(low.at, size),
+         high.value, place(high.at, size))
+        for part, name, low, high in _extremes(case)
+    ]  # fmt: skip
     at = f"at x; y; z{units['length']}"
     columns = ("Part", "Result", "Least", at, "Largest", at)
     return _without_one_part(Table(f"Membrane, {case.name}", columns, rows, headings=2))
 
 
 def membrane(cases: Sequence[Case], units: Units) -> Table:
-    """Section forces of all cases, for the CSV file."""
-    rows: list[tuple[Cell, ...]] = []
-    for case in cases:
-        for part, found in case.summary.parts.items():
-            for name in found.largest:
-                low, high = found.least[name], found.largest[name]
-                rows.append(
-                    (case.name, part_name(part), label(name, units), low.value, *low.at,
-                     high.value, *high.at)
-                )  # fmt: skip
+    """Membrane forces of all cases, for the CSV file."""
+    rows: list[Row] = [
+        (case.name, part_name(part), label(name, units), low.value, *low.at, high.value, *high.at)
+        for case in cases
+        for part, name, low, high in _extremes(case)
+    ]
     m = units["length"]
     columns = (
         "Combination", "Part", "Result", "Least", *(f"least at {x}{m}" for x in "xyz"),
@@ -162,16 +130,15 @@ def membrane(cases: Sequence[Case], units: Units) -> Table:
 
 def envelope(cases: Sequence[Case], units: Units, size: float) -> Table:
     """Least and largest values over all cases, with the case that governs."""
-    rows: list[tuple[Cell, ...]] = []
-    for part in cases[0].summary.parts:
-        found = {case.name: case.summary.parts[part] for case in cases}
-        for name in [name for name in SUMMED_UP if name in next(iter(found.values())).largest]:
-            low = _governing(found, lambda one, n=name: one.least[n], -1.0)  # type: ignore[misc]
-            high = _governing(found, lambda one, n=name: one.largest[n], 1.0)  # type: ignore[misc]
-            rows.append(
-                (part_name(part), label(name, units), *_tidy(low[1], high[1]), low[0],
-                 high[1].value, high[0], place(high[1].at, size))
-            )  # fmt: skip
+    rows: list[Row] = []
+    for part, name, _, _ in _extremes(cases[0]):
+        parts = [(case.name, case.summary.parts[part]) for case in cases]
+        least, low = min(((n, one.least[name]) for n, one in parts), key=_value)
+        largest, high = max(((n, one.largest[name]) for n, one in parts), key=_value)
+        rows.append(
+            (part_name(part), label(name, units), *_tidy(low, high), least, high.value, largest,
+             place(high.at, size))
+        )  # fmt: skip
     columns = (
         "Part", "Result", "Least", "Governs least", "Largest", "Governs largest",
         f"at x; y; z{units['length']}",
@@ -179,6 +146,10 @@ def envelope(cases: Sequence[Case], units: Units, size: float) -> Table:
     return _without_one_part(
         Table("Envelope of the membrane", columns, rows, "envelope", headings=2)
     )
+
+
+def _value(one: tuple[str, Extreme]) -> float:
+    return one[1].value
 
 
 def _tidy(low: Extreme, high: Extreme) -> list[float]:
@@ -194,24 +165,14 @@ def _without_one_part(table: Table) -> Table:
     return replace(table, columns=table.columns[1:], rows=rows, headings=1)
 
 
-def _governing(
-    found: Mapping[str, PartSummary], value: Callable[[PartSummary], Extreme], sign: float
-) -> tuple[str, Extreme]:
-    """The case with the largest value, or with the sign -1 the least one, and that."""
-    name = max(found, key=lambda one: sign * value(found[one]).value)
-    return name, value(found[name])
-
-
 def cables(cases: Sequence[Case], units: Units) -> Table:
     """Tensions and lengths of all cables in all cases."""
-    rows = [
+    rows: list[Row] = [
         (
-            name, case.name, one.least, one.mean, one.largest, "slack" if one.slack else "taut",
+            name, case, one.least, one.mean, one.largest, "slack" if one.slack else "taut",
             one.length, one.L0, one.free, one.contact_mean, one.contact_largest,
         )
-        for name in cable_names(cases)
-        for case in cases
-        if (one := case.summary.cables.get(name)) is not None
+        for name, case, one in _each(cases, "cables")
     ]  # fmt: skip
     kN, m, line = units["force"], units["length"], units["stress"]
     columns = (
@@ -224,27 +185,88 @@ def cables(cases: Sequence[Case], units: Units) -> Table:
 
 def cable_envelope(cases: Sequence[Case], units: Units, strengths: Mapping[str, float]) -> Table:
     """Least and largest tension of each cable over all cases."""
-    rows: list[tuple[Cell, ...]] = []
-    for name in cable_names(cases):
+    rows: list[Row] = []
+    for name in names_of(cases, "cables"):
         found = {c.name: c.summary.cables[name] for c in cases if name in c.summary.cables}
         low = min(found, key=lambda case: found[case].least)
         high = max(found, key=lambda case: found[case].largest)
-        used = found[high].largest / strengths[name] if name in strengths else None
-        rows.append((name, found[low].least, low, found[high].largest, high, used))
-    kN = units["force"]
+        most = found[high].largest
+        used = [most / strengths[name] if name in strengths else None] if strengths else []
+        rows.append((name, found[low].least, low, most, high, *used))
+    kN, last = units["force"], ["Utilisation"] if strengths else []
     columns = (
         "Cable", f"Least tension{kN}", "Governs least", f"Largest tension{kN}",
-        "Governs largest", "Utilisation",
+        "Governs largest", *last,
     )  # fmt: skip
-    table = Table("Envelope of the cables' tensions", columns, rows, "cable_envelope")
-    if strengths:
-        return table
-    return Table(table.caption, columns[:-1], [row[:-1] for row in rows], table.name)
+    return Table("Envelope of the cables' tensions", columns, rows, "cable_envelope")
 
 
-def cable_names(cases: Sequence[Case]) -> list[str]:
-    """Names of the cables that there are in any case."""
-    return list(dict.fromkeys(name for case in cases for name in case.summary.cables))
+FAMILY = 10
+"""So many bars or more whose names differ in a number at their end share rows of a page."""
+
+
+def families(names: Sequence[str]) -> dict[str, list[str]]:
+    """Names by what a page calls them: their own, or "belt 1 ... belt 26" of many."""
+    found: dict[str, list[str]] = {}
+    for name in names:
+        found.setdefault(re.sub(r"\d+$", "", name), []).append(name)
+    shared: dict[str, list[str]] = {}
+    for own in found.values():
+        many = len(own) >= FAMILY
+        shared |= {f"{own[0]} ... {own[-1]}": own} if many else {name: [name] for name in own}
+    return shared
+
+
+def _bars(cases: Sequence[Case], every: bool) -> Iterator[tuple[str, list[tuple[str, BarResults]]]]:
+    """Each bar, or else each family of bars, with cases and results of its bars."""
+    names = names_of(cases, "bars")
+    for label, own in ({name: [name] for name in names} if every else families(names)).items():
+        yield label, [
+            (case.name, case.summary.bars[name])
+            for case in cases for name in own if name in case.summary.bars
+        ]  # fmt: skip
+
+
+def forces_of_bars(cases: Sequence[Case], units: Units, *, every: bool = True) -> Table:
+    """Forces and lengths in all cases of all bars, or of each family's with the largest force."""
+    rows: list[Row] = []
+    for label, found in _bars(cases, every):
+        for case in dict.fromkeys(case for case, _ in found):
+            one = max((bar for name, bar in found if name == case), key=lambda bar: abs(bar.force))
+            state = "slack" if one.slack else "tension" if one.force > 0.0 else "compression"
+            rows.append((label, case, one.force, state, one.length, one.L0))
+    m = units["length"]
+    columns = (
+        "Bar", "Combination", f"Force{units['force']}", "State", f"Length{m}", f"Unstressed{m}",
+    )  # fmt: skip
+    return Table("Bars", columns, rows, "bars", headings=2)
+
+
+def bar_envelope(cases: Sequence[Case], units: Units, *, every: bool = True) -> Table:
+    """Least and largest force of each bar, or family of bars, over all cases."""
+    rows: list[Row] = []
+    for label, found in _bars(cases, every):
+        least, low = min(found, key=lambda one: one[1].force)
+        largest, high = max(found, key=lambda one: one[1].force)
+        rows.append((label, low.force, least, high.force, largest))
+    kN = units["force"]
+    columns = (
+        "Bar", f"Least force{kN}", "Governs least", f"Largest force{kN}", "Governs largest",
+    )  # fmt: skip
+    return Table("Envelope of the bars' forces", columns, rows, "bar_envelope")
+
+
+def ponds(cases: Sequence[Case], units: Units) -> Table:
+    """Levels and volumes of ponds; their weights with the factors."""
+    rows: list[Row] = [
+        (name, case, x.factor, x.level, x.volume, x.factor * x.weight * x.volume)
+        for name, case, x in _each(cases, "ponds")
+    ]
+    columns = (
+        "Pond", "Combination", "Factor", f"Level z{units['length']}", f"Volume{units['volume']}",
+        f"Weight with the factor{units['force']}",
+    )  # fmt: skip
+    return Table("Ponds", columns, rows, "ponds", headings=2)
 
 
 def supports(cases: Sequence[Case], units: Units, *, every: bool = True) -> Table:
@@ -252,8 +274,8 @@ def supports(cases: Sequence[Case], units: Units, *, every: bool = True) -> Tabl
 
     Parts of it by name, if there are several: with `every` of all supports, else of points.
     """
-    rows: list[tuple[Cell, ...]] = []
-    names = list(dict.fromkeys(name for case in cases for name in case.summary.supports))
+    rows: list[Row] = []
+    names = names_of(cases, "supports")
     lists = [case.summary.supports for case in cases]
     if len(names) == 2 and all(  # of one group that is the sum as well
         set(one[names[0]].parts) == set(one[ALL_SUPPORTS].parts) for one in lists
@@ -283,18 +305,29 @@ def supports(cases: Sequence[Case], units: Units, *, every: bool = True) -> Tabl
 
 def anchors(cases: Sequence[Case], units: Units) -> Table:
     """Forces of the anchors on the cables' ends."""
-    rows: list[tuple[Cell, ...]] = []
-    for name in cable_names(cases):
-        for which in ("start", "end"):
-            for case in cases:
-                one = case.summary.cables.get(name)
-                force = None if one is None else getattr(one, which)
-                if one is not None and force is not None:
-                    size = sum(x * x for x in force) ** 0.5
-                    rows.append((name, which, case.name, *clean(force, size), size))
+    rows: list[Row] = [
+        (name, which, case.name, *_with_size(force))
+        for name in names_of(cases, "cables") for which in ("start", "end") for case in cases
+        if (force := getattr(case.summary.cables.get(name), which, None)) is not None
+    ]  # fmt: skip
     kN = units["force"]
     columns = ("Cable", "End", "Combination", *(f"R{x}{kN}" for x in "xyz"), f"Size{kN}")
     return Table("Anchors: forces on the cables' ends", columns, rows, "anchors", headings=3)
+
+
+def joints(cases: Sequence[Case], units: Units) -> Table:
+    """Forces of what holds joints, anchors of bars among them."""
+    rows: list[Row] = [
+        (name, case, *_with_size(force)) for name, case, force in _each(cases, "joints")
+    ]
+    kN = units["force"]
+    columns = ("Joint", "Combination", *(f"R{x}{kN}" for x in "xyz"), f"Size{kN}")
+    return Table("Held joints: forces on them", columns, rows, "joints", headings=2)
+
+
+def _with_size(force: Sequence[float]) -> list[float]:
+    size = sum(x * x for x in force) ** 0.5
+    return [*clean(force, size), size]
 
 
 def clean(force: Sequence[float], scale: float, part: float = NOISE) -> list[float]:
@@ -304,7 +337,7 @@ def clean(force: Sequence[float], scale: float, part: float = NOISE) -> list[flo
 
 def verification(cases: Sequence[Case]) -> Table:
     """Checks of all cases."""
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[Row] = []
     for case in cases:
         if case.verification is None:
             rows.append((case.name, _unchecked(case), None, None, None, ""))
@@ -325,7 +358,7 @@ def _unchecked(case: Case) -> str:
 
 def verdicts(cases: Sequence[Case]) -> Table:
     """What the checks say of each case."""
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[Row] = []
     for case in cases:
         found = case.verification
         if found is None:
@@ -343,7 +376,7 @@ def nearest_to_limits(cases: Sequence[Case]) -> Table:
     """Each check where it is nearest to its limit."""
     known = [(case, check) for case in cases if case.verification is not None
              for check in case.verification.checks]  # fmt: skip
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[Row] = []
     for name in dict.fromkeys(check.name for _, check in known):
         case, check = max(
             ((case, check) for case, check in known if check.name == name),

@@ -6,13 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from crms_fenicsx.output.figures.draw_scene import COLOURS
-from crms_fenicsx.output.report import bar_tables, results_tables
+from crms_fenicsx.output.report import results_tables as tabulate
 from crms_fenicsx.output.report.case import TENSION, Case
 from crms_fenicsx.output.report.model_tables import Model, in_families, versions
 from crms_fenicsx.output.report.page import (
     LARGEST,
     PageSection,
     Table,
+    bars,
     figure,
     figures,
     key_figures,
@@ -21,7 +22,7 @@ from crms_fenicsx.output.report.page import (
     paragraph,
     per_cent,
 )
-from crms_fenicsx.output.report.results_tables import Units, bars
+from crms_fenicsx.output.report.results_tables import Units
 
 NOTES = (
     "Membrane forces are true (Cauchy) forces per current length, positive in tension. The larger "
@@ -97,8 +98,8 @@ class Report:
                 "Verification",
                 [
                     self._verdict(),
-                    results_tables.verdicts(self.cases),
-                    results_tables.nearest_to_limits(self.cases),
+                    tabulate.verdicts(self.cases),
+                    tabulate.nearest_to_limits(self.cases),
                 ],
             ),
             PageSection("Notes", [*map(paragraph, NOTES)]),
@@ -109,22 +110,25 @@ class Report:
         """The tables that become CSV files."""
         cases, units = self.cases, self.units
         found = [
-            results_tables.factors(cases, units),
-            results_tables.overview(cases, units),
-            results_tables.membrane(cases, units),
-            results_tables.envelope(cases, units, self.model.size),
-            results_tables.supports(cases, units),
-            results_tables.verification(cases),
+            tabulate.factors(cases, units),
+            tabulate.overview(cases, units),
+            tabulate.membrane(cases, units),
+            tabulate.envelope(cases, units, self.model.size),
+            tabulate.supports(cases, units),
+            tabulate.verification(cases),
         ]
-        if results_tables.cable_names(cases):
+        if tabulate.names_of(cases, "cables"):
             found += [
-                results_tables.cables(cases, units),
-                results_tables.cable_envelope(cases, units, self.cable_strengths),
-                results_tables.anchors(cases, units),
+                tabulate.cables(cases, units),
+                tabulate.cable_envelope(cases, units, self.cable_strengths),
+                tabulate.anchors(cases, units),
             ]
-        if bar_tables.bar_names(cases):
-            found += [bar_tables.bars(cases, units), bar_tables.envelope(cases, units)]
-        more = [bar_tables.joints(cases, units), bar_tables.ponds(cases, units)]
+        if tabulate.names_of(cases, "bars"):
+            found += [
+                tabulate.forces_of_bars(cases, units),
+                tabulate.bar_envelope(cases, units),
+            ]
+        more = [tabulate.joints(cases, units), tabulate.ponds(cases, units)]
         return found + [table for table in more if table.rows]
 
     def _verdict(self) -> str:
@@ -171,7 +175,7 @@ class Report:
         stress = units["stress"].strip(" []")
         forces = {name: one.largest["true force 1"].value for name, one in membranes.items()}
         card("Largest principal membrane force", stress, forces)
-        if results_tables.cable_names(cases):
+        if tabulate.names_of(cases, "cables"):
             tensions = {
                 f"{cable}, {case.name}": one.largest
                 for case in cases
@@ -196,7 +200,7 @@ class Report:
     def _tensions(self) -> str:
         """Chart of the cables' tensions over all combinations."""
         found = []
-        for name in results_tables.cable_names(self.cases):
+        for name in tabulate.names_of(self.cases, "cables"):
             one = [case.summary.cables[name] for case in self.cases if name in case.summary.cables]
             found.append((name, min(x.least for x in one), max(x.largest for x in one)))
         where = " over all combinations" if len(self.cases) > 1 else ""
@@ -222,8 +226,8 @@ class Report:
         text = "Pressure, and what each load at the factor 1 is multiplied by."
         return [
             paragraph(text),
-            results_tables.factors(self.cases, self.units),
-            results_tables.overview(self.cases, self.units),
+            tabulate.factors(self.cases, self.units),
+            tabulate.overview(self.cases, self.units),
         ]
 
     def _results(self) -> list[PageSection]:
@@ -231,7 +235,7 @@ class Report:
         found = []
         if len(cases) > 1:
             text = "Least and largest values over all combinations, and which of them governs."
-            table = results_tables.envelope(cases, units, size)
+            table = tabulate.envelope(cases, units, size)
             found.append(PageSection("Envelope of the membrane", [paragraph(text), table]))
         same = "Colours have the same scale in all combinations." if len(cases) > 1 else ""
         if self.left_out:
@@ -239,28 +243,28 @@ class Report:
         found.append(PageSection("Membrane by combination", [paragraph(same)] if same else []))
         for case in cases:
             shown = [figure(one.png, f"{case.name}: {_shows(one.colour)}") for one in case.pictures]
-            table = results_tables.of_case(case, units, size)
+            table = tabulate.of_case(case, units, size)
             found.append(PageSection(case.name, [figures(shown), table], 3))
         return found
 
     def _forces(self) -> list[PageSection]:
         cases, units = self.cases, self.units
         found = []
-        if results_tables.cable_names(cases):
-            tables: list[str | Table] = [results_tables.cables(cases, units)]
+        if tabulate.names_of(cases, "cables"):
+            tables: list[str | Table] = [tabulate.cables(cases, units)]
             if len(cases) > 1 or self.cable_strengths:
-                tables.insert(0, results_tables.cable_envelope(cases, units, self.cable_strengths))
+                tables.insert(0, tabulate.cable_envelope(cases, units, self.cable_strengths))
             found.append(PageSection("Cables", [self._tensions(), *tables]))
-        if bar_tables.bar_names(cases):
-            tables = [bar_tables.envelope(cases, units, every=False)] if len(cases) > 1 else []
-            tables.append(bar_tables.bars(cases, units, every=False))
+        if tabulate.names_of(cases, "bars"):
+            tables = [tabulate.bar_envelope(cases, units, every=False)] if len(cases) > 1 else []
+            tables.append(tabulate.forces_of_bars(cases, units, every=False))
             found.append(PageSection("Bars", tables))
-        ponds = bar_tables.ponds(cases, units)
+        ponds = tabulate.ponds(cases, units)
         if ponds.rows:
             found.append(PageSection("Ponds", [ponds]))
-        more = [results_tables.anchors(cases, units), bar_tables.joints(cases, units)]
+        more = [tabulate.anchors(cases, units), tabulate.joints(cases, units)]
         held = [
-            results_tables.supports(cases, units, every=False),
+            tabulate.supports(cases, units, every=False),
             *(table for table in more if table.rows),
         ]
         found.append(PageSection("Supports and anchors", held))
