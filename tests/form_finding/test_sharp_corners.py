@@ -78,6 +78,42 @@ def test_sharp_corners(
         assert order(1 / np.array(counts), error) > 1.85
 
 
+@pytest.mark.parametrize(
+    ("corners", "tensions", "angle"),
+    [
+        ([(0.0, 0.0), (10.0, -3.0), (12.0, 0.0), (10.0, 3.0)], (51.487, 25.0, 25.0, 51.487), 10.0),
+        (
+            [(0.0, 0.0), (5.0, -0.25), (10.0, 0.0), (9.0, 7.0), (1.0, 7.0)],
+            (134.22, 134.22, 25.0, 35.0, 25.0), 170.0,
+        ),
+    ],
+)  # fmt: skip
+def test_corners_of_polygons(
+    comm: MPI.Intracomm, corners: list[tuple[float, float]], tensions: tuple[float, ...],
+    angle: float,
+) -> None:  # fmt: skip
+    """A corner of 10 and one of 170 degrees: second order on halved cells."""
+    chords = np.roll(corners, -1, axis=0) - np.array(corners)
+    widths = [float(np.linalg.norm(chord)) for chord in chords]
+    exact = [arc(c, T) for c, T in zip(widths, tensions, strict=True)]
+    way, halves = np.arctan2(*chords.T[::-1]), np.degrees([one[2] for one in exact])
+    inner = np.degrees((np.pi - way + np.roll(way, 1)) % (2 * np.pi))
+    assert np.abs(inner - halves - np.roll(halves, 1) - angle).min() < 0.1
+    x, y = np.transpose(corners)
+    plane = float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
+    mesh, errors = meshes.polygon(comm, corners, 0.8), []
+    names = range(1, len(corners) + 1)
+    cables = [FormCable(f"side {k}", tension=T) for k, T in enumerate(tensions, 1)]
+    for _ in range(3):
+        form = find_form(mesh, S, fixed=[f"corner {k}" for k in names], cables=cables)
+        links = [len(cable.path) - 1 for cable in form.cables]
+        ideal = [polygon(c, T, n) for c, T, n in zip(widths, tensions, links, strict=True)]
+        assert form.area == pytest.approx(plane - sum(one[1] for one in ideal), rel=3e-5)
+        errors.append(form.area - plane + sum(one[1] for one in exact))
+        mesh = meshes.refine(mesh)
+    assert order([4, 2, 1], errors) > 1.95
+
+
 def graded(comm: MPI.Intracomm, n: int) -> tuple[FoundForm, np.ndarray]:
     """A square sail of n x n cells that grow from one corner on; and their sides."""
     grid = np.linspace(0.0, 1.0, n + 1) ** 1.5 * 10.0
