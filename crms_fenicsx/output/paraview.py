@@ -82,10 +82,7 @@ def write_vtu(
     point_data: Mapping[str, NDArray[Any]],
     cell_data: Mapping[str, NDArray[Any]],
 ) -> None:
-    """Write points, cells and data on them. Collective.
-
-    Shapes and units: points (n, 3) (length), cells (m, 2), point_data, cell_data (m, c).
-    """
+    """Write points (n, 3), cells (m, corners) and data on both. Collective."""
     corners = cells.shape[1]
     first_point, n_points = first_row(len(points), comm)
     first_cell, n_cells = first_row(len(cells), comm)

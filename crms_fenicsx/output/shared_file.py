@@ -69,10 +69,7 @@ def write_together(path: Path, comm: MPI.Intracomm, size: int, parts: Sequence[P
 
 
 def first_row(count: int, comm: MPI.Intracomm) -> tuple[int, int]:
-    """Number of this rank's first row, if the ranks' rows follow each other. Collective.
-
-    Returns first: how many rows the ranks before this one have; total: how many all have.
-    """
+    """How many rows the ranks before this one have, and how many all have. Collective."""
     before = comm.exscan(count)
     return (0 if before is None else int(before)), int(comm.allreduce(count))
 
@@ -106,10 +103,7 @@ FACTOR = np.uint64(0x9E3779B97F4A7C15)
 
 
 def write_rows(path: Path, comm: MPI.Intracomm, ids: Integers, values: Rows, total: int) -> str:
-    """Write an array of which every rank has some rows. Collective.
-
-    Shapes: ids (n,), values (n,). Returns the file's `digest`.
-    """
+    """Write an array of the ranks' rows `ids` (n,); returns its digest. Collective."""
     parts, found = comm.gather((ids, values)), ""
     with raised_together(comm):
         if parts is not None:
@@ -130,10 +124,7 @@ def _header(dtype: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
 
 
 def digest(comm: MPI.Intracomm, ids: Integers, values: Rows) -> str:
-    """A number of an array that another one hardly has, from the rows of all ranks. Collective.
-
-    Shapes: ids (n,), values (n,).
-    """
+    """A number that another array hardly has, from all ranks' rows (n, ...). Collective."""
     columns = np.ascontiguousarray(values.reshape(len(values), int(np.prod(values.shape[1:]))))
     words = columns.view(np.uint64) if columns.dtype.itemsize == 8 else columns.astype(np.uint64)
     numbers = np.zeros(len(ids), dtype=np.uint64)
@@ -151,10 +142,7 @@ def read_rows(
     shape: tuple[int, ...],
     due: str,
 ) -> Rows:
-    """Read some rows of an array. Collective.
-
-    Shapes: ids (n,). Returns (n, ...).
-    """
+    """Read the rows `ids` (n,) of an array, or all of them for None, (n, ...). Collective."""
     wanted, parts = comm.gather(ids), None
     with raised_together(comm):
         if wanted is not None:

@@ -62,10 +62,7 @@ class CableResults:
 
 
 def cable_results(scene: Scene) -> dict[str, CableResults]:
-    """Forces of a scene's cables in its current state, by their names. Collective.
-
-    The same on all ranks.
-    """
+    """Forces of a scene's cables by their names, the same on all ranks. Collective."""
     if not scene.cables:
         return {}
     shape = scene.net.strip_shape()

@@ -27,10 +27,7 @@ from crms_fenicsx.runtime.errors import InputError, collective
 
 
 def by_cells(membrane: Membrane, name: str, values: Array) -> fem.Function:
-    """A function that is constant in each cell. Collective.
-
-    Shapes: values (n,).
-    """
+    """A function that is constant in each cell, of values (n,). Collective."""
     found = fem.Function(membrane.cell_values, name=name)
     found.x.array[membrane.cell_values.dofmap.list[: len(values), 0]] = values
     found.x.scatter_forward()
@@ -38,10 +35,7 @@ def by_cells(membrane: Membrane, name: str, values: Array) -> fem.Function:
 
 
 def nodal_means(membrane: Membrane, name: str, values: Array, areas: Array) -> fem.Function:
-    """A linear function whose values at the vertices are means of the cells around. Collective.
-
-    Shapes: values, areas (n,).
-    """
+    """A linear function: at vertices, means of the values (n,) of the cells around. Collective."""
     V = membrane.nodal_values
     weight, found = fem.Function(V), fem.Function(V, name=name)
     known = np.isfinite(values)

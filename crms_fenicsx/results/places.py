@@ -125,10 +125,7 @@ def nearest_places(
     *,
     in_plan: bool = False,
 ) -> Places:
-    """Find the places nearest to targets, however far these are. Collective.
-
-    Shapes and units: targets (k, 3) (length).
-    """
+    """Find the places nearest to targets (k, 3), however far these are (length). Collective."""
     corners = (surface.points if on == "current" else surface.stress_free)[surface.triangles]
     rows, weights, scores, sizes = _candidates(corners, targets, in_plan)
     best, rank = _best_rank(comm, scores)

@@ -12,22 +12,12 @@ from crms_fenicsx.runtime.arrays import Array
 
 @dataclass(frozen=True)
 class CellQuantity:
-    """A number that each cell has.
+    """A number that each cell has."""
 
-    Attributes
-    ----------
-    label
-        What it is, for people.
-    attribute, column
-        Where `MembraneResults` holds it; -1: the attribute has one column only.
-    unit
-        "stress" (force per length), or "" for a plain number.
-    """
-
-    label: str
-    attribute: str
+    label: str  # what it is, for people
+    attribute: str  # attribute, column: where `MembraneResults` holds it; -1: it has one only
     column: int = -1
-    unit: str = ""
+    unit: str = ""  # "stress" (force per length), or "" for a plain number
 
     def of(self, results: Any) -> Array:
         """Its values in some membrane results, (n,)."""

@@ -199,10 +199,7 @@ def _place(scene: Scene, where: str | Marker) -> tuple[Indices, list[Array]]:
 
 
 def support_forces(system: System) -> Array:
-    """Forces of the supports on this rank's owned vertices, (n, 3) (force). Collective.
-
-    Zero in directions that are not held.
-    """
+    """Supports' forces on this rank's owned vertices, 0 where free, (n, 3). Collective."""
     g = nodal_forces(system)
     n = system.unknowns.n_vertices
     forces: Array = np.where(system.scene.held[:n], g[:n], 0.0)
@@ -236,10 +233,9 @@ def nodal_forces(system: System) -> Array:
 
 
 def held_lengths(membrane: Membrane, group: str | None = None) -> Array:
-    """Length of held edges that belongs to each vertex and direction, (n, 3), with ghosts.
+    """Half the length of the edges around each vertex whose ends are held in a direction, (n, 3).
 
-    Half the current length of the edges around whose two ends are held in a direction (length).
-    Collective.
+    With ghosts; current lengths, of all named edges or of one group. Collective.
     """
     topology = membrane.mesh.mesh.topology
     own = topology.index_map(1).size_local

@@ -230,10 +230,7 @@ def _centres(surface: CurrentSurface, n: int) -> Array:
 
 
 def _extreme(comm: MPI.Intracomm, values: Array, places: Array, *, largest: bool) -> Extreme:
-    """The largest or least of all ranks' values, NaN left out; one is finite on some rank.
-
-    Of several equal ones that at the least place, x first, whichever rank has it.
-    """
+    """The largest or least of all ranks' values, of equal ones that at the least place; no NaN."""
     sign = 1.0 if largest else -1.0
     own = (-np.inf, (0.0, 0.0, 0.0))
     ranked = np.where(np.isnan(values), -np.inf, sign * values)
@@ -246,10 +243,7 @@ def _extreme(comm: MPI.Intracomm, values: Array, places: Array, *, largest: bool
 
 
 def held_groups(membrane: Membrane) -> dict[str, tuple[str, Indices]]:
-    """Named groups that are held as a whole: in which directions, and their vertices. Collective.
-
-    Vertices by local degree of freedom, with ghosts.
-    """
+    """Directions and local vertices, with ghosts, of groups held as a whole. Collective."""
     mesh, found = membrane.mesh, {}
     groups = [(name, 1, members) for name, members in sorted(mesh.edges.items())]
     groups += [(name, 0, members) for name, members in sorted(mesh.points.items())]

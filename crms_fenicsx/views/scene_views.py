@@ -39,10 +39,7 @@ def blocks_of(
     points: Mapping[str, tuple[Array, Booleans, Sequence[str]]],
     radius: float | None,
 ) -> Any:
-    """Return a ``pyvista.MultiBlock`` of the block "membrane" and of those that have something.
-
-    Shapes and units: points (n, 3), radius (length).
-    """
+    """Return a ``pyvista.MultiBlock`` of "membrane" and of the lines and points there are."""
     pyvista = _pyvista()
     surface = surface.checked()
     places, triangles = np.asarray(surface.points), np.asarray(surface.triangles)

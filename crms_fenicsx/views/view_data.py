@@ -183,19 +183,12 @@ def cable_lines(net: CableNet) -> list[Line]:
 
 
 def bar_lines(bars: Sequence[PlacedBar]) -> list[Line]:
-    """Return bars as lines, the same on all ranks.
-
-    Their "tension" is the axial force, negative in compression; they are never "lifted".
-    """
+    """Bars as lines, never "lifted"; "tension": axial force, negative in compression."""
     return [Line(bar.points, {"tension": bar.force, "lifted": 0.0}, bar.name) for bar in bars]
 
 
 def joined(lines: Sequence[Line]) -> Segments:
-    """Return checked lines as one mesh of two-point segments.
-
-    Their data become arrays with NaN where a line has none; the array "line" counts the lines from
-    0.
-    """
+    """Lines as one mesh of segments; data NaN where a line has none, "line": its number from 0."""
     counts = np.array([len(line.points) for line in lines], dtype=np.int64)  # type: ignore[arg-type]
     starts = np.concatenate([[0], np.cumsum(counts)])
     last = np.zeros(starts[-1], dtype=bool)
@@ -220,10 +213,7 @@ def joined(lines: Sequence[Line]) -> Segments:
 def surface_piece(
     membrane: Membrane, shape: CurrentSurface, fields: Mapping[str, Array]
 ) -> Surface:
-    """This rank's piece of the surface, with the points' "displacement". Collective.
-
-    Shapes: fields (n,).
-    """
+    """This rank's piece of the surface with "displacement" and the cells' fields. Collective."""
     return Surface(
         shape.points,
         shape.triangles,

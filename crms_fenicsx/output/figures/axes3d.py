@@ -235,10 +235,7 @@ class Axes3D:
         self.axes.plot(*flat.T, color=INK, linewidth=0.9, zorder=0.2)
 
     def add_legend(self, entries: Sequence[tuple[Any, str, str]]) -> None:
-        """Say what colours are, in the box's upper right corner.
-
-        Shapes: entries (colour, text, kind).
-        """
+        """Say what colours are, by entries (colour, text, kind), in the upper right corner."""
         from matplotlib.lines import Line2D
         from matplotlib.patches import Patch
 
@@ -280,10 +277,7 @@ class Axes3D:
 
 
 def bounds(shapes: Sequence[Array]) -> tuple[Array, Array]:
-    """Return the box around points as (low, high).
-
-    It stands on their lowest, has some air at its other sides, and no side is zero.
-    """
+    """Return the box around points, (low, high): with some air but below, and no side zero."""
     points = np.concatenate([np.reshape(shape, (-1, 3)) for shape in shapes])
     low, high = points.min(axis=0), points.max(axis=0)
     size = float((high - low).max()) or 1.0

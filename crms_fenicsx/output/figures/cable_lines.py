@@ -148,10 +148,7 @@ def paint_lines(
     clip: tuple[Array, Array] | None,
     show_names: bool,
 ) -> None:
-    """Paint what is seen of lines.
-
-    Shapes: triangles (m, 3, 3).
-    """
+    """Paint what triangles (m, 3, 3) leave to be seen of lines."""
     from matplotlib.collections import LineCollection
 
     runs: list[Array] = []

@@ -60,10 +60,7 @@ def brightness(camera: Camera, corners: Array) -> tuple[Array, Array]:
 
 
 def visible(samples: Array, corners: Array, tolerance: float) -> Booleans:
-    """Say which points no triangle hides.
-
-    Shapes: samples (s, 3), corners (m, 3, 3). Returns (s,) array of bool.
-    """
+    """Say which points (s, 3) no triangle, of corners (m, 3, 3), hides, (s,)."""
     seen = np.ones(len(samples), dtype=bool)
     if len(corners) == 0 or len(samples) == 0:
         return seen

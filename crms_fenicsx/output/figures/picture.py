@@ -39,12 +39,9 @@ def given_file(call: str, filename: object) -> Path | None:
 
 
 def checked_picture(filename: str | Path | None) -> Path | None:
-    """As `checked_filename`; None for a picture that is returned."""
-    return None if filename is None else checked_filename(filename)
-
-
-def checked_filename(filename: str | Path) -> Path:
-    """Return the path of a picture that can be written, or raise `InputError`."""
+    """Return the path of a picture that can be written, None for none, or raise `InputError`."""
+    if filename is None:
+        return None
     path = Path(filename)
     kinds = new_figure(1.0, 1.0).canvas.get_supported_filetypes()
     if path.suffix[1:].lower() not in kinds:
@@ -107,7 +104,8 @@ def join_pictures(
         images = [imread(picture)[..., :3] for picture in pictures]
     except (OSError, SyntaxError) as error:  # the latter is what a damaged file gives
         raise InputError(f"a picture to join cannot be read: {error}") from None
-    path = checked_filename(filename)
+    path = checked_picture(filename)
+    assert path is not None
     across = 0 if upright else 1
     size = np.max([image.shape for image in images], axis=0)
     padded = []

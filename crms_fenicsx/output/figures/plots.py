@@ -42,48 +42,39 @@ def draw_convergence(
     """Plot how far values are from their limits, in parts of their sizes. Collective."""
     file = given_file("draw", filename)
     with raised_together(comm):
-        if comm.rank == 0:
-            return _draw(checked_picture(file), cells, series, title, width)
-    return None
-
-
-def _draw(
-    path: Path | None,
-    cells: Sequence[int],
-    series: Mapping[str, Series],
-    title: str,
-    width: float,
-) -> Figure | None:
-    figure = new_figure(width, 0.62 * width)
-    axis = figure.subplots()
-    size = np.sqrt(cells[0] / np.asarray(cells, dtype=float))
-    largest, colours = 0.0, cycle(DISTINCT)
-    for name, (values, limit, bar, scale) in series.items():
-        errors = np.abs(np.asarray(values) - limit)
-        if errors.max() <= 0.0:
-            continue
-        there = errors > 0.0
-        low = np.minimum(bar, 0.9 * errors)[there]  # a bar to 0 has no end on this scale
-        bars = np.stack([low, np.full_like(low, bar)]) / scale
-        axis.errorbar(
-            size[there], errors[there] / scale, bars.tolist(),
-            color=next(colours), marker="o", markersize=4, linewidth=1.4, capsize=3,
-            elinewidth=0.8, label=name,
-        )  # fmt: skip
-        largest = max(largest, float(errors.max() / scale))
-    if largest > 0.0:
-        axis.plot(size, largest * size**2, "--", color=INK, linewidth=0.9, label="order 2")
-        axis.set_xscale("log", base=2)
-        axis.set_yscale("log")
-        axis.legend(fontsize=8, frameon=False, labelcolor=INK, loc="upper left",
-                    bbox_to_anchor=(1.0, 1.0))  # fmt: skip
-    axis.set_xlabel("size of the cells, in parts of the first mesh's", fontsize=9, color=INK)
-    axis.set_ylabel("distance from the limit, in parts of the size", fontsize=9, color=INK)
-    style_axes(axis, 8)
-    if title:
-        figure.suptitle(title, fontsize=11, color=INK)
-    figure.tight_layout()
-    return finished(figure, path, 160)
+        if comm.rank:
+            return None
+        path = checked_picture(file)
+        figure = new_figure(width, 0.62 * width)
+        axis = figure.subplots()
+        size = np.sqrt(cells[0] / np.asarray(cells, dtype=float))
+        largest, colours = 0.0, cycle(DISTINCT)
+        for name, (values, limit, bar, scale) in series.items():
+            errors = np.abs(np.asarray(values) - limit)
+            if errors.max() <= 0.0:
+                continue
+            there = errors > 0.0
+            low = np.minimum(bar, 0.9 * errors)[there]  # a bar to 0 has no end on this scale
+            bars = np.stack([low, np.full_like(low, bar)]) / scale
+            axis.errorbar(
+                size[there], errors[there] / scale, bars.tolist(),
+                color=next(colours), marker="o", markersize=4, linewidth=1.4, capsize=3,
+                elinewidth=0.8, label=name,
+            )  # fmt: skip
+            largest = max(largest, float(errors.max() / scale))
+        if largest > 0.0:
+            axis.plot(size, largest * size**2, "--", color=INK, linewidth=0.9, label="order 2")
+            axis.set_xscale("log", base=2)
+            axis.set_yscale("log")
+            axis.legend(fontsize=8, frameon=False, labelcolor=INK, loc="upper left",
+                        bbox_to_anchor=(1.0, 1.0))  # fmt: skip
+        axis.set_xlabel("size of the cells, in parts of the first mesh's", fontsize=9, color=INK)
+        axis.set_ylabel("distance from the limit, in parts of the size", fontsize=9, color=INK)
+        style_axes(axis, 8)
+        if title:
+            figure.suptitle(title, fontsize=11, color=INK)
+        figure.tight_layout()
+        return finished(figure, path, 160)
 
 
 _SEEN = 0.01
@@ -204,11 +195,7 @@ def units_of_results(length: str, force: str) -> dict[str, str]:
 
 
 def default_panels(history: History) -> list[list[str]]:
-    """Columns that show a run: what drives it, then what it answers, as far as it changes.
-
-    These are pressure, load factor, unstressed lengths, volume, tensions and energies. An energy
-    that would not be seen beside the others is left out.
-    """
+    """Columns that change: pressure, load, L0, volume, tension, and energies large enough."""
     groups = [
         [column for column in history.columns if column == name or column.startswith(f"{name} ")]
         for name in ("pressure", "load", "L0", "volume", "tension", "energy")

@@ -92,10 +92,7 @@ def sharpness(count: int) -> int:
 
 
 def draw_png(solver: HasSystem, **options: Any) -> bytes:
-    """Draw a solver's scene as the bytes of a PNG file, on the first rank. Collective.
-
-    Elsewhere, and of a mesh too large for pictures, there are none.
-    """
+    """Draw a scene as bytes of a PNG, on the first rank; none if it is too large. Collective."""
     comm = solver.comm
     with tempfile.TemporaryDirectory() as folder:
         path = Path(comm.bcast(folder)) / "picture.png"
