@@ -32,8 +32,7 @@ MOST_LINES, MOST_CODE, MOST_ARGUMENTS = 400, 60, 8
 """Lines of a file, lines of code of a function, and its arguments."""
 
 OPTIONS = set(
-    "Solver.__init__ Scene.lay_cable laying.lay find_form.find_form options.checked_options "
-    "Drawing.draw_history plots.draw_history".split()
+    "Solver.__init__ Scene.lay_cable laying.lay find_form.find_form options.checked_options".split()
 )
 """Functions with more arguments: options of public calls, by name. The list may only shrink."""
 

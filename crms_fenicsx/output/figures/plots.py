@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -81,19 +82,37 @@ _SEEN = 0.01
 """Share of a panel's largest value from which on a column is seen in it."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class HistoryOptions:
+    """How `draw_history` draws.
+
+    Parameters
+    ----------
+    unit, force
+        Names of the units of length and force, for labels.
+    units
+        Other units by column, or by the beginning of its name ("tension": "kN").
+    title
+        Of all panels.
+    width, dpi
+        Width in inches; pixels per inch.
+    """
+
+    unit: str = ""
+    force: str = ""
+    units: Mapping[str, str] | None = None
+    title: str = ""
+    width: float = 8.0
+    dpi: int = 160
+
+
 @collective
 def draw_history(
     history: History,
     filename: str | Path | None = None,
     x: str = "step",
     panels: Sequence[Sequence[str]] | None = None,
-    *,
-    unit: str = "",
-    force: str = "",
-    units: Mapping[str, str] | None = None,
-    title: str = "",
-    width: float = 8.0,
-    dpi: int = 160,
+    **options: Any,
 ) -> Figure | None:
     """Plot columns of a history, in panels. Collective on the history's ranks.
 
@@ -109,14 +128,8 @@ def draw_history(
         Columns that share a panel. By default those of `default_panels`; of a table that has none
         of these, every column of numbers, where those that differ in a last number only
         ("slip 1", "slip 2") share one.
-    unit, force
-        Names of the units of length and force, for labels.
-    units
-        Other units by column, or by the beginning of its name ("tension": "kN").
-    title
-        Of all panels.
-    width, dpi
-        Width in inches; pixels per inch.
+    **options
+        As `HistoryOptions`: ``unit``, ``force``, ``units``, ``title`` ...
 
     Returns
     -------
@@ -133,10 +146,8 @@ def draw_history(
         raise InputError(
             f"draw_history: history is of type {type(history).__name__}; give a History."
         )
-    checks.same(
-        history.comm, "draw_history", filename=filename, x=x, panels=panels, unit=unit, force=force,
-        units=units, title=title, width=width, dpi=dpi,
-    )  # fmt: skip
+    checks.same(history.comm, "draw_history", filename=filename, x=x, panels=panels, **options)
+    how = HistoryOptions(**options)
     filename = given_file("draw_history", filename)
     if len(history) == 0:
         raise InputError("the history is empty; draw it after the first step")
@@ -147,36 +158,29 @@ def draw_history(
     for column in [x, *(column for panel in panels for column in panel)]:
         if history[column].dtype.kind not in "if":
             raise InputError(f"column {column!r} holds text; plot columns of numbers")
-    named = units_of_results(unit, force) | dict(units or {})
     with raised_together(history.comm):
         if history.comm.rank == 0:
-            path = checked_picture(filename)
-            return _draw_panels(history, path, x, panels, named, title, width, dpi)
+            return _draw_panels(history, checked_picture(filename), x, panels, how)
     return None
 
 
 def _draw_panels(
-    history: History,
-    path: Path | None,
-    x: str,
-    panels: Sequence[Sequence[str]],
-    units: Mapping[str, str],
-    title: str,
-    width: float,
-    dpi: int,
-) -> Figure | None:
+    history: History, path: Path | None, x: str, panels: Sequence[Sequence[str]],
+    how: HistoryOptions,
+) -> Figure | None:  # fmt: skip
+    units = units_of_results(how.unit, how.force) | dict(how.units or {})
     across = 1 if len(panels) == 1 else 2
     down = -(-len(panels) // across)
-    figure = new_figure(width, 2.5 * down + (0.4 if title else 0.0))
+    figure = new_figure(how.width, 2.5 * down + (0.4 if how.title else 0.0))
     axes = figure.subplots(down, across, squeeze=False)
     for axis, panel in zip(axes.flat, panels, strict=False):
         _plot(axis, history, x, panel, units)
     for axis in axes.flat[len(panels) :]:
         axis.remove()
-    if title:
-        figure.suptitle(title, fontsize=11, color=INK)
+    if how.title:
+        figure.suptitle(how.title, fontsize=11, color=INK)
     figure.tight_layout(w_pad=2.0, h_pad=1.2)
-    return finished(figure, path, dpi)
+    return finished(figure, path, how.dpi)
 
 
 def units_of_results(length: str, force: str) -> dict[str, str]:
