@@ -38,7 +38,9 @@ class Drawn:
         return self.data.draw(st.floats(low, high))
 
 
-@pytest.mark.parametrize("number", KNOWN)
+@pytest.mark.parametrize(
+    "number", [pytest.param(n, marks=[pytest.mark.slow] * (n == 659)) for n in KNOWN]
+)
 def test_scenes_that_have_failed(number: int) -> None:
     """Each for a reason of its own."""
     result = runs.run(scenes.scene(number))

@@ -16,9 +16,13 @@ ALIKE = (
     161,  # an air hall whose cable is slack, and in tension with three times the pressure
     165,  # a tight cable on a gmsh mesh
 )
+SHORT = (1, 161)
+"""A cap and an air hall, which always run; the others are slow."""
 
 
-@pytest.mark.parametrize("number", ALIKE)
+@pytest.mark.parametrize(
+    "number", [pytest.param(n, marks=[pytest.mark.slow] * (n not in SHORT)) for n in ALIKE]
+)
 def test_one_equilibrium_whatever_the_way(number: int) -> None:
     """Six ways, and the same load once more."""
     result = ways.run(number)
