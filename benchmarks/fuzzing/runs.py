@@ -180,7 +180,10 @@ def run(data: SceneData, comm: MPI.Intracomm = MPI.COMM_WORLD) -> Result:
     result = Result(data.number, data.kind)
     with limited(SECONDS), warnings.catch_warnings():
         warnings.simplefilter("error")
-        for own in (errors.FrictionWarning, errors.PathWarning, errors.PenaltyWarning):
+        for own in (
+            errors.FrictionWarning, errors.PathWarning, errors.PenaltyWarning,
+            errors.SnapThroughWarning,
+        ):  # fmt: skip
             warnings.simplefilter("ignore", own)
         try:
             with watched(result):
