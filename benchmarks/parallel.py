@@ -84,7 +84,7 @@ def watched(now: Callable[[], float] = time.perf_counter) -> Clock:
     clock.watch(potential.Potential, "sum_up", "sum over the ranks")
     clock.watch(unknowns.Unknowns, "update_ghosts", "ghosts")
     clock.watch(unknowns.Unknowns, "add_ghosts", "ghosts")
-    clock.watch(hessian.InitialHessian, "_assemble", "H0: assembly")
+    clock.watch(hessian.InitialHessian, "assemble", "H0: assembly")
     clock.watch(hessian.InitialHessian, "rebuild", "H0: factorisation or multigrid")
     clock.watch(hessian.InitialHessian, "_add_dyads", "H0: dyads of the cables")
     clock.watch(hessian.InitialHessian, "solve", "H0: solves")
