@@ -44,7 +44,7 @@ DENTED = pytest.mark.filterwarnings("ignore::crms_fenicsx.runtime.errors.SnapThr
 @pytest.mark.ranks
 @pytest.mark.parametrize(
     "demo",
-    [pytest.param(one, marks=[DENTED, pytest.mark.slow] * (one == "air_hall")) for one in PROMISED],
+    [pytest.param(one, marks=[DENTED] * (one == "air_hall")) for one in PROMISED],
 )
 def test_demo(
     comm: MPI.Intracomm,
