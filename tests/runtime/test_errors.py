@@ -194,8 +194,9 @@ def test_a_rank_that_is_late_with_its_error(scene: Scene, monkeypatch) -> None:
 
 
 def test_warnings_are_shown_though_ffcx_logs_them():
-    """Unless somebody reads that log."""
-    show = "import crms_fenicsx, warnings; warnings.warn('look here')"
+    """Unless somebody reads that log. FFCx does so up to 0.10; here the program does, before."""
+    capture = "import logging, warnings; logging.captureWarnings(True); "
+    show = capture + "import crms_fenicsx; warnings.warn('look here')"
     read = "import logging; logging.basicConfig(format='LOG %(message)s'); " + show
     for program, log in ((show, False), (read, True)):
         done = subprocess.run(
