@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path as FilePath
-from typing import Literal
-from weakref import WeakMethod
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -16,25 +16,34 @@ from crms_fenicsx import checkpoint
 from crms_fenicsx.checkpoint import Run
 from crms_fenicsx.checkpoint.codec import Plain
 from crms_fenicsx.checkpoint.journal import FOLDER, CallProgress, Journal, plain_loads
+from crms_fenicsx.contact.contact_force import ContactForces, contact_forces
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
-from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.membrane import Marker
 from crms_fenicsx.model.sealed_air import FanControl
-from crms_fenicsx.output.figures.draw_scene import Drawing
+from crms_fenicsx.output.figures.draw_scene import draw
 from crms_fenicsx.output.history import History
 from crms_fenicsx.output.recorder import Recorder
-from crms_fenicsx.output.report import Reporting
-from crms_fenicsx.results.solver_results import SolverResults
+from crms_fenicsx.output.report.reporting import write_report
+from crms_fenicsx.results.cable_and_bar_results import CableResults, cable_results
+from crms_fenicsx.results.error_estimate import ErrorEstimate, ErrorEstimator
+from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
+from crms_fenicsx.results.quantities import fields_of
+from crms_fenicsx.results.reactions import Reactions, reactions
+from crms_fenicsx.results.residual import Residual, Tangent, residual, tangent
+from crms_fenicsx.results.summary import Summary, summary
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.checks import counted
-from crms_fenicsx.runtime.errors import ConvergenceError, InputError, collective
+from crms_fenicsx.runtime.errors import ConvergenceError, InputError, collective, raised_together
 from crms_fenicsx.runtime.interrupt import postponed, stop_together
 from crms_fenicsx.runtime.progress import progress
 from crms_fenicsx.runtime.readonly import ReadOnly
 from crms_fenicsx.scene import Scene
+from crms_fenicsx.scene.state import SceneState
 from crms_fenicsx.steps.increment_solver import IncrementSolver
-from crms_fenicsx.steps.load_cases import LoadCases
+from crms_fenicsx.steps.load_cases import Combination, check_combinations, split
 from crms_fenicsx.steps.load_step import (
     Step,
     no_equilibrium,
@@ -46,6 +55,10 @@ from crms_fenicsx.steps.loading import checked_target
 from crms_fenicsx.steps.movements import Move
 from crms_fenicsx.steps.options import checked_options
 from crms_fenicsx.steps.snap_through import SnapThroughSearch
+from crms_fenicsx.views.pyvista_blocks import to_pyvista
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -53,7 +66,7 @@ ANOTHER = "make another Solver(scene, ...), which goes on from the scene as it i
 """What to do instead of assigning a solver's options."""
 
 
-class Solver(LoadCases, SolverResults, Reporting, Drawing):
+class Solver:
     """Brings a scene from one equilibrium to the next.
 
     Parameters
@@ -120,7 +133,7 @@ class Solver(LoadCases, SolverResults, Reporting, Drawing):
         self,
         scene: Scene,
         *,
-        results: str | FilePath | None = None,
+        results: str | Path | None = None,
         resume: bool | None = None,
         prefix: str = "crms_",
         rtol: float = 1e-9,
@@ -139,8 +152,11 @@ class Solver(LoadCases, SolverResults, Reporting, Drawing):
         )  # fmt: skip
         self._scene, self.comm = scene, scene.comm
         self._increments = IncrementSolver(scene, options)
-        scene.fields = WeakMethod(self.fields)
         self.steps: list[Step] = []
+        self.case = ""
+        """Internal: name of the branch that load steps belong to; "" in none."""
+        self.base: SceneState | None = None
+        """Internal: the state from which loads were first brought on; None before."""
         self._recorder = Recorder(scene, options.results, options.estimate)
         self._journal: Journal | None = None
         if options.resume is not None and options.results is not None:
@@ -235,7 +251,7 @@ class Solver(LoadCases, SolverResults, Reporting, Drawing):
         self._increments.forget_removed()
         if target.is_first_load(scene):
             self.base = self.snapshot()
-        first = State.of(scene)
+        first = scene.state
         loads = plain_loads(pressure, target.moves, L0, load, steps, air)
         done, increment = self._resumed(loads)
         search = SnapThroughSearch(self._increments, target, first, steps)
@@ -247,7 +263,7 @@ class Solver(LoadCases, SolverResults, Reporting, Drawing):
             while done < steps - 1e-9:
                 stop_together(scene.comm)
                 goal = min(done + increment, np.floor(done + 1e-9) + 1.0)
-                before, history = State.of(scene), scene.step_history
+                before = scene.state
                 balanced = scene.in_equilibrium()
                 found = self._increments.solve(target, first, before, done, goal, steps)
                 outcome = found.outcome
@@ -266,7 +282,7 @@ class Solver(LoadCases, SolverResults, Reporting, Drawing):
                     logger.info("halving the increment: %s", outcome.reason)
                     continue
                 if outcome.bent:
-                    found = search.complete(found, before, history, done, goal, balanced)
+                    found = search.complete(found, before, done, goal, balanced)
                 step = Step(
                     number, spent, dict(scene.energies), time.perf_counter() - began, halvings,
                     found.verification, found.warnings,
@@ -279,10 +295,10 @@ class Solver(LoadCases, SolverResults, Reporting, Drawing):
                 began, spent, halvings = time.perf_counter(), None, 0
         return self.steps[-1]
 
-    def _accept(self, step: Step, before: State, unsettled: float) -> None:
+    def _accept(self, step: Step, before: SceneState, unsettled: float) -> None:
         """Take over a step from a state, and warn of what is crude or in doubt in its state."""
         scene, lasting = self.scene, [one for one in before.warnings if one.lasts]
-        scene._warnings = (*lasting, *step.warnings)
+        scene.record(warnings=(*lasting, *step.warnings))
         if step.verification is not None:
             step = replace(step, verification=replace(step.verification, warnings=scene.warnings))
         self.steps.append(step)
@@ -322,7 +338,7 @@ class Solver(LoadCases, SolverResults, Reporting, Drawing):
     @property
     def _run(self) -> Run:
         """What this solver knows of its load steps."""
-        return Run(self.steps, list(self.history), self.scene.step_history, self._increments.tried)
+        return Run(self.steps, list(self.history), self._increments.tried)
 
     def _go_on_from(self, run: Run) -> None:
         """Take over the load steps of a run whose state the scene has."""
@@ -331,7 +347,410 @@ class Solver(LoadCases, SolverResults, Reporting, Drawing):
         self._recorder.resume(run.rows)
 
     @collective
-    def save(self, folder: str | FilePath) -> None:
+    def snapshot(self) -> SceneState:
+        """The current state of the scene and of this solver, to go back to by `restore`.
+
+        Collective. It stays in memory; `save` writes one to a folder.
+        """
+        return self._increments.snapshot()
+
+    @collective
+    def restore(self, snapshot: SceneState) -> None:
+        """Bring the scene back to a state. Collective.
+
+        Displacements, loads, supports, cables and added terms are those of then; load steps,
+        history and files stay, and go on.
+
+        Parameters
+        ----------
+        snapshot
+            A state of the same scene.
+
+        Raises
+        ------
+        InputError
+            On all ranks: it is no snapshot, or one of another scene.
+        """
+        with raised_together(self.scene.comm):
+            if not isinstance(snapshot, SceneState):
+                raise InputError(
+                    f"restore: {snapshot!r} is no snapshot; give what solver.snapshot() returned."
+                )
+            if snapshot.scene is not self.scene:
+                raise InputError(
+                    "restore: the snapshot is of another scene; give one of this scene."
+                )
+        self._increments.go_back_to(snapshot)
+
+    @contextmanager
+    def branch(self, name: str) -> Iterator[SceneState]:
+        """Let load steps be a branch, after which the scene is as before. Collective.
+
+        Parameters
+        ----------
+        name
+            Name of the branch in the history's column "case".
+
+        Yields
+        ------
+        SceneState
+            The state that the branch begins in, and to which it comes back, also after an error.
+
+        Raises
+        ------
+        InputError
+            On all ranks: a name that is no text, or a branch within another one.
+
+        Examples
+        --------
+        >>> with solver.branch("snow + wind"):
+        ...     solver.advance(load={"snow": 1.5, "wind": 0.9})
+        ...     tensions = [cable.tension for cable in scene.cables]
+        """
+        checks.same(self.scene.comm, "branch", name=name)
+        if not isinstance(name, str) or not name:
+            raise InputError(f"branch: name = {name!r} is no text; give one, as in 'snow'.")
+        if self.case:
+            raise InputError(
+                f"branch: {name!r} is within the branch {self.case!r}; let that one end first."
+            )
+        base, self.case = self.snapshot(), name
+        try:
+            yield base
+        finally:
+            self.case = ""
+            self.restore(base)
+
+    def combine(
+        self, combinations: Mapping[str, Mapping[str, Any]], *, steps: int = 1
+    ) -> dict[str, Combination]:
+        """Bring on combinations of loads, each from the current state. Collective.
+
+        Afterwards the scene is as before.
+
+        Parameters
+        ----------
+        combinations
+            By its name the factors of each combination's loads, by theirs, and what else of
+            "pressure", "temperature" and "atmosphere" is another one, as in `Solver.advance`. What
+            is not named stays: a combination that names nothing is the base state.
+        steps
+            Number of increments of each.
+
+        Returns
+        -------
+        dict
+            What came of each combination, by its name, in the order that rank 0 gives.
+
+        Raises
+        ------
+        InputError
+            On all ranks and before anything is computed: a load that does not exist, a factor that
+            is not finite, or steps that are no number of such.
+        ConvergenceError
+            A combination has no equilibrium; it says which.
+
+        Examples
+        --------
+        >>> found = solver.combine({
+        ...     "snow": {"weight": 1.35, "snow": 1.5},
+        ...     "storm": {"weight": 1.0, "wind along x": 1.5, "pressure": 0.6},
+        ... })
+        >>> max(found, key=lambda name: found[name].snapshot.tensions["ridge"])
+        """
+        checks.same(self.scene.comm, "combine", combinations=combinations, steps=steps)
+        check_combinations(self.scene, combinations)
+        checks.whole("combine: steps", steps, 1)
+        found = dict[str, Combination]()
+        for name, given in checks.in_one_order(self.scene.comm, combinations).items():
+            air, factors = split(given)
+            with self.branch(name) as start:
+                base = next((one.base for one in found.values()), start)  # alike, and kept once
+                try:
+                    step = self.advance(load=factors, steps=steps, **air)
+                except ConvergenceError as error:
+                    raise ConvergenceError(f"combination {name!r}: {error}") from None
+                found[name] = Combination(name, step, self.snapshot(), base)
+        return found
+
+    @collective
+    def results(self) -> MembraneResults:
+        """Stresses, strains and state of the membrane's cells in the current state. Collective.
+
+        Returns
+        -------
+        MembraneResults
+            Values in this rank's cells.
+        """
+        return membrane_results(self.system)
+
+    @collective
+    def reactions(self, where: str | Marker) -> Reactions:
+        """Forces that supports at a place exert on all that meets there, in the current state.
+
+        Collective. What meets there is the membrane, and each end of a cable or a bar whose anchor
+        or held joint is at one of the vertices, or on an edge between two of them.
+
+        Parameters
+        ----------
+        where
+            Vertices, as for `Scene.vertices`, or the name of a held joint, such as "start of mast".
+
+        Returns
+        -------
+        Reactions
+            Their sum, each part of it by name, and the force on each of this rank's vertices.
+
+        Raises
+        ------
+        InputError
+            As `Scene.vertices`.
+
+        Examples
+        --------
+        >>> corner = solver.reactions("corner 1")
+        >>> corner.total, corner.membrane, corner.parts["guy 1"]
+        """
+        return reactions(self.system, where)
+
+    @collective
+    def contact_forces(self, cable: LaidCable) -> ContactForces:
+        """Forces of a cable on the membrane at its points, in the current state. Collective.
+
+        Parameters
+        ----------
+        cable
+            A cable of the scene.
+
+        Returns
+        -------
+        ContactForces
+            At the points of the cable's `line`; its ``line`` is the force per length of cable.
+
+        Raises
+        ------
+        InputError
+            It is no cable of this scene.
+        """
+        checks.same(self.comm, "contact_forces", cable=cable)
+        if not any(cable is own for own in self.scene.cables):
+            raise InputError(f"contact_forces: {cable!r} is not a cable of this scene.")
+        return contact_forces(cable, self.scene.net.strip_shape()).at(cable.line_nodes())
+
+    @collective
+    def cable_forces(self) -> dict[str, CableResults]:
+        """Tensions, contact and end forces of the cables, in the current state. Collective.
+
+        Returns
+        -------
+        dict
+            By the cables' names, the same on all ranks.
+
+        Examples
+        --------
+        >>> for name, cable in solver.cable_forces().items():
+        ...     print(f"{name}: {cable.least:.3g} to {cable.largest:.3g}")
+        """
+        return cable_results(self.scene)
+
+    @collective
+    def summary(self) -> Summary:
+        """The current state by its extremes: plain numbers for tables and envelopes. Collective.
+
+        Returns
+        -------
+        Summary
+            The same on all ranks.
+        """
+        return summary(self.system)
+
+    @collective
+    def estimate_error(self) -> ErrorEstimate:
+        """Estimate by how much the mesh makes the energy of the current state too high. Collective.
+
+        It costs about as much as `results`. On the cases with references it is 0.4 to 2.6 times
+        the true error (`tests/results/test_error_estimate.py`). What the sides of a polygon cut off
+        a curved boundary is not in it.
+
+        Returns
+        -------
+        ErrorEstimate
+            For the whole membrane, and the shares of this rank's cells.
+
+        Raises
+        ------
+        InputError
+            On all ranks: the scene has been changed since its last load step, or there was none.
+
+        Examples
+        --------
+        >>> solver.estimate_error().relative
+        """
+        self.scene.require_equilibrium("estimate_error")
+        return ErrorEstimator(self.scene).of(self.system)
+
+    @collective
+    def residual(self) -> Residual:
+        """Forces that are not balanced in the current state, to be destroyed. Collective.
+
+        They are the slope of the potential energy: in equilibrium zero but at supports, where they
+        are the supports' forces, and where a floor presses.
+
+        Returns
+        -------
+        Residual
+            As a function on `Scene.V`, of the joints, and as a vector of all unknowns.
+
+        Examples
+        --------
+        >>> residual = solver.residual()
+        >>> residual.vector.norm()  # without what is held
+        >>> residual.destroy()
+        """
+        return residual(self.system)
+
+    @collective
+    def tangent(self) -> Tangent:
+        """Second derivatives of the potential energy, to be destroyed. Collective.
+
+        They are exact but for the terms that ``inexact`` names.
+
+        Returns
+        -------
+        Tangent
+            A matrix of PETSc for vectors as that of `residual`.
+
+        Examples
+        --------
+        A step of Newton's method, of a membrane without cables:
+
+        >>> residual, tangent = solver.residual(), solver.tangent()
+        >>> ksp = PETSc.KSP().create(scene.comm)
+        >>> ksp.setOperators(tangent.matrix, tangent.sparse)
+        >>> step = residual.vector.duplicate()
+        >>> ksp.solve(residual.vector, step)
+        >>> owned = 3 * scene.V.dofmap.index_map.size_local
+        >>> scene.u.x.array[:owned] -= step.array[:owned]
+        >>> scene.u.x.scatter_forward()
+        """
+        return tangent(self.system)
+
+    def draw(self, filename: str | Path | None = None, **options: Any) -> Figure | None:
+        """Draw the scene in its current state, as `crms_fenicsx.output.draw`. Collective.
+
+        Parameters
+        ----------
+        filename
+            Picture to write; its suffix (.png, .pdf, .svg ...) says the format. None returns it.
+        **options
+            As for `draw`: ``colour``, ``unit``, ``force``, ``ghost``, ``view`` ...
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            On the first rank, without a file; a notebook shows it. Else None.
+
+        Raises
+        ------
+        InputError
+            On all ranks: an unknown colour or option, or a file that cannot be written.
+
+        Examples
+        --------
+        In a notebook:
+
+        >>> solver.draw(colour="warp", unit="m", force="kN")
+        """
+        return draw(self, filename, **options)
+
+    @collective
+    def report(
+        self, filename: str | Path,
+        combinations: Mapping[str, Combination] | None = None, **options: Any,
+    ) -> None:  # fmt: skip
+        """Write a report to attach to a calculation: one page of HTML, and CSV tables. Collective.
+
+        The page has the model, combinations, pictures, membrane forces, utilisation and envelopes,
+        cables, bars, ponds, reactions and the verification's verdicts; it loads nothing from
+        elsewhere, is smaller than 5 MB, and prints on A4. The tables lie beside it: ``tent.html``
+        has ``tent_membrane.csv``, ``tent_cables.csv`` and so on, with all digits. Results are those
+        of the states that the combinations led to, with the model and the base state that these
+        were brought on with, whatever the scene is now; strengths are the present ones. The scene's
+        own state is as before. Without combinations the page says in red if the scene has been
+        changed since its last load step. Bars whose names differ in a number at their end, as those
+        of a belt, share rows on the page if they are ten or more.
+
+        Parameters
+        ----------
+        filename
+            Of the page, ending in .html. Files that are there are replaced when all are complete.
+        combinations
+            What `combine` returned; by default the current state alone.
+        **options
+            ``title``: heading. ``about``: names and texts below it, as ``{"Project": "..."}``.
+            ``unit``, ``force``: names of the units of length and force, for headings.
+            ``cable_strengths``: strengths of cables by their names, divided by the partial factors
+            (force); those that are named get a utilisation. Those of the fabric are
+            `Scene.set_strengths`'s. ``pictures``: what colours the membrane in a picture of each
+            combination, as for `draw`, or "tension", that of cables and bars; by default these,
+            displacement, membrane forces (of fabrics with a warp along warp and weft) and, with
+            strengths, utilisation. Where the page would be too large, the last ones are left out.
+            ``view``: where the viewer stands, as for `draw`.
+
+        Raises
+        ------
+        InputError
+            On all ranks and before anything is written: an argument that cannot be used, a file
+            that cannot be written, or combinations of models that differ; it says in what.
+
+        Examples
+        --------
+        >>> found = solver.combine({"snow": {"snow": 1.5}, "storm": {"wind": 1.5}})
+        >>> solver.report("results/tent/report.html", found, title="Tent", unit="m", force="kN")
+        """
+        write_report(self, filename, combinations, **options)
+
+    @collective
+    def to_pyvista(self, *, radius: float | None = None) -> Any:
+        """The current state as meshes of pyvista, on the first rank. Collective.
+
+        They have the arrays of the ParaView files. pyvista is imported only here.
+
+        Parameters
+        ----------
+        radius
+            Of the tubes that cables and bars become (length), 0.3 % of the membrane's size by
+            default; 0: they stay lines.
+
+        Returns
+        -------
+        pyvista.MultiBlock
+            With the blocks "membrane" (the deformed surface with the facets of folded cells; its
+            "displacement" at points, section forces and state of the cells), "cables" and "bars"
+            ("tension" of each segment, "lifted", "contact force", the number of the "line"),
+            "supports" (held vertices, with the "held" directions) and "joints"; those that have
+            nothing are left out. The names of cables, bars and joints are in
+            ``field_data["names"]``. None on the other ranks.
+
+        Raises
+        ------
+        InputError
+            On all ranks: a radius that is negative or not finite.
+        ImportError
+            On all ranks: there is no pyvista.
+
+        Examples
+        --------
+        >>> blocks = solver.to_pyvista()
+        >>> plotter = pyvista.Plotter()
+        >>> plotter.add_mesh(blocks["membrane"], scalars="warp", show_edges=True)
+        >>> plotter.add_mesh(blocks["cables"], scalars="tension", cmap="YlOrRd")
+        >>> plotter.show()
+        """
+        return to_pyvista(self.scene, fields_of(membrane_results(self.system)), radius)
+
+    @collective
+    def save(self, folder: str | Path) -> None:
         """Save the state of the scene and of this solver, to go on from. Collective.
 
         Parameters
@@ -357,7 +776,7 @@ class Solver(LoadCases, SolverResults, Reporting, Drawing):
         self._increments.restart_h0()  # what goes on from the checkpoint takes the same way
 
     @collective
-    def load(self, folder: str | FilePath) -> None:
+    def load(self, folder: str | Path) -> None:
         """Go on from a state that `save` has saved, on any number of processes. Collective.
 
         The script builds mesh, scene and solver as before. Held vertices, floor, loads, cables and

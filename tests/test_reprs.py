@@ -89,7 +89,7 @@ SHOWN: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "snapshot": (
         lambda: solved().snapshot(),
-        rf"Snapshot\(energy {NUMBER}; 1 cable, tension {NUMBER}\)",
+        rf"SceneState\(energy {NUMBER}; 1 cable, tension {NUMBER}\)",
     ),
     "history": (lambda: solved().history, r"History\(1 row; step, halvings, .*seconds\)"),
     "form": (form, rf"FoundForm\(area 16; deviation {NUMBER}; disturbance {NUMBER}\)"),

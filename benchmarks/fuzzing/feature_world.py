@@ -312,12 +312,12 @@ class World:
         load = {name: f for name, f in what.get("load", {}).items() if name in scene.factors}
         if load:
             given["load"] = load
-        if "pressure" in what and scene.air is None:
+        if "pressure" in what and scene.air.sealed is None:
             given["pressure"] = what["pressure"] * frame.per_area
-        if "fans" in what and "wind" in scene.factors and scene.air is None:
+        if "fans" in what and "wind" in scene.factors and scene.air.sealed is None:
             low, high = (p * frame.per_area for p in what["fans"])
             given["pressure"] = FanControl("wind", [0.0, 1.0], [low, high])
-        if "temperature" in what and scene.air is not None:
+        if "temperature" in what and scene.air.sealed is not None:
             given["temperature"] = what["temperature"]
         given |= self._movements(what)
         self.solver.advance(**given)
@@ -368,7 +368,7 @@ class World:
         )
 
     def unseal(self) -> None:
-        if self.scene.air is not None:
+        if self.scene.air.sealed is not None:
             self.scene.unseal()
 
     def remove(self, which: int) -> None:
@@ -389,7 +389,7 @@ class World:
 
     def branch(self, load: Any, seal: bool, lay: bool, remove: bool, move: Any) -> None:
         with self.solver.branch("aside"):
-            if seal and self.scene.air is None and self.scene.pressure > 0:
+            if seal and self.scene.air.sealed is None and self.scene.pressure > 0:
                 self.seal(200.0, 1.2)
             if lay and self.data.source != "form":
                 self.put_cable(7, False, False, None, 900.0, None,

@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy.typing as npt
 
 from crms_fenicsx.cables.crossings import arrange
 from crms_fenicsx.cables.strip import EMPTY, Strip, cells_at, grown
 from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.model.cable_state import CableState
 from crms_fenicsx.model.crossing import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError
+
+
+@dataclass(frozen=True)
+class CableNetState:
+    """What can change of the cables of a membrane; see the attributes of `CableNet`."""
+
+    cables: Mapping[LaidCable, CableState]
+    strip: Strip | None
+    crossings: tuple[Crossing, ...]
+    arranged: tuple[LaidCable, ...]
+    laid: int
+    removed_dissipation: float
 
 
 class CableNet:
@@ -34,6 +48,24 @@ class CableNet:
         self.arranged: tuple[LaidCable, ...] = ()
         self.laid = 0
         self.removed_dissipation = 0.0
+
+    @property
+    def state(self) -> CableNetState:
+        """What can change of them."""
+        cables = {cable: cable.state for cable in self.cables}
+        return CableNetState(
+            cables, self.strip, self.crossings, self.arranged, self.laid, self.removed_dissipation
+        )
+
+    @state.setter
+    def state(self, state: CableNetState) -> None:
+        if self.cables != tuple(state.cables):
+            self.cables, self.strip = tuple(state.cables), state.strip
+        # Else the strip has grown at most: what it knows more than it did holds as well.
+        for cable, was in state.cables.items():
+            cable.state = was
+        self.crossings, self.arranged = state.crossings, state.arranged
+        self.laid, self.removed_dissipation = state.laid, state.removed_dissipation
 
     @property
     def dissipated(self) -> float:

@@ -232,12 +232,17 @@ def _rows(around: dict[tuple[int, ...], list[int]], vertices: tuple[int, ...]) -
 EMPTY = Strip(np.zeros((0, 3), dtype=np.int64), *(np.zeros(0, dtype=np.int64),) * 2)
 
 
-def cells_at(membrane: Membrane, vertices: npt.ArrayLike) -> Strip:
-    """Gather the cells around some vertices, given by id and alike on all ranks. Collective."""
+def cells_at(
+    membrane: Membrane, vertices: npt.ArrayLike, held_edges: Booleans | None = None
+) -> Strip:
+    """Gather the cells around some vertices, given by id and alike on all ranks. Collective.
+
+    `held_edges` are those of a state that the membrane is not in yet.
+    """
     wanted = np.unique(np.asarray(vertices, dtype=np.int64))
     ids = _own_cells(membrane)
     chosen = np.flatnonzero(np.isin(ids, wanted).any(axis=1))
-    strip = _gathered(membrane, ids, chosen)
+    strip = _gathered(membrane, ids, chosen, held_edges)
     complete = frozenset(int(vertex) for vertex in wanted)
     return replace(strip, complete=complete)
 
@@ -284,10 +289,13 @@ def _own_cells(membrane: Membrane) -> Integers:
     return cell_vertex_ids(mesh)[: mesh.topology.index_map(2).size_local]
 
 
-def _gathered(membrane: Membrane, ids: Integers, chosen: Integers) -> Strip:
+def _gathered(
+    membrane: Membrane, ids: Integers, chosen: Integers, held_edges: Booleans | None = None
+) -> Strip:
     """Chosen cells of all ranks."""
+    held = membrane.held_edges if held_edges is None else held_edges
     edges = membrane.mesh.mesh.topology.connectivity(2, 1).array.reshape(-1, 3)[chosen]
-    cell, k = np.nonzero(membrane.held_edges[edges])  # edge k lies opposite to vertex k
+    cell, k = np.nonzero(held[edges])  # edge k lies opposite to vertex k
     ends = np.stack([ids[chosen[cell], (k + 1) % 3], ids[chosen[cell], (k + 2) % 3]], axis=1)
     hidden = np.sort(ids[chosen[np.isin(chosen, membrane.mesh.hidden)]], axis=1)
     parts = membrane.comm.allgather((ids[chosen], chosen, np.sort(ends, axis=1), hidden))

@@ -1,20 +1,36 @@
 """Dataclasses of numbers, texts, arrays and each other as data for JSON, and back.
 
 What is read must have the fields, types and array shapes that the type hints of its class say.
-Numbers survive to the last digit; NaN in an array is None in JSON.
+Numbers survive to the last digit; NaN in an array is None in JSON. Arrays whose hints name `Rows`
+of the mesh go to files of their own, handles become their names, and fields that are marked
+`UNSAVED` are left out: `Storage` does that.
 """
 
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache
 from itertools import repeat
-from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from types import NoneType, SimpleNamespace, UnionType
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    Protocol,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
+
+from crms_fenicsx.model.handle import Handle
+from crms_fenicsx.runtime.arrays import Rows
 
 Plain = dict[str, Any]
 """Data for JSON: dictionaries and lists of numbers, texts and None."""
@@ -22,21 +38,71 @@ Plain = dict[str, Any]
 Kind = TypeVar("Kind")
 
 
-def encode(value: Any) -> Any:
-    """Data for JSON from a dataclass, of which they have the fields that it is made from."""
+class Storage(Protocol):
+    """Where what is no plain data is kept; paths are the names of the fields that lead to it."""
+
+    def write(self, path: str, rows: Rows, values: np.ndarray[Any, Any]) -> Plain:
+        """Write a distributed array, and return what tells it. Collective."""
+
+    def read(
+        self, path: str, rows: Rows, dtype: np.dtype[Any], shape: tuple[int, ...], data: Any
+    ) -> np.ndarray[Any, Any]:
+        """Read the rows (n, *shape) of this rank. Collective."""
+
+    def reduce(self, value: Any) -> Any:
+        """Plain data of an object that is no plain dataclass, or the value itself."""
+
+    def restore(self, kind: type, data: Any, path: str) -> Any:
+        """An object from what `reduce` made of it; `NotImplemented` of other classes."""
+
+    def unsaved(self, kind: type) -> Mapping[str, Any]:
+        """The present values of the fields of a class that are not kept."""
+
+
+def encode(value: Any, storage: Storage | None = None, path: str = "") -> Any:
+    """Data for JSON from a dataclass: the fields that it is made from, but for unsaved ones."""
+    if storage is not None:
+        value = storage.reduce(value)
+    if isinstance(value, Handle):
+        return value.name
     if is_dataclass(value):
-        return {f.name: encode(getattr(value, f.name)) for f in fields(value) if f.init}
+        return {
+            name: _encoded_field(hint, getattr(value, name), storage, _below(path, name))
+            for name, hint in _hints(type(value)).items()  # type: ignore[arg-type]
+        }
     if isinstance(value, np.ndarray):
         return _without_nan(value.tolist())
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, Mapping):
-        return {key: encode(one) for key, one in value.items()}
+        return {
+            key.name if isinstance(key, Handle) else key: encode(one, storage, _below(path, k))
+            for k, (key, one) in enumerate(value.items())
+        }
     if isinstance(value, set):
         return sorted(map(encode, value), key=str)
     if isinstance(value, list | tuple):
-        return [encode(one) for one in value]
+        return [encode(one, storage, _below(path, k)) for k, one in enumerate(value)]
     return value if isinstance(value, int | str | None) else float(value)
+
+
+def _below(path: str, name: str | int) -> str:
+    return f"{path}.{name}" if path else str(name)
+
+
+def _encoded_field(hint: Any, value: Any, storage: Storage | None, path: str) -> Any:
+    rows = _rows(hint)
+    if rows is None or value is None or storage is None:
+        return encode(value, storage, path)
+    return storage.write(path, rows, value)
+
+
+def _rows(hint: Any) -> Rows | None:
+    """What the rows of a field's array belong to; None of any other field."""
+    if get_origin(hint) in (Union, UnionType):
+        return next((rows for one in get_args(hint) if (rows := _rows(one)) is not None), None)
+    marks = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
+    return next((mark for mark in marks if isinstance(mark, Rows)), None)
 
 
 def _without_nan(value: Any) -> Any:
@@ -45,59 +111,83 @@ def _without_nan(value: Any) -> Any:
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
-def decode(kind: type[Kind], data: object) -> Kind:
+def decode(kind: type[Kind], data: object, storage: Storage | None = None, path: str = "") -> Kind:
     """A dataclass from what `encode` has made of it."""
     hints = _hints(kind)  # type: ignore[arg-type]
     if not isinstance(data, dict) or data.keys() != hints.keys():
         found = sorted(data) if isinstance(data, dict) else data
         raise ValueError(f"{found!r} where {kind.__name__} has {sorted(hints)}")
-    sizes: dict[str, int] = {}
-    return kind(**{name: _decode(hint, data[name], sizes) for name, hint in hints.items()})
+    reader = _Reader(storage)
+    read = {
+        name: reader.decoded(hint, data[name], _below(path, name)) for name, hint in hints.items()
+    }
+    return kind(**read, **({} if storage is None else storage.unsaved(kind)))
 
 
 @cache
 def _hints(kind: type) -> dict[str, Any]:
-    """The type hints of the fields that a dataclass is made from."""
-    hints = get_type_hints(kind, include_extras=True)
-    return {f.name: hints[f.name] for f in fields(kind) if f.init}
+    """The type hints of the fields that a dataclass is made from and files keep."""
+    saved = {f.name: f.type for f in fields(kind) if f.init and "UNSAVED" not in str(f.type)}
+    names = vars(sys.modules[kind.__module__])
+    return get_type_hints(SimpleNamespace(__annotations__=saved), names, include_extras=True)
 
 
-def _decode(hint: Any, data: Any, sizes: dict[str, int]) -> Any:
-    origin, args = get_origin(hint), get_args(hint)
-    if hasattr(origin, "__value__"):  # NumPy's NDArray is an alias by name since 2.5
-        return _decode(origin.__value__[args], data, sizes)
-    if is_dataclass(hint):
-        return decode(hint, data)  # type: ignore[arg-type]
-    if origin is Annotated:
-        return _shaped(_decode(args[0], data, sizes), args[1:], sizes)
-    if origin in (Union, UnionType):
-        return _one_of(args, data, sizes)
-    if origin is np.ndarray:
-        return _array(data, np.dtype(get_args(args[1])[0]))
-    if origin is tuple and isinstance(data, list):
-        hints = repeat(args[0], len(data)) if args[-1] is Ellipsis else args
-        return tuple(_decode(of, one, sizes) for of, one in zip(hints, data, strict=True))
-    if origin in (list, set) and isinstance(data, list):
-        return origin(_decode(args[0], one, sizes) for one in data)
-    if origin in (dict, Mapping) and isinstance(data, dict):
-        return {key: _decode(args[1], one, sizes) for key, one in data.items()}
-    if hint is float and type(data) in (int, float):
-        return float(data)
-    if hint is Any or type(data) is hint or (origin is Literal and data in args):
-        return data
-    raise ValueError(f"{data!r} where {getattr(hint, '__name__', hint)} is due")
+class _Reader:
+    """Decodes the fields of one dataclass, whose arrays share the names of their sizes."""
 
+    def __init__(self, storage: Storage | None) -> None:
+        self._storage = storage
+        self._sizes: dict[str, int] = {}
 
-def _one_of(hints: Iterable[Any], data: Any, sizes: dict[str, int]) -> Any:
-    """The data as the first type that they fit."""
-    error: Exception | None = None
-    for hint in hints:
-        if (hint is NoneType) == (data is None):
-            try:
-                return _decode(hint, data, sizes)
-            except (ArithmeticError, LookupError, TypeError, ValueError) as one:
-                error = one
-    raise ValueError(f"{data!r}: {error or 'a value is due'}")
+    def decoded(self, hint: Any, data: Any, path: str) -> Any:
+        """The value of a hint."""
+        origin, args = get_origin(hint), get_args(hint)
+        if hasattr(origin, "__value__"):  # NumPy's NDArray is an alias by name since 2.5
+            return self.decoded(origin.__value__[args], data, path)
+        if self._storage is not None and isinstance(hint, type):
+            made = self._storage.restore(hint, data, path)
+            if made is not NotImplemented:
+                return made
+        if is_dataclass(hint):
+            return decode(hint, data, self._storage, path)  # type: ignore[arg-type]
+        if origin is Annotated and isinstance(args[1], Rows) and self._storage is not None:
+            dtype = np.dtype(get_args(get_args(args[0])[1])[0])
+            return self._storage.read(path, args[1], dtype, args[2:], data)
+        if origin is Annotated:
+            return _shaped(self.decoded(args[0], data, path), args[1:], self._sizes)
+        if origin in (Union, UnionType):
+            return self._one_of(args, data, path)
+        if origin is np.ndarray:
+            return _array(data, np.dtype(get_args(args[1])[0]))
+        if origin is tuple and isinstance(data, list):
+            hints = repeat(args[0], len(data)) if args[-1] is Ellipsis else args
+            return tuple(
+                self.decoded(of, one, _below(path, k))
+                for k, (of, one) in enumerate(zip(hints, data, strict=True))
+            )
+        if origin in (list, set) and isinstance(data, list):
+            return origin(self.decoded(args[0], one, path) for one in data)
+        if origin in (dict, Mapping) and isinstance(data, dict):
+            return {
+                self.decoded(args[0], key, path): self.decoded(args[1], one, _below(path, k))
+                for k, (key, one) in enumerate(data.items())
+            }
+        if hint is float and type(data) in (int, float):
+            return float(data)
+        if hint is Any or type(data) is hint or (origin is Literal and data in args):
+            return data
+        raise ValueError(f"{data!r} where {getattr(hint, '__name__', hint)} is due")
+
+    def _one_of(self, hints: Iterable[Any], data: Any, path: str) -> Any:
+        """The data as the first type that they fit."""
+        error: Exception | None = None
+        for hint in hints:
+            if (hint is NoneType) == (data is None):
+                try:
+                    return self.decoded(hint, data, path)
+                except (ArithmeticError, LookupError, TypeError, ValueError) as one:
+                    error = one
+        raise ValueError(f"{data!r}: {error or 'a value is due'}")
 
 
 def _array(data: Any, dtype: np.dtype[Any]) -> np.ndarray[Any, Any]:

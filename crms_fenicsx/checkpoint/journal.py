@@ -92,7 +92,7 @@ def scene_record(scene: Scene) -> Plain:
         ),
         "floor": None if scene.floor_level is None else float(scene.floor_level),
         "pressure before": float(scene.pressure),
-        "sealed air before": encode(scene.air),
+        "sealed air before": encode(scene.air.sealed),
         "ponds before": encode(scene.ponds),
         "displacements (sums with weights)": [*_sums(scene, ids[:own], u[:own]), largest],
         "loads": [

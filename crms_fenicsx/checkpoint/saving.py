@@ -9,37 +9,29 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
-import numpy as np
 from mpi4py import MPI
 
+from crms_fenicsx.cables.cable_net import CableNetState
 from crms_fenicsx.cables.strip import Strip, cells_at
 from crms_fenicsx.checkpoint.codec import Plain, decode, encode
-from crms_fenicsx.checkpoint.contents import (
-    Contents,
-    Run,
-    SavedBar,
-    SavedCable,
-    SavedJoint,
-    SavedLoad,
-    check_same,
-    fingerprint,
-)
-from crms_fenicsx.checkpoint.fields import Fields, cell_ids, read_fields, write_fields
+from crms_fenicsx.checkpoint.contents import Contents, Run, check, check_same, fingerprint
+from crms_fenicsx.checkpoint.fields import POSITIONS, MeshFiles
 from crms_fenicsx.checkpoint.folder import complete, replaced_folder
-from crms_fenicsx.model.bar import BarEnd, Joint, MeshVertex, PlacedBar
 from crms_fenicsx.model.changed_materials import numbers, with_numbers
-from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.membrane_load import MembraneLoad
-from crms_fenicsx.output.shared_file import read_rows, write_rows
+from crms_fenicsx.model.handle import Handle
+from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Rows
 from crms_fenicsx.runtime.checks import LONGEST
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import explained, read_text, readable
 from crms_fenicsx.scene import Scene
+from crms_fenicsx.scene.state import SceneState
 
-STATE, CELLS = "state.json", "cells.npy"
-FORMAT = "crms_fenicsx checkpoint 8"
+STATE = "state.json"
+FORMAT = "crms_fenicsx checkpoint 9"
 """What a checkpoint says it is; the number grows when its content changes."""
 
 
@@ -48,15 +40,54 @@ def save(folder: str | Path, scene: Scene, run: Run, call: Plain | None = None) 
     checks.same(scene.comm, "save", folder=folder)
     place = checks.file("save: folder", folder).resolve()
     with replaced_folder(place, scene.comm, STATE) as partial:
-        edges, digests = write_fields(partial, scene)
-        if run.step_history is not None and run.step_history.cells is not None:
-            ids, total = cell_ids(scene)
-            cells = run.step_history.cells
-            digests["cells"] = write_rows(partial / CELLS, scene.comm, ids, cells, total)
-        data = encode(_contents(scene, run, edges, digests, call))
+        storage = SceneStorage(partial, scene)
+        contents = Contents(
+            fingerprint(scene),
+            storage.write(POSITIONS, Rows.VERTICES, scene.membrane.stress_free),
+            encode(scene.state, storage),
+            scene.versions.state_version,
+            scene.in_equilibrium(),
+            replace(run, steps=[replace(step, verification=None) for step in run.steps]),
+            call,
+        )
+        data = encode(contents)
         with raised_together(scene.comm), explained(partial / STATE):
             if scene.comm.rank == 0:
                 (partial / STATE).write_text(signed(data), encoding="utf-8")
+
+
+class SceneStorage(MeshFiles):
+    """What a checkpoint keeps of a scene besides plain data."""
+
+    def __init__(self, folder: Path, scene: Scene) -> None:
+        super().__init__(folder, scene)
+        held: list[Handle[Any]] = [*scene.cables, *scene.joints, *scene.bars]
+        self._handles: dict[tuple[type, str], Any] = {(type(one), one.name): one for one in held}
+
+    def reduce(self, value: Any) -> Any:
+        """A strip by the vertices all whose cells it has, a material by its numbers."""
+        if isinstance(value, Strip):
+            return sorted(value.complete)
+        return numbers(value) if isinstance(value, MembraneMaterial) else value
+
+    def restore(self, kind: type, data: Any, path: str) -> Any:
+        """A handle of the scene, or a new one, by its name; a strip; a material."""
+        if issubclass(kind, Handle):
+            if not isinstance(data, str):
+                raise ValueError(f"{data!r} where the name of a {kind.__name__} is due")
+            return self._handles.setdefault((kind, data), kind(data, None))
+        if kind is Strip:
+            return cells_at(self.scene.membrane, [int(one) for one in data], self.held_edges)
+        if kind is MembraneMaterial:
+            return with_numbers(self.scene.materials[int(path.rpartition(".")[2])], data)
+        return NotImplemented
+
+    def unsaved(self, kind: type) -> dict[str, Any]:
+        """The terms and numbers of the present scene."""
+        if kind is not SceneState:
+            return {}
+        scene = self.scene
+        return {"terms": scene.terms, "version": scene.versions.current, "scene": scene}
 
 
 def signed(data: Plain) -> str:
@@ -103,154 +134,32 @@ def restore(saved: Saved, scene: Scene) -> Run:
 
     Returns what its solver must know.
     """
-    comm, contents, place = scene.comm, saved.contents, saved.file.parent
-    run, digests = contents.run, contents.digests
-    with reading(saved.file):
-        contents.check(scene.V.dofmap.index_map.size_global)
-        unknown = {part for pond in contents.ponds for part in pond.parts}
-        if unknown := unknown - set(scene.mesh.parts):
-            raise ValueError(f"ponds on parts {sorted(unknown)}, which the mesh has not")
+    contents, storage = saved.contents, SceneStorage(saved.file.parent, scene)
     check_same(contents.scene, scene)
+    storage.check_mesh(contents.positions)
     with reading(saved.file):
-        pairs = zip(scene.materials.items(), contents.materials, strict=True)
-        materials = {k: with_numbers(material, kept) for (k, material), kept in pairs}
-    follows = [load.follows for load in contents.loads]
-    fields = read_fields(place, scene, contents.held_edges, digests, follows)
-    if run.step_history is not None and scene.strain_law == "step":
-        ids, total = cell_ids(scene)
-        due, shape = digests.get("cells", ""), (total, 6)
-        run = run.with_cells(read_rows(place / CELLS, comm, ids, np.float64, shape, due))
-    _restore(scene, fields, saved)
-    scene.materials.update(materials)
-    scene.step_history = run.step_history
+        state = decode(SceneState, contents.state, storage)
+        check(state, scene.mesh.parts, scene.V.dofmap.index_map.size_global)
+    if not _lie_on_cells(state.net):
+        raise InputError(
+            f"{saved.file} is damaged: a cable does not lie on cells of the mesh; take another "
+            "checkpoint"
+        )
+    scene.state = state
     scene.versions.change_model()
     scene.versions.change_state(above=contents.state_version)
     if contents.in_equilibrium:
         scene.versions.settle(scene.membrane.owned_u, None)
     else:
         scene.versions.unsettle()
-    return run
+    return contents.run
 
 
-def _contents(
-    scene: Scene, run: Run, edges: int, digests: dict[str, str], call: Plain | None
-) -> Contents:
-    """What is kept of a scene and its run besides the fields, with how many edges are held."""
-    steps = [replace(step, verification=None) for step in run.steps]
-    strip = scene.net.strip
-    return Contents(
-        scene=fingerprint(scene),
-        held_edges=edges,
-        digests=digests,
-        pressure=scene.pressure,
-        air=scene.air,
-        state_version=scene.versions.state_version,
-        in_equilibrium=scene.in_equilibrium(),
-        floor=scene.floor_level,
-        laid=scene.net.laid,
-        dissipated=scene.net.removed_dissipation,
-        energies=scene.energies,
-        materials=tuple(numbers(material) for material in scene.materials.values()),
-        loads=tuple(
-            SavedLoad(
-                load.name, load.intensity, load.suction is not None, load.factor, dict(load.joints)
-            )
-            for load in scene.loads
-        ),
-        ponds=scene.ponds,
-        strip=() if strip is None else tuple(sorted(strip.complete)),
-        cables=tuple(
-            SavedCable(c.name, c.cable, c.sleeve, c.layer, c.in_edge, c.joints, c.state)
-            for c in scene.cables
-        ),
-        crossings=scene.net.crossings,
-        joints=tuple(SavedJoint(j.name, j.first, j.held, j.state) for j in scene.joints),
-        bars=tuple(
-            SavedBar(
-                b.name,
-                b.bar,
-                (_saved_end(scene, b.start), _saved_end(scene, b.end)),
-                b.state,
-            )
-            for b in scene.bars
-        ),
-        run=replace(run.with_cells(None), steps=steps),
-        call=call,
-        warnings=scene.warnings,
-    )
-
-
-def _saved_end(scene: Scene, end: BarEnd) -> int | MeshVertex:
-    """An end of a bar, a joint by its number."""
-    return scene.frame.number(end) if isinstance(end, Joint) else end
-
-
-def _restore_frame(scene: Scene, contents: Contents) -> None:
-    """Let joints and bars be those that have been read; ones of the same name stay the objects."""
-    frame = scene.frame
-    known: dict[str, Joint] = {joint.name: joint for joint in frame.joints}
-    placed: dict[str, PlacedBar] = {bar.name: bar for bar in frame.bars}
-    joints, bars = [], []
-    for j in contents.joints:
-        joint = known.get(j.name) or Joint(j.name, j.first, j.held, j.state)
-        joint.first, joint.held, joint.state = j.first, j.held, j.state
-        joints.append(joint)
-    for b in contents.bars:
-        start, end = (joints[end] if isinstance(end, int) else end for end in b.ends)
-        bar = placed.get(b.name) or PlacedBar(b.name, b.bar, start, end, b.state)
-        bar.bar, bar.start, bar.end, bar.state = b.bar, start, end, b.state
-        bars.append(bar)
-    frame.joints, frame.bars = tuple(joints), tuple(bars)
-
-
-def _restored_cables(scene: Scene, contents: Contents) -> tuple[LaidCable, ...]:
-    """The cables that have been read; ones of the same name stay the objects."""
-    known = {cable.name: cable for cable in scene.cables}
-    cables = []
-    for c in contents.cables:
-        read = LaidCable(c.name, c.cable, c.state, c.sleeve, c.layer, c.in_edge, c.joints)
-        cable = known.get(c.name, read)
-        cable.become(read)
-        cables.append(cable)
-    return tuple(cables)
-
-
-def _restore(scene: Scene, fields: Fields, saved: Saved) -> None:
-    """Bring the scene to a state that has been read."""
-    contents = saved.contents
-    held_edges = scene.membrane.held_edges.copy()
-    scene.membrane.held_edges[:] = fields.held_edges  # the strip's cells know them
-    strip = _strip(scene, contents) if contents.cables else None
-    if contents.cables and strip is None:
-        scene.membrane.held_edges[:] = held_edges
-        raise InputError(
-            f"{saved.file} is damaged: a cable does not lie on cells of the mesh; take another "
-            "checkpoint"
-        )
-    scene._loads = tuple(
-        MembraneLoad(load.name, forces, load.intensity, suction, load.factor, load.joints)
-        for load, forces, suction in zip(
-            contents.loads, fields.forces, fields.suctions, strict=True
-        )
-    )
-    scene.u.x.array[:] = fields.u.ravel()
-    scene.held[:] = fields.held
-    scene._floor_level, scene._air = contents.floor, contents.air
-    scene._pressure, scene._ponds = contents.pressure, contents.ponds
-    scene.energies, net = contents.energies, scene.net
-    scene._warnings = contents.warnings
-    net.laid, net.removed_dissipation = contents.laid, contents.dissipated
-    net.strip, net.cables = strip, _restored_cables(scene, contents)
-    net.crossings, net.arranged = contents.crossings, net.cables
-    _restore_frame(scene, contents)
-
-
-def _strip(scene: Scene, contents: Contents) -> Strip | None:
-    """The cells around the cables; None if one lies on none of them. Collective."""
-    strip = cells_at(scene.membrane, contents.strip)
-    points = (node.point for cable in contents.cables for node in cable.state.nodes)
-    on_cells = (bool(strip.rows(point.support)) for point in points if point is not None)
-    return strip if all(on_cells) else None
+def _lie_on_cells(net: CableNetState) -> bool:
+    """Whether all points of the cables lie on cells of the strip."""
+    points = (node.point for state in net.cables.values() for node in state.nodes)
+    known = [point.support for point in points if point is not None]
+    return not known or (net.strip is not None and all(net.strip.rows(one) for one in known))
 
 
 def _read(file: Path) -> Plain:
@@ -279,6 +188,8 @@ def reading(file: Path) -> Iterator[None]:
     """Say of data that are not what they should be which file they are from."""
     try:
         yield
+    except InputError:  # it names the file
+        raise
     except (
         ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError,
     ) as error:  # fmt: skip

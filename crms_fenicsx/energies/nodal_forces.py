@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numba
 import numpy as np
@@ -24,7 +24,7 @@ class NodalForces(EnergyTerm):
     def __init__(self, n: int) -> None:
         self.forces, self._u, self._minus = np.zeros((3, n, 3))
 
-    def take(self, loads: Sequence[MembraneLoad]) -> None:
+    def take(self, loads: Iterable[MembraneLoad]) -> None:
         """Take the forces of loads at their factors."""
         self.forces[:] = 0.0
         for load in loads:

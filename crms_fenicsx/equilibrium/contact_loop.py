@@ -8,14 +8,16 @@ path under its span.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from crms_fenicsx.contact.active_set import ActiveSet
-from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
+from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.paths.geodesic_sliding import GeodesicSliding
+from crms_fenicsx.scene import Scene
+from crms_fenicsx.scene.state import SceneState
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -27,7 +29,7 @@ class ContactLoop:
     """Solves one load step on given paths."""
 
     def __init__(
-        self, system: System, active: ActiveSet, sliding: GeodesicSliding | None, start: State
+        self, system: System, active: ActiveSet, sliding: GeodesicSliding | None, start: SceneState
     ) -> None:
         self.system, self.scene = system, system.scene
         self.active, self.sliding, self.start = active, sliding, start
@@ -67,7 +69,7 @@ class ContactLoop:
                 system.rebuild()
                 system.read_scene()
             if system.has_history:  # the step starts there for all its terms
-                self.start.restore_positions(self.scene)
+                restore_positions(self.scene, self.start)
                 system.read_scene()
             changes = []
             outcome = system.minimize(h0_prestress, interrupt)
@@ -93,3 +95,31 @@ class ContactLoop:
             changes = self.sliding.renew_projections()
             self._projections += len(changes)
         return changes
+
+
+def restore_positions(scene: Scene, state: SceneState) -> None:
+    """Bring membrane and cables to where they were, the cables on their new paths. Collective.
+
+    Points that the paths had are where they were; others lie on the membrane of then.
+    """
+    scene.u.x.array[:] = state.u
+    scene.frame.state = state.frame
+    shape = scene.net.strip_shape()
+    for cable, was in state.net.cables.items():
+        known = {_key(was.nodes, k): k for k in range(len(was.nodes)) if not was.lifted[k]}
+        positions, fractions = cable.positions.copy(), cable.fractions.copy()
+        for k in range(len(cable.nodes)):
+            old = known.get(_key(cable.nodes, k))
+            if old is not None:
+                positions[k], fractions[k] = was.positions[old], was.fractions[old]
+            else:
+                positions[k] = shape.mean(*cable.interpolation(k))
+        cable.update(positions=positions, fractions=fractions)
+
+
+def _key(nodes: Sequence[CableNode], k: int) -> object:
+    """What a node is known by while a path changes."""
+    point = nodes[k].point
+    if point is None:
+        return "end", k > 0
+    return nodes[k].kind, point.support if nodes[k].slides else point

@@ -66,13 +66,14 @@ class FrictionContribution(Contribution):
         energies = self.scene.energies
         if "friction" in energies:  # the state has what it stores; the rest is heat
             shape = self.scene.net.strip_shape()
-            energies["friction"] = sum(lateral.energies(c, shape)[0] for c in self.scene.cables)
+            stored = sum(lateral.energies(c, shape)[0] for c in self.scene.cables)
+            self.scene.record(energies={**energies, "friction": stored})
         if self.cables.capstan is not None:
             self._write_gripped(self.cables.capstan, potential)
 
     def _write_gripped(self, capstan: CapstanTension, potential: Potential) -> None:
         """Copy the state of the cables that friction holds along to the scene."""
-        energies, sums = self.scene.energies, potential.sums_of(capstan)
+        energies, sums = dict(self.scene.energies), potential.sums_of(capstan)
         tensions, (stored, lost) = capstan.tensions(sums), capstan.friction(sums)
         for c, cable in enumerate(self.cables.gripped):
             spans, nodes = capstan.spans_of(c), capstan.nodes_of(c)
@@ -80,6 +81,7 @@ class FrictionContribution(Contribution):
             store_solution(cable, sums[spans], unstressed, tensions[spans], slips, float(lost[c]))
         energies["cables"] -= capstan.friction_potential
         energies["friction"] = energies.get("friction", 0.0) + float(stored.sum())
+        self.scene.record(energies=energies)
 
     def commit(self) -> None:
         gripped = [cable for cable in self.scene.cables if cable.grip is not None]

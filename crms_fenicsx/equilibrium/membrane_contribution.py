@@ -83,12 +83,13 @@ class MembraneContribution(Contribution):
 
     def commit(self) -> None:
         if self.stepwise is not None:
-            self.scene.step_history = replace(
+            history = replace(
                 self.scene.step_history or StepHistory(),
                 cells=self.stepwise.history.x.array.reshape(-1, 6).copy(),
                 energy=self.stepwise.energy_n,
                 folded_energy=float(self.folded_energy[0]),
             )
+            self.scene.record(step_history=history)
 
 
 def hold(scene: Scene, unknowns: Unknowns) -> None:
@@ -139,7 +140,7 @@ class PressureContribution(Contribution):
 
     @property
     def is_stale(self) -> bool:
-        acts = self.scene.pressure != 0.0 or self.scene.air is not None
+        acts = self.scene.pressure != 0.0 or self.scene.air.sealed is not None
         return acts and self.term is None
 
     @property
@@ -150,7 +151,7 @@ class PressureContribution(Contribution):
         self.cells.x.array[:] = self.membrane.energy.plain.x.array * self.scene.membrane.pressed
         if self.term is None:
             idle = self.scene.pressure == 0.0 and "pressure" not in self.scene.energies
-            if idle and self.scene.air is None:
+            if idle and self.scene.air.sealed is None:
                 return []
             self.term = self._make_term()
         self.term.twin, self.sealed = None, None
@@ -160,12 +161,13 @@ class PressureContribution(Contribution):
                 self.folded_volume[0] = 0.0
             return [self._stepwise]
         assert isinstance(self.term, FollowerPressure)
-        if self.scene.air is None:
+        if self.scene.air.sealed is None:
             return [self.term, *self._rim_terms()]
         from crms_fenicsx.energies.sealed_pressure import SealedPressure
 
         self.value.value = 1.0
-        self.sealed = SealedPressure(self.scene.air, self.term, self._rim_terms(), self.value)
+        sealed = self.scene.air.sealed
+        self.sealed = SealedPressure(sealed, self.term, self._rim_terms(), self.value)
         return [self.sealed]
 
     def _make_term(self) -> FollowerPressure | StepPressure:
@@ -187,20 +189,22 @@ class PressureContribution(Contribution):
     def read_scene(self, potential: Potential) -> None:
         if self.sealed is None:
             self.value.value = self.scene.pressure
-        elif self.scene.air is not None:
-            self.sealed.air = self.scene.air
+        elif self.scene.air.sealed is not None:
+            self.sealed.air = self.scene.air.sealed
 
     def write_scene(self, potential: Potential) -> None:
         if self.sealed is not None:
-            self.scene._pressure = self.sealed.pressure(potential.sums_of(self.sealed))
+            pressure = self.sealed.pressure(potential.sums_of(self.sealed))
+            self.scene.air.update(pressure=pressure)
 
     def commit(self) -> None:
         if self.has_history:
-            self.scene.step_history = replace(
+            history = replace(
                 self.scene.step_history or StepHistory(),
                 volume=0.0 if self._stepwise is None else self._stepwise.volume_n,
                 folded_volume=float(self.folded_volume[0]),
             )
+            self.scene.record(step_history=history)
 
 
 class MembraneLoadsContribution(Contribution):

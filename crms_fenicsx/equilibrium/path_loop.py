@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 from crms_fenicsx.cables.crossings import tangled
 from crms_fenicsx.contact.lift_off import sunk
 from crms_fenicsx.equilibrium.contact_loop import ContactLoop
-from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.paths.crossing_trials import CrossingTrials
 from crms_fenicsx.paths.path_change import PathChange
 from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.paths.vertex_passing import Trial, VertexTrials
+from crms_fenicsx.scene.state import SceneState
 
 CAUGHT, STUCK = 0.05, 0.15
 """Kinks of a folded edge (rad) from which on its cable is laid anew, and the state is refused.
@@ -43,7 +43,7 @@ class _Try:
     """The equilibrium on some paths, perhaps not to the last digit, and how they want to change."""
 
     outcome: Outcome  # what came of the minimisation
-    state: State  # the state before its paths were changed
+    state: SceneState  # the state before its paths were changed
     energy: float  # potential energy in it (force x length)
     flips: int  # how many vertices the paths have passed since
 
@@ -76,7 +76,7 @@ class PathLoop:
                     caught = self._sliding(caught | sunken) - laid_again
                     # Through the membrane a cable is shorter: that energy is none to fall below.
                     energy = math.inf if sunken & caught else self.system.objective
-                    best = replace(best, state=State.of(self.scene), energy=energy)
+                    best = replace(best, state=self.scene.state, energy=energy)
                 if caught:
                     laid_again |= caught
                     self.sliding.lay_again(caught)
@@ -114,7 +114,7 @@ class PathLoop:
                 tried.count_misled()
             elif trials.halve(moved):
                 tried.refused = refused
-            best.state.restore(self.scene)
+            self.scene.state = best.state
             # Half of the flips; one alone cannot be halved.
             flips = self._change_paths(flips // 2)
             if not flips:
@@ -143,7 +143,7 @@ class PathLoop:
 
         def look() -> bool:
             nonlocal flips, state, energy
-            state, energy = State.of(self.scene), self.system.objective
+            state, energy = self.scene.state, self.system.objective
             flips = self._change_paths(None)
             return rough or flips > 0
 

@@ -63,7 +63,7 @@ class PondContribution(Contribution):
             term.pond, term.level = pond, pond.level
 
     def write_scene(self, potential: Potential) -> None:
-        self.scene._ponds = tuple(
+        ponds = tuple(
             replace(
                 term.pond,
                 level=term.level,
@@ -73,6 +73,7 @@ class PondContribution(Contribution):
             )
             for term in self.ponds
         )
+        self.scene.loads.update(ponds=ponds)
 
     def add_pressure(self, potential: Potential, g: Array, factor: float) -> None:
         """Add the water's forces on the membrane, times a factor, to `g`, (n_local, 3)."""

@@ -21,10 +21,10 @@ from typing import TYPE_CHECKING
 
 from crms_fenicsx.contact.active_set import ActiveSet
 from crms_fenicsx.equilibrium.contact_loop import ContactLoop
-from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.paths.tried_paths import TriedPaths
+from crms_fenicsx.scene.state import SceneState
 
 if TYPE_CHECKING:
     from crms_fenicsx.friction.passes import AxialIteration, LateralIteration
@@ -127,13 +127,13 @@ class EquilibriumSearch:
             outcome = self.system.minimize(h0_prestress)
             self.system.write_scene()
             return outcome
-        contacts, friction = self._loops(State.of(self.scene))
+        contacts, friction = self._loops(self.scene.state)
         outcome = self._unsmoothed(friction.solve(h0_prestress), contacts)
         if self.slide and self.tried is not None:
             self.tried.end_step(self.scene.cables)
         return outcome
 
-    def _loops(self, start: State) -> tuple[ContactLoop, FrictionLoop]:
+    def _loops(self, start: SceneState) -> tuple[ContactLoop, FrictionLoop]:
         """Nest the loops of a load step with cables that starts in a state."""
         from crms_fenicsx.equilibrium.contact_loop import ContactLoop
 

@@ -191,7 +191,7 @@ class System:
     def write_scene(self) -> None:
         """Copy the solved state to the scene. Collective."""
         self.potential.bring_up_to_date()
-        self.scene.energies = self.potential.energies()
+        self.scene.record(energies=self.potential.energies())
         self.objective = self.scene.energy
         for part in self.contributions:
             part.write_scene(self.potential)

@@ -178,7 +178,7 @@ class FoundForm:
                 kinds[cable.name], cable.path, tension=cable.tension, name=cable.name,
                 sleeve=True, measured_on="facets",
             )  # fmt: skip
-        scene._pressure = self.pressure
+        scene.air.update(pressure=self.pressure)
         return scene
 
     def _released(self, bars: Sequence[FormBar]) -> set[str]:

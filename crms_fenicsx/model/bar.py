@@ -2,40 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Annotated, Any
+from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
+from crms_fenicsx.model.handle import Handle
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.runtime.readonly import ReadOnly
-
-
-@dataclass(frozen=True)
-class JointState:
-    """What load steps change of a joint."""
-
-    position: Annotated[Array, 3]  # (3,) where it is (length)
-    # (3,) force with which what holds it acts on it (force); zero in directions in which it is free
-    reaction: Annotated[Array, 3]
-
-    def __post_init__(self) -> None:
-        for value in vars(self).values():
-            value.flags.writeable = False
-
-
-@dataclass(frozen=True)
-class BarState:
-    """What load steps change of a bar."""
-
-    L0: float  # unstressed length (length)
-    points: Annotated[Array, 2, 3]  # (2, 3) where its ends are (length)
-
-    def __post_init__(self) -> None:
-        self.points.flags.writeable = False
-
 
 SHORTEST = 1e-12
 """Length of a bar, relative to its unstressed one, up to which it has no direction."""
@@ -70,7 +46,22 @@ class Bar:
             )
 
 
-class Joint:
+@dataclass(frozen=True)
+class JointState:
+    """All that is known of a joint."""
+
+    first: Annotated[Array, 3]  # (3,) where it was made (length)
+    held: Annotated[Booleans, 3]  # (3,) components of its displacement that are held
+    position: Annotated[Array, 3]  # (3,) where it is (length)
+    # (3,) force with which what holds it acts on it (force); zero in directions in which it is free
+    reaction: Annotated[Array, 3]
+
+    def __post_init__(self) -> None:
+        for value in vars(self).values():
+            value.flags.writeable = False
+
+
+class Joint(Handle[JointState]):
     """A point off the membrane at which bars end: a hinge, free or held. Read-only.
 
     Made by `Scene.add_joint`, and by `Scene.add_bar` for an end that is a point in space.
@@ -83,19 +74,16 @@ class Joint:
         Where it was made (length).
     held : (3,) bool
         Components of its displacement that are held.
-    position, reaction
-        See `JointState`.
+    position : (3,)
+        Where it is (length).
+    reaction : (3,)
+        Force with which what holds it acts on it (force).
     """
 
+    first: ReadOnly[Array] = ReadOnly("state.first", ANOTHER_JOINT)
+    held: ReadOnly[Booleans] = ReadOnly("state.held", ANOTHER_JOINT)
     position: ReadOnly[Array] = ReadOnly("state.position", FOUND)
     reaction: ReadOnly[Array] = ReadOnly("state.reaction", FOUND)
-
-    def __init__(self, name: str, first: Array, held: Booleans, state: JointState) -> None:
-        self.name, self.first, self.held, self.state = name, first, held, state
-
-    def update(self, **changes: Any) -> None:
-        """Replace parts of its state; for the package alone."""
-        self.state = replace(self.state, **changes)
 
     def __repr__(self) -> str:
         return f"Joint({self.name!r})"
@@ -120,7 +108,21 @@ class MeshVertex:
 BarEnd = Joint | MeshVertex
 
 
-class PlacedBar:
+@dataclass(frozen=True)
+class BarState:
+    """All that is known of a bar."""
+
+    bar: Bar
+    start: BarEnd
+    end: BarEnd
+    L0: float  # unstressed length (length)
+    points: Annotated[Array, 2, 3]  # (2, 3) where its ends are (length)
+
+    def __post_init__(self) -> None:
+        self.points.flags.writeable = False
+
+
+class PlacedBar(Handle[BarState]):
     """A bar at its place. Made by `Scene.add_bar`, and read-only.
 
     Attributes
@@ -137,19 +139,11 @@ class PlacedBar:
         Where its ends are (length).
     """
 
+    bar: ReadOnly[Bar] = ReadOnly("state.bar", "call scene.set_stiffness(...) or add another one")
+    start: ReadOnly[BarEnd] = ReadOnly("state.start", ANOTHER_BAR)
+    end: ReadOnly[BarEnd] = ReadOnly("state.end", ANOTHER_BAR)
     L0: ReadOnly[float] = ReadOnly("state.L0", "call solver.advance(L0={bar: ...})")
     points: ReadOnly[Array] = ReadOnly("state.points", FOUND)
-
-    def __init__(self, name: str, bar: Bar, start: BarEnd, end: BarEnd, state: BarState) -> None:
-        self.name, self.bar, self.start, self.end, self.state = name, bar, start, end, state
-
-    def update(self, **changes: Any) -> None:
-        """Replace parts of its state; for the package alone."""
-        self.state = replace(self.state, **changes)
-
-    def set_stiffness(self, EA: float) -> None:
-        """Take another axial stiffness (force); for the package alone."""
-        self.bar = replace(self.bar, EA=EA)
 
     @property
     def length(self) -> float:

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
+from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.friction import AxialFrictionState, LateralFrictionState
 from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.surface.points import EdgePoint, SurfacePoint
@@ -67,12 +68,13 @@ class StepStart:
 
 @dataclass(frozen=True)
 class CableState:
-    """All that changes of a laid cable, as one value; see the attributes of `LaidCable`.
+    """All that is known of a laid cable, as one value; see the attributes of `LaidCable`.
 
     A snapshot is a reference to it and a change another one, see `LaidCable.update`. Its arrays are
     read-only. The shapes in the type hints are those that a checkpoint is checked against.
     """
 
+    cable: Cable
     nodes: Annotated[tuple[CableNode, ...], "n"]
     positions: Annotated[Array, "n", 3]
     fractions: Annotated[Array, "n"]
@@ -89,6 +91,10 @@ class CableState:
     grip: LateralFrictionState | None = None
     axial: AxialFrictionState | None = None
     excess: float = 0.0
+    sleeve: bool = False
+    layer: int = 0
+    in_edge: bool = False
+    joints: tuple[str | None, str | None] = (None, None)
 
     def __post_init__(self) -> None:
         for value in vars(self).values():

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.cable_state import CableNode, CableState, End, StepStart
 from crms_fenicsx.model.friction import AxialFrictionState, LateralFrictionState
+from crms_fenicsx.model.handle import Handle
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.runtime.arrays import Array, Booleans, flags, floats
 from crms_fenicsx.runtime.errors import InputError
@@ -60,16 +61,8 @@ class CableEnd:
         return np.asarray(tension * outward[first] / away[first])
 
 
-class LaidCable:
+class LaidCable(Handle[CableState]):
     """A cable on its path over the membrane. Made by `Scene.lay_cable`, and read-only.
-
-    Parameters
-    ----------
-    name, cable, sleeve, layer, in_edge, joints
-        As the attributes.
-    state
-        All that changes of it. The package replaces it, see `update`; users read its parts as
-        attributes.
 
     Attributes
     ----------
@@ -125,12 +118,13 @@ class LaidCable:
         last equilibrium (length).
     """
 
-    name: ReadOnly[str] = ReadOnly("_name", "scene.lay_cable(..., name=...) gives a name")
-    cable: ReadOnly[Cable] = ReadOnly("_cable", "call scene.set_stiffness(...) or lay another one")
-    sleeve: ReadOnly[bool] = ReadOnly("_sleeve", RELAY)
-    in_edge: ReadOnly[bool] = ReadOnly("_in_edge", RELAY)
-    layer: ReadOnly[int] = ReadOnly("_layer", RELAY)
-    joints: ReadOnly[tuple[str | None, str | None]] = ReadOnly("_joints", RELAY)
+    cable: ReadOnly[Cable] = ReadOnly(
+        "state.cable", "call scene.set_stiffness(...) or lay another one"
+    )
+    sleeve: ReadOnly[bool] = ReadOnly("state.sleeve", RELAY)
+    in_edge: ReadOnly[bool] = ReadOnly("state.in_edge", RELAY)
+    layer: ReadOnly[int] = ReadOnly("state.layer", RELAY)
+    joints: ReadOnly[tuple[str | None, str | None]] = ReadOnly("state.joints", RELAY)
     L0: ReadOnly[float] = ReadOnly("state.L0", "call solver.advance(L0={cable: length})")
     nodes: ReadOnly[tuple[CableNode, ...]] = ReadOnly("state.nodes", FOUND)
     positions: ReadOnly[Array] = ReadOnly("state.positions", FOUND)
@@ -147,32 +141,6 @@ class LaidCable:
     grip: ReadOnly[LateralFrictionState | None] = ReadOnly("state.grip", FOUND)
     axial: ReadOnly[AxialFrictionState | None] = ReadOnly("state.axial", FOUND)
     excess: ReadOnly[float] = ReadOnly("state.excess", FOUND)
-
-    def __init__(
-        self,
-        name: str,
-        cable: Cable,
-        state: CableState,
-        sleeve: bool = False,
-        layer: int = 0,
-        in_edge: bool = False,
-        joints: tuple[str | None, str | None] = (None, None),
-    ) -> None:
-        self._name, self._cable, self.state = name, cable, state
-        self._sleeve, self._layer, self._in_edge = sleeve, layer, in_edge
-        self._joints = joints
-
-    def update(self, **changes: Any) -> None:
-        """Replace parts of its state, by name; arrays among them become read-only."""
-        self.state = replace(self.state, **changes)
-
-    def become(self, other: LaidCable) -> None:
-        """Take the data and the state of another one; for the package alone."""
-        vars(self).update(vars(other))
-
-    def set_stiffness(self, EA: float) -> None:
-        """Take another axial stiffness (force); for the package alone."""
-        self._cable = replace(self._cable, EA=EA)
 
     @property
     def slides_freely(self) -> bool:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from dolfinx import fem
@@ -18,7 +19,7 @@ from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids, outer_first
 from crms_fenicsx.meshes.triangles import OpenEdges, area_vectors, open_edges
 from crms_fenicsx.model.materials import LINEAR, UFL_LAW, MembraneMaterial, Strengths
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers, Rows
 from crms_fenicsx.runtime.compat import require_real
 from crms_fenicsx.runtime.errors import (
     InputError,
@@ -55,6 +56,16 @@ Marker = Callable[[Array], Booleans]
 COMPONENTS = {"x": 0, "y": 1, "z": 2}
 
 
+@dataclass(frozen=True)
+class MembraneState:
+    """What can change of a membrane; see the attributes of `Membrane`."""
+
+    u: Annotated[Array, Rows.VERTICES, 3] = field(repr=False)  # as `u`, by vertices
+    held: Annotated[Booleans, Rows.VERTICES, 3] = field(repr=False)
+    held_edges: Annotated[Booleans, Rows.EDGES] = field(repr=False)
+    materials: tuple[MembraneMaterial, ...]  # by their numbers
+
+
 class Membrane:
     """A membrane and its current shape.
 
@@ -66,8 +77,8 @@ class Membrane:
     as they were given, before `Scene.set_material`; `parts`: names of the parts with a material of
     their own, by its number; `strengths`: of the parts in warp and weft (force per length), as
     `checked_strengths` returns them; none before they are given. They are data for results, and no
-    part of the state; `pressure_on`: as given; `supports`: what has been held, each as `hold` was
-    told: where, and in which directions.
+    part of the state;
+    `pressure_on`: as given.
     """
 
     def __init__(
@@ -85,13 +96,26 @@ class Membrane:
         self.parts = dict(enumerate(sorted(named, key=repr)))
         self.pressed = _pressed_cells(mesh, pressure_on)
         self.pressure_on = pressure_on
-        self.supports: tuple[tuple[str | Marker, str], ...] = ()
         self.V = fem.functionspace(mesh.mesh, ("Lagrange", 1, (3,)))
         self.u = fem.Function(self.V, name="displacement")
         self.held = np.zeros((len(self.u.x.array) // 3, 3), dtype=bool)
         edges = mesh.mesh.topology.index_map(1)
         self.held_edges = np.zeros(edges.size_local + edges.num_ghosts, dtype=bool)
         self.strengths: dict[str, Strengths] = {}
+
+    @property
+    def state(self) -> MembraneState:
+        """What can change of it, copied."""
+        return MembraneState(
+            self.u.x.array.reshape(-1, 3).copy(), self.held.copy(), self.held_edges.copy(),
+            tuple(self.materials.values()),
+        )  # fmt: skip
+
+    @state.setter
+    def state(self, state: MembraneState) -> None:
+        self.u.x.array[:], self.held[:] = state.u.ravel(), state.held
+        self.held_edges[:] = state.held_edges
+        self.materials.update(zip(self.materials, state.materials, strict=True))
 
     @cached_property
     def open_edges(self) -> OpenEdges:
@@ -256,7 +280,6 @@ class Membrane:
         for letter in directions:
             self.held[dofs, COMPONENTS[letter]] = True
         self.held_edges[edges] = True
-        self.supports = (*self.supports, (where, directions))
 
 
 def _assign_materials(
@@ -316,7 +339,7 @@ class StepHistory:
 
     # (n, 6) or None section forces and shapes of this rank's cells, as
     # `StepMembraneEnergy.history`; None where the strain has the total law
-    cells: Array | None = None
+    cells: Annotated[Array, Rows.CELLS, 6] | None = None
     # energy, folded_energy: strain energy so far of plain and folded cells (force x length)
     energy: float = 0.0
     folded_energy: float = 0.0

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 from dolfinx import fem
@@ -22,7 +22,7 @@ from crms_fenicsx.meshes.membrane_mesh import outer_first
 from crms_fenicsx.meshes.triangles import area_vectors, double_areas, norm
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Rows
 from crms_fenicsx.runtime.errors import InputError, raised_together
 
 Traction = Sequence[float] | Array | Callable[[Array, Array], Array]
@@ -43,11 +43,11 @@ class MembraneLoad:
     name: str  # what load steps, history and checkpoints know it by
     # (n, 3) what this rank's cells give to its vertices at the factor 1 (force), by local degree of
     # freedom
-    forces: Array = field(repr=False)
+    forces: Annotated[Array, Rows.SHARES, 3] = field(repr=False)
     intensity: float  # mean size of the force per area at the factor 1, over the whole membrane
     # (m,) or None force per area along the normals of this rank's cells, if the load follows these;
     # None for a fixed direction
-    suction: Array | None = field(default=None, repr=False)
+    suction: Annotated[Array, Rows.CELLS] | None = field(default=None, repr=False)
     factor: float = 0.0  # what the forces are multiplied by; load steps change it
     # forces (force) on joints of bars, by their names
     joints: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)

@@ -167,9 +167,9 @@ class Recorder:
         if held or "dissipated" in self.history.columns:
             row["dissipated"] = scene.dissipated
             row["passes"] = outcome.passes
-        if scene.air is not None:
-            row["temperature"] = scene.air.temperature
-            row["atmosphere"] = scene.air.atmosphere
+        if scene.air.sealed is not None:
+            row["temperature"] = scene.air.sealed.temperature
+            row["atmosphere"] = scene.air.sealed.atmosphere
         if scene.pressure != 0.0 or "volume" in self.history.columns:
             row["volume"] = self._volume()
         for cable in scene.cables:
@@ -200,7 +200,7 @@ class Recorder:
     def _volume(self) -> float:
         """The volume gained in the step's state: where it can be, from the work of the pressure."""
         scene = self.scene
-        if scene.pressure_law == "total" and scene.pressure != 0.0 and scene.air is None:
+        if scene.pressure_law == "total" and scene.pressure != 0.0 and scene.air.sealed is None:
             return -scene.energies["pressure"] / scene.pressure
         return gained_volume(scene.net)
 

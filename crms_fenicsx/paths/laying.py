@@ -119,9 +119,12 @@ def lay(
     in_fold = dict(zip(known.values(), folds, strict=False))
     folded = _put_in_folds(nodes, positions, in_fold, SAME_PLACE * net.membrane.size)
     off, nowhere = np.zeros(len(nodes), dtype=bool), np.full_like(positions, np.nan)
-    state = CableState(nodes, positions, fractions_of(nodes), off, nowhere, 1.0, 0.0, 0.0)
     in_edge = _follows_free_edge(traced, strip)
-    laid = LaidCable(name, cable, state, bool(sleeve) or in_edge, layer, in_edge, joints)
+    state = CableState(
+        cable, nodes, positions, fractions_of(nodes), off, nowhere, L0=1.0, length=0.0, tension=0.0,
+        sleeve=bool(sleeve) or in_edge, layer=layer, in_edge=in_edge, joints=joints,
+    )  # fmt: skip
+    laid = LaidCable(name, state)
     _refuse_folds(net.membrane, strip, laid)
     if not laid.sleeve:
         drape(laid, shape)
@@ -152,7 +155,8 @@ def _refuse_joints_on_the_membrane(
         if joint is not None and anchor is None:
             raise PathError(
                 f"lay_cable: {name!r} ends at the joint {joint!r}, which lies on the membrane; let "
-                "the bars end at a vertex there instead, scene.vertex_at(...), and the cable too."
+                "the bars end at a vertex there instead, scene.vertex_at(...), and the cable "
+                "too."
             )
 
 

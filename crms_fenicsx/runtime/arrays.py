@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import Enum
 from typing import cast
 
 import numpy as np
@@ -37,3 +38,16 @@ def floats(values: Array) -> list[float]:
 def flags(values: Booleans) -> list[bool]:
     """The same of Booleans (n,)."""
     return cast(list[bool], values.tolist())
+
+
+class Rows(Enum):
+    """What the rows of a distributed array belong to: files have them in the mesh's own numbers."""
+
+    VERTICES = "vertices by degree of freedom, with ghosts"
+    SHARES = "what this rank gives to its vertices, with ghosts; sums over the ranks count"
+    EDGES = "edges, with ghosts, of which some are marked"
+    CELLS = "this rank's cells"
+
+
+UNSAVED = object()
+"""Marks fields, in their type hints, that files do not keep."""

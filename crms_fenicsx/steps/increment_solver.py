@@ -11,18 +11,16 @@ from mpi4py import MPI
 
 from crms_fenicsx.contact.lift_off import SUNK, is_foot, size_at
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
-from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.membrane import StepHistory
 from crms_fenicsx.model.versions import StateWarning
 from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.runtime.errors import as_text
 from crms_fenicsx.scene import Scene
+from crms_fenicsx.scene.state import SceneState
 from crms_fenicsx.steps.loading import Target, has_free_rim
 from crms_fenicsx.steps.options import Options
-from crms_fenicsx.steps.snapshot import Snapshot
 from crms_fenicsx.verification.report import Verification
 from crms_fenicsx.verification.verifier import Verifier
 
@@ -148,23 +146,23 @@ class IncrementSolver:
             self._system.reset_h0()
 
     def solve(
-        self, target: Target, first: State, before: State, done: float, goal: float, steps: int
-    ) -> Increment:
+        self, target: Target, first: SceneState, before: SceneState, done: float, goal: float,
+        steps: int,
+    ) -> Increment:  # fmt: skip
         """Go on with the loads, and find and check the equilibrium there. Collective.
 
         Where there is none, where a check fails and after an error, also an interrupt, the scene is
         in its state before.
         """
-        history = self.scene.step_history
         try:
             target.apply(self.scene, first, done / steps, goal / steps)
             prestress = starting_prestress(self.system, target, (goal - done) / steps)
             found = self._solve(prestress)
         except BaseException:
-            self._go_back(before, history)
+            self._restore(before)
             raise
         if not found.outcome.converged:
-            self._go_back(before, history)
+            self._restore(before)
         return found
 
     def _solve(self, h0_prestress: tuple[float, ...]) -> Increment:
@@ -229,7 +227,7 @@ class IncrementSolver:
             size = comm.allreduce(float(np.vdot(change, change)), op=MPI.SUM) ** 0.5
             if size <= self._options.rtol * outcome.scale:
                 return outcome
-            scene._loads = turned
+            scene.loads.update(loads=turned)
             self.system.commit()
             outcome = outcome + self.search.find((0.0,))
             if not outcome.converged:
@@ -237,23 +235,23 @@ class IncrementSolver:
         reason = f"the wind still turns with the membrane after {MOST_TURNS} solves"
         return replace(outcome, converged=False, reason=reason)
 
-    def go_back_to(self, snapshot: Snapshot) -> None:
+    def snapshot(self) -> SceneState:
+        """The scene's state with the paths that were tried."""
+        return replace(self.scene.state, tried=deepcopy(self.tried))
+
+    def go_back_to(self, snapshot: SceneState) -> None:
         """Bring the scene to a state, and forget what was tried since."""
-        self._restore(snapshot, snapshot.step_history)
+        self._restore(snapshot)
         self._search, self._earlier = None, deepcopy(snapshot.tried)
         self._known = self.scene.cables
 
-    def _go_back(self, before: State, history: StepHistory | None) -> None:
-        """Restore the state before an increment; `history` is what step-wise laws knew then."""
-        self._restore(before, history)
-
-    def _restore(self, state: State | Snapshot, history: StepHistory | None) -> None:
-        """Restore a state; `history` is what step-wise laws knew then."""
+    def _restore(self, state: SceneState) -> None:
+        """Bring the scene back to a state."""
         scene, system = self.scene, self._system
         # Terms keep the history that step-wise laws had: with another one they are made anew.
-        keeps = scene.step_history is history and system is not None and not system.is_outdated
-        state.restore(scene)
-        scene.step_history = history
+        same = scene.step_history is state.step_history
+        keeps = same and system is not None and not system.is_outdated
+        scene.state = state
         if system is not None:  # its tables may be those of other cables in tension
             system.invalidate()
             if keeps:

@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.model.versions import StateWarning
@@ -20,6 +19,7 @@ from crms_fenicsx.runtime.errors import (
     SnapThroughWarning,
 )
 from crms_fenicsx.scene import Scene
+from crms_fenicsx.scene.state import SceneState
 from crms_fenicsx.verification.report import Verification
 
 
@@ -83,7 +83,7 @@ CATEGORIES: dict[str, type[UserWarning]] = {
 }
 
 
-def warn_of_friction(number: int, scene: Scene, before: State, unsettled: float) -> None:
+def warn_of_friction(number: int, scene: Scene, before: SceneState, unsettled: float) -> None:
     """Warn of friction forces that have not settled, or that have done work on a cable.
 
     The paper's friction element pushes a cable back that should stick.
@@ -97,7 +97,7 @@ def warn_of_friction(number: int, scene: Scene, before: State, unsettled: float)
             FrictionWarning,
             stacklevel=CALLER,
         )
-    for cable, was in zip(scene.cables, before.cables, strict=True):
+    for cable, was in before.net.cables.items():
         gained = 0.0 if was.grip is None else was.grip.dissipated
         if cable.grip is None or cable.has_coulomb or cable.grip.dissipated >= gained:
             continue

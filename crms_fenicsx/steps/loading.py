@@ -4,22 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from types import MappingProxyType
+from typing import TypeVar
 
 import numpy as np
 from dolfinx.fem import locate_dofs_topological
 
 from crms_fenicsx.energies.pressure import rim_of
-from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.model.bar import PlacedBar
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.membrane_load import MembraneLoad
 from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.model.sealed_air import FanControl, SealedAir
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import EPSILON
 from crms_fenicsx.runtime.errors import InputError, as_text, raised_together
 from crms_fenicsx.scene import Scene
+from crms_fenicsx.scene.state import SceneState
 from crms_fenicsx.steps.movements import Move, Movements, cable_number, checked_movements
+
+LoadT = TypeVar("LoadT", MembraneLoad, Pond)
 
 
 def between(first: float, last: float, share: float) -> float:
@@ -51,18 +56,18 @@ class InnerPressure:
         """Set the pressure at a share of the way; the loads on the membrane are set. Collective."""
         if self.air is not None:
             first, last = self.air
-            scene._air = replace(
+            sealed = replace(
                 last,
                 temperature=between(first.temperature, last.temperature, share),
                 atmosphere=between(first.atmosphere, last.atmosphere, share),
             )
-            scene._pressure = scene._air.pressure(scene.volume)
+            scene.air.update(sealed=sealed, pressure=sealed.pressure(scene.volume))
         elif self.fans is not None:
             factor = scene.factors[self.fans.load]
             rest = between(self.first, self.last, share)
-            scene._pressure = self.fans.pressure(factor) + rest
+            scene.air.update(pressure=self.fans.pressure(factor) + rest)
         else:
-            scene._pressure = between(self.first, self.last, share)
+            scene.air.update(pressure=between(self.first, self.last, share))
 
 
 def checked_pressure(
@@ -72,7 +77,7 @@ def checked_pressure(
     atmosphere: float | None,
 ) -> InnerPressure:
     """Check the inner pressure that a call to `Solver.advance` asks for; see there."""
-    air, given = scene.air, {"temperature": temperature, "atmosphere": atmosphere}
+    air, given = scene.air.sealed, {"temperature": temperature, "atmosphere": atmosphere}
     for name, value in given.items():
         if value is not None and air is None:
             raise InputError(
@@ -121,15 +126,9 @@ class Target:
         new = any(last != 0.0 for _, last in self.factors.values())
         return new and not any(scene.factors.values())
 
-    def apply(self, scene: Scene, first: State, before: float, share: float) -> None:
+    def apply(self, scene: Scene, first: SceneState, before: float, share: float) -> None:
         """Set the loads at a share of the way from the state `first`; `before` is that reached."""
-        scene._loads = tuple(
-            replace(load, factor=between(*self.factors[load.name], share))
-            if load.name in self.factors
-            else load
-            for load in scene.loads
-        )
-        scene._ponds = self.ponds(scene, share)
+        scene.loads.replace_each(partial(self._at, share))
         self.pressure.apply(scene, share)
         self.movements.apply(scene, first, before, share)
         for c, start, end in self.lengths:
@@ -139,12 +138,13 @@ class Target:
 
     def ponds(self, scene: Scene, share: float) -> tuple[Pond, ...]:
         """A scene's ponds at a share of the way."""
-        return tuple(
-            replace(pond, factor=between(*self.factors[pond.name], share))
-            if pond.name in self.factors
-            else pond
-            for pond in scene.ponds
-        )
+        return tuple(self._at(share, pond) for pond in scene.ponds)
+
+    def _at(self, share: float, load: LoadT) -> LoadT:
+        """A load or a pond at a share of the way."""
+        if load.name not in self.factors:
+            return load
+        return replace(load, factor=between(*self.factors[load.name], share))
 
 
 def checked_target(

@@ -9,13 +9,13 @@ from functools import cached_property
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.equilibrium.state import State
 from crms_fenicsx.model.bar import Joint
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans, Indices
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.scene import Scene
+from crms_fenicsx.scene.state import SceneState
 
 Way = Callable[[Array, float], Array]
 """Displacements (3, n) (length) of places (3, n) at the call's start, at a part t of the call, 0 to
@@ -169,7 +169,7 @@ class Movements:
     # a function gives
     samples: dict[object, list[float]]
 
-    def apply(self, scene: Scene, first: State, before: float, share: float) -> None:
+    def apply(self, scene: Scene, first: SceneState, before: float, share: float) -> None:
         """Move to a share of the way from the state `first`; `before` is that reached.
 
         Where a vertex or an end is named twice its displacements add up. Collective.
@@ -193,12 +193,12 @@ class Movements:
         u[some] = first.u.reshape(-1, 3)[some] + moved_by[some]
         moved = {c: scene.cables[c].positions.copy() for c, _, _ in self.cable_ends}
         for c, k, _ in self.cable_ends:
-            moved[c][k] = first.cables[c].positions[k]
+            moved[c][k] = first.net.cables[scene.cables[c]].positions[k]
         for (c, k, _), displacement in zip(self.cable_ends, of_ends, strict=True):
             moved[c][k] += displacement
         for c, positions in moved.items():
             scene.cables[c].update(positions=positions)
-        places = {j: first.joints[j].position.copy() for j, _ in self.joints}
+        places = {j: first.frame.joints[scene.joints[j]].position.copy() for j, _ in self.joints}
         for (j, _), displacement in zip(self.joints, of_joints, strict=True):
             places[j] += displacement
         for j, place in places.items():

@@ -14,14 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.equilibrium.state import State
-from crms_fenicsx.model.membrane import StepHistory
 from crms_fenicsx.model.versions import StateWarning
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import as_text
+from crms_fenicsx.scene.state import SceneState
 from crms_fenicsx.steps.increment_solver import Increment, IncrementSolver
 from crms_fenicsx.steps.loading import Target, between
-from crms_fenicsx.steps.snapshot import Snapshot
 
 FINE, LEAST, MOST = 0.005, 3, 12
 """Width of the interval of each load, relative to its value, down to which it is halved, and how
@@ -42,8 +40,8 @@ class _Part:
     `solved` says whether the end was found from this start, or from an earlier one.
     """
 
-    start: Snapshot
-    end: State
+    start: SceneState
+    end: SceneState
     low: float
     high: float
     solved: bool = True
@@ -53,29 +51,28 @@ class SnapThroughSearch:
     """Looks between the ends of an increment for a jump."""
 
     def __init__(
-        self, increments: IncrementSolver, target: Target, first: State, steps: int
+        self, increments: IncrementSolver, target: Target, first: SceneState, steps: int
     ) -> None:
         self.increments, self.scene = increments, increments.scene
         self.target, self.first, self.steps = target, first, steps
 
     def complete(
-        self, found: Increment, before: State, history: StepHistory | None, low: float,
-        high: float, balanced: bool,
+        self, found: Increment, before: SceneState, low: float, high: float, balanced: bool
     ) -> Increment:  # fmt: skip
         """Add the jump of an increment, if there is one, to what else was found; see `find`."""
-        jump = self.find(before, history, low, high, balanced)
+        jump = self.find(before, low, high, balanced)
         return found if jump is None else replace(found, warnings=(jump, *found.warnings))
 
     def find(
-        self, before: State, history: StepHistory | None, low: float, high: float, balanced: bool
+        self, before: SceneState, low: float, high: float, balanced: bool
     ) -> StateWarning | None:
         """Find the jump of an increment that the scene is at the end of. Collective.
 
         The scene is afterwards as before.
         """
-        end, began = Snapshot.of(self.scene, self.increments.tried), low
-        part = _Part(replace(end, state=before, step_history=history), end.state, low, high)
-        sizes = [self._way(before, end.state)[0]]
+        end, began = self.increments.snapshot(), low
+        part = _Part(replace(before, tried=end.tried), end, low, high)
+        sizes = [self._way(before, end)[0]]
         try:
             while len(sizes) < LEAST or (len(sizes) < MOST and not self._is_fine(part)):
                 halves = self._bent_halves(part, LEFT * sizes[-1])
@@ -105,21 +102,21 @@ class SnapThroughSearch:
         found: list[tuple[float, _Part]] = []
         start, middle = part.start, (part.low + part.high) / 2
         for low, high in ((part.low, middle), (middle, part.high)):
-            left = self._way(start.state, part.end)[0]
+            left = self._way(start, part.end)[0]
             if low == middle and not found and left >= large:
                 return [(left, _Part(start, part.end, low, high, solved=False))]
             self.increments.go_back_to(start)
             outcome = self.increments.solve(
-                self.target, self.first, start.state, low, high, self.steps
+                self.target, self.first, start, low, high, self.steps
             ).outcome
             if not outcome.converged and low == part.low:
                 return None
             if not outcome.converged:
                 return [(left, _Part(start, part.end, low, high))]
-            end = Snapshot.of(self.scene, self.increments.tried)
-            size = self._way(start.state, end.state)[0]
+            end = self.increments.snapshot()
+            size = self._way(start, end)[0]
             if outcome.bent:
-                found.append((size, _Part(start, end.state, low, high)))
+                found.append((size, _Part(start, end, low, high)))
             if outcome.bent and size >= large:
                 break
             start = end
@@ -129,7 +126,7 @@ class SnapThroughSearch:
         """Whether the energy is convex all the way from a part's start. Collective."""
         self.increments.go_back_to(part.start)
         outcome = self.increments.solve(
-            self.target, self.first, part.start.state, part.low, part.high, self.steps
+            self.target, self.first, part.start, part.low, part.high, self.steps
         ).outcome
         return outcome.converged and not outcome.bent
 
@@ -149,14 +146,14 @@ class SnapThroughSearch:
             ways["pressure"] = (inner.first, inner.last)
         return {name: way for name, way in ways.items() if way[0] != way[1]}
 
-    def _way(self, before: State, after: State) -> tuple[float, Array]:
+    def _way(self, before: SceneState, after: SceneState) -> tuple[float, Array]:
         """Largest movement (length) of a vertex or joint, and where that was before. Collective."""
         own = self.scene.V.dofmap.index_map.size_local
         places: Array = self.scene.membrane.stress_free[:own] + before.u.reshape(-1, 3)[:own]
         moved: Array = (after.u - before.u).reshape(-1, 3)[:own]
-        if before.joints:
-            joints = np.array([joint.position for joint in before.joints])
-            ends = np.array([joint.position for joint in after.joints])
+        if before.frame.joints:
+            joints = np.array([joint.position for joint in before.frame.joints.values()])
+            ends = np.array([joint.position for joint in after.frame.joints.values()])
             places, moved = np.concatenate([places, joints]), np.concatenate([moved, ends - joints])
         sizes = np.linalg.norm(moved, axis=1)
         k = int(np.argmax(sizes)) if len(sizes) else -1
@@ -166,7 +163,7 @@ class SnapThroughSearch:
 
     def _warning(self, part: _Part) -> StateWarning:
         """Say what has happened in a part of the increment. Collective."""
-        before, after = part.start.state, part.end
+        before, after = part.start, part.end
         low, high = float(part.low / self.steps), float(part.high / self.steps)
         loads = {
             name: (between(a, b, low), between(a, b, high)) for name, (a, b) in self._ways().items()

@@ -12,6 +12,7 @@ from mpi4py import MPI
 from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, copied
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, raised_together
+from crms_fenicsx.steps.load_cases import check_combinations
 from crms_fenicsx.study.build import Build, built, comm_of
 
 if TYPE_CHECKING:
@@ -83,7 +84,7 @@ def combine_in_groups(
         drawn,
         model_of,
         results_of,
-        write_report,
+        write_files,
     )
 
     comm = comm_of("combine_in_groups", mesh)
@@ -103,7 +104,7 @@ def combine_in_groups(
     copy = copied(mesh, own)
     with raised_together(comm):
         solver = built("combine_in_groups", build, copy)
-        solver.check_combinations(combinations)
+        check_combinations(solver.scene, combinations)
     scene, combinations = solver.scene, checks.in_one_order(comm, combinations)
     checks.same(
         comm, "combine_in_groups: build", cells=scene.mesh.mesh.topology.index_map(2).size_global,
@@ -121,7 +122,7 @@ def combine_in_groups(
         pictured = _joined(comm, own, shown, list(combinations))
         with raised_together(comm):
             if number == 0:
-                write_report(solver, plan, model_of(solver, plan, states), list(pictured.values()))
+                write_files(solver, plan, model_of(solver, plan, states), list(pictured.values()))
     del solver, scene, states, copy
     own.Free()
     return every

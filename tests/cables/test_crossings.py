@@ -64,11 +64,12 @@ def cable_over(
     interpolation = [node.interpolation() for node in nodes]
     fractions = [p.fraction if isinstance(p, EdgePoint) else np.nan for p in points]
     state = CableState(
+        Cable(1000.0),
         tuple(nodes), np.array([np.dot(w, places[list(ids)]) for ids, w in interpolation]),
         np.array(fractions), np.zeros(len(nodes), dtype=bool), np.full((len(nodes), 3), np.nan),
-        1.0, 1.0, 10.0, taut=taut,
+        1.0, 1.0, 10.0, taut=taut, layer=layer,
     )  # fmt: skip
-    return LaidCable("cable", Cable(1000.0), state, layer=layer)
+    return LaidCable("cable", state)
 
 
 def kinds(cable: LaidCable) -> str:
@@ -285,7 +286,7 @@ def test_three_that_cross_each_other_cut_the_cell_in_seven() -> None:
 def test_which_lies_on_top(layers: tuple[int, int], lower_and_upper: tuple[int, int]) -> None:
     cables = [across(), cable_over([on(0, 1, 0.25), on(1, 2, 0.75), on(2, 3, 0.25)])]
     for cable, layer in zip(cables, layers, strict=True):
-        cable._layer = layer
+        cable.update(layer=layer)
     (crossing,) = arrange(cables, STRIP, [])
     assert (crossing.lower, crossing.upper) == lower_and_upper
 
@@ -411,7 +412,7 @@ def crossed_triangle(comm: MPI.Intracomm) -> tuple[Scene, list[LaidCable], Syste
     """One cell, a cable from each of two corners to the middle of the opposite side."""
     mesh = meshes.from_arrays(comm, PLACES[:3], [(0, 1, 2)])
     scene = Scene(mesh, ISOTROPIC)
-    scene._pressure = 0.01
+    scene.air.update(pressure=0.01)
     cables = [
         scene.lay_cable(Cable(1000.0), [(0.0, 0.0), (0.5, 0.5)], tension=1.0),
         scene.lay_cable(Cable(1000.0), [(1.0, 0.0), (0.0, 0.5)], tension=1.0),

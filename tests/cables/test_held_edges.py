@@ -201,7 +201,7 @@ def whole(comm: MPI.Intracomm) -> tuple[System, OnMesh]:
     scene.floor(-1.0)
     scene.lay_cable(CABLE, OBLIQUE, tension=20.0)
     scene.lay_cable(Cable(20000.0), [(22, 52, 0), (130, 83, -4)], tension=20.0)
-    scene._pressure = 0.01
+    scene.air.update(pressure=0.01)
     system = System(scene, "crms_test_", 1e-8)
     system.read_scene()
     return system, OnMesh(system.unknowns, scene.u, system.potential.terms)

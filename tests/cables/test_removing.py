@@ -143,7 +143,7 @@ def test_what_cannot_be_removed() -> None:
         with pytest.raises(InputError, match=r"not a cable of this scene|is no cable 'b'"):
             scene.remove(bad)  # type: ignore[arg-type]
     assert list(scene.cables) == [cable]
-    scene.cables.remove(cable)
+    scene.remove(cable)
     with pytest.raises(InputError, match="is not a cable of this scene"):
         scene.remove(cable)
     if COMM.size > 1:

@@ -68,11 +68,12 @@ def cable_on(
         node.point.fraction if isinstance(node.point, EdgePoint) else np.nan for node in all_nodes
     ]
     state = CableState(
+        Cable(1000.0),
         tuple(all_nodes), np.array(places, dtype=float), np.array(fractions),
         np.zeros(len(all_nodes), dtype=bool), np.full((len(all_nodes), 3), np.nan), 1.0, 1.0, 10.0,
         taut=True,
     )  # fmt: skip
-    return LaidCable("cable 1", Cable(1000.0), state)
+    return LaidCable("cable 1", state)
 
 
 def along(shape: StripShape, *anchors: Sequence[float]) -> tuple[LaidCable, dict[float, int]]:
@@ -208,7 +209,7 @@ def test_ends_and_crossings_do_not_lift() -> None:
 def test_a_sleeve_holds_it() -> None:
     shape = roof([0.0, -0.3, 0.0])
     cable, _ = along(shape)
-    cable._sleeve = True
+    cable.update(sleeve=True)
     assert released(cable, shape) == []
 
 

@@ -39,9 +39,10 @@ def polyline(positions, anchored=False, lifted=()):
     off = np.isin(np.arange(len(positions)), lifted)
     x = np.array(positions, dtype=float)
     state = CableState(
+        Cable(1.0),
         tuple(nodes), x, np.full(len(x), 0.5), off, np.full_like(x, np.nan), 1.0, 1.0, T, taut=True,
     )  # fmt: skip
-    return LaidCable("c", Cable(1.0), state)
+    return LaidCable("c", state)
 
 
 def turned(theta, **choices):
@@ -272,7 +273,7 @@ def test_a_sleeve_bears_from_both_sides():
     assert np.all(forces.bearing >= 0)
     assert forces.bearing[valley].sum() > T  # it turns by more than a right angle
     assert forces.line[valley].min() > 0
-    cable._sleeve = False  # on the very same points
+    cable.update(sleeve=False)  # on the very same points
     bare = contact_forces(cable, scene.net.strip_shape())
     np.testing.assert_array_equal(bare.normal, forces.normal)
     np.testing.assert_array_equal(bare.bearing[ridge], forces.bearing[ridge])

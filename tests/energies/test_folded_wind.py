@@ -21,7 +21,7 @@ def windy_square(comm, coefficient):
     """The square with three taut cables, in the wind."""
     scene = cable_square(comm).scene
     scene.put_wind(Q, coefficient)
-    scene._loads = tuple(replace(load, factor=FACTOR) for load in scene.loads)
+    scene.loads.replace_each(lambda load: replace(load, factor=FACTOR))
     system = System(scene, "crms_wind_", 1e-8)
     system.read_scene()
     return system

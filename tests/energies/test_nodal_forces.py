@@ -93,7 +93,7 @@ def test_gradient_beside_cables(comm):
     """With all the other terms around it and ghosts, riders and fold points among the unknowns."""
     system = cable_square(comm)
     system.scene.put_load(wavy)
-    system.scene._loads = (replace(system.scene.load("load"), factor=0.01),)
+    system.scene.loads.replace_each(lambda load: replace(load, factor=0.01))
     system.prepare()
     system.read_scene()
     f = on_mesh(system)
@@ -185,7 +185,7 @@ def test_bad_forces(comm, force, message):
     scene = lifted_scene(comm)
     with pytest.raises(InputError, match=message):
         scene.put_load(force)
-    assert scene.loads == ()
+    assert len(scene.loads) == 0
 
 
 def test_names_of_loads(comm):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -59,7 +60,7 @@ def ponds(comm: MPI.Intracomm, **given: float) -> tuple[Scene, System, Ponding]:
     """A pond on the square with folded cells."""
     scene = cable_square(comm).scene
     scene.put_pond(0.3, **given)
-    scene._ponds = tuple(type(p)(**{**vars(p), "factor": 1.3}) for p in scene.ponds)
+    scene.loads.replace_each(lambda pond: replace(pond, factor=1.3))
     system = System(scene, "crms_test_", 1e-8)
     system.read_scene()
     assert system.ponds is not None

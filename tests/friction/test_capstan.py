@@ -168,15 +168,13 @@ def test_units_do_not_matter(comm) -> None:
 @pytest.mark.ranks
 def test_a_failed_step_leaves_no_trace(comm) -> None:
     """The state saved has the grip: a step taken again gives the same to the last digit."""
-    from crms_fenicsx.equilibrium.state import State
-
     scene, rope = roped(comm, 10, 0.3, tension=5.0)
     solver = Solver(scene)
     pull(solver, rope, 0.006)
-    good = State.of(scene)
+    good = scene.state
     pull(solver, rope, 0.006)
     first = rope.tensions.copy(), scene.dissipated
-    good.restore(scene)
+    scene.state = good
     solver.system.invalidate()
     assert scene.dissipated < first[1]
     pull(solver, rope, 0.006)

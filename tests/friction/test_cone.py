@@ -190,7 +190,7 @@ def test_verification_sees_what_is_beyond_the_cone(comm) -> None:
     scene, cable, _ = dragged(comm, box, np.radians(45.0))
     shape = scene.net.strip_shape()
     assert forces(cable, shape, 0.0)["friction beyond its bound"] < 0.1
-    cable._cable = replace(cable.cable, friction=replace(box, cone=True))
+    cable.update(cable=replace(cable.cable, friction=replace(box, cone=True)))
     assert forces(cable, shape, 0.0)["friction beyond its bound"] > 0.3
 
 

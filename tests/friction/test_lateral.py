@@ -44,9 +44,10 @@ def along(*supports):
     x = np.column_stack([np.arange(n), np.zeros((n, 2))]).astype(float)
     off = np.zeros(n, dtype=bool)
     state = CableState(
+        Cable(1.0, friction=0.5),
         tuple(nodes), x, np.full(n, 0.5), off, np.full_like(x, np.nan), 1.0, 1.0, 1.0, taut=True,
     )  # fmt: skip
-    return LaidCable("c", Cable(1.0, friction=0.5), state)
+    return LaidCable("c", state)
 
 
 def gripped(bounds, moving=None):
@@ -90,7 +91,7 @@ def test_widths_of_the_cone_are_not_shared_out() -> None:
     cable = along((0, 1), (1, 7), (7, 8), (3, 8), (3, 4))
     old = gripped([1, 2, 4, 5])
     cone = replace(cable.cable, friction=Friction(0.5, along=0.5, cone=True))
-    cable._cable = cone
+    cable.update(cable=cone)
     widths, none = np.array([0.1, 0.2, 0.4, 0.5]), np.zeros(0)
     cable.update(
         axial=AxialFrictionState(

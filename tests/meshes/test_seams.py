@@ -216,7 +216,7 @@ def test_what_cables_see_of_a_seam(comm):
 def test_gradient_with_folded_seams(comm):
     scene = tent(comm, STIFF, rise=20.0)
     scene.lay_cable(CABLE, [(0.0, 31.0), (100.0, 44.0)], tension=30.0)
-    scene._pressure = 0.01
+    scene.air.update(pressure=0.01)
     system = System(scene, "crms_test_", 1e-8)
     system.read_scene()
     places = [node.point.support for node in scene.cables[0].nodes if node.kind == "fold"]

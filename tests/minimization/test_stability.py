@@ -34,7 +34,7 @@ def test_against_a_dense_matrix(weight: float) -> None:
     system = solver.system
     system.prepare()
     scene = solver.scene
-    scene._ponds = tuple(replace(pond, factor=1.0) for pond in scene.ponds)
+    scene.loads.replace_each(lambda load: replace(load, factor=1.0))
     system.prepare()
     system.read_scene()
     assert system.minimizer is not None

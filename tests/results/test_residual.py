@@ -86,7 +86,7 @@ def test_out_of_balance_by_what_is_added(comm: MPI.Intracomm) -> None:
     """Of more pressure by its forces, the same in the function and in the vector."""
     solver = inflated(comm)
     scene = solver.scene
-    scene._pressure = 0.02
+    scene.air.update(pressure=0.02)
     found, free = solver.residual(), ~scene.held.ravel()
     n = 3 * scene.V.dofmap.index_map.size_local
     forces = found.membrane.x.array
@@ -150,7 +150,7 @@ def test_newtons_method_by_the_tangent(comm: MPI.Intracomm) -> None:
     solver, twin = inflated(comm), inflated(comm)
     twin.advance(pressure=0.0102)
     scene, n = solver.scene, 3 * solver.scene.V.dofmap.index_map.size_local
-    scene._pressure = 0.0102
+    scene.air.update(pressure=0.0102)
     for _ in range(5):
         residual, tangent = solver.residual(), solver.tangent()
         ksp = PETSc.KSP().create(comm)

@@ -70,7 +70,7 @@ def snapshot(scene: Scene) -> list[Any]:
         u,
         held,
         scene.pressure,
-        scene.air,
+        scene.air.sealed,
         scene.ponds,
         scene.floor_level,
         cables,

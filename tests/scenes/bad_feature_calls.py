@@ -22,7 +22,10 @@ from crms_fenicsx import Bar, Cable, FanControl, Scene, Solver, meshes
 def features(scene: Scene, other: Scene, solver: Solver) -> list[Call]:
     """What is called on a scene, with another one of the same mesh, which has a joint "top"."""
     top, vertex = other.joint("top"), other.vertex_at((0.0, 0.0, 0.0))
-    rod, own = other.bar("rod"), scene.add_joint((0.0, 0.0, 9.0), name="own", held="xyz")
+    rod, own = (
+        other.bar("rod"),
+        scene.add_joint((0.0, 0.0, 9.0), name="own", held="xyz"),
+    )
     scene.add_bar(Bar(1.0), own, (9.0, 9.0, 9.0), name="own rod")
     bar = scene.bar("own rod")
     scene.put_load(UP, name="up")
@@ -131,5 +134,7 @@ def features(scene: Scene, other: Scene, solver: Solver) -> list[Call]:
             {},
             {"project": [n for n in numbers if n is not None]},
         ),
-        Call("held", other.add_joint, {"position": UP}, {"held": (*NO_TEXTS[2:], "xq", "XY")}),
+        Call(
+            "held", other.add_joint, {"position": UP}, {"held": (*NO_TEXTS[2:], "xq", "XY")}
+        ),
     ]  # fmt: skip

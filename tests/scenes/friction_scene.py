@@ -30,7 +30,7 @@ def friction_square(comm: MPI.Intracomm, friction: Any = 0.4, lift: float = 8.0)
     scene.fix("boundary")
     for path in PATHS:
         scene.lay_cable(Cable(32000.0, friction=friction), path, tension=20.0)
-    scene._pressure = 0.01
+    scene.air.update(pressure=0.01)
     shape = scene.net.strip_shape()
     for cable in scene.cables:
         start_step(cable, shape)

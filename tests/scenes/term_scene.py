@@ -72,7 +72,7 @@ def cable_square(
     scene.lay_cable(Cable(20000.0), [(22, 42), (78, 52)], tension=tension)
     through = [points[1, 5], points[2, 5], points[4, 5], (SIDE, 93)]
     scene.lay_cable(Cable(10000.0), through, tension=tension)
-    scene._pressure = 0.01
+    scene.air.update(pressure=0.01)
     system = System(scene, "crms_test_", 1e-8)
     system.read_scene()
     return system

@@ -166,7 +166,7 @@ def test_ponds_of_both_kinds_under_a_cable(comm: MPI.Intracomm) -> None:
     found = solver.combine({"storm": {"old": 1.5, "rain": 1.5}})
     assert scene.ponds == kept
     assert np.array_equal(scene.u.x.array, u)
-    old, rain = found["storm"].snapshot.state.ponds
+    old, rain = found["storm"].snapshot.loads.ponds
     assert (old.level, rain.volume) == (-5.0, 5000.0)
     assert old.volume > kept[0].volume > 0.0
     assert rain.level < kept[1].level < 0.0

@@ -111,7 +111,7 @@ def less_bound(solver: Solver) -> None:
 def less_friction(solver: Solver, friction: Friction) -> None:
     """Let the cable have had more friction in the solve than it says that it has."""
     cable = solver.scene.cables[0]
-    cable._cable = replace(cable.cable, friction=friction)
+    cable.update(cable=replace(cable.cable, friction=friction))
 
 
 def heated(solver: Solver) -> None:

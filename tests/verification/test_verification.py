@@ -157,7 +157,7 @@ def test_wrong_forces_of_the_pressure_are_no_balance(
 ) -> None:
     """Even where energy and gradient agree: the loads are told by areas and normals."""
     solver = roped(comm)
-    solver.scene._pressure *= 1.001
+    solver.scene.air.update(pressure=1.001 * solver.scene.pressure)
     assert {"unbalanced forces"} <= names(checked(solver))
 
 
@@ -249,7 +249,7 @@ def test_too_much_friction_is_found(comm: MPI.Intracomm, friction: float | Frict
     less = Friction(1e-6) if cable.axial is None else Friction(0.0, along=1e-6)
 
     def spoil() -> None:
-        cable._cable = Cable(32000.0, friction=less)
+        cable.update(cable=Cable(32000.0, friction=less))
 
     found = names(checked(solver, spoil))
     axial = "friction along beyond its bound"

@@ -274,35 +274,3 @@ def _stress_free(scene: Scene) -> Surface:
 def _displacement(surface: CurrentSurface) -> Array:
     size: Array = np.linalg.norm(surface.points - surface.stress_free, axis=1)
     return size[surface.triangles].mean(axis=1)
-
-
-class Drawing:
-    """The part of a solver that draws its scene."""
-
-    def draw(self: HasSystem, filename: str | Path | None = None, **options: Any) -> Figure | None:
-        """Draw the scene in its current state, as `crms_fenicsx.output.draw`. Collective.
-
-        Parameters
-        ----------
-        filename
-            Picture to write; its suffix (.png, .pdf, .svg ...) says the format. None returns it.
-        **options
-            As for `draw`: ``colour``, ``unit``, ``force``, ``ghost``, ``view`` ...
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            On the first rank, without a file; a notebook shows it. Else None.
-
-        Raises
-        ------
-        InputError
-            On all ranks: an unknown colour or option, or a file that cannot be written.
-
-        Examples
-        --------
-        In a notebook:
-
-        >>> solver.draw(colour="warp", unit="m", force="kN")
-        """
-        return draw(self, filename, **options)

@@ -254,11 +254,12 @@ def _theory(scene: Scene) -> dict[str, str]:
     found["Strain"] = {
         "total": "Green-Lagrange, from the stress-free shape", "step": "step-wise",
     }[scene.strain_law]  # fmt: skip
-    if scene.air is not None:
+    air = scene.air.sealed
+    if air is not None:
         found["Air"] = (
-            f"sealed at the pressure {scene.air.sealed_at:g} in the volume {scene.air.volume:g}, "
-            f"exponent {scene.air.exponent:g}; atmosphere {scene.air.atmosphere:g}, temperature "
-            f"{scene.air.temperature:g} of that at sealing"
+            f"sealed at the pressure {air.sealed_at:g} in the volume {air.volume:g}, "
+            f"exponent {air.exponent:g}; atmosphere {air.atmosphere:g}, temperature "
+            f"{air.temperature:g} of that at sealing"
         )
     if scene.floor_level is not None:
         found["Rigid floor at z"] = f"{scene.floor_level:g}"

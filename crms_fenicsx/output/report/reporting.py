@@ -26,12 +26,12 @@ from crms_fenicsx.output.report.model_tables import Model, merged, model_of_scen
 from crms_fenicsx.output.report.results_tables import Units
 from crms_fenicsx.output.report.sections import Report
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.errors import InputError, collective, raised_together
+from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import absolute, make_writable, replaced
 from crms_fenicsx.runtime.readonly import ReadOnly
 from crms_fenicsx.scene import Scene
+from crms_fenicsx.scene.state import SceneState
 from crms_fenicsx.steps.load_cases import Combination
-from crms_fenicsx.steps.snapshot import Snapshot
 
 MOST_NAMES = 12
 """Up to so many cables and bars have their names in the picture of the model."""
@@ -43,18 +43,18 @@ class Reported(HasSystem, Protocol):
     """A `Solver`, which lies above this module."""
 
     scene: ReadOnly[Scene]
-    base: Snapshot | None
+    base: SceneState | None
 
-    def snapshot(self) -> Snapshot:
+    def snapshot(self) -> SceneState:
         """The current state."""
 
-    def restore(self, snapshot: Snapshot) -> None:
+    def restore(self, snapshot: SceneState) -> None:
         """Bring the scene back to a state."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a report is to be: the options of `Reporting.report`."""
+    """What a report is to be: the options of `Solver.report`."""
 
     path: Path  # of the page
     title: str = "Membrane structure"  # title, about: heading, and names and texts below it
@@ -237,7 +237,7 @@ def _pictured(solver: Reported, plan: Plan, model: Model, caption: str) -> Model
     return replace(model, picture=png, caption=caption)
 
 
-def write_report(solver: Reported, plan: Plan, model: Model, cases: Sequence[Case]) -> None:
+def write_files(solver: Reported, plan: Plan, model: Model, cases: Sequence[Case]) -> None:
     """Write a report's page and its tables, all at once when they are complete. Collective."""
     with raised_together(solver.comm):
         if solver.comm.rank == 0:
@@ -261,7 +261,7 @@ def back_to_now(solver: Reported) -> Iterator[None]:
         solver.restore(now)
 
 
-def report(
+def write_report(
     solver: Reported, filename: str | Path, combinations: Mapping[str, Combination] | None = None,
     **options: Any,
 ) -> None:  # fmt: skip
@@ -273,55 +273,4 @@ def report(
     states = checks.in_one_order(solver.comm, checked_states(solver.scene, combinations))
     plan = checked_plan(solver.comm, solver.scene, filename, **options)
     model, cases = model_of(solver, plan, states), results_of(solver, states)
-    write_report(solver, plan, model, drawn(solver, plan, states, cases, cases))
-
-
-class Reporting:
-    """The part of a solver that writes reports."""
-
-    @collective
-    def report(
-        self: Reported, filename: str | Path,
-        combinations: Mapping[str, Combination] | None = None, **options: Any,
-    ) -> None:  # fmt: skip
-        """Write a report to attach to a calculation: one page of HTML, and CSV tables. Collective.
-
-        The page has the model, combinations, pictures, membrane forces, utilisation and envelopes,
-        cables, bars, ponds, reactions and the verification's verdicts; it loads nothing from
-        elsewhere, is smaller than 5 MB, and prints on A4. The tables lie beside it: ``tent.html``
-        has ``tent_membrane.csv``, ``tent_cables.csv`` and so on, with all digits. Results are those
-        of the states that the combinations led to, with the model and the base state that these
-        were brought on with, whatever the scene is now; strengths are the present ones. The scene's
-        own state is as before. Without combinations the page says in red if the scene has been
-        changed since its last load step. Bars whose names differ in a number at their end, as those
-        of a belt, share rows on the page if they are ten or more.
-
-        Parameters
-        ----------
-        filename
-            Of the page, ending in .html. Files that are there are replaced when all are complete.
-        combinations
-            What `combine` returned; by default the current state alone.
-        **options
-            ``title``: heading. ``about``: names and texts below it, as ``{"Project": "..."}``.
-            ``unit``, ``force``: names of the units of length and force, for headings.
-            ``cable_strengths``: strengths of cables by their names, divided by the partial factors
-            (force); those that are named get a utilisation. Those of the fabric are
-            `Scene.set_strengths`'s. ``pictures``: what colours the membrane in a picture of each
-            combination, as for `draw`, or "tension", that of cables and bars; by default these,
-            displacement, membrane forces (of fabrics with a warp along warp and weft) and, with
-            strengths, utilisation. Where the page would be too large, the last ones are left out.
-            ``view``: where the viewer stands, as for `draw`.
-
-        Raises
-        ------
-        InputError
-            On all ranks and before anything is written: an argument that cannot be used, a file
-            that cannot be written, or combinations of models that differ; it says in what.
-
-        Examples
-        --------
-        >>> found = solver.combine({"snow": {"snow": 1.5}, "storm": {"wind": 1.5}})
-        >>> solver.report("results/tent/report.html", found, title="Tent", unit="m", force="kN")
-        """
-        report(self, filename, combinations, **options)
+    write_files(solver, plan, model, drawn(solver, plan, states, cases, cases))

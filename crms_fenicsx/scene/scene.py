@@ -2,44 +2,64 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Literal
-from weakref import proxy
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Concatenate, Literal, ParamSpec, TypeVar
 
 from dolfinx import fem
+from mpi4py import MPI
 
 from crms_fenicsx.cables.cable_net import CableNet
-from crms_fenicsx.cables.deformed_surface import gained_volume
 from crms_fenicsx.energies.term import EnergyTerm, checked_energy
-from crms_fenicsx.filled_membrane import FilledMembrane
-from crms_fenicsx.loaded_membrane import ANOTHER
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.cable import Cable
+from crms_fenicsx.model.changed_materials import checked_materials
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.materials import MembraneMaterial
+from crms_fenicsx.model.materials import MembraneMaterial, Strengths, checked_strengths
 from crms_fenicsx.model.membrane import Marker, Membrane, StepHistory, warn_of_penalty
-from crms_fenicsx.model.versions import changes_model
+from crms_fenicsx.model.pond import Pond
+from crms_fenicsx.model.versions import UNBALANCED, StateWarning, Versions, changes_model
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
+from crms_fenicsx.runtime.checks import counted, span
 from crms_fenicsx.runtime.errors import InputError, collective, raised_together
 from crms_fenicsx.runtime.readonly import ReadOnly
-from crms_fenicsx.views.scene_views import SceneViews
+from crms_fenicsx.scene.air import Air
+from crms_fenicsx.scene.frame import Frame
+from crms_fenicsx.scene.loads import Loads
+from crms_fenicsx.scene.state import SceneState
+
+ANOTHER = "make another Scene(...)"
+"""What to do instead of assigning what a scene is made of."""
 
 Law = Literal["total", "step"]
 
 
-class Cables(tuple[LaidCable, ...]):
-    """The cables of a scene in the order of laying; `remove` is all that changes them."""
-
-    _scene: Scene  # by a proxy: scene and cables do not keep each other alive
-
-    def remove(self, cable: LaidCable | str) -> None:
-        """Take a cable away; see `Scene.remove`. Collective."""
-        self._scene.remove(cable)
+Part = TypeVar("Part")
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
 
 
-class Scene(FilledMembrane, SceneViews):
+def of_part(
+    name: str, method: Callable[Concatenate[Part, Arguments], Result]
+) -> Callable[Concatenate[Any, Arguments], Result]:
+    """A method of a scene that is one of its part of a name."""
+
+    @functools.wraps(method)
+    def call(scene: Any, /, *args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+        __tracebackhide__ = True
+        return method(getattr(scene, name), *args, **kwargs)
+
+    return call
+
+
+PARTS = ("membrane", "loads", "air", "frame", "net")
+"""The parts of a scene that own its state, by their names in `Scene` and in `SceneState`."""
+
+
+class Scene:
     """A cable-reinforced membrane structure and its current state.
 
     Use any consistent units of length and force.
@@ -90,10 +110,34 @@ class Scene(FilledMembrane, SceneViews):
     materials: ReadOnly[dict[int, MembraneMaterial]] = ReadOnly(
         "membrane.materials", "call scene.set_material(...)"
     )
-    pressure: ReadOnly[float] = ReadOnly("_pressure", "call solver.advance(pressure=...)")
+    comm: ReadOnly[MPI.Intracomm] = ReadOnly("membrane.comm", ANOTHER)
+    pressure: ReadOnly[float] = ReadOnly("air.pressure", "call solver.advance(pressure=...)")
     """Current pressure (force per area)."""
-    cables: ReadOnly[Cables] = ReadOnly("_cables", "call scene.lay_cable(...) or scene.remove(...)")
+    loads: ReadOnly[Loads] = ReadOnly("_loads", "call scene.put_load(...) and the like")
+    """Loads on the membrane and on joints, and ponds."""
+    air: ReadOnly[Air] = ReadOnly(
+        "_air", "call solver.advance(pressure=...) or scene.air.seal(...)"
+    )
+    """The air under the membrane."""
+    frame: ReadOnly[Frame] = ReadOnly("_frame", "call scene.add_bar(...)")
+    """Bars and their joints."""
+    cables: ReadOnly[tuple[LaidCable, ...]] = ReadOnly(
+        "net.cables", "call scene.lay_cable(...) or scene.remove(...)"
+    )
     """The laid cables, in their order."""
+    joints: ReadOnly[tuple[Joint, ...]] = ReadOnly("frame.joints", "call scene.add_joint(...)")
+    """The joints of bars, those of anchors included, in the order in which they were added."""
+    bars: ReadOnly[tuple[PlacedBar, ...]] = ReadOnly("frame.bars", "call scene.add_bar(...)")
+    """The bars, in the order in which they were added."""
+    warnings: ReadOnly[tuple[StateWarning, ...]] = ReadOnly("_warnings", "call solver.advance(...)")
+    """What load steps have warned of in the current state; snap-throughs stay until it is left for
+    one before."""
+    energies: ReadOnly[Mapping[str, float]] = ReadOnly("_energies", "call solver.advance(...)")
+    """Energy of each kind of term in the current state (force x length)."""
+    step_history: ReadOnly[StepHistory | None] = ReadOnly(
+        "_step_history", "call solver.advance(...)"
+    )
+    """What the step-wise laws know of the load steps before; None before the first."""
     terms: ReadOnly[tuple[EnergyTerm, ...]] = ReadOnly("_terms", "call scene.add_term(term)")
     """The terms of the energy that have been added."""
     floor_level: ReadOnly[float | None] = ReadOnly("_floor_level", "call scene.floor(z)")
@@ -103,6 +147,30 @@ class Scene(FilledMembrane, SceneViews):
     literal_penalty: ReadOnly[float | None] = ReadOnly(
         "_literal_penalty", "give it to Scene(..., literal_penalty=...)"
     )
+
+    factors: ReadOnly[dict[str, float]] = ReadOnly("loads.factors", "call solver.advance(load=...)")
+    """Current factors of the loads and ponds, by their names."""
+    ponds: ReadOnly[tuple[Pond, ...]] = ReadOnly("loads.ponds", "call scene.put_pond(...)")
+    """The water on the membrane, with its current levels, volumes and factors."""
+    volume: ReadOnly[float] = ReadOnly("air.volume", "call solver.advance(...)")
+    """Volume gained under the cells under pressure since the stress-free shape (length cubed): that
+    between the two shapes while the rim of these cells is held, or slides in planes that are held
+    in their normal direction."""
+
+    put_load = of_part("loads", Loads.put_load)
+    put_wind = of_part("loads", Loads.put_wind)
+    put_forces = of_part("loads", Loads.put_forces)
+    put_joint_load = of_part("loads", Loads.put_joint_load)
+    put_pond = of_part("loads", Loads.put_pond)
+    load = of_part("loads", Loads.load)
+    remove_load = of_part("loads", Loads.remove_load)
+    seal = of_part("air", Air.seal)
+    unseal = of_part("air", Air.unseal)
+    add_joint = of_part("frame", Frame.add_joint)
+    vertex_at = of_part("frame", Frame.vertex_at)
+    add_bar = of_part("frame", Frame.add_bar)
+    bar = of_part("frame", Frame.bar)
+    joint = of_part("frame", Frame.joint)
 
     def __init__(
         self,
@@ -132,27 +200,52 @@ class Scene(FilledMembrane, SceneViews):
         if literal_penalty is not None:
             literal_penalty = checks.positive("Scene: literal_penalty", literal_penalty)
         self._literal_penalty = literal_penalty
-        super().__init__(Membrane(mesh, material, pressure_on))
+        self.membrane = Membrane(mesh, material, pressure_on)
         if literal_penalty is None:
             warn_of_penalty(self.comm, self.penalty)
         if strain == "step":
             self.membrane.refuse_step_strain()
+        self.versions = Versions()
+        """Internal: numbers of the model and the state, and which of them is an equilibrium."""
         self.net = CableNet(self.membrane)
-        self._shown_cables = Cables()
+        self._frame = Frame(self.membrane, self.versions)
+        self._loads = Loads(self.membrane, self.versions, self.frame)
+        self._air = Air(self.net, self.versions, pressure)
         self._floor_level: float | None = None
-        self._pressure = 0.0
         self._terms: tuple[EnergyTerm, ...] = ()
-        self.energies: dict[str, float] = {}
-        """Energy of each kind of term in the current state (force x length)."""
-        self.step_history: StepHistory | None = None
-        """What the step-wise laws know of the load steps before; None before the first."""
+        self._energies: Mapping[str, float] = {}
+        self._warnings: tuple[StateWarning, ...] = ()
+        self._step_history: StepHistory | None = None
 
     @property
-    def _cables(self) -> Cables:
-        if self._shown_cables != self.net.cables:
-            self._shown_cables = Cables(self.net.cables)
-            self._shown_cables._scene = proxy(self)
-        return self._shown_cables
+    def state(self) -> SceneState:
+        """All that load steps, supports, loads and cables can change, as one value."""
+        parts: dict[str, Any] = {name: getattr(self, name).state for name in PARTS}
+        return SceneState(
+            **parts, floor=self.floor_level, energies=self.energies, warnings=self.warnings,
+            step_history=self.step_history, terms=self.terms, version=self.versions.current,
+            scene=self,
+        )  # fmt: skip
+
+    @state.setter
+    def state(self, state: SceneState) -> None:
+        for name in PARTS:
+            getattr(self, name).state = getattr(state, name)
+        self._floor_level, self._terms = state.floor, state.terms
+        self._energies, self._warnings = state.energies, state.warnings
+        self._step_history, self.versions.current = state.step_history, state.version
+
+    def record(
+        self,
+        *,
+        energies: Mapping[str, float] | None = None,
+        warnings: tuple[StateWarning, ...] | None = None,
+        step_history: StepHistory | None = None,
+    ) -> None:
+        """Internal: take over what load steps find besides the states of the parts."""
+        self._energies = self._energies if energies is None else dict(energies)
+        self._warnings = self._warnings if warnings is None else warnings
+        self._step_history = self._step_history if step_history is None else step_history
 
     @property
     def energy(self) -> float:
@@ -163,15 +256,6 @@ class Scene(FilledMembrane, SceneViews):
     def dissipated(self) -> float:
         """Energy that friction has dissipated in all load steps (force x length)."""
         return self.net.dissipated
-
-    @property
-    def volume(self) -> float:
-        """Volume gained under the cells under pressure since the stress-free shape (length cubed).
-
-        It is the volume between the two shapes while the rim of these cells is held, or slides in
-        planes that are held in their normal direction.
-        """
-        return gained_volume(self.net)
 
     def positions(self) -> Array:
         """Current positions of the vertices by local degree of freedom, (n, 3), with ghosts."""
@@ -254,7 +338,7 @@ class Scene(FilledMembrane, SceneViews):
         taken = [other.name for other in self.terms]
         term, energy = checked_energy(term, self.u, self.membrane.cell_tags, taken)
         self._terms = (*self._terms, term)
-        self.energies = {**self.energies, term.name: energy}
+        self.record(energies={**self.energies, term.name: energy})
 
     def cable(self, name: str) -> LaidCable:
         """The cable with a name.
@@ -343,27 +427,12 @@ class Scene(FilledMembrane, SceneViews):
         self.membrane.check_finite("lay_cable")
         given["layer"] = checks.whole("lay_cable: layer", layer, 0)
         route, joints = self.frame.path_of(path)
-        laid = lay(self.net, cable, route, **given, joints=joints)
-        return laid
-
-    def _check_strain_law(self) -> None:
-        if self.strain_law == "step":
-            raise InputError(
-                'set_material: strain="step" goes on from stresses of the material before; use '
-                'strain="total", or make another Scene(...).'
-            )
-
-    def _stretched(self) -> tuple[LaidCable | PlacedBar, ...]:
-        return *self.cables, *super()._stretched()
-
-    def _used_joints(self) -> set[str | None]:
-        """Names of the joints that loads and cables need."""
-        return super()._used_joints().union(*(cable.joints for cable in self.cables))
+        return lay(self.net, cable, route, **given, joints=joints)
 
     @collective
     @changes_model
     def remove(self, cable: LaidCable | str) -> None:
-        """Take a cable away; the next load step finds the equilibrium without it.
+        """Take a cable away; the next load step finds the equilibrium without it. Collective.
 
         What other cables had to do with it ends: where they crossed it they lie on the membrane,
         or on the cables below. The energy that its friction has dissipated stays in `dissipated`,
@@ -381,3 +450,163 @@ class Scene(FilledMembrane, SceneViews):
         """
         checks.same(self.comm, "remove", cable=cable)
         self.net.remove(cable)
+
+    @collective
+    @changes_model
+    def remove_bar(self, bar: PlacedBar | str) -> None:
+        """Take a bar away, with the anchors that nothing else needs. Collective.
+
+        The next load step finds the equilibrium without it. Joints stay.
+
+        Parameters
+        ----------
+        bar
+            A bar of this scene, or its name.
+
+        Raises
+        ------
+        InputError
+            On all ranks: there is no such bar.
+        """
+        checks.same(self.comm, "remove_bar", bar=bar)
+        if isinstance(bar, str):
+            bar = self.frame.bar(bar)
+        if not any(bar is own for own in self.bars):
+            raise InputError(f"remove_bar: {bar!r} is not a bar of this scene.")
+        used = {name for one in (*self.loads, *self.cables) for name in one.joints}
+        self.frame.remove(bar, used)
+
+    @collective
+    @changes_model
+    def set_material(self, material: MembraneMaterial | Mapping[str, MembraneMaterial]) -> None:
+        """Give the membrane's materials other numbers, for studies of parameters. Collective.
+
+        The next load step goes to the equilibrium with them. No form is compiled anew.
+
+        Parameters
+        ----------
+        material
+            One for all, or some of those that `Scene` was given, by their parts. Each is of the
+            same class as before, with the same warp and wrinkling.
+
+        Raises
+        ------
+        InputError
+            On all ranks: a part that does not exist, a material that differs by more than numbers,
+            or a scene with the paper's step-wise strain, whose stresses are those of the steps.
+
+        Examples
+        --------
+        >>> for E in (300.0, 450.0, 600.0):
+        ...     scene.set_material({"roof": IsotropicMembrane(E=E, nu=0.3, thickness=1.0)})
+        ...     solver.advance()
+        """
+        checks.same(self.comm, "set_material", material=material)
+        if self.strain_law == "step":
+            raise InputError(
+                'set_material: strain="step" goes on from stresses of the material before; use '
+                'strain="total", or make another Scene(...).'
+            )
+        self.membrane.materials.update(checked_materials(self.membrane, material))
+
+    @collective
+    @changes_model
+    def set_stiffness(self, EA: Mapping[LaidCable | PlacedBar, float]) -> None:
+        """Give cables and bars another axial stiffness, for studies of parameters. Collective.
+
+        They keep their unstressed lengths; the next load step goes to the equilibrium with it.
+
+        Parameters
+        ----------
+        EA
+            Axial stiffness (force) by cables and bars of this scene.
+
+        Raises
+        ------
+        InputError
+            On all ranks: what is no cable or bar of this scene, or a stiffness that is not
+            positive.
+
+        Examples
+        --------
+        >>> scene.set_stiffness({ridge: 2 * ridge.cable.EA})
+        >>> solver.advance()
+        """
+        checks.same(self.comm, "set_stiffness", EA=EA)
+        if not isinstance(EA, Mapping) or not EA:
+            raise InputError(f"set_stiffness: EA = {EA!r}; write {{cable: EA, ...}}.")
+        for one, stiffness in EA.items():
+            if not any(one is own for own in (*self.cables, *self.bars)):
+                raise InputError(
+                    f"set_stiffness: {one!r} is no cable or bar of this scene; give what "
+                    "scene.lay_cable(...) or scene.add_bar(...) has returned."
+                )
+            checks.positive(f"set_stiffness: EA of {one.name!r}", stiffness)
+        for one, stiffness in EA.items():
+            if isinstance(one, LaidCable):
+                one.update(cable=replace(one.cable, EA=float(stiffness)))
+            else:
+                one.update(bar=replace(one.bar, EA=float(stiffness)))
+
+    @collective
+    def set_strengths(self, strengths: Strengths | Mapping[str, Strengths]) -> None:
+        """Give the fabric's strengths, for the utilisation in results, files and reports.
+
+        They replace those given before. They change no equilibrium and are no part of checkpoints.
+
+        Parameters
+        ----------
+        strengths
+            In warp and weft, divided by the partial factors (force per length): one pair, or one
+            of each part by its name. Parts that are not named have no utilisation.
+
+        Raises
+        ------
+        InputError
+            On all ranks: a part that does not exist, parts with common cells, or strengths that are
+            not positive.
+
+        Examples
+        --------
+        >>> scene.set_strengths({"roof": (84.0, 80.0), "wall": (60.0, 57.0)})
+        """
+        checks.same(self.comm, "set_strengths", strengths=strengths)
+        if isinstance(strengths, Mapping):
+            strengths = checks.in_one_order(self.comm, strengths)
+        found = checked_strengths("set_strengths", strengths, self.membrane.mesh)
+        self.membrane.strengths = found
+
+    def in_equilibrium(self) -> bool:
+        """Internal: whether nothing has changed since the last load step. Collective."""
+        settled = self.versions.are_settled(self.membrane.owned_u)
+        return bool(self.comm.allreduce(settled, op=MPI.LAND))
+
+    def require_equilibrium(self, call: str) -> None:
+        """Internal: refuse a state that is not the one that the last load step found. Collective.
+
+        Raises
+        ------
+        InputError
+            On all ranks: it is not, or there has been no load step.
+        """
+        if not self.in_equilibrium():
+            raise InputError(f"{call}: {self.versions.trouble}; call solver.advance() before.")
+
+    def __repr__(self) -> str:
+        """In a line; not collective."""
+        mesh, cables = self.membrane.mesh.mesh, self.net.cables
+        loads = {"pressure": self.pressure, **self.loads.factors}
+        words = [
+            counted(mesh.topology.index_map(2).size_global, "cell"),
+            ", ".join(f"{name} {factor:.6g}" for name, factor in loads.items()),
+        ]
+        if cables:
+            tensions = span([cable.tension for cable in cables])
+            words.append(f"{counted(len(cables), 'cable')}, tension {tensions}")
+        if self.bars:
+            forces = span([bar.force for bar in self.bars])
+            words.append(f"{counted(len(self.bars), 'bar')}, force {forces}")
+        solved = self.versions.current.equilibrium is not None
+        if solved and not self.versions.are_settled(self.membrane.owned_u):
+            words.append(UNBALANCED)
+        return f"Scene({'; '.join(words)})"

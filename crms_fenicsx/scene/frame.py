@@ -1,0 +1,380 @@
+"""The masts, struts and guys that hold the membrane of a scene, and their joints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence, Set
+from dataclasses import dataclass
+from itertools import count
+from typing import Any
+
+import numpy as np
+
+from crms_fenicsx.model.bar import Bar, BarEnd, BarState, Joint, JointState, MeshVertex, PlacedBar
+from crms_fenicsx.model.membrane import COMPONENTS, Membrane
+from crms_fenicsx.model.tolerances import SAME_PLACE
+from crms_fenicsx.model.versions import Versions, changes_model
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.errors import InputError, as_text, collective
+from crms_fenicsx.runtime.readonly import ReadOnly
+
+Place = Sequence[float] | Array
+"""A point in space, (3,) (length)."""
+
+
+@dataclass(frozen=True)
+class FrameState:
+    """All that can change of joints and bars, in the order in which they were added."""
+
+    joints: Mapping[Joint, JointState]
+    bars: Mapping[PlacedBar, BarState]
+
+
+class Frame:
+    """Joints and bars beside a membrane, the same on all ranks: ``scene.frame``.
+
+    Parameters
+    ----------
+    membrane
+        The membrane.
+    versions
+        The numbers of the scene's model.
+
+    Attributes
+    ----------
+    joints
+        The joints, those of anchors included, in the order in which they were added.
+    bars
+        The bars, in the order in which they were added.
+    """
+
+    joints: ReadOnly[tuple[Joint, ...]] = ReadOnly("_joints", "call scene.add_joint(...)")
+    bars: ReadOnly[tuple[PlacedBar, ...]] = ReadOnly("_bars", "call scene.add_bar(...)")
+
+    def __init__(self, membrane: Membrane, versions: Versions) -> None:
+        self.membrane, self.comm, self.versions = membrane, membrane.comm, versions
+        self._joints: tuple[Joint, ...] = ()
+        self._bars: tuple[PlacedBar, ...] = ()
+        self._homes: dict[int, tuple[int, int]] = {}
+
+    @property
+    def state(self) -> FrameState:
+        """All that can change of them."""
+        joints = {joint: joint.state for joint in self.joints}
+        return FrameState(joints, {bar: bar.state for bar in self.bars})
+
+    @state.setter
+    def state(self, state: FrameState) -> None:
+        self._joints, self._bars = tuple(state.joints), tuple(state.bars)
+        for joint, was in state.joints.items():
+            joint.state = was
+        for bar, known in state.bars.items():
+            bar.state = known
+
+    def __bool__(self) -> bool:
+        return bool(self.joints or self.bars)
+
+    @collective
+    def add_joint(self, position: Place, *, name: str | None = None, held: str = "") -> Joint:
+        """Add a joint off the membrane, at which bars end; its displacement is an unknown.
+
+        Parameters
+        ----------
+        position
+            Where it is, (3,) (length).
+        name
+            Name in messages and for loads; "joint 1", "joint 2" ... by default.
+        held
+            Held components of its displacement, out of "xyz".
+
+        Raises
+        ------
+        InputError
+            On all ranks: a position that is not finite, directions that are none, or a name that
+            is taken.
+        """
+        checks.same(self.comm, "add_joint", position=position, name=name, held=held)
+        joint = self._add_joint(checks.vector("add_joint: position", position), name, held)
+        self.versions.change_model(acts=False)
+        return joint
+
+    @collective
+    def vertex_at(self, point: Place) -> MeshVertex:
+        """The vertex of the membrane that is at a point now, for bars to end at. Collective.
+
+        Parameters
+        ----------
+        point
+            Its place, (3,) (length).
+
+        Raises
+        ------
+        InputError
+            On all ranks: no vertex is there; it says where the nearest is.
+        """
+        checks.same(self.comm, "vertex_at", point=point)
+        self.membrane.check_finite("vertex_at")
+        point = checks.vector("vertex_at: point", point)
+        membrane = self.membrane
+        n = membrane.V.dofmap.index_map.size_local
+        away = np.linalg.norm(membrane.positions()[:n] - point, axis=1)
+        nearest = int(np.argmin(away)) if n else -1
+        mine = (float(away[nearest]), int(membrane.vertex_ids[nearest])) if n else (np.inf, -1)
+        distance, number = min(membrane.comm.allgather(mine))
+        if not distance <= 1e3 * SAME_PLACE * membrane.size:
+            own = mine == (distance, number)
+            places = membrane.comm.allgather(membrane.positions()[nearest] if own else None)
+            place = next(place for place in places if place is not None)
+            raise InputError(
+                f"vertex_at: no vertex is at {as_text(point)}; the nearest is {distance:.3g} away, "
+                f"at {as_text(place)}. Give its place."
+            )
+        return self._vertex(number, np.array([nearest] if mine == (distance, number) else []))
+
+    @collective
+    @changes_model
+    def add_bar(
+        self,
+        bar: Bar,
+        start: Place | BarEnd | str,
+        end: Place | BarEnd | str,
+        *,
+        L0: float | None = None,
+        name: str | None = None,
+    ) -> PlacedBar:
+        """Add a bar: a mast, a strut or, with ``Bar(EA, tension_only=True)``, a guy. Collective.
+
+        It is straight, has hinges at both ends, and knows nothing of the membrane between them.
+
+        Parameters
+        ----------
+        bar
+            Its data.
+        start, end
+            Where it ends: a point in space, which becomes an anchor of its own (a held joint,
+            ``bar.start``); a joint; a vertex of the membrane from `vertex_at`; or the name of a
+            group of one vertex.
+        L0
+            Unstressed length (length); by default the distance of its ends now.
+        name
+            Name in tables and pictures; "bar 1", "bar 2" ... by default.
+
+        Returns
+        -------
+        PlacedBar
+            The bar, as a handle for load steps and results.
+
+        Raises
+        ------
+        InputError
+            On all ranks: an end that is none, two ends at one place, an L0 that is not positive or
+            a name that is taken.
+
+        Examples
+        --------
+        >>> top = scene.add_joint((0.0, 0.0, 6.0), name="mast top")
+        >>> mast = scene.add_bar(Bar(EA=1e5), (0.0, 0.0, 0.0), top, name="mast")
+        >>> guy = scene.add_bar(Bar(EA=2e4, tension_only=True), top, (8.0, 0.0, 0.0), L0=9.98)
+        >>> solver.advance(L0={guy: 9.95}, move={mast.start: (0.0, 0.0, 0.1)})
+        >>> mast.force, mast.start.reaction
+        """
+        checks.same(self.comm, "add_bar", bar=bar, start=start, end=end, L0=L0, name=name)
+        self.membrane.check_finite("add_bar")
+        if not isinstance(bar, Bar):
+            raise InputError(f"add_bar: {bar!r} is no Bar; write Bar(EA=...).")
+        found = self.bar_name(name)
+        if L0 is not None:
+            L0 = checks.positive(f"add_bar: L0 of {found!r}", L0)
+        ends = self._bar_end(found, "start", start), self._bar_end(found, "end", end)
+        return self._add_bar(bar, ends, L0, found)
+
+    def bar(self, name: str) -> PlacedBar:
+        """The bar with a name.
+
+        Raises
+        ------
+        InputError
+            There is none.
+        """
+        return checks.named("bar", {bar.name: bar for bar in self.bars}, name)
+
+    def joint(self, name: str) -> Joint:
+        """The joint with a name; that of a bar's anchor is "start of mast" or "end of mast".
+
+        Raises
+        ------
+        InputError
+            There is none.
+        """
+        return checks.named("joint", {joint.name: joint for joint in self.joints}, name)
+
+    @property
+    def vertices(self) -> tuple[MeshVertex, ...]:
+        """The vertices at which bars end, each once."""
+        ends = (end for bar in self.bars for end in (bar.start, bar.end))
+        return tuple(dict.fromkeys(end for end in ends if isinstance(end, MeshVertex)))
+
+    def home(self, vertex: MeshVertex) -> tuple[int, int]:
+        """The rank that owns a vertex, and its degree of freedom there. Collective at first."""
+        if vertex.number not in self._homes:
+            membrane = self.membrane
+            own = membrane.vertex_ids[: membrane.V.dofmap.index_map.size_local]
+            same = own == vertex.number
+            away = np.abs(membrane.stress_free[: len(own)] - vertex.place).max(axis=1)
+            found = np.flatnonzero(same & (away <= SAME_PLACE * membrane.size))
+            mine = (membrane.comm.rank, int(found[0])) if len(found) else None
+            homes = [home for home in membrane.comm.allgather(mine) if home is not None]
+            if len(homes) != 1:
+                raise InputError(
+                    f"{vertex}: the mesh has no such vertex; take one of this scene from "
+                    "scene.vertex_at(...)."
+                )
+            self._homes[vertex.number] = homes[0]
+        return self._homes[vertex.number]
+
+    def vertex_in_group(self, group: str) -> MeshVertex:
+        """The only vertex of a group. Collective."""
+        membrane = self.membrane
+        dofs = membrane.vertices(group)
+        own = dofs[dofs < membrane.V.dofmap.index_map.size_local]
+        numbers = np.concatenate(membrane.comm.allgather(membrane.vertex_ids[own]))
+        if len(numbers) != 1:
+            raise InputError(
+                f"add_bar: the group {group!r} has {len(numbers)} vertices; name one by "
+                "scene.vertex_at(point), or give a group with one."
+            )
+        return self._vertex(int(numbers[0]), own)
+
+    def _vertex(self, number: int, dofs: Array) -> MeshVertex:
+        """A vertex whose degree of freedom is known on the rank that owns it."""
+        place = self.membrane.stress_free[int(dofs[0])] if len(dofs) else None
+        found = next(p for p in self.membrane.comm.allgather(place) if p is not None)
+        x, y, z = map(float, found)
+        return MeshVertex(number, (x, y, z))
+
+    def place_of(self, end: BarEnd) -> Array:
+        """Where an end of bars is now, (3,). Collective."""
+        if isinstance(end, Joint):
+            return end.position
+        rank, dof = self.home(end)
+        comm = self.membrane.comm
+        place = self.membrane.positions()[dof] if comm.rank == rank else None
+        return np.array(comm.bcast(place, root=rank))
+
+    def _add_joint(self, position: Array, name: str | None, held: str) -> Joint:
+        """Add a joint at a place that has been checked."""
+        if not isinstance(held, str) or set(held) - set(COMPONENTS):
+            raise InputError(
+                f'add_joint: held = {held!r} must be made of the letters x, y and z, or "".'
+            )
+        name = _checked_name("add_joint", "joint", name, (j.name for j in self.joints))
+        flags = np.array([letter in held for letter in COMPONENTS])
+        joint = Joint(name, JointState(position.copy(), flags, position.copy(), np.zeros(3)))
+        self._joints = (*self.joints, joint)
+        return joint
+
+    def _bar_end(self, name: str, which: str, given: Place | BarEnd | str) -> BarEnd | Array:
+        """A joint, a vertex, or the place of an anchor, (3,). Collective."""
+        if isinstance(given, Joint):
+            if self.number(given) < 0:
+                raise InputError(
+                    f"add_bar: {which} of {name!r} = {given!r} is a joint of another scene; add "
+                    "one to this scene with scene.add_joint(...)."
+                )
+            return given
+        if isinstance(given, MeshVertex):
+            self.home(given)
+            return given
+        if isinstance(given, str):
+            return self.vertex_in_group(given)
+        return checks.vector(f"add_bar: {which} of {name!r}", given)
+
+    def _add_bar(
+        self, bar: Bar, ends: tuple[BarEnd | Array, BarEnd | Array], L0: float | None, name: str
+    ) -> PlacedBar:
+        """Add a bar with a name that `bar_name` has found free. Collective."""
+        points = np.array([e if isinstance(e, np.ndarray) else self.place_of(e) for e in ends])
+        length = float(np.linalg.norm(points[1] - points[0]))
+        if length <= SAME_PLACE * self.membrane.size:
+            raise InputError(
+                f"add_bar: both ends of {name!r} are at {as_text(points[0])}, so that it has no "
+                "length; give two places."
+            )
+        made = [
+            self._add_joint(end, f"{which} of {name}", "xyz")
+            if isinstance(end, np.ndarray)
+            else end
+            for which, end in zip(("start", "end"), ends, strict=True)
+        ]
+        placed = PlacedBar(name, BarState(bar, made[0], made[1], L0 or length, points))
+        self._bars = (*self.bars, placed)
+        return placed
+
+    def remove(self, bar: PlacedBar, needed: Set[str | None]) -> None:
+        """Take a bar away, and its anchors unless others end there or they are needed by name."""
+        self._bars = tuple(other for other in self.bars if other is not bar)
+        used = {end for other in self.bars for end in (other.start, other.end)}
+        own = {f"start of {bar.name}", f"end of {bar.name}"} - needed
+        self._joints = tuple(j for j in self.joints if j.name not in own or j in used)
+
+    def bar_name(self, name: str | None) -> str:
+        """The name of a new bar, by default "bar 1", "bar 2" ..."""
+        found = _checked_name("add_bar", "bar", name, (bar.name for bar in self.bars))
+        taken = {joint.name for joint in self.joints}
+        if {f"start of {found}", f"end of {found}"} & taken:
+            raise InputError(f"add_bar: there is a joint 'start of {found}'; give another name.")
+        return found
+
+    def number(self, joint: object) -> int:
+        """The number of a joint of this scene; -1 if it is none."""
+        return next((k for k, own in enumerate(self.joints) if own is joint), -1)
+
+    def path_of(
+        self, path: Sequence[Sequence[float] | Joint] | Array
+    ) -> tuple[Any, tuple[str | None, str | None]]:
+        """A cable's path with the places of joints, and their names at its first and last point."""
+        names: list[str | None] = [None, None]
+        if not isinstance(path, list | tuple) or not any(isinstance(p, Joint) for p in path):
+            return path, (None, None)
+        points: list[Any] = list(path)
+        for k, point in enumerate(points):
+            if isinstance(point, Joint):
+                if k not in (0, len(points) - 1) or self.number(point) < 0:
+                    raise InputError(
+                        f"lay_cable: path has {point!r} as point {k + 1}; only its first and last "
+                        "point may be joints, of this scene."
+                    )
+                names[k > 0], points[k] = point.name, point.position
+        return points, (names[0], names[1])
+
+    def check_held(self, cable_ends: Iterable[str | None]) -> None:
+        """Refuse joints that nothing holds."""
+        of_cables = set(cable_ends)
+        reached: set[object] = {j for j in self.joints if j.held.all() or j.name in of_cables}
+        reached |= set(self.vertices)
+        grows = True
+        while grows:
+            ends = [{bar.start, bar.end} for bar in self.bars]
+            more = set[object]().union(*(pair for pair in ends if pair & reached))
+            grows = not more <= reached
+            reached |= more
+        for joint in self.joints:
+            if joint not in reached:
+                alone = not any(joint in (bar.start, bar.end) for bar in self.bars)
+                why = "no bar ends there" if alone else "no bars lead from there to what is held"
+                raise InputError(
+                    f"advance: nothing holds {joint!r}: {why}; add bars to an anchor, to the "
+                    'membrane or to a held joint, or make it with held="xyz".'
+                )
+
+
+def _checked_name(call: str, kind: str, name: str | None, others: Iterable[str]) -> str:
+    """A name that is not taken, by default "bar 1", "bar 2" ..."""
+    taken = set(others)
+    if name is None:
+        return next(found for n in count(1) if (found := f"{kind} {n}") not in taken)
+    if not isinstance(name, str) or not name or name != name.strip():
+        raise InputError(f"{call}: name = {name!r}; tables need text without blanks around it.")
+    if name in taken:
+        raise InputError(f"{call}: there is a {kind} {name!r} already; give another name.")
+    return name

@@ -1,0 +1,350 @@
+"""The loads of a scene: on its membrane, on joints, and water that stands on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from dolfinx import fem
+
+from crms_fenicsx.model.bar import Joint
+from crms_fenicsx.model.handle import Stateful
+from crms_fenicsx.model.membrane import Membrane
+from crms_fenicsx.model.membrane_load import (
+    Area,
+    Coefficient,
+    MembraneLoad,
+    Traction,
+    fixed_direction_load,
+    joint_load,
+    nodal_load,
+    wind_load,
+)
+from crms_fenicsx.model.pond import Pond
+from crms_fenicsx.model.versions import Versions
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.errors import InputError, collective
+from crms_fenicsx.runtime.readonly import ReadOnly
+from crms_fenicsx.scene.frame import Frame, Place
+
+AIR = ("pressure", "temperature", "atmosphere")
+"""What combinations know what is of the air by, as `Solver.advance` does; no names of loads."""
+
+
+@dataclass(frozen=True)
+class LoadsState:
+    """All that can change of the loads of a scene."""
+
+    loads: tuple[MembraneLoad, ...] = ()  # on the membrane and on joints, with their factors
+    ponds: tuple[Pond, ...] = ()  # the water on it, with its levels, volumes and factors
+
+
+class Loads(Stateful[LoadsState]):
+    """The loads that have been put on a scene, each with a name and a factor: ``scene.loads``.
+
+    Iterating gives those on the membrane and on joints; ponds are in `ponds`.
+
+    Parameters
+    ----------
+    membrane
+        The membrane of the scene.
+    versions
+        The numbers of its model.
+    frame
+        Its joints and bars.
+    """
+
+    ponds: ReadOnly[tuple[Pond, ...]] = ReadOnly("state.ponds", "call scene.put_pond(...)")
+    """The water on the membrane, with its current levels, volumes and factors."""
+
+    def __init__(self, membrane: Membrane, versions: Versions, frame: Frame) -> None:
+        self.membrane, self.comm, self.versions = membrane, membrane.comm, versions
+        self._frame = frame
+        self.state = LoadsState()
+
+    def __iter__(self) -> Iterator[MembraneLoad]:
+        return iter(self.state.loads)
+
+    def __len__(self) -> int:
+        return len(self.state.loads)
+
+    def load(self, name: str) -> MembraneLoad:
+        """The load with a name.
+
+        Raises
+        ------
+        InputError
+            There is none.
+        """
+        return checks.named("load", {load.name: load for load in self}, name)
+
+    @property
+    def factors(self) -> dict[str, float]:
+        """Current factors of the loads and ponds, by their names."""
+        ponds = {pond.name: pond.factor for pond in self.ponds}
+        return {load.name: load.factor for load in self} | ponds
+
+    def replace_each(self, change: Callable[[Any], Any]) -> None:
+        """Replace each load and each pond by what a function makes of it; for the package alone."""
+        self.state = LoadsState(
+            tuple(map(change, self.state.loads)), tuple(map(change, self.state.ponds))
+        )
+
+    @collective
+    def put_load(self, force: Traction, *, name: str = "load", per: Area = "surface") -> None:
+        """Put a load of fixed direction on the membrane.
+
+        Its forces follow from the current shape, and then keep direction and size;
+        `Solver.advance` multiplies them by its factor.
+
+        Parameters
+        ----------
+        force
+            Force per area (force / length squared): (3,), or a function of points (3, n) on the
+            current surface and of its unit normals (3, n), which point to the side that pressure
+            pushes to, that returns (3, n).
+        name
+            What load steps and results know the load by.
+        per
+            The area that the force is counted by: "surface", that of the current surface; "plan",
+            that of its projection along z, as for snow; "material", that of the stress-free
+            membrane, as for its weight.
+
+        Raises
+        ------
+        InputError
+            On all ranks: a force that is not finite or of another shape, an area that is not
+            known, or a name that is taken.
+
+        Examples
+        --------
+        >>> scene.put_load((0.0, 0.0, -0.6), name="snow", per="plan")
+        >>> scene.put_load((0.0, 0.0, -0.01), name="weight", per="material")
+        >>> solver.advance(load={"snow": 1.5, "weight": 1.35})
+        """
+        checks.same(self.comm, "put_load", force=force, name=name, per=per)
+        self._check_new_load("put_load", name)
+        self.add(fixed_direction_load(self.membrane, force, name, per))
+
+    @collective
+    def put_wind(self, pressure: float, coefficient: Coefficient, *, name: str = "wind") -> None:
+        """Put wind on the membrane; `Solver.advance` brings it on by its factor.
+
+        Its pressure stays normal to the surface: a load step is solved until the wind's forces are
+        those of the shape that it leads to. Coefficients belong to the cells, wherever these move.
+
+        Parameters
+        ----------
+        pressure
+            Peak velocity pressure q_p (force per area), positive.
+        coefficient
+            Pressure coefficient c_p, positive where the wind presses on the outside and negative
+            where it sucks, as in EN 1991-1-4: one number, one of each part of the mesh by its
+            name, or a function of points (3, n) on the current surface and of its unit normals
+            (3, n) to the outside that returns (n,).
+        name
+            What load steps and results know the load by.
+
+        Raises
+        ------
+        InputError
+            On all ranks: a pressure that is not positive, coefficients that are not finite or of
+            another shape, a part that does not exist or is missing, parts with common cells, or a
+            name that is taken.
+
+        Examples
+        --------
+        >>> scene.put_wind(0.8, {"roof": -0.9, "walls": 0.7}, name="wind along x")
+        >>> solver.advance(load={"wind along x": 1.5})
+        """
+        checks.same(self.comm, "put_wind", pressure=pressure, coefficient=coefficient, name=name)
+        self._check_new_load("put_wind", name)
+        self.add(wind_load(self.membrane, pressure, coefficient, name))
+
+    @collective
+    def put_forces(self, forces: fem.Function, *, name: str = "forces") -> None:
+        """Put forces on the membrane's vertices, as from another program. Collective.
+
+        They keep direction and size, and are copied: later changes of the function are not seen.
+
+        Parameters
+        ----------
+        forces
+            The force on each vertex (force), a function ``dolfinx.fem.Function(scene.V)``; values
+            of ghosts do not count.
+        name
+            What load steps and results know the load by.
+
+        Raises
+        ------
+        InputError
+            On all ranks: it is no function in the space `V`, a force is not finite, or the name is
+            taken.
+
+        Examples
+        --------
+        >>> forces = dolfinx.fem.Function(scene.V)
+        >>> forces.x.array[:] = fluid_forces
+        >>> scene.put_forces(forces, name="fluid")
+        >>> solver.advance(load={"fluid": 1.0})
+        """
+        checks.same(self.comm, "put_forces", name=name)
+        self._check_new_load("put_forces", name)
+        self.add(nodal_load(self.membrane, forces, name))
+
+    @collective
+    def put_joint_load(self, forces: Mapping[Joint, Place], *, name: str = "joint load") -> None:
+        """Put forces on joints; `Solver.advance` brings them on by their factor. Collective.
+
+        Parameters
+        ----------
+        forces
+            Force on each joint, (3,) (force). They keep direction and size.
+        name
+            What load steps and results know the load by.
+
+        Raises
+        ------
+        InputError
+            On all ranks: what is no joint of this scene, a force that is not finite, or a name
+            that is taken.
+
+        Examples
+        --------
+        >>> scene.put_on_joints({top: (0.0, 0.0, -5.0)}, name="lamp")
+        >>> solver.advance(load={"lamp": 1.35})
+        """
+        checks.same(self.comm, "put_joint_load", forces=forces, name=name)
+        self._check_new_load("put_joint_load", name)
+        if not isinstance(forces, Mapping) or not forces:
+            raise InputError(
+                f"put_joint_load: forces = {forces!r}; write {{joint: (Fx, Fy, Fz), ...}}."
+            )
+        found: dict[str, tuple[float, float, float]] = {}
+        for joint, force in forces.items():
+            if not isinstance(joint, Joint) or self._frame.number(joint) < 0:
+                raise InputError(
+                    f"put_joint_load: {joint!r} is no joint of this scene; give what "
+                    "scene.add_joint(...) has returned."
+                )
+            x, y, z = map(float, checks.vector(f"put_joint_load: force on {joint!r}", force))
+            found[joint.name] = (x, y, z)
+        self.add(joint_load(self.membrane, found, name))
+
+    @collective
+    def put_pond(
+        self,
+        weight: float,
+        *,
+        level: float | None = None,
+        volume: float | None = None,
+        on: Sequence[str] | None = None,
+        name: str = "pond",
+    ) -> None:
+        """Let water stand on the membrane; `Solver.advance` brings it on by its factor. Collective.
+
+        It lies over all that is below its level, where the membrane's outer side faces up (of a
+        cushion on the upper foil), and presses on it the more the further it sinks. Water over a
+        rim below the level does not run off. Give either the level, as where water comes and goes,
+        or the volume.
+
+        Parameters
+        ----------
+        weight
+            Weight of the water by volume (force / length cubed), positive: 10 kN / m^3.
+        level
+            Height z of the water's surface (length).
+        volume
+            Amount of water (length cubed); its level follows.
+        on
+            Parts of the mesh that it stands on, on the side that faces up; without it all cells
+            whose outer side faces up when stress-free.
+        name
+            What load steps and results know it by.
+
+        Raises
+        ------
+        InputError
+            On all ranks: a weight or a volume that is not positive, neither level nor volume or
+            both, a part that does not exist, cells without an upper side or of which some face up
+            and some down, or a name that is taken.
+
+        Notes
+        -----
+        A load step that ends in an equilibrium that is not stable raises a `PondWarning`, one
+        without equilibrium a `ConvergenceError`. The rim of what is under water must be held, or
+        slide in planes of symmetry: elsewhere a dam would have to stand on it.
+
+        Examples
+        --------
+        >>> scene.put_pond(10.0, level=6.2, on=["roof"])
+        >>> solver.advance(load={"pond": 1.0}, steps=4)
+        >>> scene.ponds[0].volume
+        """
+        checks.same(
+            self.comm, "put_pond", weight=weight, level=level, volume=volume, on=on, name=name
+        )
+        self._check_new_load("put_pond", name)
+        weight = checks.positive("put_pond: weight", weight)
+        if (level is None) == (volume is None):
+            raise InputError(
+                f"put_pond: level = {level!r} and volume = {volume!r}; give one of the two."
+            )
+        parts = () if on is None else self._parts(on)
+        if volume is not None:
+            volume = checks.positive("put_pond: volume", volume)
+            pond = Pond(name, weight, "volume", float(self.membrane.centre[2]), volume, parts, 1)
+        else:
+            level = checks.finite("put_pond: level", level)
+            pond = Pond(name, weight, "level", level, 0.0, parts, 1)
+        pond = replace(pond, side=pond.found_side(self.membrane))
+        self.update(ponds=(*self.ponds, pond))
+        self.versions.change_model(acts=False)
+
+    def _parts(self, on: Any) -> tuple[str, ...]:
+        """The parts of the mesh that a pond's `on` names."""
+        known = list(self.membrane.mesh.parts)
+        listed = isinstance(on, Sequence) and not isinstance(on, str) and len(on) > 0
+        if not listed or any(part not in known for part in on):
+            names = ", ".join(map(repr, known)) or "none"
+            raise InputError(
+                f"put_pond: on = {on!r}; give a list of parts of the mesh, which are {names}."
+            )
+        return tuple(on)
+
+    @collective
+    def remove_load(self, name: str) -> None:
+        """Take a load or a pond away; the next load step goes on without it. Collective.
+
+        Raises
+        ------
+        InputError
+            On all ranks: there is no such load.
+        """
+        checks.same(self.comm, "remove_load", name=name)
+        factor = checks.named("load", self.factors, name)
+        self.state = LoadsState(
+            tuple(load for load in self if load.name != name),
+            tuple(pond for pond in self.ponds if pond.name != name),
+        )
+        self.versions.change_model(acts=factor != 0.0)
+
+    def add(self, load: MembraneLoad) -> None:
+        """Add a load that has been made on the current shape; for the package alone."""
+        self.update(loads=(*self.state.loads, load))
+        self.versions.change_model(acts=load.factor != 0.0)
+
+    def _check_new_load(self, call: str, name: str) -> None:
+        self.membrane.check_finite(call)
+        if not isinstance(name, str) or not name:
+            raise InputError(f"{call}: name = {name!r} is no text; give one, as in 'snow'.")
+        if name in AIR:
+            raise InputError(
+                f"{call}: name = {name!r} is one of the air's; give another one, as in 'snow'."
+            )
+        if name in self.factors:
+            raise InputError(
+                f"{call}: there is a load {name!r} already; give another name, or take that one "
+                f"away with scene.remove_load({name!r})."
+            )

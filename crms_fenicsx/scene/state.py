@@ -1,0 +1,73 @@
+"""The state of a scene as one value: what snapshots, halved increments and checkpoints keep.
+
+To add a feature that load steps can change, add a field to the state of the part that owns it
+(`MembraneState`, `LoadsState`, `AirState`, `FrameState`, `CableNetState`). Snapshots, branches,
+combinations, halving and checkpoints then keep it; arrays on the mesh name in their type hint what
+their rows belong to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+
+from crms_fenicsx.cables.cable_net import CableNetState
+from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.model.membrane import MembraneState, StepHistory
+from crms_fenicsx.model.versions import StateWarning, Version
+from crms_fenicsx.runtime.arrays import UNSAVED, Array
+from crms_fenicsx.runtime.checks import counted, span
+from crms_fenicsx.scene.air import AirState
+from crms_fenicsx.scene.frame import FrameState
+from crms_fenicsx.scene.loads import LoadsState
+
+if TYPE_CHECKING:
+    from crms_fenicsx.paths.tried_paths import TriedPaths
+
+
+@dataclass(frozen=True, repr=False)
+class SceneState:
+    """A state of a scene: all that load steps, supports, loads and cables can change in it.
+
+    In memory it belongs to the process's part of the mesh; `Solver.save` writes it to files.
+
+    Attributes
+    ----------
+    u : (3 n,)
+        Displacements of the vertices by local degree of freedom (length).
+    energies
+        Energy of each kind of term (force x length).
+    tensions
+        Tension of each cable, by its name (force).
+    """
+
+    membrane: MembraneState
+    loads: LoadsState
+    air: AirState
+    frame: FrameState
+    net: CableNetState
+    floor: float | None  # height of the floor (length)
+    energies: Mapping[str, float]
+    warnings: tuple[StateWarning, ...]
+    step_history: StepHistory | None
+    terms: Annotated[tuple[EnergyTerm, ...], UNSAVED]
+    version: Annotated[Version, UNSAVED]
+    scene: Annotated[object, UNSAVED]  # the `Scene` that it is a state of
+    tried: Annotated[TriedPaths | None, UNSAVED] = None  # what a solver has tried; of snapshots
+
+    @property
+    def u(self) -> Array:
+        return self.membrane.u.ravel()
+
+    @property
+    def tensions(self) -> dict[str, float]:
+        return {cable.name: state.tension for cable, state in self.net.cables.items()}
+
+    def __repr__(self) -> str:
+        """In a line."""
+        words = [f"energy {sum(self.energies.values()):.6g}"]
+        if self.net.cables:
+            tensions = span(list(self.tensions.values()))
+            words.append(f"{counted(len(self.net.cables), 'cable')}, tension {tensions}")
+        return f"SceneState({'; '.join(words)})"
