@@ -38,6 +38,19 @@ def vertex_places(V: fem.FunctionSpace) -> Array:
     return places
 
 
+def vertex_dofs(V: fem.FunctionSpace) -> Indices:
+    """Local degree of freedom of each local vertex, (n,)."""
+    dofs = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, dtype=np.int32)
+    dofs[V.mesh.topology.connectivity(2, 0).array] = V.dofmap.list.ravel()
+    return dofs
+
+
+def edge_ends(V: fem.FunctionSpace) -> Indices:
+    """Local degrees of freedom of the vertices of all local edges, (n, 2)."""
+    V.mesh.topology.create_connectivity(1, 0)
+    return vertex_dofs(V)[V.mesh.topology.connectivity(1, 0).array.reshape(-1, 2)]
+
+
 def vertex_starts(V: fem.FunctionSpace) -> Integers:
     """Global numbers of the ranks' first vertices, (ranks,). Collective."""
     return np.array(V.mesh.comm.allgather(V.dofmap.index_map.local_range[0]))

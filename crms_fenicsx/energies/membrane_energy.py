@@ -14,6 +14,7 @@ from dolfinx.fem import petsc as fem_petsc
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.block_patterns import RowSizes
+from crms_fenicsx.dofs.layout import edge_ends
 from crms_fenicsx.energies.integral import Integral, one_point
 from crms_fenicsx.energies.kinematics import (
     Kinematics,
@@ -219,12 +220,7 @@ class MembraneEnergy(EnergyTerm):
     @cached_property
     def _edge_dofs(self) -> Indices:
         """Local degrees of freedom of these vertices, the same in all layouts."""
-        topology = self.u.function_space.mesh.topology
-        topology.create_connectivity(1, 0)
-        vertices = topology.index_map(0)
-        dof_of = np.zeros(vertices.size_local + vertices.num_ghosts, dtype=np.int32)
-        dof_of[topology.connectivity(2, 0).array] = self.u.function_space.dofmap.list.ravel()
-        return dof_of[topology.connectivity(1, 0).array.reshape(-1, 2)]
+        return edge_ends(self.u.function_space)
 
     def cell_results(self) -> Array:
         """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state of the owned cells.

@@ -9,6 +9,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from crms_fenicsx.dofs.layout import vertex_dofs
 from crms_fenicsx.meshes.membrane_mesh import vertex_ids
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime import checks
@@ -129,7 +130,7 @@ def edge_lines(membrane: Membrane, cables: Sequence[FormCable]) -> list[EdgeLine
             if not isinstance(cable, FormCable):
                 raise InputError(f"find_form: {cable!r} is no FormCable; write FormCable(group).")
             checks.named("edge group", mesh.edges, cable.group)
-    dof_of = vertex_dofs(membrane)
+    dof_of = vertex_dofs(membrane.V)
     ends = topology.connectivity(1, 0).array.reshape(-1, 2)
     ids, owned = vertex_ids(mesh.mesh), topology.index_map(1).size_local
     taken = np.zeros(len(ends), dtype=bool)
@@ -180,7 +181,7 @@ def places_of(membrane: Membrane, ids: Integers) -> Array:
     """Current places (length) of vertices by their numbers in the mesh as given. Collective."""
     n = membrane.V.dofmap.index_map.size_local
     numbers = np.zeros(len(membrane.held), dtype=np.int64)
-    numbers[vertex_dofs(membrane)] = vertex_ids(membrane.mesh.mesh)
+    numbers[vertex_dofs(membrane.V)] = vertex_ids(membrane.mesh.mesh)
     own, x = numbers[:n], membrane.positions()[:n]
     here = np.isin(own, ids)
     found = membrane.comm.allgather((own[here], x[here]))
@@ -188,10 +189,3 @@ def places_of(membrane: Membrane, ids: Integers) -> Array:
     order = np.argsort(numbers)
     places = np.concatenate([places for _, places in found])[order]
     return np.asarray(places[np.searchsorted(numbers[order], ids)])
-
-
-def vertex_dofs(membrane: Membrane) -> Indices:
-    """Local degree of freedom of each local vertex, (n,)."""
-    dofs = np.zeros(len(membrane.held), dtype=np.int32)
-    dofs[membrane.mesh.mesh.topology.connectivity(2, 0).array] = membrane.V.dofmap.list.ravel()
-    return dofs

@@ -7,11 +7,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 import numpy as np
 from mpi4py import MPI
 
+from crms_fenicsx.dofs.layout import edge_ends
 from crms_fenicsx.form_finding.film import Film
-from crms_fenicsx.form_finding.form_cables import EdgeLine, vertex_dofs
+from crms_fenicsx.form_finding.form_cables import EdgeLine
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.runtime.errors import InputError, as_text, raised_together
 
 LYING = 0.1
@@ -144,8 +145,9 @@ def check_free_edges(membrane: Membrane, lines: Sequence[EdgeLine]) -> None:
     edges = edges[edges < topology.index_map(1).size_local]
     held = [membrane.mesh.edges[line.cable.group] for line in lines]
     edges = np.setdiff1d(edges, np.concatenate([*held, np.zeros(0, np.int32)]))
-    ends = vertex_dofs(membrane)[topology.connectivity(1, 0).array.reshape(-1, 2)[edges]]
-    free = ends[~membrane.held[ends].any(axis=2).all(axis=1)]
+    ends = edge_ends(membrane.V)[edges]
+    fixed: Booleans = membrane.held[ends].any(axis=2)
+    free = ends[~fixed.all(axis=1)]
     count = membrane.comm.allreduce(len(free))
     places = membrane.comm.allgather(membrane.stress_free[free[:1]].mean(axis=1))
     if count:

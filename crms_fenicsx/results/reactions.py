@@ -9,6 +9,7 @@ from itertools import chain
 import numpy as np
 from dolfinx import fem, la
 
+from crms_fenicsx.dofs.layout import edge_ends
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.model.bar import Joint
 from crms_fenicsx.model.membrane import Marker, Membrane
@@ -80,11 +81,8 @@ def are_at(membrane: Membrane, dofs: Indices | Integers, places: Sequence[Array]
     """Which places are at vertices `dofs` now, with ghosts, or between two of them. Collective."""
     if not places:
         return np.zeros(0, dtype=bool)
-    topology = membrane.mesh.mesh.topology
-    marked, dof_of = np.zeros((2, len(membrane.held)), dtype=np.int64)
-    marked[dofs] = 1
-    dof_of[topology.connectivity(2, 0).array.reshape(-1, 3)] = membrane.V.dofmap.list
-    ends = dof_of[topology.connectivity(1, 0).array.reshape(-1, 2)]
+    marked, ends = np.zeros(len(membrane.held), dtype=bool), edge_ends(membrane.V)
+    marked[dofs] = True
     points = membrane.positions()
     start, end = points[ends[marked[ends].all(axis=1)]].transpose(1, 0, 2)
     start, end = (np.concatenate([x, points[dofs]]) for x in (start, end))
@@ -237,14 +235,11 @@ def held_lengths(membrane: Membrane, group: str | None = None) -> Array:
 
     With ghosts; current lengths, of all named edges or of one group. Collective.
     """
-    topology = membrane.mesh.mesh.topology
-    own = topology.index_map(1).size_local
+    own = membrane.mesh.mesh.topology.index_map(1).size_local
     groups = [edges for name, edges in membrane.mesh.edges.items() if group in (None, name)]
     edges = np.unique(np.concatenate(groups))
     edges = edges[edges < own]
-    dof_of = np.zeros(topology.index_map(0).size_local + topology.index_map(0).num_ghosts, int)
-    dof_of[topology.connectivity(2, 0).array.reshape(-1, 3)] = membrane.V.dofmap.list
-    ends = dof_of[topology.connectivity(1, 0).array.reshape(-1, 2)[edges]]
+    ends = edge_ends(membrane.V)[edges]
     places = membrane.positions()
     half = np.linalg.norm(places[ends[:, 1]] - places[ends[:, 0]], axis=1) / 2
     both = membrane.held[ends].all(axis=1)
