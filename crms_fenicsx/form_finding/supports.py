@@ -12,7 +12,7 @@ from crms_fenicsx.form_finding.film import Film
 from crms_fenicsx.form_finding.form_cables import EdgeLine
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array, Booleans
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, as_text, raised_together
 
 LYING = 0.1
@@ -146,7 +146,7 @@ def check_free_edges(membrane: Membrane, lines: Sequence[EdgeLine]) -> None:
     held = [membrane.mesh.edges[line.cable.group] for line in lines]
     edges = np.setdiff1d(edges, np.concatenate([*held, np.zeros(0, np.int32)]))
     ends = edge_ends(membrane.V)[edges]
-    fixed: Booleans = membrane.held[ends].any(axis=2)
+    fixed = np.asarray(membrane.held[ends].any(axis=2))
     free = ends[~fixed.all(axis=1)]
     count = membrane.comm.allreduce(len(free))
     places = membrane.comm.allgather(membrane.stress_free[free[:1]].mean(axis=1))
