@@ -18,6 +18,7 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
+from crms_fenicsx.dofs.layout import edge_ends
 from crms_fenicsx.meshes.membrane_mesh import outer_first
 from crms_fenicsx.meshes.triangles import area_vectors, double_areas, norm
 from crms_fenicsx.model.membrane import Membrane
@@ -168,6 +169,25 @@ def nodal_load(membrane: Membrane, forces: fem.Function, name: str = "forces") -
             )
     total = membrane.comm.allreduce(float(norm(nodal).sum()))
     return MembraneLoad(name, nodal, total / membrane.size**2)
+
+
+def line_load(
+    membrane: Membrane, force: Sequence[float] | Array, edges: str, name: str = "line load"
+) -> MembraneLoad:
+    """A load of fixed direction along a group of edges in the current shape. Collective."""
+    vector = checks.vector("put_line_load: the force per length", force)
+    groups = membrane.mesh.edges
+    if not isinstance(edges, str) or edges not in groups:
+        raise InputError(
+            f"put_line_load: edges = {edges!r} is no group of edges of the mesh, which has "
+            f"{', '.join(map(repr, sorted(groups))) or 'none'}; name one of these."
+        )
+    own = groups[edges][groups[edges] < membrane.mesh.mesh.topology.index_map(1).size_local]
+    ends, nodal = edge_ends(membrane.V)[own], np.zeros(membrane.held.shape)
+    lengths = norm(np.diff(membrane.positions()[ends], axis=1)[:, 0])
+    np.add.at(nodal, ends, (lengths[:, None] / 2 * vector)[:, None])
+    total = membrane.comm.allreduce(float(lengths.sum()))
+    return MembraneLoad(name, nodal, total * float(norm(vector)) / membrane.size**2)
 
 
 def joint_load(

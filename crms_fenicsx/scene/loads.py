@@ -18,12 +18,14 @@ from crms_fenicsx.model.membrane_load import (
     Traction,
     fixed_direction_load,
     joint_load,
+    line_load,
     nodal_load,
     wind_load,
 )
 from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.model.versions import Versions
 from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, collective
 from crms_fenicsx.runtime.readonly import ReadOnly
 from crms_fenicsx.scene.frame import Frame, Place
@@ -192,6 +194,38 @@ class Loads(Stateful[LoadsState]):
         checks.same(self.comm, "put_forces", name=name)
         self._check_new_load("put_forces", name)
         self.add(nodal_load(self.membrane, forces, name))
+
+    @collective
+    def put_line_load(
+        self, force: Sequence[float] | Array, edges: str, *, name: str = "line load"
+    ) -> None:
+        """Put a line load along edges of the membrane, such as the weight of a gutter. Collective.
+
+        Its forces follow from the current lengths of the edges, and then keep direction and size;
+        each edge gives half of its own to both of its ends.
+
+        Parameters
+        ----------
+        force
+            Force per length, (3,) (force / length).
+        edges
+            Name of a group of edges of the mesh.
+        name
+            What load steps and results know the load by.
+
+        Raises
+        ------
+        InputError
+            On all ranks: a force that is not finite, no such group, or a name that is taken.
+
+        Examples
+        --------
+        >>> scene.put_line_load((0.0, 0.0, -0.2), "ridge", name="snow guard")
+        >>> solver.advance(load={"snow guard": 1.35})
+        """
+        checks.same(self.comm, "put_line_load", force=force, edges=edges, name=name)
+        self._check_new_load("put_line_load", name)
+        self.add(line_load(self.membrane, force, edges, name))
 
     @collective
     def put_joint_load(self, forces: Mapping[Joint, Place], *, name: str = "joint load") -> None:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from dolfinx import fem
+from reference_meshes import square
 from taylor import OnMesh, gradient_order, noise
 from term_scene import (
     ISOTROPIC,
@@ -121,6 +122,50 @@ def test_supports_carry_the_load(comm):
     total = solver.reactions("boundary").total
     np.testing.assert_allclose(total, [0.0, 0.0, 0.01 * SIDE**2], atol=1e-6)
     assert scene.energies["dead load"] < 0.0
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("kind", ["structured", "unstructured"])
+def test_line_load(comm, kind):
+    """Half of each edge at both of its ends, on any mesh; what holds the sheet carries it."""
+    scene = Scene(square(comm, 6, kind), ISOTROPIC)
+    for group in ("left", "right"):
+        scene.fix(group)
+    scene.u.x.array.reshape(-1, 3)[:, 2] = 0.75 * scene.membrane.stress_free[:, 0]
+    scene.put_line_load((0.0, 0.3, -0.2), "front")  # along x: 100 long, and 125 on the slope
+    forces = owned_sum(scene, scene.load("line load").forces).reshape(-1, 3)
+    own = scene.positions()[: len(forces)]
+    off = own[:, 1] > 1e-9 * SIDE
+    assert not forces[off].any()
+    ends = np.isin(own[:, 0], (0.0, SIDE)) & ~off
+    total = comm.allreduce(forces.sum(axis=0))
+    np.testing.assert_allclose(total, np.array([0.0, 0.3, -0.2]) * 125.0, rtol=1e-12, atol=1e-12)
+    at_ends = comm.allreduce(forces[ends].sum(axis=0))
+    np.testing.assert_allclose(at_ends, total / 6, rtol=1e-9, atol=1e-12)
+    solver = Solver(scene)
+    solver.advance(load=1.0)
+    carried = sum(solver.reactions(group).total for group in ("left", "right"))
+    np.testing.assert_allclose(carried, -total, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "force, edges, message",
+    [
+        ((0.0, np.nan, 0.0), "left", "the force per length"),
+        ((0.0, 1.0), "left", "the force per length"),
+        (
+            (0.0, 0.0, 1.0),
+            "nowhere",
+            "edges = 'nowhere' is no group of edges of the mesh, which has 'boundary'",
+        ),
+        ((0.0, 0.0, 1.0), None, "edges = None is no group of edges"),
+    ],
+)
+def test_bad_line_loads(comm, force, edges, message):
+    scene = lifted_scene(comm)
+    with pytest.raises(InputError, match=message):
+        scene.put_line_load(force, edges)
+    assert len(scene.loads) == 0
 
 
 @pytest.mark.parametrize("per", ["surface", "plan", "material"])

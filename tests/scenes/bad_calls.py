@@ -253,6 +253,12 @@ def scenes(scene: Scene, other: Scene, solver: Solver, cable: LaidCable) -> list
             {"force": (*NO_VECTORS, None, *fields), "name": no_names, "per": (*NO_TEXTS, "x")},
         ),
         Call(
+            "put_line_load",
+            scene.put_line_load,
+            {"force": UP, "edges": "left"},
+            {"force": (*NO_VECTORS, None), "edges": (*NO_TEXTS, "unknown"), "name": no_names},
+        ),
+        Call(
             "put_wind",
             scene.put_wind,
             {"pressure": 0.1, "coefficient": -1.0},
