@@ -15,6 +15,7 @@ from crms_fenicsx.model.bar import Joint
 from crms_fenicsx.model.membrane import Marker, Membrane
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.model.versions import UNBALANCED
+from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.runtime.errors import InputError, as_text
 from crms_fenicsx.scene import Scene
@@ -182,6 +183,7 @@ def reactions(system: System, where: str | Marker) -> Reactions:
 
 def _place(scene: Scene, where: str | Marker) -> tuple[Indices, list[Array]]:
     """Vertices that `where` names, with ghosts, and places of a joint that it names. Collective."""
+    checks.same(scene.comm, "reactions", where=where)
     joints = {joint.name: joint.position for joint in scene.joints if joint.held.any()}
     mesh = scene.mesh
     if not isinstance(where, str) or where in mesh.edges or where in mesh.points:
