@@ -37,9 +37,9 @@ from crms_fenicsx.results.summary import Summary, summary
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.checks import counted
 from crms_fenicsx.runtime.errors import ConvergenceError, InputError, collective, raised_together
+from crms_fenicsx.runtime.handle import ReadOnly
 from crms_fenicsx.runtime.interrupt import postponed, stop_together
 from crms_fenicsx.runtime.progress import progress
-from crms_fenicsx.runtime.readonly import ReadOnly
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.scene.state import SceneState
 from crms_fenicsx.steps.increment_solver import IncrementSolver

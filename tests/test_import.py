@@ -22,7 +22,7 @@ KERNELS = (
     "crms_fenicsx.energies.fold_penalty",
     "crms_fenicsx.energies.folded_membrane",
     "crms_fenicsx.energies.folded_pressure",
-    "crms_fenicsx.energies.paper.friction_element",
+    "crms_fenicsx.energies.paper.cable_elements",
     "crms_fenicsx.energies.paper.step_folded_membrane",
     "crms_fenicsx.energies.ponding",
     "crms_fenicsx.energies.segments",

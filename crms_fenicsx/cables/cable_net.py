@@ -8,10 +8,8 @@ from dataclasses import dataclass, replace
 import numpy.typing as npt
 
 from crms_fenicsx.cables.crossings import arrange
-from crms_fenicsx.cables.strip import EMPTY, Strip, cells_at, grown
-from crms_fenicsx.cables.strip_positions import StripShape
-from crms_fenicsx.model.cable_state import CableState
-from crms_fenicsx.model.crossing import Crossing
+from crms_fenicsx.cables.strip import EMPTY, Strip, StripShape, cells_at, grown
+from crms_fenicsx.model.cable_state import CableState, Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime import checks

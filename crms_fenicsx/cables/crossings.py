@@ -18,8 +18,7 @@ import numpy as np
 
 from crms_fenicsx.cables.points_on_edges import VERTEX, NodeTable, PointsOnEdges
 from crms_fenicsx.cables.strip import Strip
-from crms_fenicsx.model.cable_state import CableNode
-from crms_fenicsx.model.crossing import Crossing, NodeId
+from crms_fenicsx.model.cable_state import CableNode, Crossing, NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, runs
 from crms_fenicsx.surface.points import CellPoint, EdgePoint

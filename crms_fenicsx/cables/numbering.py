@@ -25,7 +25,7 @@ from crms_fenicsx.cables.points_on_edges import (
 )
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.dofs.layout import FrameBlocks, Unknowns, vertex_places
-from crms_fenicsx.model.crossing import NodeId
+from crms_fenicsx.model.cable_state import NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array, Indices, Integers, pointers, runs
 from crms_fenicsx.surface.points import Edge

@@ -8,8 +8,7 @@ from itertools import chain
 
 import numpy as np
 
-from crms_fenicsx.model.cable_state import CableNode
-from crms_fenicsx.model.crossing import NodeId
+from crms_fenicsx.model.cable_state import CableNode, NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, pointers
 from crms_fenicsx.surface.points import Edge, EdgePoint

@@ -29,8 +29,8 @@ from typing import (
 
 import numpy as np
 
-from crms_fenicsx.model.handle import Handle
 from crms_fenicsx.runtime.arrays import Rows
+from crms_fenicsx.runtime.handle import Handle
 
 Plain = dict[str, Any]
 """Data for JSON: dictionaries and lists of numbers, texts and None."""

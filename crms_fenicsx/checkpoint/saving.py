@@ -20,13 +20,13 @@ from crms_fenicsx.checkpoint.contents import Contents, Run, check, check_same, f
 from crms_fenicsx.checkpoint.fields import POSITIONS, MeshFiles
 from crms_fenicsx.checkpoint.folder import complete, replaced_folder
 from crms_fenicsx.model.changed_materials import numbers, with_numbers
-from crms_fenicsx.model.handle import Handle
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Rows
 from crms_fenicsx.runtime.checks import LONGEST
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import explained, read_text, readable
+from crms_fenicsx.runtime.handle import Handle
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.scene.state import SceneState
 

@@ -15,10 +15,10 @@ import numpy as np
 
 from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.points_on_edges import bends, nodes_on_edges
-from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact import lift_off as contact
 from crms_fenicsx.contact.lift_off import DEPTH, PULL, apparent_crossing, link_at, outward_pulls
-from crms_fenicsx.model.crossing import Crossing
+from crms_fenicsx.model.cable_state import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.surface.points import Edge, EdgePoint, Support, VertexPoint
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.lift_off import size_at
 from crms_fenicsx.meshes.triangles import arc_lengths, cross, dot, norm
 from crms_fenicsx.model.laid_cable import LaidCable

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.meshes.triangles import arc_lengths, cross, dot, norm
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length

@@ -14,7 +14,10 @@ knows their vertices. All ranks know all joints, so that cables can end at them.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import ClassVar, Self
 
 import numpy as np
 from dolfinx import fem
@@ -23,6 +26,29 @@ from petsc4py import PETSc
 from crms_fenicsx.dofs.local_blocks import LocalBlocks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.runtime.compat import geometry_dofmap
+
+
+class ElementTable(ABC):
+    """Base of the frozen dataclasses that hold elements of a term.
+
+    Attributes: `addresses`: names of the fields that hold blocks.
+    """
+
+    addresses: ClassVar[tuple[str, ...]]
+
+    @property
+    @abstractmethod
+    def element_blocks(self) -> tuple[Indices, Indices]:
+        """Blocks of each element in CSR form: pointers (n + 1,), blocks (m,)."""
+
+    def renumbered(self, number: Indices) -> Self:
+        """The same elements of blocks with other numbers: block b becomes ``number[b]``."""
+        return replace(self, **{name: number[getattr(self, name)] for name in self.addresses})  # type: ignore[type-var]
+
+    @classmethod
+    def joined(cls, tables: Sequence[Self]) -> Sequence[Self]:
+        """The elements of tables of several processes in as few tables as a term of them needs."""
+        return tables
 
 
 def vertex_places(V: fem.FunctionSpace) -> Array:

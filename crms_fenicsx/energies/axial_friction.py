@@ -26,8 +26,13 @@ from petsc4py import PETSc
 
 from crms_fenicsx.dofs.block_patterns import ElementPattern, RowSizes, SegmentPattern
 from crms_fenicsx.energies.capstan_chain import ENERGY, find_slips
-from crms_fenicsx.energies.edge_fractions import add_slip_forces, edge_fractions
-from crms_fenicsx.energies.segments import add_segment_forces, segment_lengths, segment_stiffness
+from crms_fenicsx.energies.segments import (
+    add_segment_forces,
+    add_slip_forces,
+    edge_fractions,
+    segment_lengths,
+    segment_stiffness,
+)
 from crms_fenicsx.energies.smooth_coulomb import (
     friction_energy,
     secant_stiffness,

@@ -17,8 +17,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.block_patterns import RowSizes, SegmentPattern, rows_of
-from crms_fenicsx.dofs.elements import ElementTable
-from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.layout import ElementTable, Unknowns
 from crms_fenicsx.energies.segments import difference
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.model.bar import SHORTEST

@@ -18,7 +18,7 @@ from crms_fenicsx.dofs.block_patterns import (
     SegmentPattern,
     rows_of,
 )
-from crms_fenicsx.dofs.elements import ElementTable
+from crms_fenicsx.dofs.layout import ElementTable
 from crms_fenicsx.energies.segments import add_segment_forces, segment_lengths, segment_stiffness
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.model.cable_state import StepStart

@@ -20,7 +20,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.block_patterns import ElementPattern, RowSizes, rows_of
-from crms_fenicsx.dofs.elements import ElementTable
+from crms_fenicsx.dofs.layout import ElementTable
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans, Indices
 

@@ -17,7 +17,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.block_patterns import ElementPattern, RowSizes, SegmentPattern
-from crms_fenicsx.dofs.elements import ElementTable
+from crms_fenicsx.dofs.layout import ElementTable
 from crms_fenicsx.energies import stress_laws as laws
 from crms_fenicsx.energies.kinematics import Stiffening
 from crms_fenicsx.energies.segments import (

@@ -16,8 +16,7 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.block_patterns import ElementPattern, RowSizes, rows_of
-from crms_fenicsx.dofs.elements import ElementTable
-from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.layout import ElementTable, Unknowns
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 

@@ -19,8 +19,8 @@ import numpy as np
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.block_patterns import ElementPattern, RowSizes
-from crms_fenicsx.dofs.elements import ElementTable
-from crms_fenicsx.energies.edge_fractions import (
+from crms_fenicsx.dofs.layout import ElementTable
+from crms_fenicsx.energies.segments import (
     add_slip_curvature,
     add_slip_forces,
     edge_fractions,

@@ -13,8 +13,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.block_patterns import BlockSink, RowSizes
-from crms_fenicsx.dofs.elements import ElementTable
-from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.layout import ElementTable, Unknowns
 from crms_fenicsx.energies.integral import FusedAssembly, Integral
 from crms_fenicsx.energies.kinematics import Stiffening
 from crms_fenicsx.runtime import checks

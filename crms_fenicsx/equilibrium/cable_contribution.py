@@ -104,7 +104,7 @@ class CableContribution(Contribution):
         mine, number = one[tables.cable], np.cumsum(one, dtype=np.int32) - np.int32(1)
         links = (tables.segments[mine], tables.eps[mine], number[tables.cable[mine]])
         if any(starts):
-            from crms_fenicsx.energies.paper.step_cable import StepCableTension
+            from crms_fenicsx.energies.paper.cable_elements import StepCableTension
 
             return StepCableTension(*links, EA, L0, starts)
         return CableTension(*links, EA, L0)

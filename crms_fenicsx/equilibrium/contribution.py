@@ -7,7 +7,7 @@ import numpy as np
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.minimization.potential import Potential
-from crms_fenicsx.model.crossing import NodeId
+from crms_fenicsx.model.cable_state import NodeId
 from crms_fenicsx.scene import Scene
 
 

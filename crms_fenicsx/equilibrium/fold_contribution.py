@@ -25,7 +25,7 @@ from crms_fenicsx.equilibrium.membrane_contribution import (
 )
 from crms_fenicsx.meshes.triangles import cell_sides
 from crms_fenicsx.minimization.potential import Potential
-from crms_fenicsx.model.crossing import NodeId
+from crms_fenicsx.model.cable_state import NodeId
 from crms_fenicsx.model.materials import UFL_LAW
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.scene import Scene

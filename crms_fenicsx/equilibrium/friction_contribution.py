@@ -5,7 +5,7 @@ from __future__ import annotations
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.axial_friction import CapstanTension
 from crms_fenicsx.energies.lateral_friction import LateralFriction
-from crms_fenicsx.energies.paper.friction_element import FrictionElementEnergy
+from crms_fenicsx.energies.paper.cable_elements import FrictionElementEnergy
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.equilibrium.cable_contribution import CableContribution
 from crms_fenicsx.equilibrium.contribution import Contribution

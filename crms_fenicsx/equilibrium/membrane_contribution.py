@@ -22,8 +22,7 @@ from crms_fenicsx.runtime.arrays import Indices
 from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
-    from crms_fenicsx.energies.paper.step_membrane import StepMembraneEnergy
-    from crms_fenicsx.energies.paper.step_pressure import StepPressure
+    from crms_fenicsx.energies.paper.step_membrane import StepMembraneEnergy, StepPressure
     from crms_fenicsx.energies.sealed_pressure import SealedPressure
 
 NOTHING, AXIAL_NOTHING = 1e-12, 1e-8
@@ -174,7 +173,7 @@ class PressureContribution(Contribution):
         scene = self.scene
         if scene.pressure_law == "total":
             return FollowerPressure(scene.u, self.cells, self.value, scene.membrane.centre)
-        from crms_fenicsx.energies.paper.step_pressure import StepPressure
+        from crms_fenicsx.energies.paper.step_membrane import StepPressure
 
         self._stepwise = StepPressure(scene.u, self.cells, self.value)
         self._stepwise.volume_n = self._history.volume

@@ -27,7 +27,7 @@ from crms_fenicsx.minimization.minimizer import Minimizer
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.minimization.stability import is_convex_from
-from crms_fenicsx.model.crossing import NodeId
+from crms_fenicsx.model.cable_state import NodeId
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
 

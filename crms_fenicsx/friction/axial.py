@@ -21,7 +21,7 @@ import numpy as np
 
 from crms_fenicsx.cables.element_tables import CableTables
 from crms_fenicsx.cables.numbering import CableNumbering
-from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.contact_force import edge_directions, held_nodes, turns
 from crms_fenicsx.contact.lift_off import is_foot
 from crms_fenicsx.energies.axial_friction import Chains, Grips

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.contact_force import held_nodes, wrap_angles
 from crms_fenicsx.friction.slip import node_slips
 from crms_fenicsx.model.friction import Friction, LateralFrictionState, SidewaysLaw

@@ -17,7 +17,7 @@ import numpy as np
 
 from crms_fenicsx.cables.numbering import CableNumbering
 from crms_fenicsx.cables.points_on_edges import points_by_edge
-from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.contact_force import (
     contact_forces,
     directions,
@@ -27,7 +27,7 @@ from crms_fenicsx.contact.contact_force import (
     turns,
 )
 from crms_fenicsx.energies.lateral_friction import Slips
-from crms_fenicsx.energies.paper.friction_element import FrictionElements
+from crms_fenicsx.energies.paper.cable_elements import FrictionElements
 from crms_fenicsx.energies.smooth_coulomb import stored_and_lost
 from crms_fenicsx.friction.passes import SLIDES
 from crms_fenicsx.friction.slip import (

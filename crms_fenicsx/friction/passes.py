@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces, held_nodes, wrap_angles
 from crms_fenicsx.energies.capstan_chain import LAW, find_slips
 from crms_fenicsx.energies.smooth_coulomb import coulomb_forces

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.contact_force import runs
 from crms_fenicsx.energies.smooth_coulomb import coulomb_forces
 from crms_fenicsx.meshes.triangles import arc_lengths, cross

@@ -20,8 +20,7 @@ from scipy.sparse.csgraph import connected_components
 
 from crms_fenicsx.dofs.block_patterns import BlockPattern
 from crms_fenicsx.dofs.cluster_layout import ClusterLayout
-from crms_fenicsx.dofs.elements import ElementTable
-from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.layout import ElementTable, Unknowns
 from crms_fenicsx.dofs.local_blocks import LocalBlocks
 from crms_fenicsx.minimization.membrane_multigrid import EXACT_SHIFT, SHIFT
 from crms_fenicsx.minimization.potential import Potential

@@ -21,8 +21,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.block_patterns import ElementPattern, SegmentPattern, rows_of
-from crms_fenicsx.dofs.elements import ElementTable
-from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.layout import ElementTable, Unknowns
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 
 SLIDE = 0.1

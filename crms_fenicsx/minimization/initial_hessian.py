@@ -26,17 +26,15 @@ from crms_fenicsx.minimization.membrane_multigrid import (
     MULTIGRID,
     SHIFT,
     MembraneMultigrid,
+    add_empty_diagonal,
     block_traces,
+    empty_matrix,
     set_defaults,
     shift_diagonal,
+    stiffen_across_rails,
     tell_rigid_motions,
 )
 from crms_fenicsx.minimization.potential import Potential
-from crms_fenicsx.minimization.stiffness_matrix import (
-    add_empty_diagonal,
-    empty_matrix,
-    stiffen_across_rails,
-)
 from crms_fenicsx.runtime.arrays import Array
 
 QUIET = {"mat_cholmod_print": "0"}

@@ -7,11 +7,10 @@ from typing import Annotated
 
 import numpy as np
 
-from crms_fenicsx.model.handle import Handle
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.runtime.errors import InputError
-from crms_fenicsx.runtime.readonly import ReadOnly
+from crms_fenicsx.runtime.handle import Handle, ReadOnly
 
 SHORTEST = 1e-12
 """Length of a bar, relative to its unstressed one, up to which it has no direction."""

@@ -12,6 +12,31 @@ from crms_fenicsx.model.friction import AxialFrictionState, LateralFrictionState
 from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.surface.points import EdgePoint, SurfacePoint
 
+
+@dataclass(frozen=True, eq=False)
+class Crossing:
+    """A place where two cables cross: one free point that both share.
+
+    The nodes of the cables refer to it by its number among the scene's crossings.
+    """
+
+    lower: int  # lower, upper: numbers of the cables, the upper one on top
+    upper: int
+    support: tuple[int, ...]  # ids of the vertices of the cell (3) or edge (2) that it is in
+    # where it is on the lower and on the upper cable: after which node, crossings not counted
+    links: tuple[int, int]
+    place: Annotated[Array, 3]  # (3,) where they cross, or would (length)
+    # ids of the vertices on which the ends of these links lie, or between which: first those of the
+    # lower cable's link
+    between: tuple[tuple[int, ...], ...]
+    # whether the upper cable has lifted off the lower one; they share no point then
+    separated: bool = False
+
+
+NodeId = tuple[int, int]
+"""A node of a cable: the cable's number, the node's number."""
+
+
 End = Literal["tied", "held", "off"]
 """How a cable's end is held: tied to a place of the membrane, held at its place on a held part of
 the membrane, or by an anchor off the membrane."""

@@ -11,11 +11,10 @@ import numpy as np
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.cable_state import CableNode, CableState, End, StepStart
 from crms_fenicsx.model.friction import AxialFrictionState, LateralFrictionState
-from crms_fenicsx.model.handle import Handle
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.runtime.arrays import Array, Booleans, flags, floats
 from crms_fenicsx.runtime.errors import InputError
-from crms_fenicsx.runtime.readonly import ReadOnly
+from crms_fenicsx.runtime.handle import Handle, ReadOnly
 from crms_fenicsx.surface.path import Path
 from crms_fenicsx.surface.points import LEAST, MOST, EdgePoint, SurfacePoint
 

@@ -16,7 +16,7 @@ import numpy as np
 from dolfinx.mesh import entities_to_geometry
 from mpi4py import MPI
 
-from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.lift_off import size_at
 from crms_fenicsx.contact.span_projection import project_span
 from crms_fenicsx.meshes.triangles import cross

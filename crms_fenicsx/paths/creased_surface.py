@@ -18,11 +18,9 @@ from types import MappingProxyType
 import numpy as np
 
 from crms_fenicsx.cables.points_on_edges import on_edges
-from crms_fenicsx.cables.strip import own_surface
-from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.cables.strip import StripShape, own_surface
 from crms_fenicsx.meshes.triangles import vectors
-from crms_fenicsx.model.cable_state import CableNode, CableState
-from crms_fenicsx.model.crossing import NodeId
+from crms_fenicsx.model.cable_state import CableNode, CableState, NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime.arrays import Array, floats

@@ -16,7 +16,7 @@ import numpy as np
 
 from crms_fenicsx.contact.active_set import ContactKey
 from crms_fenicsx.contact.lift_off import Gap, captured, lift, may_lift, outward_pulls, touch
-from crms_fenicsx.model.crossing import Crossing
+from crms_fenicsx.model.cable_state import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import BEYOND
 from crms_fenicsx.paths.held_vertices import VertexRun

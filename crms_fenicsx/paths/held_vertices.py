@@ -19,7 +19,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.contact_force import forces_at
 from crms_fenicsx.meshes.triangles import arc_lengths
 from crms_fenicsx.model.cable_state import CableNode

@@ -12,8 +12,7 @@ from typing import Literal
 import numpy as np
 
 from crms_fenicsx.cables.cable_net import CableNet
-from crms_fenicsx.cables.strip import Strip, cells_at, cells_near, grown
-from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.cables.strip import Strip, StripShape, cells_at, cells_near, grown
 from crms_fenicsx.contact.lift_off import drape
 from crms_fenicsx.meshes.edge_table import EdgeTable, edge_keys
 from crms_fenicsx.meshes.smooth_surface import SmoothSurface, curve_length

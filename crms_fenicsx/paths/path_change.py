@@ -14,8 +14,7 @@ import numpy as np
 
 from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.crossings import at_nodes
-from crms_fenicsx.cables.strip import Strip
-from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.cables.strip import Strip, StripShape
 from crms_fenicsx.model.cable_state import CableNode, End
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import INSIDE, STAYS

@@ -24,7 +24,7 @@ from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.meshes.smooth_surface import CREASE
 from crms_fenicsx.meshes.triangles import area_vectors
-from crms_fenicsx.results.cell_tensors import cell_tensors
+from crms_fenicsx.results.quantities import cell_tensors
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.surface.points import VertexPoint

@@ -17,9 +17,8 @@ from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.model.materials import ALL, Strengths, checked_strengths
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.versions import UNBALANCED
-from crms_fenicsx.results.cell_tensors import added_forces, cell_tensors
 from crms_fenicsx.results.places import PlaceResults, find_places
-from crms_fenicsx.results.quantities import QUANTITIES
+from crms_fenicsx.results.quantities import QUANTITIES, added_forces, cell_tensors
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.runtime.checks import counted, span

@@ -8,7 +8,7 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.minimization.stiffness_matrix import exact_matrix
+from crms_fenicsx.minimization.membrane_multigrid import exact_matrix
 from crms_fenicsx.results.reactions import nodal_forces
 from crms_fenicsx.runtime.arrays import Array
 

@@ -7,11 +7,11 @@ from typing import Literal
 
 from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.deformed_surface import gained_volume
-from crms_fenicsx.model.handle import Stateful
 from crms_fenicsx.model.sealed_air import SealedAir
 from crms_fenicsx.model.versions import Versions, changes_model
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, collective
+from crms_fenicsx.runtime.handle import Stateful
 
 
 @dataclass(frozen=True)

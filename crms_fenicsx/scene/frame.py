@@ -16,7 +16,7 @@ from crms_fenicsx.model.versions import Versions, changes_model
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, as_text, collective
-from crms_fenicsx.runtime.readonly import ReadOnly
+from crms_fenicsx.runtime.handle import ReadOnly
 
 Place = Sequence[float] | Array
 """A point in space, (3,) (length)."""

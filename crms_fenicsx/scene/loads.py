@@ -9,7 +9,6 @@ from typing import Any
 from dolfinx import fem
 
 from crms_fenicsx.model.bar import Joint
-from crms_fenicsx.model.handle import Stateful
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.membrane_load import (
     Area,
@@ -27,7 +26,7 @@ from crms_fenicsx.model.versions import Versions
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, collective
-from crms_fenicsx.runtime.readonly import ReadOnly
+from crms_fenicsx.runtime.handle import ReadOnly, Stateful
 from crms_fenicsx.scene.frame import Frame, Place
 
 AIR = ("pressure", "temperature", "atmosphere")

@@ -25,7 +25,7 @@ from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.runtime.checks import counted, span
 from crms_fenicsx.runtime.errors import InputError, collective, raised_together
-from crms_fenicsx.runtime.readonly import ReadOnly
+from crms_fenicsx.runtime.handle import ReadOnly
 from crms_fenicsx.scene.air import Air
 from crms_fenicsx.scene.frame import Frame
 from crms_fenicsx.scene.loads import Loads

@@ -19,8 +19,7 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.solver import Solver
 from crms_fenicsx.study.build import Build, built, comm_of
-from crms_fenicsx.study.richardson import Extrapolated, extrapolated
-from crms_fenicsx.study.values import Quantities
+from crms_fenicsx.study.values import Extrapolated, Quantities, extrapolated
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

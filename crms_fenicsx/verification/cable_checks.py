@@ -14,11 +14,10 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.cables.numbering import CableNumbering
-from crms_fenicsx.cables.strip import Strip
-from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.cables.strip import Strip, StripShape
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.meshes.triangles import norm
-from crms_fenicsx.model.crossing import Crossing
+from crms_fenicsx.model.cable_state import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.surface.points import Edge, EdgePoint

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.contact_force import contact_forces, forces_at, held_nodes, wrap_angles
 from crms_fenicsx.contact.lift_off import is_foot, may_lift, outward_pulls
 from crms_fenicsx.equilibrium.system import System

@@ -8,8 +8,7 @@ from mpi4py import MPI
 from term_scene import ISOTROPIC, irregular_square
 
 from crms_fenicsx import Cable, Scene
-from crms_fenicsx.cables.strip import EMPTY, Strip, cells_at
-from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.cables.strip import EMPTY, Strip, StripShape, cells_at
 from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.compat import geometry_dofmap
 

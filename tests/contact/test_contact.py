@@ -14,8 +14,7 @@ import pytest
 from cable_edits import put
 
 from crms_fenicsx import Cable
-from crms_fenicsx.cables.strip import Strip
-from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.cables.strip import Strip, StripShape
 from crms_fenicsx.contact.active_set import joins, parting
 from crms_fenicsx.contact.lift_off import (
     DEPTH,
@@ -32,8 +31,7 @@ from crms_fenicsx.contact.lift_off import (
     touch,
     under,
 )
-from crms_fenicsx.model.cable_state import CableNode, CableState
-from crms_fenicsx.model.crossing import Crossing
+from crms_fenicsx.model.cable_state import CableNode, CableState, Crossing
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 from crms_fenicsx.model.tolerances import INSIDE, SAME_PLACE
 from crms_fenicsx.runtime.arrays import Array

@@ -8,8 +8,7 @@ from cabled_square import clamped
 from reference_meshes import square
 
 from crms_fenicsx import Scene
-from crms_fenicsx.cables.strip import cells_near
-from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.cables.strip import StripShape, cells_near
 from crms_fenicsx.contact.span_projection import project_span
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.paths.creased_surface import CreasedSurface

@@ -12,7 +12,7 @@ from taylor import (
 from term_scene import cable_square, directions, displaced, moved, on_mesh
 
 from crms_fenicsx.energies.cable_tension import CableTension
-from crms_fenicsx.energies.paper.step_cable import StepCableTension
+from crms_fenicsx.energies.paper.cable_elements import StepCableTension
 from crms_fenicsx.energies.segments import (
     add_segment_forces,
     segment_lengths,

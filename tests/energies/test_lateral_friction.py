@@ -9,9 +9,9 @@ from taylor import TermOnPoints, gradient_order, is_semidefinite, noise, stiffne
 from term_scene import on_mesh
 
 from crms_fenicsx.cables.node_positions import NodePositions
-from crms_fenicsx.energies.edge_fractions import edge_fractions
 from crms_fenicsx.energies.lateral_friction import LateralFriction, Slips
-from crms_fenicsx.energies.paper.friction_element import FrictionElementEnergy, FrictionElements
+from crms_fenicsx.energies.paper.cable_elements import FrictionElementEnergy, FrictionElements
+from crms_fenicsx.energies.segments import edge_fractions
 from crms_fenicsx.energies.smooth_coulomb import friction_energy, friction_potentials
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.friction.slip import node_slips

@@ -20,7 +20,7 @@ from term_scene import (
 
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.folded_pressure import Facets, FoldedFollowerPressure
-from crms_fenicsx.energies.paper.step_pressure import StepPressure
+from crms_fenicsx.energies.paper.step_membrane import StepPressure
 from crms_fenicsx.energies.pressure import FollowerPressure
 from crms_fenicsx.scene import Scene
 

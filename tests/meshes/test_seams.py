@@ -17,8 +17,7 @@ from crms_fenicsx import (
     Solver,
     meshes,
 )
-from crms_fenicsx.cables.strip import cells_near
-from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.cables.strip import StripShape, cells_near
 from crms_fenicsx.contact.lift_off import size_at
 from crms_fenicsx.contact.span_projection import project_span
 from crms_fenicsx.equilibrium.system import System

@@ -14,7 +14,7 @@ from cabled_square import CABLE, KINDS, PRESSURE, order, place, sheet
 from mpi4py import MPI
 
 from crms_fenicsx import Scene, Solver
-from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import BEYOND
 from crms_fenicsx.paths import vertex_passing

@@ -14,7 +14,7 @@ from crms_fenicsx import Bar, Cable, ConvergenceError, Friction, Scene, Solver
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.model.cable_state import CableState
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.runtime.readonly import ReadOnly
+from crms_fenicsx.runtime.handle import ReadOnly
 
 FAILURE = Outcome(False, "made to fail", 1.0, 0.0, 0, 0, 0)
 CABLES = {

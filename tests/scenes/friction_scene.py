@@ -10,7 +10,7 @@ from cable_edits import put
 from mpi4py import MPI
 from term_scene import ISOTROPIC, SIDE, irregular_square
 
-from crms_fenicsx.cables.strip_positions import StripShape
+from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.friction.lateral import start_step
 from crms_fenicsx.model.cable import Cable

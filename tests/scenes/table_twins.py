@@ -14,7 +14,7 @@ from polygon_twins import split_slowly
 from crms_fenicsx.cables.numbering import CableNumbering
 from crms_fenicsx.cables.points_on_edges import points_by_edge
 from crms_fenicsx.cables.strip import Strip
-from crms_fenicsx.model.crossing import NodeId
+from crms_fenicsx.model.cable_state import NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import SAME_PLACE, SMOOTHING
 from crms_fenicsx.surface.points import Edge, EdgePoint

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from crms_fenicsx.study.richardson import extrapolated
+from crms_fenicsx.study.values import extrapolated
 
 
 def levels(limit, *parts, n=3):

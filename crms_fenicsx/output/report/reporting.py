@@ -28,7 +28,7 @@ from crms_fenicsx.output.report.sections import Report
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import absolute, make_writable, replaced
-from crms_fenicsx.runtime.readonly import ReadOnly
+from crms_fenicsx.runtime.handle import ReadOnly
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.scene.state import SceneState
 from crms_fenicsx.steps.load_cases import Combination

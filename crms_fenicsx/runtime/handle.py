@@ -1,7 +1,8 @@
-"""Attributes that users read and only the package writes."""
+"""Attributes that users read and only the package writes, and things that own a state."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from operator import attrgetter
 from typing import Any, Generic, NoReturn, TypeVar, overload
 
@@ -34,3 +35,25 @@ class ReadOnly(Generic[Value]):
         raise AttributeError(
             f"{self._owner}.{self._name} = {value!r}: it cannot be assigned; {self._remedy}."
         )
+
+
+StateT = TypeVar("StateT")
+
+
+class Stateful(Generic[StateT]):
+    """Something that owns a `state`, a frozen dataclass, and alone replaces it."""
+
+    state: StateT
+
+    def update(self, **changes: Any) -> None:
+        """Replace fields of the state, by name; for the package alone."""
+        self.state = replace(self.state, **changes)  # type: ignore[type-var]
+
+
+class Handle(Stateful[StateT]):
+    """A named part of a scene that users hold, such as a cable: files know it by its name."""
+
+    name: ReadOnly[str] = ReadOnly("_name", "give the name when it is made")
+
+    def __init__(self, name: str, state: StateT) -> None:
+        self._name, self.state = name, state
