@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from crms_fenicsx.cables.numbering import CableNumbering
-from crms_fenicsx.cables.points_on_edges import ANCHOR, CROSSING, FOLD, RIDER
+from crms_fenicsx.cables.points_on_edges import ANCHOR, CROSSING, FOLD, TIED
 from crms_fenicsx.energies.fold_penalty import FoldAngles
 from crms_fenicsx.energies.folded_membrane import FoldedCells
 from crms_fenicsx.energies.folded_pressure import Facets
@@ -169,7 +169,7 @@ def _smoothing(numbering: CableNumbering, own: Integers) -> Array:
         return of[first] | of[second]
 
     slides = one((nodes.kind == CROSSING) | nodes.slides)
-    slides |= (links.on[own] >= 0) & one(nodes.kind != RIDER)
+    slides |= (links.on[own] >= 0) & one(nodes.kind != TIED)
     # An anchor may be moved off the held place next to it by very little: lengths are exact from
     # there on. It may lie on that place: no direction, and none is needed.
     near = np.where(one(nodes.kind == ANCHOR), NEAR_ANCHOR, 1.0)

@@ -38,15 +38,17 @@ class NodePositions:
         self._sliders = np.flatnonzero(nodes.slides[self._own])
 
     def _list_lines(self) -> None:
-        """This rank's edges with the points on them, and its rails."""
+        """This rank's edges with the points on them, and its edge sliders."""
         numbering, points, nodes = self.numbering, self.numbering.points, self.numbering.nodes
         owner = numbering.strip.simplices.owner
         edges = points.edges[owner[points.edges] == numbering.rank]
         self._lines = _Lines(*numbering.lines(edges))
         self._on_lines = points.nodes[runs(points.starts[edges], points.counts[edges])]
-        rails = [int(nodes.starts[c]) + k for c, k in numbering.rails.members]
-        self._rails = np.array(rails, dtype=np.int64)
-        self._own_rails = np.flatnonzero(numbering.node_owners[self._rails] == numbering.rank)
+        edge_sliders = [int(nodes.starts[c]) + k for c, k in numbering.edge_sliders.members]
+        self._edge_sliders = np.array(edge_sliders, dtype=np.int64)
+        self._own_edge_sliders = np.flatnonzero(
+            numbering.node_owners[self._edge_sliders] == numbering.rank
+        )
 
     def _list_links(self) -> None:
         """Links with crossings on them, and which two nodes each crossing is."""
@@ -70,15 +72,15 @@ class NodePositions:
         The points of slack cables in x are brought up to date.
         """
         numbering, unknowns = self.numbering, self.unknowns
-        unknowns.place_idle_riders(x)
+        unknowns.place_idle_tied_points(x)
         local = np.zeros((self._starts[-1], 7))  # position, fraction, place when stress-free
         position, fraction, material = local[:, :3], local[:, 3], local[:, 4:]
         places = unknowns.X + x
         position[self._own] = places[self._blocks]
         fraction[self._on_lines] = self._lines.shares(places)
-        if len(self._rails):
-            found = numbering.rails.fractions(unknowns, x)
-            fraction[self._rails[self._own_rails]] = found[self._own_rails]
+        if len(self._edge_sliders):
+            found = numbering.edge_sliders.fractions(unknowns, x)
+            fraction[self._edge_sliders[self._own_edge_sliders]] = found[self._own_edge_sliders]
         # whoever owns a sliding point has found its place on its edge, too
         before = np.concatenate([cable.fractions for cable in numbering.cables])
         sliders = self._own[self._sliders]

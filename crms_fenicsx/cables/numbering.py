@@ -17,8 +17,8 @@ from dolfinx import fem
 
 from crms_fenicsx.cables.points_on_edges import (
     ANCHOR,
-    RAIL,
-    RIDER,
+    EDGE_SLIDER,
+    TIED,
     VERTEX,
     NodeTable,
     PointsOnEdges,
@@ -31,8 +31,8 @@ from crms_fenicsx.runtime.arrays import Array, Indices, Integers, pointers, runs
 from crms_fenicsx.surface.points import Edge
 
 
-class Rails:
-    """The rails of cables in tension that this rank knows.
+class EdgeSliders:
+    """The edge sliders of cables in tension that this rank knows.
 
     Shapes: members (n,), blocks (n,), ends (n, 2).
     """
@@ -47,21 +47,21 @@ class Rails:
         self._cables, self.members, self.blocks, self.ends = cables, members, blocks, ends
 
     def known_fractions(self) -> Array:
-        """Places on the edges where the cables have the rails, (n,)."""
+        """Places on the edges where the cables have the edge sliders, (n,)."""
         return np.array([self._cables[c].fractions[k] for c, k in self.members], dtype=float)
 
     def place(self, unknowns: Unknowns, x: Array) -> None:
-        """Put the rails where they were on their edges, which may have been moved with x."""
+        """Put the edge sliders where they were on their edges, which may have been moved with x."""
         if not self.members:
             return
         places = unknowns.X[self.ends] + x[self.ends]
         sides = places[:, 1] - places[:, 0]
         unknowns.X[self.blocks] = places[:, 0] + self.known_fractions()[:, None] * sides
         x[self.blocks] = 0.0
-        unknowns.set_rails(self.blocks, sides / np.linalg.norm(sides, axis=1)[:, None])
+        unknowns.set_edge_sliders(self.blocks, sides / np.linalg.norm(sides, axis=1)[:, None])
 
     def fractions(self, unknowns: Unknowns, x: Array) -> Array:
-        """Places on the edges where the displacements x have the rails, (n,)."""
+        """Places on the edges where the displacements x have the edge sliders, (n,)."""
         start, end = (unknowns.X[own] + x[own] for own in self.ends.T)
         side, way = end - start, unknowns.X[self.blocks] + x[self.blocks] - start
         fractions: Array = np.sum(way * side, axis=1) / np.sum(side**2, axis=1)
@@ -181,7 +181,7 @@ class CableNumbering:
         ]
         off = np.repeat(links.on < 0, 2)
         owner, ends = np.repeat(links.owner, 2)[off], ends.ravel()[off]
-        given = np.isin(self.nodes.kind[ends], (VERTEX, RAIL, RIDER))
+        given = np.isin(self.nodes.kind[ends], (VERTEX, EDGE_SLIDER, TIED))
         supports = self.nodes.support[ends[given]]
         far = np.stack([np.repeat(owner[given], 3), supports.ravel()], axis=1)
         # Vertices at ends of spans, on ranks without them.
@@ -190,7 +190,8 @@ class CableNumbering:
     def _find_far_vertices(self, far: Sequence[tuple[int, int]]) -> None:
         """Owner and number there of the vertices at ends of spans that this rank has not.
 
-        Those that are the ends themselves, and those on which rails and riders at ends depend.
+        Those that are the ends themselves, and those on which edge sliders and tied points at ends
+        depend.
         """
         strip = self.strip
         far = [(rank, v) for rank, v in far if not np.any(strip.owner[strip.rows((v,))] == rank)]
@@ -275,34 +276,34 @@ class CableNumbering:
         """
         nodes, rows, joints = self.nodes, self._own_points, self._joint_blocks()
         unknowns.held[self.node_blocks[rows[nodes.kind[rows] == ANCHOR]]] = True
-        rides = (nodes.kind == RIDER) | (nodes.slides & ~nodes.taut) | (joints >= 0)
+        rides = (nodes.kind == TIED) | (nodes.slides & ~nodes.taut) | (joints >= 0)
         loaded, idle = (rows[rides[rows] & (nodes.taut[rows] == taut)] for taut in (True, False))
-        riders = np.concatenate([loaded, idle])
-        weights = nodes.weights[riders]
-        slides = nodes.slides[riders]
-        s = self.fractions()[riders[slides]]
+        tied_points = np.concatenate([loaded, idle])
+        weights = nodes.weights[tied_points]
+        slides = nodes.slides[tied_points]
+        s = self.fractions()[tied_points[slides]]
         weights[slides, :2] = np.stack([1 - s, s], axis=1)
-        ends = self.support_blocks(riders)
-        on_joint = joints[riders] >= 0
-        ends[on_joint, 0], weights[on_joint, 0] = joints[riders[on_joint]], 1.0
-        unknowns.set_riders(
-            self.node_blocks[riders].astype(np.int32),
+        ends = self.support_blocks(tied_points)
+        on_joint = joints[tied_points] >= 0
+        ends[on_joint, 0], weights[on_joint, 0] = joints[tied_points[on_joint]], 1.0
+        unknowns.set_tied_points(
+            self.node_blocks[tied_points].astype(np.int32),
             np.where(ends < 0, ends[:, :1], ends).astype(np.int32),
             weights,
             len(loaded),
         )
-        rails = rows[(nodes.kind[rows] == RAIL) & nodes.taut[rows]]
-        self.rails = Rails(
+        edge_sliders = rows[(nodes.kind[rows] == EDGE_SLIDER) & nodes.taut[rows]]
+        self.edge_sliders = EdgeSliders(
             self.cables,
-            nodes.ids(rails),
-            self.node_blocks[rails].astype(np.int32),
-            self.support_blocks(rails)[:, :2].astype(np.int32),
+            nodes.ids(edge_sliders),
+            self.node_blocks[edge_sliders].astype(np.int32),
+            self.support_blocks(edge_sliders)[:, :2].astype(np.int32),
         )
-        if np.any((nodes.kind == RAIL) & nodes.taut):
+        if np.any((nodes.kind == EDGE_SLIDER) & nodes.taut):
             vector, x = unknowns.vector()
             x[unknowns.vertex_blocks()] = self.u.x.array.reshape(-1, 3)
             unknowns.update_ghosts(vector)  # on far vertices
-            self.rails.place(unknowns, x)
+            self.edge_sliders.place(unknowns, x)
             vector.destroy()
 
     def _joint_blocks(self) -> Integers:

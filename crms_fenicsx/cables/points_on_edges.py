@@ -13,9 +13,9 @@ from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, pointers
 from crms_fenicsx.surface.points import Edge, EdgePoint
 
-VERTEX, FOLD, RAIL, RIDER, ANCHOR, CROSSING = range(6)
+VERTEX, FOLD, EDGE_SLIDER, TIED, ANCHOR, CROSSING = range(6)
 NUMBERS = dict(
-    zip(("vertex", "fold", "rail", "rider", "anchor", "crossing"), range(6), strict=True)
+    zip(("vertex", "fold", "edge slider", "tied", "anchor", "crossing"), range(6), strict=True)
 )
 """The numbers of `CableNode.kind`."""
 
@@ -53,7 +53,7 @@ class NodeTable:
         self.taut = np.repeat(np.array([cable.taut for cable in cables], dtype=bool), counts)
         empty = np.zeros(0, dtype=bool)
         self.lifted = np.concatenate([empty, *(cable.lifted for cable in cables)])
-        self.slides = (self.kind == FOLD) | (self.kind == RAIL)
+        self.slides = (self.kind == FOLD) | (self.kind == EDGE_SLIDER)
 
     def ids(self, rows: Integers) -> list[NodeId]:
         """Numbers of the cable and of the node for some rows."""

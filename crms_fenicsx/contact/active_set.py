@@ -134,7 +134,8 @@ class ActiveSet:
         Near the limit a cable is in equilibrium both slack, on flat cells, and in tension, on cells
         that it has folded and that bulge. It is in tension if it is nearly tight on flat cells and
         stays so on folded ones, which is tried once in each solve. One that is in tension, but on
-        flat cells would be slack, is let go first, so that the way there does not matter.
+        flat cells would be slack, is let go first, so that the way there does not
+        matter; not where friction holds it along, as then the way does.
         """
         if cable.cable.law == "step":
             return []
@@ -143,7 +144,7 @@ class ActiveSet:
         untried = cable.name not in self._tried and not self._rested(cable)
         judged = solved and cable.taut
         taut = tight = cable.is_tight(nearly=untried and not judged)
-        if judged and tight and untried and cable.slides_freely:
+        if judged and tight and untried and cable.slides_freely and cable.axial is None:
             taut = contact.flat_length(cable, shape) > cable.L0
         if taut == cable.taut:
             return []

@@ -66,7 +66,7 @@ def held_nodes(cable: LaidCable) -> list[int]:
     return [
         k
         for k in cable.contacts()
-        if cable.nodes[k].kind in ("fold", "rail", "vertex") and 0 < k < len(cable.nodes) - 1
+        if cable.nodes[k].kind in ("fold", "edge slider", "vertex") and 0 < k < len(cable.nodes) - 1
     ]
 
 
@@ -270,10 +270,12 @@ def edge_directions(cable: LaidCable, nodes: Sequence[int] | Integers, shape: St
     edges = [point.edge for k in nodes if isinstance(point := cable.nodes[k].point, EdgePoint)]
     ends = shape.current[np.searchsorted(shape.strip.vertices, np.array(edges))]
     x = cable.positions[nodes]
-    # The edge of a rail is straight, and the rail may lie beyond an end of it.
-    rails = np.array([cable.nodes[k].kind == "rail" for k in nodes])[:, None]
-    halves = np.stack([np.where(rails, ends[:, 1] - ends[:, 0], x - ends[:, 0]), ends[:, 1] - x])
-    halves[1] = np.where(rails, 0.0, halves[1])
+    # The edge of an edge slider is straight, and the edge slider may lie beyond an end of it.
+    edge_sliders = np.array([cable.nodes[k].kind == "edge slider" for k in nodes])[:, None]
+    halves = np.stack(
+        [np.where(edge_sliders, ends[:, 1] - ends[:, 0], x - ends[:, 0]), ends[:, 1] - x]
+    )
+    halves[1] = np.where(edge_sliders, 0.0, halves[1])
     sizes = norm(halves)[..., None]
     edge = (halves / np.where(sizes > 0.0, sizes, 1.0)).sum(axis=0)
     return np.asarray(edge / norm(edge)[:, None])
@@ -348,7 +350,7 @@ def smooth_line_load(
 
 def _may_slide(cable: LaidCable, k: int) -> bool:
     """Whether a node is neither an end of its cable nor tied to the membrane."""
-    return cable.nodes[k].kind != "rider" and 0 < k < len(cable.nodes) - 1
+    return cable.nodes[k].kind != "tied" and 0 < k < len(cable.nodes) - 1
 
 
 def _beside_anchor(cable: LaidCable, k: int) -> bool:

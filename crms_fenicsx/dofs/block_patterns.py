@@ -152,8 +152,8 @@ class BlockPattern:
     def add(self, A: PETSc.Mat | BlockSink, unknowns: Unknowns) -> None:
         """Add what `values` holds.
 
-        Points that ride on vertices hand their part on to them; of rails the part along their
-        lines counts.
+        Points that ride on vertices hand their part on to them; of edge sliders the part along
+        their lines counts.
         """
         if not isinstance(A, PETSc.Mat):
             A.take(self)
@@ -164,7 +164,7 @@ class BlockPattern:
             return
         values: Array = self.values
         sources, weights = self._sources, self._weights
-        if unknowns.n_rails:
+        if unknowns.n_edge_sliders:
             rows, cols = self._places
             values = weights[:, None, None] * values[sources]
             values = unknowns.project_blocks(rows, cols, values)

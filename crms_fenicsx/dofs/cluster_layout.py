@@ -19,9 +19,9 @@ class ClusterLayout:
     Attributes: `blocks` (n,): the blocks, cluster by cluster; `starts` (n_clusters + 1,): where
     each cluster begins among them; `cluster` (n,): number of each block's cluster; `number`
     (n_local,): place of the layout's blocks among `blocks`, -1 for others; `groups` (n_local,):
-    cluster that each block of the layout moves with, or -1; `rails`, `directions`: places of those
-    that are displaced along a line only, and these lines, (k, 3); `held` (n, 3): components with a
-    prescribed value. Shapes: blocks (n,).
+    cluster that each block of the layout moves with, or -1; `edge_sliders`, `directions`: places of
+    those that are displaced along a line only, and these lines, (k, 3); `held` (n, 3): components
+    with a prescribed value. Shapes: blocks (n,).
     """
 
     comm = MPI.COMM_SELF
@@ -41,17 +41,20 @@ class ClusterLayout:
         moved = self._moved_by(np.arange(self.n_local, dtype=np.int32))
         self.groups: Integers = np.append(self.cluster, -1)[moved.max(axis=1)]
         self.held = whole.held[self.blocks]
-        rails = self.number[whole.rails]
-        self.rails, self.directions = rails[rails >= 0], whole.directions[rails >= 0]
+        edge_sliders = self.number[whole.edge_sliders]
+        self.edge_sliders, self.directions = (
+            edge_sliders[edge_sliders >= 0],
+            whole.directions[edge_sliders >= 0],
+        )
 
     def _moved_by(self, blocks: Indices) -> Integers:
-        """Free blocks that blocks (m,) move with, by number: (m, 1), with riders (m, 3), or -1."""
+        """Free blocks that blocks (m,) move with, by number: (m, 1); of tied points (m, 3)."""
         whole = self.whole
-        if whole.n_riders == 0:
+        if whole.n_tied_points == 0:
             return self.number[blocks][:, None]
         moved = np.full((whole.n_local, 3), -1)
         moved[:, 0] = self.number
-        moved[whole.riders] = self.number[whole.interpolation]
+        moved[whole.tied_points] = self.number[whole.interpolation]
         return moved[blocks]
 
     def _connect(self, n: int, elements: Sequence[tuple[Indices, Indices]]) -> Integers:
@@ -79,5 +82,5 @@ class ClusterLayout:
     def project(self, values: Array) -> None:
         """Leave of vectors of the blocks, (n, 3), what they are free to move by."""
         np.copyto(values, 0.0, where=self.held)
-        along = np.sum(values[self.rails] * self.directions, axis=1)
-        values[self.rails] = along[:, None] * self.directions
+        along = np.sum(values[self.edge_sliders] * self.directions, axis=1)
+        values[self.edge_sliders] = along[:, None] * self.directions

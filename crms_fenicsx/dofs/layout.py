@@ -209,7 +209,7 @@ class Unknowns(LocalBlocks):
             vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
 
     def gather_forces(self, vector: PETSc.Vec, g: Array) -> None:
-        """Hand the riders' forces to their vertices and those of ghosts to their owners.
+        """Hand the tied points' forces to their vertices and those of ghosts to their owners.
 
         `g` is the vector's local array, (n, 3).
         """

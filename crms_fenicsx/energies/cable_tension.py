@@ -51,9 +51,9 @@ class CableSegments(ElementTable):
 class CableTension(EnergyTerm):
     """``EA/(2 L0) (L - L0)^2`` where L > L0, L the length of a cable's whole polyline.
 
-    Attributes: `excess` (n_cables,): what smoothing adds to each cable's length (length), and is
-    taken off it again; it is that of the state before. Changed in place between solves. Shapes and
-    units: segments, eps, cable (n,), EA, L0 (n_cables,) (force).
+    Attributes: `smoothing_length` (n_cables,): what smoothing adds to each cable's length (length),
+    and is taken off it again; it is that of the state before. Changed in place between solves.
+    Shapes and units: segments, eps, cable (n,), EA, L0 (n_cables,) (force).
     """
 
     name = "cables"
@@ -72,7 +72,7 @@ class CableTension(EnergyTerm):
     ) -> None:
         self.segments, self.eps, self.cable = segments, eps, cable
         self.EA, self.L0 = EA, L0
-        self.excess: Array = np.zeros(len(EA))
+        self.smoothing_length: Array = np.zeros(len(EA))
         self.n_sums = len(EA)
         self._lengths = np.zeros(len(segments))
         self._forces = np.zeros(len(segments))
@@ -82,7 +82,7 @@ class CableTension(EnergyTerm):
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of each cable's length."""
         segment_lengths(self.unknowns.X, x, self.segments, self.eps, self._lengths)
-        out[:] = -self.excess if self.unknowns.comm.rank == 0 else 0.0
+        out[:] = -self.smoothing_length if self.unknowns.comm.rank == 0 else 0.0
         np.add.at(out, self.cable, self._lengths)
 
     def tensions(self, lengths: Array) -> Array:
@@ -152,7 +152,7 @@ class CableTension(EnergyTerm):
         """The tension of such segments; the rest of each cable keeps its length."""
         some = CableTension(table.ends, table.eps, table.cable, self.EA, self.L0)
         some._lengths[:] = table.lengths
-        some.excess = some._moving() - sums
+        some.smoothing_length = some._moving() - sums
         return some
 
     def _moving(self) -> Array:
@@ -175,8 +175,8 @@ class CableTension(EnergyTerm):
         L0, EA = self.L0[cables], self.EA[cables] * count
         some = CableTension(self.segments, self.eps, piece.astype(np.int32), EA, L0)
         some._lengths[:] = self._lengths
-        stretch = (self._moving() - self.excess - self.L0)[cables] / count
-        some.excess = some._moving() - L0 - stretch
+        stretch = (self._moving() - self.smoothing_length - self.L0)[cables] / count
+        some.smoothing_length = some._moving() - L0 - stretch
         return some
 
     def add_dyads(self, x: Array, sums: Array, A: BlockSink) -> None:

@@ -91,7 +91,7 @@ class CableContribution(Contribution):
             for cable in self.gripped:
                 remap_axial(cable)
             grips = grip_table(self.numbering, self.scene.net.strip_shape())
-            L0 = np.array([cable.L0 + cable.excess for cable in self.gripped])
+            L0 = np.array([cable.L0 + cable.smoothing_length for cable in self.gripped])
             self.capstan = CapstanTension(chain_table(self.numbering, self.tables), grips, L0)
             terms.append(self.capstan)
         return terms
@@ -115,13 +115,13 @@ class CableContribution(Contribution):
         places = unknowns.X.copy()
         numbering.place_points(places)
         potential.x[own] = places[own] - unknowns.X[own]
-        unknowns.update_ghosts(potential.x_vector)  # far vertices, with rails on them
-        numbering.rails.place(unknowns, potential.x)
+        unknowns.update_ghosts(potential.x_vector)  # far vertices, with edge sliders on them
+        numbering.edge_sliders.place(unknowns, potential.x)
         if self.tension is not None:
             self.tension.L0[:] = [cable.L0 for cable in self.sliding]
-            self.tension.excess[:] = [cable.excess for cable in self.sliding]
+            self.tension.smoothing_length[:] = [cable.smoothing_length for cable in self.sliding]
         if self.capstan is not None:
-            self.capstan.L0[:] = [cable.L0 + cable.excess for cable in self.gripped]
+            self.capstan.L0[:] = [cable.L0 + cable.smoothing_length for cable in self.gripped]
 
     def locate(self, potential: Potential) -> None:
         self.node_positions.gather(potential.x)
@@ -136,7 +136,7 @@ class CableContribution(Contribution):
             length = polyline_length(cable.positions[cable.contacts()])
             cable.update(length=length, tension=tension)
 
-    def renew_excess(self, potential: Potential) -> bool:
+    def renew_smoothing_length(self, potential: Potential) -> bool:
         lengths: list[tuple[LaidCable, float]] = []
         if self.tension is not None:
             sums = potential.sums_of(self.tension)
@@ -145,13 +145,13 @@ class CableContribution(Contribution):
             sums = potential.sums_of(self.capstan)
             for c, cable in enumerate(self.gripped):
                 spans = sums[self.capstan.spans_of(c)]
-                lengths.append((cable, float(spans.sum()) - cable.excess))
+                lengths.append((cable, float(spans.sum()) - cable.smoothing_length))
         changed = False
         for cable, length in lengths:
             more = length - cable.length
             if abs(more) > UNSMOOTHED * cable.L0:
                 logger.debug("%s: smoothing adds %.3g to its length", cable.name, more)
-                cable.update(excess=cable.excess + more)
+                cable.update(smoothing_length=cable.smoothing_length + more)
                 changed = True
         return changed
 

@@ -46,7 +46,7 @@ class Contribution:
     def renew_friction(self) -> None:
         """Take the friction forces of the scene's cables. Collective."""
 
-    def renew_excess(self, potential: Potential) -> bool:
+    def renew_smoothing_length(self, potential: Potential) -> bool:
         """Take off the cables' lengths what smoothing adds to them; say whether that changed."""
         return False
 

@@ -165,7 +165,7 @@ class EquilibriumSearch:
         """
 
         for k in range(MAX_LENGTHS):
-            if not outcome.converged or not self.system.renew_excess():
+            if not outcome.converged or not self.system.renew_smoothing_length():
                 return outcome
             if k == 0:
                 again = FrictionLoop(contacts, contacts.solve_in_cells, self.tried).solve((0.0,))
@@ -184,7 +184,7 @@ class EquilibriumSearch:
         from crms_fenicsx.friction.lateral import start_step
 
         shape = net.strip_shape()
-        known = all(cable.slides_freely or cable.grip is not None for cable in net.cables)
+        known = all(cable.slides_freely or cable.lateral is not None for cable in net.cables)
         for cable in net.cables:
             start_step(cable, shape)
         if not known:

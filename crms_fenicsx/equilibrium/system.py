@@ -201,9 +201,9 @@ class System:
         for part in self.contributions:
             part.renew_friction()
 
-    def renew_excess(self) -> bool:
+    def renew_smoothing_length(self) -> bool:
         """Take off the cables' lengths what smoothing adds to them; say whether that changed."""
-        return any([part.renew_excess(self.potential) for part in self.contributions])
+        return any([part.renew_smoothing_length(self.potential) for part in self.contributions])
 
     def minimize(
         self, h0_prestress: tuple[float, ...], interrupt: Callable[[], bool] | None = None

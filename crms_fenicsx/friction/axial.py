@@ -222,7 +222,9 @@ def _curve(
     parts, none = np.zeros(len(on), dtype=np.int64), np.zeros(len(on))
     curve = MaterialCurve(points, arc_lengths(points), parts, none, none)
     passed = arc_lengths(cable.positions)
-    rest = np.interp(passed, passed[[0, *nodes, last]], [0.0, *arcs, cable.L0 + cable.excess])
+    rest = np.interp(
+        passed, passed[[0, *nodes, last]], [0.0, *arcs, cable.L0 + cable.smoothing_length]
+    )
     return curve, rest[on]
 
 
@@ -284,7 +286,7 @@ def grip_table(numbering: CableNumbering, shape: StripShape) -> Grips:
 
 
 def _fold_points(numbering: CableNumbering) -> list[tuple[int, int, int, tuple[int, int]]]:
-    """Fold points and rails on the edges of this rank's cells that friction holds.
+    """Fold points and edge sliders on the edges of this rank's cells that friction holds.
 
     The number of the cable among those held, its number, that of the node among its held ones, and
     the edge.

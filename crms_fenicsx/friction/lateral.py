@@ -62,25 +62,25 @@ def start_step(cable: LaidCable, shape: StripShape) -> None:
     """
     if cable.cable.sideways is None:
         return
-    if cable.grip is None:
+    if cable.lateral is None:
         cable.update(
-            grip=LateralFrictionState(material_curve(cable, shape), (), np.zeros(0), np.zeros(0))
+            lateral=LateralFrictionState(material_curve(cable, shape), (), np.zeros(0), np.zeros(0))
         )
     remap(cable)
-    grip, friction = cable.grip, cable.cable.sideways
+    grip, friction = cable.lateral, cable.cable.sideways
     assert grip is not None
     if friction.law == "step":
         bounds = friction.mu * paper_forces(cable)[held_nodes(cable)]
         ways = _ways(cable, grip, shape)
-        cable.update(grip=replace(grip, bounds=bounds, moving=ways, known=True))
+        cable.update(lateral=replace(grip, bounds=bounds, moving=ways, known=True))
         return
     expected = _tension_in_place(cable)
     rises = expected > (1 + LEAST_RISE) * cable.tension
     if not grip.known or (rises and not (cable.tension > 0.0 and grip.bounds.any())):
         force = max(cable.tension, expected, cable.cable.EA * LEAST_STRAIN)
-        cable.update(grip=replace(grip, bounds=np.full(len(grip.supports), force), known=False))
+        cable.update(lateral=replace(grip, bounds=np.full(len(grip.supports), force), known=False))
     elif rises:
-        cable.update(grip=replace(grip, bounds=grip.bounds * (expected / cable.tension)))
+        cable.update(lateral=replace(grip, bounds=grip.bounds * (expected / cable.tension)))
 
 
 def _tension_in_place(cable: LaidCable) -> float:
@@ -112,7 +112,7 @@ def _ways(cable: LaidCable, grip: LateralFrictionState, shape: StripShape) -> Ar
 
 def remap(cable: LaidCable) -> None:
     """Bring the bounds to the nodes that the cable has now."""
-    grip = cable.grip
+    grip = cable.lateral
     if grip is None or (now := tuple(supports_of(cable))) == grip.supports:
         return
     stays, rows, heirs = succession(grip.supports, now)
@@ -138,7 +138,7 @@ def remap(cable: LaidCable) -> None:
             if gone.stop > gone.start and not set(new) & set(stays):
                 law[:, new] = old[:, gone].mean(axis=1, keepdims=True)
         cone = SidewaysLaw(*law)
-    cable.update(grip=replace(grip, supports=now, bounds=bounds, moving=moving, cone=cone))
+    cable.update(lateral=replace(grip, supports=now, bounds=bounds, moving=moving, cone=cone))
 
 
 def energies(cable: LaidCable, shape: StripShape) -> tuple[float, float]:
@@ -146,7 +146,7 @@ def energies(cable: LaidCable, shape: StripShape) -> tuple[float, float]:
 
     Of the slip the part up to eps (see `lateral_friction`) is elastic, with a cone less.
     """
-    friction, grip = cable.cable.sideways, cable.grip
+    friction, grip = cable.cable.sideways, cable.lateral
     if friction is None or grip is None or not cable.taut:
         return 0.0, 0.0
     slips = node_slips(cable, grip.curve, shape)
@@ -161,7 +161,7 @@ def friction_forces(cable: LaidCable, shape: StripShape) -> Array:
     """Friction force at each of the grip's nodes, (n,), positive if it holds a cable that goes left
     (force). A node on a vertex cannot slip: it is given what it takes to hold it, up to its bound.
     """
-    friction, grip = cable.cable.sideways, cable.grip
+    friction, grip = cable.cable.sideways, cable.lateral
     assert friction is not None and grip is not None
     pull = contact_forces(cable, shape).lateral[held_nodes(cable)]
     forces = np.clip(pull, -grip.bounds, grip.bounds)
@@ -176,7 +176,7 @@ def friction_forces(cable: LaidCable, shape: StripShape) -> Array:
 
 def end_step(cable: LaidCable, shape: StripShape) -> None:
     """End a load step: the cable's place is the curve that the next step's slip counts from."""
-    friction, grip = cable.cable.sideways, cable.grip
+    friction, grip = cable.cable.sideways, cable.lateral
     if friction is None or grip is None:
         return
     _, dissipated = energies(cable, shape)
@@ -198,12 +198,14 @@ def end_step(cable: LaidCable, shape: StripShape) -> None:
         cone=None,  # what is left elastically has the same force on its own
         dissipated=grip.dissipated + dissipated,
     )
-    cable.update(grip=ended)
+    cable.update(lateral=ended)
 
 
 def slip_table(numbering: CableNumbering, shape: StripShape) -> Slips:
     """Nodes with stick and slip."""
-    on_edge = points_by_edge(numbering.cables)  # rails may have passed others since the layout
+    on_edge = points_by_edge(
+        numbering.cables
+    )  # edge sliders may have passed others since the layout
     pointers, places, rows = [0], [], []
     blocks: list[int] = []
     for c, _, friction, grip, slips in _slips(numbering, shape, "coulomb"):
@@ -251,6 +253,6 @@ def _slips(
 ) -> Iterator[tuple[int, LaidCable, Friction, LateralFrictionState, NodeSlips]]:
     """Slips of the nodes of the cables that friction of a law holds."""
     for c, cable in enumerate(numbering.cables):
-        friction, grip = cable.cable.sideways, cable.grip
+        friction, grip = cable.cable.sideways, cable.lateral
         if cable.taut and friction is not None and grip is not None and friction.law == law:
             yield c, cable, friction, grip, node_slips(cable, grip.curve, shape)

@@ -83,7 +83,7 @@ class LateralIteration:
 
     def renew(self, shape: StripShape) -> float:
         """Take the bounds from the current state; return their change, relative to their sum."""
-        cable, grip = self.cable, self.cable.grip
+        cable, grip = self.cable, self.cable.lateral
         assert grip is not None
         if not cable.taut:
             return 0.0
@@ -111,7 +111,7 @@ class LateralIteration:
             change = found / total - shares
             part = self._pace.factor(grip.supports, change)
             found = np.asarray(self._add_up(used, total) * (shares + part * change))
-        cable.update(grip=replace(coupled, bounds=found, moving=moving, known=True))
+        cable.update(lateral=replace(coupled, bounds=found, moving=moving, known=True))
         return self.change
 
     def _add_up(self, used: float, found: float) -> float:
@@ -232,11 +232,11 @@ class AxialIteration:
         assert grip is not None
         slips, unstressed = grip.slips.copy(), np.zeros(len(grip.spans))
         full = full_slips(cable, places.size, wrap)
-        L0 = cable.L0 + cable.excess
-        if not cable.cable.cone or cable.grip is None:
+        L0 = cable.L0 + cable.smoothing_length
+        if not cable.cable.cone or cable.lateral is None:
             find_slips(LAW, grip.spans, places.rest, L0, wrap, full, slips, unstressed)
             return _Law(wrap, full, full, slips, unstressed)
-        sideways = slips_sideways(cable, cable.grip, shape, places.nodes)
+        sideways = slips_sideways(cable, cable.lateral, shape, places.nodes)
         for _ in range(MOST_TURNS):
             before, along = slips.copy(), Slip.of(cable.cable.along, slips, full)
             bound, width, elastic = law_along(sideways, along)

@@ -88,7 +88,7 @@ class ClusterMatrix:
             K[at + component] = K[:, at + component] = 0.0
             K[at + component, at + component] = means[block]
         for block, d, mean in zip(
-            layout.rails, layout.directions, means[layout.rails], strict=True
+            layout.edge_sliders, layout.directions, means[layout.edge_sliders], strict=True
         ):
             K, at = self._matrix_at(block)
             along = np.outer(d, d)
@@ -142,8 +142,8 @@ class Clusters:
     g: Array
     moves: Booleans  # (n,) whether they are of the clusters; all others are held
     held: Booleans  # (n, 3) components with a prescribed value
-    directions: Array  # (n, 3) lines of rails; zero for others
-    # rides_on, weights: (n, 3) global numbers of what riders ride on, -1 for others, and its
+    directions: Array  # (n, 3) lines of edge sliders; zero for others
+    # rides_on, weights: (n, 3) global numbers of what tied points ride on, -1 for others, and its
     # weights
     rides_on: Integers
     weights: Array
@@ -158,7 +158,7 @@ class Clusters:
         for _, table in tables:
             for name in table.addresses:
                 used[getattr(table, name)] = True
-        used[unknowns.interpolation[used[unknowns.riders]]] = True
+        used[unknowns.interpolation[used[unknowns.tied_points]]] = True
         blocks = np.flatnonzero(used)
         number = np.full(n, -1, dtype=np.int32)
         number[blocks] = np.arange(len(blocks))
@@ -166,9 +166,9 @@ class Clusters:
         moves[moving] = True
         directions, weights = np.zeros((n, 3)), np.zeros((n, 3))
         rides_on = np.full((n, 3), -1, dtype=np.int64)
-        directions[unknowns.rails] = unknowns.directions
-        rides_on[unknowns.riders] = numbers[unknowns.interpolation]
-        weights[unknowns.riders] = unknowns.weights
+        directions[unknowns.edge_sliders] = unknowns.directions
+        rides_on[unknowns.tied_points] = numbers[unknowns.interpolation]
+        weights[unknowns.tied_points] = unknowns.weights
         values = (
             numbers.astype(np.int64), np.arange(n) < unknowns.n_owned, unknowns.X, potential.x,
             potential.g, moves, unknowns.held, directions, rides_on, weights,
@@ -200,12 +200,12 @@ class Clusters:
         """The blocks as a layout."""
         blocks = LocalBlocks(self.X)
         blocks.held[:] = self.held
-        riders = np.flatnonzero(self.rides_on[:, 0] >= 0).astype(np.int32)
+        tied_points = np.flatnonzero(self.rides_on[:, 0] >= 0).astype(np.int32)
         order = np.argsort(self.numbers)
-        on = order[np.searchsorted(self.numbers[order], self.rides_on[riders])]
-        blocks.set_riders(riders, on.astype(np.int32), self.weights[riders])
-        rails = np.flatnonzero(self.directions.any(axis=1)).astype(np.int32)
-        blocks.set_rails(rails, self.directions[rails])
+        on = order[np.searchsorted(self.numbers[order], self.rides_on[tied_points])]
+        blocks.set_tied_points(tied_points, on.astype(np.int32), self.weights[tied_points])
+        edge_sliders = np.flatnonzero(self.directions.any(axis=1)).astype(np.int32)
+        blocks.set_edge_sliders(edge_sliders, self.directions[edge_sliders])
         return blocks
 
     def elements_of(self, term: int) -> Sequence[ElementTable]:
@@ -239,7 +239,7 @@ def gather(potential: Potential, moves: Booleans, shared: Booleans) -> Clusters:
 def _elements(potential: Potential, moves: Booleans) -> Tables:
     """This rank's elements that depend on some blocks, or on what rides on them."""
     unknowns, chosen = potential.unknowns, moves.copy()
-    chosen[unknowns.riders] |= chosen[unknowns.interpolation].any(axis=1)
+    chosen[unknowns.tied_points] |= chosen[unknowns.interpolation].any(axis=1)
     tables = [(k, term.elements_on(chosen)) for k, term in enumerate(potential.terms)]
     if potential.damping is not None:
         tables.append((SPRINGS, potential.damping.elements_on(chosen)))

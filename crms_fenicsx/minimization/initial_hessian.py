@@ -31,7 +31,7 @@ from crms_fenicsx.minimization.membrane_multigrid import (
     empty_matrix,
     set_defaults,
     shift_diagonal,
-    stiffen_across_rails,
+    stiffen_across_edge_sliders,
     tell_rigid_motions,
 )
 from crms_fenicsx.minimization.potential import Potential
@@ -72,7 +72,7 @@ def direct_solver(comm: MPI.Comm) -> str:
 
 
 class InitialHessian:
-    """H0 of a potential, positive definite; held components and those across rails are decoupled.
+    """H0 of a potential, positive definite; components held or across edge sliders are decoupled.
 
     Attributes: `matrix`: k; `shift` (n_owned,): what was last added to the diagonals of K's owned
     blocks (force/length).
@@ -171,12 +171,12 @@ class InitialHessian:
         self.potential.add_stiffness(A, exact)
         A.assemble()
         traces = block_traces(A, held)
-        sizes = np.array([traces.max(initial=0.0), unknowns.n_rails])
+        sizes = np.array([traces.max(initial=0.0), unknowns.n_edge_sliders])
         unknowns.comm.Allreduce(MPI.IN_PLACE, sizes, op=MPI.MAX)
         largest = float(sizes[0]) if sizes[0] > 0 else 1.0
         self.shift = shift_diagonal(A, traces, EXACT_SHIFT if exact else SHIFT)
         if sizes[1]:
-            stiffen_across_rails(A, unknowns, largest)
+            stiffen_across_edge_sliders(A, unknowns, largest)
         rows = np.flatnonzero(held) + 3 * unknowns.start
         A.zeroRowsColumns(rows.astype(PETSc.IntType), diag=largest)
         A.setOption(PETSc.Mat.Option.SPD, True)
@@ -258,7 +258,7 @@ class InitialHessian:
             y.array -= self._solved @ (self._inner @ self._sums_over_ranks(self._solved, b))
 
     def _take_out(self, y: Array) -> None:
-        """Take out of multigrid's result the components that are held or lie across rails.
+        """Take out of multigrid's result the components that are held or lie across edge sliders.
 
         Its coarse levels know nothing of them. For right-hand sides without them it stays
         symmetric by that.
@@ -266,10 +266,10 @@ class InitialHessian:
         unknowns = self.potential.unknowns
         values = y.reshape(-1, 3)
         values[self._held] = 0.0
-        if unknowns.n_rails:
-            own = unknowns.rails < unknowns.n_owned
-            rails, d = unknowns.rails[own], unknowns.directions[own]
-            values[rails] = np.sum(values[rails] * d, axis=1)[:, None] * d
+        if unknowns.n_edge_sliders:
+            own = unknowns.edge_sliders < unknowns.n_owned
+            edge_sliders, d = unknowns.edge_sliders[own], unknowns.directions[own]
+            values[edge_sliders] = np.sum(values[edge_sliders] * d, axis=1)[:, None] * d
 
     def multiply(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """``y = (K + G C G^T) x``."""

@@ -87,7 +87,7 @@ class LocalPotential:
 
     def _evaluate(self) -> None:
         """Compute the clusters' energies, and the forces on the blocks, at the current state."""
-        self.layout.whole.place_riders(self.x)
+        self.layout.whole.place_tied_points(self.x)
         self._forces[:] = 0.0
         for term, sums in zip(self.terms, self._sums, strict=True):
             term.sums(self.x, sums)

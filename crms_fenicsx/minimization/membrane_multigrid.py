@@ -52,12 +52,15 @@ def add_empty_diagonal(A: PETSc.Mat, unknowns: Unknowns) -> None:
     A.setValuesBlockedLocalRCV(blocks, blocks, zeros, PETSc.InsertMode.ADD)
 
 
-def stiffen_across_rails(A: PETSc.Mat, unknowns: Unknowns, value: float) -> None:
-    """Give the components across the rails, which have no stiffness, this one. Collective."""
-    own = unknowns.rails < unknowns.n_owned
+def stiffen_across_edge_sliders(A: PETSc.Mat, unknowns: Unknowns, value: float) -> None:
+    """Give the components across the edge sliders, which have no stiffness, this one.
+
+    Collective.
+    """
+    own = unknowns.edge_sliders < unknowns.n_owned
     d = unknowns.directions[own]
     across = value * (np.eye(3) - d[:, :, None] * d[:, None, :])
-    blocks = unknowns.matrix_numbers[unknowns.rails[own], None]
+    blocks = unknowns.matrix_numbers[unknowns.edge_sliders[own], None]
     A.setValuesBlockedLocalRCV(blocks, blocks, across.reshape(-1, 9), PETSc.InsertMode.ADD)
     A.assemble()
 
@@ -65,9 +68,10 @@ def stiffen_across_rails(A: PETSc.Mat, unknowns: Unknowns, value: float) -> None
 def exact_matrix(potential: Potential) -> tuple[PETSc.Mat, PETSc.Mat]:
     """Second derivatives at the potential's current state, evaluated there. Collective.
 
-    Rows and columns of held components, of those across rails and of points that no term touches
-    are those of the identity. Returns all of them, and all but the dyads of what couples very many
-    points, as a cable's length; the same object where there are none. They are to be destroyed.
+    Rows and columns of held components, of those across edge sliders and of points that no term
+    touches are those of the identity. Returns all of them, and all but the dyads of what couples
+    very many points, as a cable's length; the same object where there are none. They are to be
+    destroyed.
     """
     unknowns = potential.unknowns
     n, held = unknowns.n_owned, unknowns.held[: unknowns.n_owned]
@@ -75,8 +79,8 @@ def exact_matrix(potential: Potential) -> tuple[PETSc.Mat, PETSc.Mat]:
     add_empty_diagonal(A, unknowns)
     potential.add_stiffness(A, exact=True)
     A.assemble()
-    if unknowns.comm.allreduce(unknowns.n_rails):
-        stiffen_across_rails(A, unknowns, 1.0)
+    if unknowns.comm.allreduce(unknowns.n_edge_sliders):
+        stiffen_across_edge_sliders(A, unknowns, 1.0)
     diagonal = A.getDiagonal()
     idle = ~diagonal.array.reshape(-1, 3).any(axis=1)
     idle[: unknowns.n_vertices] = False

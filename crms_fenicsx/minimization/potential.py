@@ -72,7 +72,7 @@ class Potential:
         if X is not None:
             X.copy(self.x_vector)
         self.unknowns.update_ghosts(self.x_vector)
-        self.unknowns.place_riders(self.x)
+        self.unknowns.place_tied_points(self.x)
         self.unknowns.project(self.x)
         self.unknowns.read_vertices(self.x, self._u)
 
@@ -206,9 +206,9 @@ class Potential:
         """As `evaluate`, term by term; what is known of the current state is not computed again.
 
         Returns energy: energy at the current state (force x length); scale: largest norm of one
-        term's free nodal forces: the scene's own force. Those across rails count, as there may be
-        no other that does not vanish. Where only one term has any, which vanish in equilibrium,
-        those of the supports.
+        term's free nodal forces: the scene's own force. Those across edge sliders count, as there
+        may be no other that does not vanish. Where only one term has any, which vanish in
+        equilibrium, those of the supports.
         """
         self.evaluations += not self._is_summed
         self.bring_up_to_date()

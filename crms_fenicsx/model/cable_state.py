@@ -46,10 +46,10 @@ the membrane, or by an anchor off the membrane."""
 class CableNode:
     """A point of a cable's polyline."""
 
-    # "vertex": a mesh vertex. "fold": slides freely on an edge, which folds there. "rail": slides
-    # freely along an edge that is held, and so stays straight. "rider": is tied to a place of the
-    # membrane. "anchor": held in space. "crossing": free, shared with another cable.
-    kind: Literal["vertex", "fold", "rail", "rider", "anchor", "crossing"]
+    # "vertex": a mesh vertex. "fold": slides freely on an edge, which folds there. "edge slider":
+    # slides freely along an edge that is held, and so stays straight. "tied": is tied to a place of
+    # the membrane. "anchor": held in space. "crossing": free, shared with another cable.
+    kind: Literal["vertex", "fold", "edge slider", "tied", "anchor", "crossing"]
     point: SurfacePoint | None = None  # its place on the mesh; None for an anchor
     # number of the scene's crossing that it belongs to; a fold point on an edge that another cable
     # follows has one as well
@@ -58,7 +58,7 @@ class CableNode:
     @property
     def slides(self) -> bool:
         """Whether its place on its edge is an unknown."""
-        return self.kind in ("fold", "rail")
+        return self.kind in ("fold", "edge slider")
 
     @property
     def support(self) -> tuple[int, ...]:
@@ -113,9 +113,9 @@ class CableState:
     path_is_geodesic: bool = False
     ends_before: Annotated[Array, 2, 3] | None = None
     blocked: tuple[int, ...] = ()
-    grip: LateralFrictionState | None = None
+    lateral: LateralFrictionState | None = None
     axial: AxialFrictionState | None = None
-    excess: float = 0.0
+    smoothing_length: float = 0.0
     sleeve: bool = False
     layer: int = 0
     in_edge: bool = False

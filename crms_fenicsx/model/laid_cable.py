@@ -75,8 +75,9 @@ class LaidCable(Handle[CableState]):
     positions : (n, 3)
         Internal: current positions of the nodes, on all ranks; those of lifted ones mark the way.
     fractions : (n,)
-        Internal: current places of fold points on their unfolded edges and of rails on their held
-        ones, where one that is pulled beyond an end lies outside 0 ... 1; NaN for nodes off edges.
+        Internal: current places of fold points on their unfolded edges and of edge sliders on their
+        held ones, where one that is pulled beyond an end lies outside 0 ... 1; NaN for nodes off
+        edges.
     lifted : (n,) bool
         Internal: nodes at which the cable is off the membrane. They take no part: it passes them
         straight.
@@ -108,11 +109,11 @@ class LaidCable(Handle[CableState]):
         Where its ends were in the last equilibrium; None before the first.
     blocked
         Nodes that have run into a mesh vertex.
-    grip
+    lateral
         What friction holds it with sideways; None before its first load step, or without.
     axial
         What friction holds it with along its axis; None without.
-    excess
+    smoothing_length
         Internal: by how much the smoothed lengths of its segments were longer than these in the
         last equilibrium (length).
     """
@@ -137,9 +138,9 @@ class LaidCable(Handle[CableState]):
     path_is_geodesic: ReadOnly[bool] = ReadOnly("state.path_is_geodesic", FOUND)
     ends_before: ReadOnly[Array | None] = ReadOnly("state.ends_before", FOUND)
     blocked: ReadOnly[tuple[int, ...]] = ReadOnly("state.blocked", FOUND)
-    grip: ReadOnly[LateralFrictionState | None] = ReadOnly("state.grip", FOUND)
+    lateral: ReadOnly[LateralFrictionState | None] = ReadOnly("state.lateral", FOUND)
     axial: ReadOnly[AxialFrictionState | None] = ReadOnly("state.axial", FOUND)
-    excess: ReadOnly[float] = ReadOnly("state.excess", FOUND)
+    smoothing_length: ReadOnly[float] = ReadOnly("state.smoothing_length", FOUND)
 
     @property
     def slides_freely(self) -> bool:
@@ -155,7 +156,7 @@ class LaidCable(Handle[CableState]):
     @property
     def dissipated(self) -> float:
         """Energy that its friction has dissipated (force x length)."""
-        return sum(grip.dissipated for grip in (self.grip, self.axial) if grip is not None)
+        return sum(grip.dissipated for grip in (self.lateral, self.axial) if grip is not None)
 
     @property
     def line(self) -> Array:
@@ -247,7 +248,7 @@ class LaidCable(Handle[CableState]):
             if self.nodes[anchor].kind != "anchor":
                 return "tied"
             away = np.linalg.norm(self.positions[anchor] - self.positions[beside])
-            held = self.nodes[beside].kind == "rider" or away <= SAME_PLACE * self.length
+            held = self.nodes[beside].kind == "tied" or away <= SAME_PLACE * self.length
             return "held" if held else "off"
 
         return end(0, 1), end(-1, -2)

@@ -13,7 +13,7 @@ points that were given as one place."""
 SMOOTHING = 3e-3
 """Lengths of segments are smoothed by this part of the size of the cells around. Fold points that
 are held at a vertex converge the faster the larger it is, and lengthen the cable by 0.4 of it each;
-that is taken off again, see `crms_fenicsx.equilibrium.system.System.renew_excess`."""
+that is taken off again, see `crms_fenicsx.equilibrium.system.System.renew_smoothing_length`."""
 
 BLOCKED = SMOOTHING
 """A sliding point nearer than this has run into the vertex. Farther off nothing but the cable and

@@ -163,7 +163,7 @@ class Recorder:
             row[f"volume {pond.name}"] = pond.volume
         row["energy"] = step.energy
         row |= {f"energy {name}": value for name, value in step.energies.items()}
-        held = any(cable.grip is not None or cable.axial is not None for cable in scene.cables)
+        held = any(cable.lateral is not None or cable.axial is not None for cable in scene.cables)
         if held or "dissipated" in self.history.columns:
             row["dissipated"] = scene.dissipated
             row["passes"] = outcome.passes

@@ -94,16 +94,16 @@ def _renew(change: PathChange, cable: LaidCable, last: bool, shape: StripShape) 
     if not cable.lifted[beside]:  # its edge may have been moved since the last step
         there = shape.mean(*node.interpolation())
     away = float(np.linalg.norm(cable.positions[anchor] - there))
-    if away <= SAME_PLACE * cable.length and node.kind != "rail":
+    if away <= SAME_PLACE * cable.length and node.kind != "edge slider":
         return False
     found = _edge_at(change.net.membrane, cable.positions[anchor], SAME_PLACE * cable.length)
     if found is None:
-        if node.kind == "rider" and _lead(change, cable, last, over=True):
+        if node.kind == "tied" and _lead(change, cable, last, over=True):
             return True
-        if node.kind != "rider":
+        if node.kind != "tied":
             return led
         nodes = list(cable.nodes)  # it has been moved off, and slides along its edge now
-        nodes[beside] = CableNode("rail", node.point)
+        nodes[beside] = CableNode("edge slider", node.point)
         cable.update(nodes=tuple(nodes))
         return True
     points = list(cable.path.points)

@@ -53,7 +53,7 @@ class HeldVertex:
     allowed: float  # size up to which the pull is none (force)
 
     @property
-    def excess(self) -> float:
+    def smoothing_length(self) -> float:
         """Part of the pull that is more than what is none (force); negative where it is none."""
         return abs(self.pull) - self.allowed
 
@@ -64,16 +64,16 @@ class VertexRun:
 
     vertices: tuple[int, ...]  # ids, in the order of the path
     to_left: bool  # whether it leaves them to its left, seen from outside
-    excess: float  # force with which they hold it together (force)
+    smoothing_length: float  # force with which they hold it together (force)
     press: float  # the cable's force on the membrane there (force)
 
     @classmethod
     def of(cls, part: Sequence[HeldVertex]) -> VertexRun:
         """The run of some vertices in a row."""
         pull = sum(one.pull for one in part)
-        excess = abs(pull) - sum(one.allowed for one in part)
+        smoothing_length = abs(pull) - sum(one.allowed for one in part)
         vertices = tuple(one.vertex for one in part)
-        return cls(vertices, pull > 0.0, excess, sum(one.press for one in part))
+        return cls(vertices, pull > 0.0, smoothing_length, sum(one.press for one in part))
 
 
 def held_vertices(cable: LaidCable, shape: StripShape) -> list[HeldVertex]:
@@ -86,25 +86,26 @@ def held_vertices(cable: LaidCable, shape: StripShape) -> list[HeldVertex]:
     near = {} if cable.in_edge else _near(cable, shape)
     if not near:
         return []
-    at = _at(cable) if cable.grip is not None else near
+    at = _at(cable) if cable.lateral is not None else near
     at = {vertex: nodes for vertex, nodes in at.items() if vertex in near}
     nodes = sorted({k for some in at.values() for k in some if not cable.lifted[k]})
     # Of all nodes of the cable, nothing where it has lifted off.
     press, pull, bound = np.zeros((3, len(cable.nodes)))
     press[nodes], pull[nodes] = forces_at(cable, nodes, shape)
-    if cable.grip is not None:
+    if cable.lateral is not None:
         from crms_fenicsx.friction.lateral import friction_forces
 
         carried = friction_forces(cable, shape)
         for k in nodes:
-            row = cable.grip.row_of.get(cable.nodes[k].support)
+            row = cable.lateral.row_of.get(cable.nodes[k].support)
             if row is not None:
                 pull[k] -= carried[row]
-                bound[k] = cable.grip.bounds[row]
+                bound[k] = cable.lateral.bounds[row]
     of = np.repeat(np.arange(len(at)), [len(some) for some in at.values()])
     every = [k for some in at.values() for k in some]
     down, force, most = (np.bincount(of, f[every], len(at)) for f in (press, pull, bound))
-    allowed = TINY * cable.tension + (UNEVEN * np.abs(down) if cable.grip is None else SLACK * most)
+    uneven = UNEVEN * np.abs(down) if cable.lateral is None else SLACK * most
+    allowed = TINY * cable.tension + uneven
     sums = zip(*(f.tolist() for f in (force, down, allowed)), strict=True)
     found = [
         HeldVertex(vertex, tuple(some), *own)
@@ -122,10 +123,10 @@ def held_runs(cable: LaidCable, shape: StripShape) -> list[VertexRun]:
     path; vertices next to each other that are left to different sides are in different runs.
     """
     held = held_vertices(cable, shape)
-    if cable.grip is not None:  # it sticks to the others
-        held = [one for one in held if one.excess > 0.0]
+    if cable.lateral is not None:  # it sticks to the others
+        held = [one for one in held if one.smoothing_length > 0.0]
     runs = [VertexRun.of(part) for row in _rows(held, cable) for part in _parts(row, cable)]
-    return [run for run in runs if run.excess > 0.0]
+    return [run for run in runs if run.smoothing_length > 0.0]
 
 
 def _parts(row: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]]:
@@ -136,7 +137,7 @@ def _parts(row: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]
     ends = max(int(at[0]) - 1, 0), min(int(at[-1]) + 1, len(arc) - 1)
     places = np.concatenate([arc[[ends[0]]], arc[at], arc[[ends[1]]]])
     moved = np.array([one.pull for one in row])
-    if cable.grip is None:
+    if cable.lateral is None:
         moved = _string(places, moved)
         moved[np.abs(moved) < ROUNDING * np.abs(moved).max()] = 0.0  # the string's own ends
     starts = [0, *np.flatnonzero(moved[1:] * moved[:-1] <= 0.0) + 1, len(row)]
@@ -171,7 +172,7 @@ def _near(cable: LaidCable, shape: StripShape) -> dict[int, list[int]]:
 
     Along the membrane's boundary it is a part of that, which it can only slide off.
     """
-    near = PRESSED if cable.grip is None else GRIPPED
+    near = PRESSED if cable.lateral is None else GRIPPED
     nodes, lifted = cable.nodes, cable.lifted
     fractions = [float(f) for f in cable.fractions]
     boundary = _along_boundary(nodes, shape)

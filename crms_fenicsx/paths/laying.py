@@ -226,7 +226,7 @@ def _smooth_length(cable: LaidCable, shape: StripShape, folded: Set[SurfacePoint
     surface = SmoothSurface.of(shape.current, np.searchsorted(vertices, shape.strip.outer_cells))
     nodes = cable.contacts()
     on = np.array([
-        node.point is not None and node.kind != "rail" and node.point not in folded
+        node.point is not None and node.kind != "edge slider" and node.point not in folded
         for node in (cable.nodes[k] for k in nodes)
     ])  # fmt: skip
     found = [cable.interpolation(k) for k, is_on in zip(nodes, on, strict=True) if is_on]
@@ -236,7 +236,7 @@ def _smooth_length(cable: LaidCable, shape: StripShape, folded: Set[SurfacePoint
     if on.any():
         offsets, normals[on] = surface.raised(corners, weights)
         points[on] += offsets
-    ends_on = on | np.array([cable.nodes[k].kind == "rail" for k in nodes])
+    ends_on = on | np.array([cable.nodes[k].kind == "edge slider" for k in nodes])
     straight = (np.diff(nodes) > 1) | ~ends_on[:-1] | ~ends_on[1:]
     return curve_length(points, normals, straight)
 
@@ -325,9 +325,9 @@ def _positions(nodes: Sequence[CableNode], path: Path, shape: StripShape) -> Arr
         if nodes[k].kind == "anchor"
     }
     if 0 in ends:
-        nodes = [CableNode("rider", ends[0][0]), *nodes[1:]]
+        nodes = [CableNode("tied", ends[0][0]), *nodes[1:]]
     if -1 in ends:
-        nodes = [*nodes[:-1], CableNode("rider", ends[-1][0])]
+        nodes = [*nodes[:-1], CableNode("tied", ends[-1][0])]
     found = [node.interpolation() for node in nodes]
     rows = np.array([[*(shape.strip.row_of[v] for v in ids), 0, 0][:3] for ids, _ in found])
     weights = np.array([[*share, 0.0, 0.0][:3] for _, share in found])

@@ -36,9 +36,9 @@ def nodes_of(
         if isinstance(point, VertexPoint):
             nodes.append(CableNode("vertex", point))
         elif in_place or isinstance(point, CellPoint):
-            nodes.append(CableNode("rider", point))
+            nodes.append(CableNode("tied", point))
         elif point.edge in strip.held_edges:
-            nodes.append(CableNode("rail", point))
+            nodes.append(CableNode("edge slider", point))
         else:
             nodes.append(CableNode("fold", point))
     if ends[0] != "tied":

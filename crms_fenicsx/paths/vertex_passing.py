@@ -109,7 +109,7 @@ def adopt(change: PathChange, cable: LaidCable, way: WayPast) -> None:
     def new(edge: Edge) -> tuple[CableNode, Array, float, bool]:
         fraction = least if edge[0] in way.vertices else 1 - least
         point = EdgePoint(edge, fraction)
-        node = CableNode("rail" if edge in strip.held_edges else "fold", point)
+        node = CableNode("edge slider" if edge in strip.held_edges else "fold", point)
         return node, way.surface.place(edge, fraction), fraction, False
 
     last = len(cable.nodes) - 1
@@ -230,7 +230,7 @@ class VertexTrials:
                 continue
             least = 1
             if not cable.slides_freely:
-                if cable.grip is None or not cable.grip.known:
+                if cable.lateral is None or not cable.lateral.known:
                     continue
                 from crms_fenicsx.friction.lateral import remap
 

@@ -226,7 +226,7 @@ def nodal_forces(system: System) -> Array:
     if system.ponds is not None:
         system.ponds.add_pressure(potential, g, -1.0)
     _leave_ends_to_anchors(system, g)
-    _hand_on_rails(system, g)
+    _hand_on_edge_sliders(system, g)
     unknowns.gather_forces(vector, g)
     vector.destroy()
     return g[: unknowns.n_owned]
@@ -305,12 +305,12 @@ def _leave_ends_to_anchors(system: System, g: Array) -> None:
                 g[block] = end.reaction
 
 
-def _hand_on_rails(system: System, g: Array) -> None:
+def _hand_on_edge_sliders(system: System, g: Array) -> None:
     """Give the forces of cables on held edges that they slide along to the edges' ends."""
-    if system.unknowns.n_rails:
+    if system.unknowns.n_edge_sliders:
         assert system.cables is not None
-        rails = system.cables.numbering.rails
-        blocks, ends, s = rails.blocks, rails.ends, rails.known_fractions()
+        edge_sliders = system.cables.numbering.edge_sliders
+        blocks, ends, s = edge_sliders.blocks, edge_sliders.ends, edge_sliders.known_fractions()
         share = np.stack([1 - s, s], axis=1)
         np.add.at(g, ends, share[:, :, None] * g[blocks][:, None, :])
         g[blocks] = 0.0

@@ -98,12 +98,12 @@ def warn_of_friction(number: int, scene: Scene, before: SceneState, unsettled: f
             stacklevel=CALLER,
         )
     for cable, was in before.net.cables.items():
-        gained = 0.0 if was.grip is None else was.grip.dissipated
-        if cable.grip is None or cable.has_coulomb or cable.grip.dissipated >= gained:
+        gained = 0.0 if was.lateral is None else was.lateral.dissipated
+        if cable.lateral is None or cable.has_coulomb or cable.lateral.dissipated >= gained:
             continue
         warnings.warn(
             f"step {number}: the friction elements of {cable.name!r} have pushed it back and given "
-            f"{gained - cable.grip.dissipated:.3g} of work, as their force does not know of "
+            f"{gained - cable.lateral.dissipated:.3g} of work, as their force does not know of "
             'sticking; use Friction(law="coulomb") or more steps.',
             FrictionWarning,
             stacklevel=CALLER,

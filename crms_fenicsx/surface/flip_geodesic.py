@@ -123,7 +123,7 @@ class _GeodesicPath:
         self.held_at = held_at
         self.start, self.end = points[0], points[-1]
         self.surface, self.refused = surface, refused
-        self.grip = {False: STRAIGHT, True: max(grip, STRAIGHT)}  # of bends and of visits
+        self.lateral = {False: STRAIGHT, True: max(grip, STRAIGHT)}  # of bends and of visits
         self.lengths = EdgeLengths(surface)
         self.corridor: Corridor = ()
         self.visited: set[Corridor] = set()
@@ -252,7 +252,7 @@ class _GeodesicPath:
                 frozenset(cell_between(*pair) for pair in pairwise((before, *spokes, after))),
             )
             for angle, spokes in sides
-            if spokes is not None and angle < math.pi - self.grip[hold.strip_angle is None]
+            if spokes is not None and angle < math.pi - self.lateral[hold.strip_angle is None]
         ]
 
     def star(self, vertex: int) -> tuple[Ring, float]:

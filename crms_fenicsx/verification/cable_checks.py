@@ -222,9 +222,9 @@ def _places(cable: LaidCable, nodes: _Nodes, ends: Array, shape: StripShape) -> 
     straight = touches & ~nodes.slides
     folds = touches & nodes.slides
     if cable.taut:  # what lies on an edge that folds is at a share of the edge's length
-        rails = folds & np.array([node.kind == "rail" for node in cable.nodes])
-        straight |= rails
-        folds &= ~rails
+        edge_sliders = folds & np.array([node.kind == "edge slider" for node in cable.nodes])
+        straight |= edge_sliders
+        folds &= ~edge_sliders
     else:
         straight |= folds
         folds = np.zeros_like(folds)
@@ -249,7 +249,7 @@ def _rounding(positions: Array) -> float:
 
 def _tensions(cable: LaidCable, parts: Array) -> dict[str, float]:
     """Tensions against the lengths of the cable's parts, relative to the elongation."""
-    EA, L0, length = cable.cable.EA, cable.L0, float(parts.sum()) - cable.excess
+    EA, L0, length = cable.cable.EA, cable.L0, float(parts.sum()) - cable.smoothing_length
     spans: Array = np.zeros(0)
     of_part: Integers = np.zeros(0, dtype=np.int64)
     if cable.axial is not None and len(cable.axial.spans):
@@ -267,7 +267,7 @@ def _tensions(cable: LaidCable, parts: Array) -> dict[str, float]:
         return {"tension against length": error / max(strain, 1e-300)}
     errors = [abs(cable.tension / EA - max(length / L0 - 1, 0.0)), abs(cable.length - length) / L0]
     if cable.axial is not None and len(spans):
-        unstressed = np.diff([0.0, *cable.axial.arcs, L0 + cable.excess])
+        unstressed = np.diff([0.0, *cable.axial.arcs, L0 + cable.smoothing_length])
         # By elongations, as the strain of a short span is rounded.
         told = unstressed * np.bincount(of_part, cable.part_tensions) / np.bincount(of_part) / EA
         by_law = np.maximum(spans - unstressed, 0.0)

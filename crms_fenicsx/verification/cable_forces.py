@@ -126,8 +126,8 @@ def _held(cable: LaidCable, shape: StripShape, press: float) -> dict[str, float]
     values = {"held by a line of the mesh": 0.0, "held by vertices": 0.0}
     runs = held_runs(cable, shape)
     if runs:
-        values["held by vertices"] = sum(run.excess for run in runs) / press
-        lines = [run.excess / press for run in runs if len(run.vertices) >= IN_LINE]
+        values["held by vertices"] = sum(run.smoothing_length for run in runs) / press
+        lines = [run.smoothing_length / press for run in runs if len(run.vertices) >= IN_LINE]
         values["held by a line of the mesh"] = max(lines, default=0.0)
     return values
 
@@ -161,7 +161,7 @@ def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, fl
     from crms_fenicsx.friction.axial import gripped_nodes
     from crms_fenicsx.friction.lateral import energies
 
-    if friction is not None and cable.has_coulomb and cable.grip is not None:
+    if friction is not None and cable.has_coulomb and cable.lateral is not None:
         forces = contact_forces(cable, shape)
         bounds = friction.at_rest * forces.bearing
         if friction.cone:
@@ -175,9 +175,9 @@ def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, fl
             and k not in cable.blocked
             and cable.nodes[k].crossing is None
         ]
-        excess = np.maximum(np.abs(forces.lateral[free]) - bounds[free], 0.0).sum()
+        smoothing_length = np.maximum(np.abs(forces.lateral[free]) - bounds[free], 0.0).sum()
         most = max(friction.at_rest, SMOOTH) * float(forces.bearing.sum())
-        values["friction beyond its bound"] = float(excess) / max(most, least)
+        values["friction beyond its bound"] = float(smoothing_length) / max(most, least)
         heat = energies(cable, shape)[1]
         values["negative dissipation"] = -heat / max(cable.tension * cable.length, 1e-300)
     if cable.axial is not None and len(cable.axial.spans):
@@ -186,9 +186,9 @@ def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, fl
         before, after = tensions[at - 1], tensions[at]
         angles = cable.cable.along * wrap_angles(cable, shape)[nodes]
         bounds = 2 * np.sqrt(before * after) * np.sinh(angles / 2)
-        excess = np.maximum(np.abs(after - before) - bounds, 0.0).sum()
+        smoothing_length = np.maximum(np.abs(after - before) - bounds, 0.0).sum()
         whole = max(float(bounds.sum()), least)
-        values["friction along beyond its bound"] = float(excess) / whole
+        values["friction along beyond its bound"] = float(smoothing_length) / whole
         heat = -cable.axial.loss / max(cable.tension * cable.length, 1e-300)
         values["negative dissipation"] = max(values.get("negative dissipation", 0.0), heat)
     return values

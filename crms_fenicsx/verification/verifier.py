@@ -259,12 +259,12 @@ class Verifier:
         unknowns.gather_forces(potential.g_vector, g)
         supports = np.where(unknowns.held[:n], g[:n], 0.0)
         supports += self._obstacle(system)
-        rails = unknowns.rails[unknowns.rails < n]
-        supports[rails] = g[rails]
+        edge_sliders = unknowns.edge_sliders[unknowns.edge_sliders < n]
+        supports[edge_sliders] = g[edge_sliders]
         unknowns.project(g)
-        supports[rails] -= g[rails]
+        supports[edge_sliders] -= g[edge_sliders]
         free = g[:n] - supports
-        free[rails] = g[rails]
+        free[edge_sliders] = g[edge_sliders]
         local = np.concatenate([
             supports.sum(axis=0), _moment(x[:n] - scene.membrane.centre, supports),
             loads.sum(axis=0), _moment(x - scene.membrane.centre, loads),

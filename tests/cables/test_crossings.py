@@ -59,7 +59,7 @@ def cable_over(
     """A cable over these points, tied at its ends."""
     nodes = []
     for k, point in enumerate(points):
-        inner = "rider" if k in (0, len(points) - 1) or isinstance(point, CellPoint) else "fold"
+        inner = "tied" if k in (0, len(points) - 1) or isinstance(point, CellPoint) else "fold"
         nodes.append(CableNode("vertex" if isinstance(point, VertexPoint) else inner, point))
     interpolation = [node.interpolation() for node in nodes]
     fractions = [p.fraction if isinstance(p, EdgePoint) else np.nan for p in points]
@@ -74,7 +74,7 @@ def cable_over(
 
 def kinds(cable: LaidCable) -> str:
     """Initials; a fold point that is a crossing's is an F."""
-    letters = {"vertex": "v", "fold": "f", "rider": "r", "crossing": "x", "anchor": "a"}
+    letters = {"vertex": "v", "fold": "f", "tied": "r", "crossing": "x", "anchor": "a"}
     found = [letters[node.kind] for node in cable.nodes]
     return "".join(
         letter.upper() if letter == "f" and node.crossing is not None else letter
@@ -316,7 +316,7 @@ def test_a_crossing_moves_to_the_next_cell_and_off() -> None:
     assert [kinds(cable) for cable in cables] == ["rfxr", "rfxr"]
     assert 0.4 < second.place[1] < 0.8
     slide(other, 1, 0.35)
-    other.update(nodes=(*other.nodes[:-1], CableNode("rider", on(1, 3, 0.3))))
+    other.update(nodes=(*other.nodes[:-1], CableNode("tied", on(1, 3, 0.3))))
     slide(other, 3, 0.3)
     assert arrange(cables, STRIP, [second]) == ()
     assert [kinds(cable) for cable in cables] == ["rfr", "rfr"]
@@ -537,7 +537,7 @@ def test_the_material_curve_is_on_the_stress_free_membrane(square) -> None:
                 np.testing.assert_allclose(
                     cable.reference_positions[k], np.dot(weights, [X[i] for i in ids]), atol=1e-12
                 )
-    assert seen >= {"anchor", "rider", "fold", "crossing"}
+    assert seen >= {"anchor", "tied", "fold", "crossing"}
 
 
 @pytest.mark.ranks

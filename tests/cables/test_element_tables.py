@@ -28,7 +28,7 @@ def with_spans(comm: MPI.Intracomm) -> System:
     return system
 
 
-def with_rails(comm: MPI.Intracomm) -> System:
+def with_edge_sliders(comm: MPI.Intracomm) -> System:
     """Over edges that are held, and a slack cable."""
     scene = ridged(comm)
     scene.lay_cable(Cable(32000.0), OBLIQUE, tension=20.0)
@@ -48,7 +48,9 @@ def net(comm: MPI.Intracomm) -> System:
     return System(scene, "crms_test_", 1e-8)
 
 
-@pytest.fixture(scope="module", params=[with_spans, with_rails, net], ids=lambda f: f.__name__)
+@pytest.fixture(
+    scope="module", params=[with_spans, with_edge_sliders, net], ids=lambda f: f.__name__
+)
 def tables(request: pytest.FixtureRequest, comm: MPI.Intracomm) -> tuple[SlowTables, CableTables]:
     """The slow and the fast tables of a scene."""
     system = request.param(comm)
@@ -59,11 +61,11 @@ def tables(request: pytest.FixtureRequest, comm: MPI.Intracomm) -> tuple[SlowTab
 
 def test_the_scenes_have_everything(comm: MPI.Intracomm) -> None:
     seen, lifted = set(), 0
-    for make in (with_spans, with_rails, net):
+    for make in (with_spans, with_edge_sliders, net):
         cables = make(comm).scene.cables
         seen |= {(node.kind, cable.taut) for cable in cables for node in cable.nodes}
         lifted += sum(int(cable.lifted.sum()) for cable in cables if cable.taut)
-    kinds = ("vertex", "fold", "rail", "rider", "anchor", "crossing")
+    kinds = ("vertex", "fold", "edge slider", "tied", "anchor", "crossing")
     assert seen >= {(kind, True) for kind in kinds} | {("fold", False)} and lifted == 2
 
 

@@ -39,8 +39,8 @@ def oblique(
     return scene, cable, solver
 
 
-def rails(cable: LaidCable) -> list[int]:
-    return [k for k, node in enumerate(cable.nodes) if node.kind == "rail"]
+def edge_sliders(cable: LaidCable) -> list[int]:
+    return [k for k, node in enumerate(cable.nodes) if node.kind == "edge slider"]
 
 
 def ride(scene: Scene, cable: LaidCable, places: dict[int, float]) -> None:
@@ -49,7 +49,7 @@ def ride(scene: Scene, cable: LaidCable, places: dict[int, float]) -> None:
     for k, s in places.items():
         point = nodes[k].point
         assert isinstance(point, EdgePoint)
-        nodes[k] = CableNode("rider", EdgePoint(point.edge, s))
+        nodes[k] = CableNode("tied", EdgePoint(point.edge, s))
     cable.update(nodes=tuple(nodes))
     scene.versions.change_model()
 
@@ -62,7 +62,7 @@ def pull_at(cable: LaidCable, k: int) -> Array:
 
 def kinds(cable: LaidCable) -> str:
     """Initials, without those of the fold points."""
-    letters = {"anchor": "a", "fold": "", "rail": "-", "rider": "r", "vertex": "v"}
+    letters = {"anchor": "a", "fold": "", "edge slider": "-", "tied": "r", "vertex": "v"}
     return "".join(letters[node.kind] for node in cable.nodes)
 
 
@@ -80,20 +80,20 @@ def test_which_points_slide_along_held_edges(comm, path, expected: str) -> None:
     assert kinds(ridged(comm).lay_cable(CABLE, path)) == expected
 
 
-def test_only_edges_that_are_held_over_their_length_are_rails(comm) -> None:
+def test_only_edges_that_are_held_over_their_length_are_edge_sliders(comm) -> None:
     """Held vertices alone let the edges between them fold."""
     scene = Scene(meshes.rectangle(comm, 100.0, 100.0, 25.0), ISOTROPIC)
     scene.fix(lambda x: (x[0] < 1e-9) | (x[0] > 100 - 1e-9))
     cable = scene.lay_cable(CABLE, OBLIQUE)
-    assert rails(cable) == []
+    assert edge_sliders(cable) == []
     assert [node.kind for node in cable.nodes[:2]] == ["anchor", "fold"]
 
 
-def test_energy_is_least_where_the_rail_is(comm) -> None:
+def test_energy_is_least_where_the_edge_slider_is(comm) -> None:
     """Against a search among cables that are tied to places of the edge; the ridge is raised."""
     scene = ridged(comm)
     cable = scene.lay_cable(CABLE, OVER_THE_RIDGE)
-    (k,) = rails(cable)
+    (k,) = edge_sliders(cable)
     first = cable.fractions[k]
     solver = Solver(scene)
     solver.advance(pressure=0.01, move={"ridge": (0.0, 0.0, 8.0)})
@@ -118,11 +118,11 @@ def test_energy_is_least_where_the_rail_is(comm) -> None:
 def test_an_oblique_cable_over_a_held_boundary(comm) -> None:
     """It does not pull along the boundary, as it does where it is tied to its first places."""
     scene, cable, solver = oblique(comm, slide=False)
-    first = [cable.nodes[k].point.fraction for k in rails(cable)]
-    assert cable.tension > 20.0 and len(rails(cable)) == 2 and cable.blocked == ()
-    energy, places = scene.energy, {k: float(cable.fractions[k]) for k in rails(cable)}
-    assert np.abs(cable.positions[rails(cable), 0] - [0, 100]).max() < 1e-12
-    for k in rails(cable):
+    first = [cable.nodes[k].point.fraction for k in edge_sliders(cable)]
+    assert cable.tension > 20.0 and len(edge_sliders(cable)) == 2 and cable.blocked == ()
+    energy, places = scene.energy, {k: float(cable.fractions[k]) for k in edge_sliders(cable)}
+    assert np.abs(cable.positions[edge_sliders(cable), 0] - [0, 100]).max() < 1e-12
+    for k in edge_sliders(cable):
         # what is left balances the pressure on the facets beside the point
         assert abs(pull_at(cable, k)[1]) < 1e-3 * cable.tension
         assert np.linalg.norm(pull_at(cable, k)) > 0.01 * cable.tension
@@ -163,12 +163,12 @@ def spanned(comm: MPI.Intracomm) -> tuple[Scene, LaidCable, Solver]:
 
 
 @pytest.mark.ranks
-def test_spans_from_rails_on_any_number_of_processes(comm) -> None:
+def test_spans_from_edge_sliders_on_any_number_of_processes(comm) -> None:
     """Their ends may belong to ranks that have no cell of each other's."""
     scene, cable, solver = spanned(comm)
     assert cable.tension > 10.0
     assert kinds(cable) == "ar-r"
-    assert cable.lifted.sum() >= 3 and rails(cable)[0] in cable.contacts()
+    assert cable.lifted.sum() >= 3 and edge_sliders(cable)[0] in cable.contacts()
     alone, twin, other = spanned(MPI.COMM_SELF)
     assert scene.energy == pytest.approx(alone.energy, rel=1e-9)
     assert cable.tension == pytest.approx(twin.tension, rel=1e-9)
@@ -188,14 +188,14 @@ def test_supports_carry_what_the_cable_hands_on(comm) -> None:
     # the boundary is flat, so the pressure's resultant is that on the square's plan
     np.testing.assert_allclose(support + anchors, [0, 0, -100.0], atol=1e-6)
     assert np.linalg.norm(pull_at(cable, 1)) > 1.0
-    # the state is found again, though positions count from where the rails are now
+    # the state is found again, though positions count from where the edge sliders are now
     system = solver.system
     system.read_scene()
     assert system.potential.evaluate() == pytest.approx(scene.energy, rel=1e-13)
 
 
 def whole(comm: MPI.Intracomm) -> tuple[System, OnMesh]:
-    """All terms, with rails, riders and folds, on a floor."""
+    """All terms, with edge sliders, tied points and folds, on a floor."""
     scene = Scene(irregular_square(comm), ISOTROPIC)
     scene.fix("boundary")
     scene.floor(-1.0)
@@ -210,7 +210,10 @@ def whole(comm: MPI.Intracomm) -> tuple[System, OnMesh]:
 @pytest.mark.ranks
 def test_gradient_and_stiffness_of_a_whole_potential(comm) -> None:
     system, f = whole(comm)
-    assert comm.allreduce(f.unknowns.n_rails) >= 3 and comm.allreduce(f.unknowns.n_riders) >= 1
+    assert (
+        comm.allreduce(f.unknowns.n_edge_sliders) >= 3
+        and comm.allreduce(f.unknowns.n_tied_points) >= 1
+    )
     x = displaced(f.unknowns, 0.5)
     for name, d in directions(f.unknowns).items():
         assert gradient_order(f, x, d) == pytest.approx(2, abs=0.05), name
@@ -233,31 +236,31 @@ def test_whole_potential_does_not_depend_on_the_number_of_ranks(comm) -> None:
     np.testing.assert_allclose(*found, rtol=1e-10)
 
 
-def test_the_floor_is_not_for_rails(comm) -> None:
+def test_the_floor_is_not_for_edge_sliders(comm) -> None:
     system, _ = whole(comm)
     bounds, unknowns = system.unknowns.bounds, system.unknowns
     assert bounds is not None
-    assert np.all(bounds[0][unknowns.rails] == -np.inf)
+    assert np.all(bounds[0][unknowns.edge_sliders] == -np.inf)
     free = ~unknowns.held.any(axis=1)
-    free[unknowns.rails] = False
+    free[unknowns.edge_sliders] = False
     assert np.all(np.isfinite(bounds[0][free, 2]))
 
 
-def test_an_anchor_may_come_to_a_rail(comm) -> None:
-    """The lengths of links to rails are smoothed where they vanish, as those to fold points."""
+def test_an_anchor_may_come_to_an_edge_slider(comm) -> None:
+    """The lengths of links to edge sliders are smoothed where they vanish, as to fold points."""
     system, _ = whole(comm)
     assert system.cables is not None and system.cables.tables is not None
-    beside = np.isin(system.cables.tables.segments, system.unknowns.rails).any(axis=1)
+    beside = np.isin(system.cables.tables.segments, system.unknowns.edge_sliders).any(axis=1)
     assert np.all(system.cables.tables.eps[beside] > 0)
     assert comm.allreduce(int(beside.sum())) == 6
 
 
 @pytest.mark.ranks
-def test_a_moved_edge_takes_its_rail_along(comm) -> None:
-    """Turned and shifted with its edge, the rail keeps its place there, slack or taut."""
+def test_a_moved_edge_takes_its_edge_slider_along(comm) -> None:
+    """Turned and shifted with its edge, the edge slider keeps its place there, slack or taut."""
     scene = ridged(comm)
     cable = scene.lay_cable(CABLE, OVER_THE_RIDGE, tension=20.0)
-    (k,) = rails(cable)
+    (k,) = edge_sliders(cable)
     system = System(scene, "crms_test_", 1e-8)
     system.read_scene()
     put(cable, "fractions", k, 0.3)
@@ -278,10 +281,10 @@ def test_a_moved_edge_takes_its_rail_along(comm) -> None:
         system.read_scene()
         unknowns, numbering = system.unknowns, system.cables.numbering
         block = numbering.blocks[numbering.numbers[0, k]]
-        assert unknowns.n_rails == (taut and block >= 0)
+        assert unknowns.n_edge_sliders == (taut and block >= 0)
         if block < 0:
             continue
-        unknowns.place_idle_riders(system.potential.x)
+        unknowns.place_idle_tied_points(system.potential.x)
         ends = unknowns.X + system.potential.x
         a, b = (ends[system.cables.numbering.vertex(v)] for v in point.edge)
         np.testing.assert_allclose(ends[block], a + 0.3 * (b - a), atol=1e-12)
@@ -291,36 +294,38 @@ def test_a_moved_edge_takes_its_rail_along(comm) -> None:
     assert comm.allreduce(seen) >= 1
 
 
-def test_a_cable_that_slackens_lets_go_of_its_rails(comm) -> None:
+def test_a_cable_that_slackens_lets_go_of_its_edge_sliders(comm) -> None:
     scene, cable, solver = oblique(comm)
-    places = cable.fractions[rails(cable)].copy()
+    places = cable.fractions[edge_sliders(cable)].copy()
     taut = scene.energy, cable.tension, cable.positions.copy()
     L0 = cable.L0
     solver.advance(L0={cable: 1.1 * L0})
     assert not cable.taut and cable.tension == 0.0
     # found once more from its position, before it slackens
-    np.testing.assert_allclose(cable.fractions[rails(cable)], places, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(cable.fractions[edge_sliders(cable)], places, rtol=0, atol=1e-14)
     solver.advance(L0={cable: L0}, steps=2)
     assert scene.energy == pytest.approx(taut[0], rel=1e-9)
     assert cable.tension == pytest.approx(taut[1], rel=1e-9)
     np.testing.assert_allclose(cable.positions, taut[2], atol=1e-6)
 
 
-def test_a_rail_that_runs_into_a_vertex_is_reported(comm) -> None:
+def test_an_edge_slider_that_runs_into_a_vertex_is_reported(comm) -> None:
     """The anchor is moved along the boundary, beyond the edge that the cable passes."""
     scene, cable, solver = oblique(comm, slide=False)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         solver.advance(move={cable.start: (0.0, -20.0, 0.0)}, steps=2)
-    assert rails(cable)[0] in cable.blocked
+    assert edge_sliders(cable)[0] in cable.blocked
     assert all(w.category is PathWarning for w in caught)
     assert bool(caught) == (comm.rank == 0)
     # it stays on the line of its edge, and the state is found again
-    assert abs(cable.positions[rails(cable)[0], 0]) < 1e-12
+    assert abs(cable.positions[edge_sliders(cable)[0], 0]) < 1e-12
     solver.system.read_scene()
     assert solver.system.potential.evaluate() == pytest.approx(scene.energy, rel=1e-12)
     # beyond its edge's end, but not in the stress-free shape of the cells that it folds
-    assert cable.fractions[rails(cable)[0]] < 0 or cable.fractions[rails(cable)[0]] > 1
+    assert (
+        cable.fractions[edge_sliders(cable)[0]] < 0 or cable.fractions[edge_sliders(cable)[0]] > 1
+    )
     surface = current_surface(scene.net)
     X = surface.stress_free[surface.triangles]
     areas = np.cross(X[:, 1] - X[:, 0], X[:, 2] - X[:, 0])[:, 2] / 2
@@ -328,8 +333,8 @@ def test_a_rail_that_runs_into_a_vertex_is_reported(comm) -> None:
     assert comm.allreduce(float(areas.sum())) == pytest.approx(100.0**2, rel=1e-12)
 
 
-def test_nothing_but_rails_is_free() -> None:
-    """A cable over one triangle that is held around: there is no force but across the rails."""
+def test_nothing_but_edge_sliders_is_free() -> None:
+    """A cable over one triangle that is held around: no force but across the edge sliders."""
     corners = np.array([(0.0, 0.0, 0.0), (10.0, 0.0, 0.0), (0.0, 10.0, 0.0)])
     mesh = meshes.from_arrays(MPI.COMM_SELF, corners, np.array([[0, 1, 2]]))
     scene = Scene(mesh, ISOTROPIC)

@@ -40,7 +40,7 @@ def test_places_in_space_on_edges_and_on_the_membrane(comm: MPI.Intracomm) -> No
     known = vertices(scene)
     for (c, k), number in numbering.numbers.items():
         block, node = numbering.blocks[number], scene.cables[c].nodes[k]
-        if block >= 0 and node.kind != "rider" and not scene.cables[c].lifted[k]:
+        if block >= 0 and node.kind != "tied" and not scene.cables[c].lifted[k]:
             place = system.unknowns.X[block] + potential.x[block]
             np.testing.assert_allclose(scene.cables[c].positions[k], place)
     np.testing.assert_array_equal(scene.cables[0].positions[3], before)

@@ -82,13 +82,13 @@ def test_friction_of_a_cable_that_is_gone() -> None:
     solver = inflated(["a", "across"], ROUGH)
     scene = solver.scene
     solver.advance(pressure=0.012)
-    lost, bounds = scene.dissipated, scene.cable("a").grip.bounds
+    lost, bounds = scene.dissipated, scene.cable("a").lateral.bounds
     assert scene.cable("a").dissipated > 0.0 < scene.cable("across").dissipated
     scene.remove("across")
     assert scene.dissipated == pytest.approx(lost, rel=1e-14)
     solver.advance()
     assert scene.dissipated >= lost
-    assert len(scene.cable("a").grip.bounds) and len(bounds)
+    assert len(scene.cable("a").lateral.bounds) and len(bounds)
     scene.remove("a")
     solver.advance()
     np.testing.assert_allclose(solver.history["dissipated"][-1], scene.dissipated)

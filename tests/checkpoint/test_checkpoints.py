@@ -91,8 +91,8 @@ def test_a_run_goes_on_as_if_it_had_not_ended(folder: Path) -> None:
     scene = solver.scene
     assert scene.net.crossings and scene.cable("tied").lifted.any()
     rough = scene.cable("rough")
-    assert rough.grip is not None is not rough.axial
-    rough.update(grip=replace(rough.grip, dissipated=0.25), blocked=(2,))  # also what is rare
+    assert rough.lateral is not None is not rough.axial
+    rough.update(lateral=replace(rough.lateral, dissipated=0.25), blocked=(2,))  # also what is rare
     solver.save(folder / "point")
     again = sheet(COMM)
     again.load(folder / "point")

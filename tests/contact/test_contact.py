@@ -81,7 +81,7 @@ def along(shape: StripShape, *anchors: Sequence[float]) -> tuple[LaidCable, dict
     edges |= {k + 0.5: (k + 1, n + k) for k in range(n - 1)}
     kinds = dict.fromkeys(edges, "fold")
     if not anchors:
-        kinds[0.0] = kinds[n - 1.0] = "rider"
+        kinds[0.0] = kinds[n - 1.0] = "tied"
     nodes = [CableNode(kinds[x], EdgePoint(edges[x], 0.5)) for x in sorted(edges)]  # type: ignore[arg-type]
     first = 1 if anchors else 0
     return cable_on(shape, nodes, anchors), {x: first + k for k, x in enumerate(sorted(edges))}
@@ -214,9 +214,9 @@ def test_a_sleeve_holds_it() -> None:
 def test_a_cable_on_top_holds_it_at_a_shared_vertex() -> None:
     shape = roof([0.0, -0.3, 0.0])
     nodes = [
-        CableNode("rider", EdgePoint((0, 3), 0.5)),
+        CableNode("tied", EdgePoint((0, 3), 0.5)),
         CableNode("vertex", VertexPoint(1)),
-        CableNode("rider", EdgePoint((2, 5), 0.5)),
+        CableNode("tied", EdgePoint((2, 5), 0.5)),
     ]
     cable = cable_on(shape, nodes)
     assert released(cable, shape) == [1]
@@ -226,8 +226,8 @@ def test_a_cable_on_top_holds_it_at_a_shared_vertex() -> None:
 
 def test_a_foot_only_marks_the_place_under_an_anchor() -> None:
     shape = roof([0.0, 0.3, 0.0])
-    foot = CableNode("rider", CellPoint((0, 1, 3), (0.4, 0.3, 0.3)))
-    fold, tied = (CableNode(kind, EdgePoint((1, 4), 0.5)) for kind in ("fold", "rider"))
+    foot = CableNode("tied", CellPoint((0, 1, 3), (0.4, 0.3, 0.3)))
+    fold, tied = (CableNode(kind, EdgePoint((1, 4), 0.5)) for kind in ("fold", "tied"))
     cable = cable_on(shape, [foot, fold, tied], [(0.3, 0.3, 2.0), (5.0, 0.5, -2.0)])
     assert [is_foot(cable, k) for k in range(1, 4)] == [True, False, False]
     assert 1 in released(cable, shape)

@@ -299,7 +299,7 @@ def test_nodes_beside_anchors_bear_for_themselves():
     """On the edge of the boundary, where it turns down to its anchor, is a single force."""
     system = friction_square(COMM)
     cable = system.scene.cables[2]
-    assert [node.kind for node in cable.nodes[:2]] == ["anchor", "rail"]
+    assert [node.kind for node in cable.nodes[:2]] == ["anchor", "edge slider"]
     forces = contact_forces(cable, system.scene.net.strip_shape())
     for k in (1, len(cable.nodes) - 2):
         assert forces.bearing[k] == forces.normal[k] > 0

@@ -68,7 +68,7 @@ def test_towards_anchors(comm) -> None:
     assert [p.support for p in found] == [p.support for p in points[len(points) // 2 + 1 :]]
     foot = project_span(shape, node, at, CableNode("anchor"), at + 0.2 * along + 9 * UP)
     assert foot is not None and isinstance(foot[-1], CellPoint)
-    place = node_place(shape, CableNode("rider", foot[-1]))
+    place = node_place(shape, CableNode("tied", foot[-1]))
     np.testing.assert_allclose(place, at + 0.2 * along, atol=1e-9)
 
 

@@ -24,15 +24,15 @@ def empty_matrix(unknowns) -> PETSc.Mat:
 
 
 def one_by_one(unknowns, rows, cols, values):
-    """Riders hand their blocks to their vertices; of rails the part along their lines counts."""
+    """Tied points hand their blocks to their vertices; edge sliders those along their lines."""
     interpolation = {b: [(b, 1.0)] for b in range(unknowns.n_local)}
-    for rider, own, weights in zip(
-        unknowns.riders, unknowns.interpolation, unknowns.weights, strict=True
+    for tied_point, own, weights in zip(
+        unknowns.tied_points, unknowns.interpolation, unknowns.weights, strict=True
     ):
-        interpolation[int(rider)] = list(zip(own.tolist(), weights.tolist(), strict=True))
+        interpolation[int(tied_point)] = list(zip(own.tolist(), weights.tolist(), strict=True))
     along = dict.fromkeys(range(unknowns.n_local), np.eye(3))
-    for rail, d in zip(unknowns.rails, unknowns.directions, strict=True):
-        along[int(rail)] = np.outer(d, d)
+    for edge_slider, d in zip(unknowns.edge_sliders, unknowns.directions, strict=True):
+        along[int(edge_slider)] = np.outer(d, d)
     K = np.zeros((unknowns.n_local, 3, unknowns.n_local, 3))
     for row, col, value in zip(rows, cols, values, strict=True):
         for a, v in interpolation[int(row)]:
@@ -44,14 +44,14 @@ def one_by_one(unknowns, rows, cols, values):
     return result.reshape(3 * unknowns.n_local, -1)
 
 
-@pytest.mark.parametrize("rails", [0, 3])
-def test_blocks_of_equal_place_are_summed(rails) -> None:
+@pytest.mark.parametrize("edge_sliders", [0, 3])
+def test_blocks_of_equal_place_are_summed(edge_sliders) -> None:
     unknowns = cable_square(MPI.COMM_SELF).unknowns
-    assert unknowns.n_riders > 0
+    assert unknowns.n_tied_points > 0
     rng = np.random.default_rng(3)
-    directions = rng.normal(size=(rails, 3))
+    directions = rng.normal(size=(edge_sliders, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
-    unknowns.set_rails(rng.permutation(unknowns.n_vertices)[:rails], directions)
+    unknowns.set_edge_sliders(rng.permutation(unknowns.n_vertices)[:edge_sliders], directions)
     rows, cols = rng.integers(unknowns.n_owned, size=(2, 400)).astype(np.int32)
     rows[200:], cols[200:] = rows[:200], cols[:200]
     pattern = BlockPattern(rows, cols)

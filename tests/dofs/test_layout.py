@@ -1,4 +1,4 @@
-"""Layout of the unknowns: numbering, ghosts, riders; the whole potential on any number of ranks."""
+"""Layout of the unknowns: numbering, ghosts, tied points; the whole potential on any ranks."""
 
 import numpy as np
 import pytest
@@ -128,7 +128,7 @@ def ridden(comm):
     unknowns.X[[first, second, free]] = rng.uniform(0, 50, (3, 3))
     interpolation = unknowns.vertex_blocks()[[-1, -2, 0, 1, -3, -3]].reshape(2, 3)
     weights = np.array([(0.2, 0.3, 0.5), (0.6, 0.4, 0.0)])
-    unknowns.set_riders(np.array([first, second], dtype=np.int32), interpolation, weights)
+    unknowns.set_tied_points(np.array([first, second], dtype=np.int32), interpolation, weights)
     return scene, unknowns, (first, second, free)
 
 
@@ -155,25 +155,25 @@ def test_products_of_vectors_do_not_depend_on_where_they_lie(comm):
     np.testing.assert_array_equal(*twins)
 
 
-def test_riders_are_at_the_weighted_mean_of_their_vertices(comm):
+def test_tied_points_are_at_the_weighted_mean_of_their_vertices(comm):
     scene, unknowns, (first, second, free) = ridden(comm)
     f = OnMesh(unknowns, scene.u, [Springs()])
     x = noise(unknowns.X[: unknowns.n_owned], 1)
     f.value(x)
     places = unknowns.X + f.potential.x
-    for rider, interpolation, weights in zip(
+    for tied_point, interpolation, weights in zip(
         (first, second), unknowns.interpolation, unknowns.weights, strict=True
     ):
-        np.testing.assert_allclose(places[rider], weights @ places[interpolation], atol=1e-12)
+        np.testing.assert_allclose(places[tied_point], weights @ places[interpolation], atol=1e-12)
     np.testing.assert_array_equal(f.potential.x[free], x[free])
     assert unknowns.held[[first, second]].all()
     assert not unknowns.held[free].any()
 
 
-def test_idle_riders_are_placed_on_demand(comm):
+def test_idle_tied_points_are_placed_on_demand(comm):
     scene, unknowns, (first, second, _) = ridden(comm)
-    parts = unknowns.riders, unknowns.interpolation, unknowns.weights
-    unknowns.set_riders(*parts, n_loaded=1)
+    parts = unknowns.tied_points, unknowns.interpolation, unknowns.weights
+    unknowns.set_tied_points(*parts, n_loaded=1)
     f = OnMesh(unknowns, scene.u, [Springs()])
     x = noise(unknowns.X[: unknowns.n_owned], 1)
     f.value(x)
@@ -181,13 +181,13 @@ def test_idle_riders_are_placed_on_demand(comm):
     places = (unknowns.X + f.potential.x)[[first, second]]
     np.testing.assert_allclose(places[0], expected[0], atol=1e-12)
     assert np.abs(places[1] - expected[1]).max() > 1e-3
-    unknowns.place_idle_riders(f.potential.x)
+    unknowns.place_idle_tied_points(f.potential.x)
     places = (unknowns.X + f.potential.x)[[first, second]]
     np.testing.assert_allclose(places, expected, atol=1e-12)
 
 
-def test_riders_hand_on_their_forces_by_virtual_work(comm):
-    """Force on riders times their motion is that on their vertices times the vertices' motion."""
+def test_tied_points_hand_on_their_forces_by_virtual_work(comm):
+    """Force on tied points times their motion is that on their vertices times theirs."""
     scene, unknowns, (first, second, _) = ridden(comm)
     f = OnMesh(unknowns, scene.u, [Springs()])
     n = unknowns.n_owned
@@ -209,8 +209,8 @@ def test_spread_hands_stiffness_on_to_vertices(comm):
     n = unknowns.n_local
     rng = np.random.default_rng(0)
     rows, cols = rng.integers(0, n, (2, 60)).astype(np.int32)
-    rows[:6] = np.repeat(unknowns.riders, 3)
-    cols[:6] = np.tile(unknowns.riders, 3)
+    rows[:6] = np.repeat(unknowns.tied_points, 3)
+    cols[:6] = np.tile(unknowns.tied_points, 3)
     values = rng.normal(size=(60, 3, 3))
 
     def dense(rows, cols, values):
@@ -220,12 +220,12 @@ def test_spread_hands_stiffness_on_to_vertices(comm):
         return K
 
     P = np.eye(n)
-    P[unknowns.riders] = 0.0
-    for rider, interpolation, weights in zip(
-        unknowns.riders, unknowns.interpolation, unknowns.weights, strict=True
+    P[unknowns.tied_points] = 0.0
+    for tied_point, interpolation, weights in zip(
+        unknowns.tied_points, unknowns.interpolation, unknowns.weights, strict=True
     ):
         for master, weight in zip(interpolation, weights, strict=True):
-            P[rider, master] += weight
+            P[tied_point, master] += weight
     twin = np.einsum("ia,ijkl,jb->abkl", P, dense(rows, cols, values), P)
     places, sources, weights = unknowns.spread(rows, cols)
     spread = dense(*places, weights[:, None, None] * values[sources])
@@ -246,7 +246,7 @@ every_choice = pytest.mark.parametrize("choice", CHOICES.values(), ids=CHOICES.k
 def test_the_scene_has_everything(comm):
     system = cable_square(comm)
     kinds = {node.kind for cable in system.scene.cables for node in cable.nodes}
-    assert kinds == {"anchor", "rider", "fold", "vertex"}
+    assert kinds == {"anchor", "tied", "fold", "vertex"}
     names = {type(term).__name__ for term in system.potential.terms}
     assert names == {
         "MembraneEnergy", "FollowerPressure", "CableTension", "FoldedMembraneEnergy", "FoldPenalty",
@@ -364,7 +364,7 @@ def equilateral(comm):
     return System(scene, "crms_test_", 1e-8)
 
 
-def test_stiffness_with_riders_and_folded_cells_is_exact_under_tension(comm):
+def test_stiffness_with_tied_points_and_folded_cells_is_exact_under_tension(comm):
     """Stretched alike in all directions, every side of an equilateral triangle pulls."""
     system = equilateral(comm)
     system.membrane.energy.stiffening.floor.value = 0.0
@@ -373,6 +373,6 @@ def test_stiffness_with_riders_and_folded_cells_is_exact_under_tension(comm):
     f.value(x)
     assert system.cables.folds.energy.forces.min(initial=1.0) > 0
     assert comm.allreduce(len(system.cables.folds.energy.forces)) > 50
-    assert comm.allreduce(f.unknowns.n_riders) >= 4
+    assert comm.allreduce(f.unknowns.n_tied_points) >= 4
     for name, d in directions(f.unknowns).items():
         assert stiffness_error(f, x, d) < 1e-7, name

@@ -157,7 +157,7 @@ def test_what_smoothing_adds_is_taken_off():
     )
     smoothed = f.sums.copy()
     assert smoothed[0] - true[0] > 0.1 * EPS
-    f.term.excess[:] = smoothed - true
+    f.term.smoothing_length[:] = smoothed - true
     energy, g = f.value(x)
     np.testing.assert_allclose(f.sums, true, rtol=1e-14)
     strain = true / f.term.L0 - 1
@@ -222,14 +222,14 @@ def test_stiffness_lacks_the_dyad_of_the_whole_cable_alone():
 
 @pytest.mark.ranks
 def test_stiffness_on_the_membrane(comm):
-    """With riders and anchors, on any number of ranks."""
+    """With tied points and anchors, on any number of ranks."""
     system = cable_square(comm)
     t = system.cables.tables
     held = HeldTension(t.segments, t.eps, t.cable, np.array([20.0, 30.0, 15.0]), np.ones(3))
     system.potential.terms.append(held)
     f = on_mesh(system, "HeldTension")
     x, d = displaced(f.unknowns, 0.3), directions(f.unknowns)["all"]
-    # held components are zero in a rider's row, but a rider moves with its vertices
+    # held components are zero in a tied point's row, but a tied point moves with its vertices
     assert stiffness_error(f, x, d) < 1e-6
 
 

@@ -228,7 +228,7 @@ def test_hessian():
 def frozen_slips(scene):
     """Slips of all cables, as linear functions of the places on the edges."""
     shape = scene.net.strip_shape()
-    return [node_slips(cable, cable.grip.curve, shape) for cable in scene.cables]
+    return [node_slips(cable, cable.lateral.curve, shape) for cable in scene.cables]
 
 
 def energy_by_hand(scene, frozen):
@@ -238,7 +238,7 @@ def energy_by_hand(scene, frozen):
         slip = slips.slope * cable.fractions[slips.nodes] + slips.offset
         eps = cable.cable.sideways.tolerance * slips.size
         for s, e, support in zip(slip, eps, slips.supports, strict=True):
-            total += potential(s, cable.grip.at(support), e)[0]
+            total += potential(s, cable.lateral.at(support), e)[0]
     return total
 
 
@@ -258,13 +258,13 @@ def slid(system, size):
 
 @pytest.mark.ranks
 def test_term_of_a_scene(comm):
-    """Nodes that stick and nodes that slide, two on one edge, and rails."""
+    """Nodes that stick and nodes that slide, two on one edge, and edge sliders."""
     system = friction_square(comm, Friction(0.4, tolerance=0.01))
     f = on_mesh(system, "LateralFriction")
     term = f.potential.terms[0]
     sizes = comm.allreduce(np.bincount(np.diff(term.table.pointers), minlength=5))
     assert sizes[3] > 10 and sizes[4] > 2
-    assert comm.allreduce(int(system.unknowns.n_rails)) > 0
+    assert comm.allreduce(int(system.unknowns.n_edge_sliders)) > 0
     # nothing has slipped at the start of the step
     energy, _ = f.value(np.zeros((system.unknowns.n_owned, 3)))
     assert abs(energy) < 1e-20
@@ -313,14 +313,14 @@ def test_paper_elements_of_a_scene(comm):
     """Their work begins at zero, and grows with the slip to the side to which a node slides."""
     system = friction_square(comm, Friction(0.4, law="step"))
     for cable in system.scene.cables:
-        cable.grip.moving[:] = 1.0
+        cable.lateral.moving[:] = 1.0
     system.rebuild()
     system.read_scene()
     f = on_mesh(system, "FrictionElementEnergy")
     table = f.potential.terms[0].table
     assert comm.allreduce(len(table.blocks)) > 15
     energy, g = f.value(np.zeros((system.unknowns.n_owned, 3)))
-    bounds = sum(float(cable.grip.bounds.sum()) for cable in system.scene.cables)
+    bounds = sum(float(cable.lateral.bounds.sum()) for cable in system.scene.cables)
     scale = bounds * 100.0  # all the force through the square's side
     assert abs(energy) < 1e-14 * scale
     assert np.sqrt(f.dot(g, g)) > 0.1 * np.abs(table.forces).max(initial=0.0)

@@ -91,7 +91,7 @@ def test_gradient_and_energy(comm):
 
 @pytest.mark.ranks
 def test_gradient_beside_cables(comm):
-    """With all the other terms around it and ghosts, riders and fold points among the unknowns."""
+    """With all other terms around it, and ghosts, tied and fold points among the unknowns."""
     system = cable_square(comm)
     system.scene.put_load(wavy)
     system.scene.loads.replace_each(lambda load: replace(load, factor=0.01))

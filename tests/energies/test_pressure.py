@@ -372,7 +372,7 @@ def test_folded_step_pressure(comm):
     now = (unknowns.X + f.potential.x)[facets.corners]
     scaled = now - now.mean(axis=1, keepdims=True)
     scaled *= np.sqrt(facets.weights)[:, None, None]  # the area vector grows with the square
-    # riders hand their forces on, so compare by the work along a displacement that they follow
+    # tied points hand their forces on, so compare by the work along a displacement that they follow
     f.value(start + d)
     moved = f.potential.x.copy()
     f.value(start)

@@ -193,7 +193,10 @@ def test_ends_move_all_the_way(kind: str) -> None:
     np.testing.assert_allclose(cable.positions[[0, -1]], held - [0.0, 0.0, 1.5], atol=1e-12)
     np.testing.assert_allclose(cable.positions[[1, -2]][:, [0, 2]], held[:, [0, 2]], atol=1e-12)
     aside = np.abs(cable.positions[[1, -2], 1] - held[:, 1])
-    assert (aside < 0.3).all() and {cable.nodes[k].kind for k in (1, -2)} <= {"rail", "vertex"}
+    assert (aside < 0.3).all() and {cable.nodes[k].kind for k in (1, -2)} <= {
+        "edge slider",
+        "vertex",
+    }
 
 
 @pytest.mark.ranks
@@ -252,10 +255,10 @@ def test_forces_and_energies_balance(kind: str) -> None:
     pressure = forces_of(solver, {"pressure"})
     left = np.zeros_like(system.unknowns.X)
     left[:own] = internal + pressure
-    system.unknowns.project(left)  # rails are free along their edges only
+    system.unknowns.project(left)  # edge sliders are free along their edges only
     assert np.abs(left[:own][~held]).max() < 1e-8 * scale
     free = ~held.all(axis=1)
-    free[system.unknowns.rails[system.unknowns.rails < own]] = False
+    free[system.unknowns.edge_sliders[system.unknowns.edge_sliders < own]] = False
     reactions, carried = total(internal[~free].sum(axis=0)), total(pressure[free].sum(axis=0))
     np.testing.assert_allclose(reactions, carried, rtol=0, atol=1e-7 * scale)
     plan = 100.0**2 * scene.pressure

@@ -97,7 +97,7 @@ def test_dyad_columns_are_gradients_of_the_lengths(comm) -> None:
     potential.x[:n] = x
     potential.place()
     potential.sum_up()
-    # riders go with their vertices, whatever d says of them
+    # tied points go with their vertices, whatever d says of them
     for k, (term, number, _) in enumerate(list(potential.dyads())):
         potential.dyad_column(term, number)
         slope = comm.allreduce(float(np.vdot(potential.g[:n], d)))
@@ -164,7 +164,7 @@ def test_multigrid_is_for_many_unknowns(comm, monkeypatch) -> None:
 
 @pytest.mark.ranks
 def test_multigrid_solves_too_and_leaves_alone_what_is_held(comm, monkeypatch, multigrid) -> None:
-    """Held components and those across rails are no business of its coarse levels."""
+    """Held components and those across edge sliders are no business of its coarse levels."""
     monkeypatch.setattr("crms_fenicsx.minimization.initial_hessian.ACCURACY", 1e-11)
     solver, _ = cabled(comm)
     solver.advance(pressure=0.01)
@@ -173,7 +173,7 @@ def test_multigrid_solves_too_and_leaves_alone_what_is_held(comm, monkeypatch, m
     h0.rebuild()
     assert h0.pc.getType() == multigrid and len(list(potential.dyads())) == 2
     unknowns = potential.unknowns
-    assert comm.allreduce(unknowns.n_rails) > 0
+    assert comm.allreduce(unknowns.n_edge_sliders) > 0
     b, y, back = (potential.x_vector.duplicate() for _ in range(3))
     n = unknowns.n_owned
     values = noise(unknowns.X, 4)

@@ -57,7 +57,7 @@ def at_some_state(system: System) -> Potential:
 
 
 def free_vector(potential: Potential, seed: int = 4) -> PETSc.Vec:
-    """A right-hand side as a gradient has: nothing where components are held or across rails."""
+    """A right-hand side as a gradient has: nothing where held or across edge sliders."""
     unknowns, b = potential.unknowns, potential.x_vector.duplicate()
     values = noise(unknowns.X, seed)
     values[unknowns.held] = 0.0
@@ -92,7 +92,7 @@ class Bars(EnergyTerm):
 
 @pytest.mark.parametrize("material", ["isotropic", "orthotropic"])
 def test_stiffness_without_cables_is_that_of_a_scene_without_any(comm, material: str) -> None:
-    """Also what a user's term adds, and where riders and other ranks' vertices come in."""
+    """Also what a user's term adds, and where tied points and other ranks' vertices come in."""
     choice = {} if material == "isotropic" else {"material": FABRIC}
     system = cable_square(comm, **choice)
     bare = Scene(irregular_square(comm), system.scene.membrane.materials[0])
@@ -147,7 +147,7 @@ def preconditioner(
 
 
 def scene_with(comm, what: str) -> System:
-    """Cables that bend over lines that are held, there on rails; a floor touches half of it."""
+    """Cables that bend over lines that are held, on edge sliders; a floor touches half of it."""
     scene = ridged(comm, size=20.0)
     paths = [OBLIQUE, [(20.0, 0.0), (31.0, 100.0)]]
     if what == "crossings":
@@ -163,20 +163,20 @@ def scene_with(comm, what: str) -> System:
         potential.place()
         lower = np.full_like(unknowns.X, -np.inf)
         lower[:, 2] = potential.x[:, 2]
-        lower[unknowns.held] = lower[unknowns.rails] = -np.inf
+        lower[unknowns.held] = lower[unknowns.edge_sliders] = -np.inf
         unknowns.bounds = lower, np.full_like(lower, np.inf)
     return system
 
 
 @pytest.mark.ranks
-@pytest.mark.parametrize("what", ["rails", "crossings", "floor"])
+@pytest.mark.parametrize("what", ["edge sliders", "crossings", "floor"])
 def test_it_leads_to_the_step_of_a_factorisation(comm, what: str, monkeypatch) -> None:
     monkeypatch.setattr("crms_fenicsx.minimization.initial_hessian.ACCURACY", 1e-11)
     potential = scene_with(comm, what).potential
     unknowns, n = potential.unknowns, potential.unknowns.n_owned
     direct, split = rebuilt(potential, {}), rebuilt(potential, SPLIT)
     assert split.pc.getType() == "fieldsplit" and direct.pc.getType() == "cholesky"
-    assert comm.allreduce(unknowns.n_rails) > 0
+    assert comm.allreduce(unknowns.n_edge_sliders) > 0
     assert len(list(potential.dyads())) >= 2
     pressed = split._held & ~unknowns.held[:n]
     assert (comm.allreduce(int(pressed.sum())) > 0) == (what == "floor")
@@ -198,9 +198,9 @@ def test_it_is_symmetric_positive_definite() -> None:
     unknowns = potential.unknowns
     n = unknowns.n_owned
     P = np.diag(np.where(unknowns.held[:n], 0.0, 1.0).ravel())
-    for rail, d in zip(unknowns.rails, unknowns.directions, strict=True):
-        rows = slice(3 * rail, 3 * rail + 3)
-        P[rows, rows] = np.outer(d, d) * ~unknowns.held[rail]
+    for edge_slider, d in zip(unknowns.edge_sliders, unknowns.directions, strict=True):
+        rows = slice(3 * edge_slider, 3 * edge_slider + 3)
+        P[rows, rows] = np.outer(d, d) * ~unknowns.held[edge_slider]
     w, V = np.linalg.eigh(P)
     free = V[:, w > 0.5]
     B = free.T @ preconditioner(h0, h0.precondition, free)

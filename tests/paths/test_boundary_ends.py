@@ -75,7 +75,7 @@ def test_ends_moved_off_and_through_the_air(comm, kind: str) -> None:
     scene, cable, solver = solved(comm, kind, [(0, 30), (100, 30)], 100.0)
     solver.advance(move={cable.start: (-5, 0, 0), cable.end: (5, 0, 0)}, L0={cable: 110.0}, steps=2)
     assert cable.ends == ("off", "off")
-    assert {cable.nodes[1].kind, cable.nodes[-2].kind} == {"rail"}
+    assert {cable.nodes[1].kind, cable.nodes[-2].kind} == {"edge slider"}
     solver.advance(move={cable: (0, 15, 0)}, steps=3)
     fresh = solved(comm, kind, [(-5, 45, 0), (105, 45, 0)], 110.0)
     assert_same((scene, cable), fresh[:2], 1e-2)
@@ -92,7 +92,7 @@ def test_an_end_that_comes_back_is_held_again(comm) -> None:
     solver.advance(move={cable.start: (-4, 0, 0)}, L0={cable: 104.0})
     assert cable.ends == ("off", "held")
     solver.advance(move={cable.start: (4, 0, 0)}, L0={cable: 100.0})
-    assert cable.ends == ("held", "held") and cable.nodes[1].kind == "rider"
+    assert cable.ends == ("held", "held") and cable.nodes[1].kind == "tied"
     assert (scene.energy, cable.tension) == pytest.approx(before, rel=1e-4)
 
 
@@ -153,6 +153,6 @@ def test_an_end_that_comes_to_lie_under_the_membrane_goes_round_by_its_edge(comm
         solver.advance(pressure=2.0)
         cable = scene.lay_cable(Cable(500.0), [(0.0, 4.3), (10.0, 6.1)])
         solver.advance(move={"left": (-0.1, 0.0, 0.2)}, steps=steps)
-        assert cable.nodes[1].kind == "rail" and cable.positions[1][0] == pytest.approx(-0.1)
+        assert cable.nodes[1].kind == "edge slider" and cable.positions[1][0] == pytest.approx(-0.1)
         found += [cable.tension, solver.advance() and cable.tension]
     assert found == pytest.approx([found[0]] * 4, rel=1e-6)

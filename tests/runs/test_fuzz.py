@@ -86,7 +86,14 @@ def test_a_scene_follows_from_its_number() -> None:
 
 @pytest.mark.parametrize(
     ("number", "kind"),
-    [(545, "turned"), (537, "branch"), (528, "load"), (1000, "stopped"), (1012, "resume")],
+    [
+        (545, "turned"),
+        (537, "branch"),
+        (528, "load"),
+        (1000, "stopped"),
+        (1012, "resume"),
+        (289, "branch"),
+    ],
 )
 def test_scenes_of_many_features(number: int, kind: str) -> None:
     """Bars, air, water, loads, cables and load cases at once, and a twin with the same answer."""

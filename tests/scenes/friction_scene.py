@@ -1,5 +1,5 @@
 """The square of the terms' tests, with cables that friction holds: two on the same edges, and one
-over rails."""
+over edge sliders."""
 
 from __future__ import annotations
 

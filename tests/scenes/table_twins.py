@@ -63,7 +63,7 @@ class SlowTables:
         kinds = {self.cables[c].nodes[n].kind for n in (k, m)}
         rows = [r for r in self.strip.rows(self.around(link)) if self.strip.owner[r] == self.rank]
         size = float(min(sizes[row] for row in rows))
-        if kinds == {"rider"} or (on is None and not kinds & {"fold", "rail", "crossing"}):
+        if kinds == {"tied"} or (on is None and not kinds & {"fold", "edge slider", "crossing"}):
             return -SAME_PLACE * size
         return SMOOTHING * size * (1e-3 if "anchor" in kinds else 1.0)
 

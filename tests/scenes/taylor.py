@@ -32,7 +32,7 @@ class Points:
 
     def __init__(self, X: Array) -> None:
         self.X = X
-        self.n_riders = self.n_rails = 0
+        self.n_tied_points = self.n_edge_sliders = 0
         self.n_local = len(X)
         self.matrix_numbers = np.arange(len(X), dtype=PETSc.IntType)
 

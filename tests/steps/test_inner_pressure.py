@@ -25,11 +25,11 @@ START = brentq(lambda lam: given(lam) - 1.0, 1.0, 1.2)
 def closed_form(heat: float, atmosphere: float, exponent: float) -> tuple[float, float]:
     """Stretch and pressure of the sphere, sealed at p = 1."""
 
-    def excess(lam: float) -> float:
+    def smoothing_length(lam: float) -> float:
         absolute = heat * 102.325 * (START / lam) ** (3 * exponent)
         return absolute - atmosphere - given(lam)
 
-    lam = brentq(excess, 0.9, 1.3)
+    lam = brentq(smoothing_length, 0.9, 1.3)
     return lam, given(lam)
 
 

@@ -101,11 +101,11 @@ def less_bound(solver: Solver) -> None:
     """Let hardly any friction hold the points at a vertex, which the cable is pulled off."""
     cable = solver.scene.cables[0]
     vertex = onto_vertex(solver)
-    grip = cable.grip
+    grip = cable.lateral
     assert grip is not None
     bounds = grip.bounds.copy()
     bounds[[vertex in support for support in grip.supports]] *= 1e-3
-    cable.update(grip=replace(grip, bounds=bounds))
+    cable.update(lateral=replace(grip, bounds=bounds))
 
 
 def less_friction(solver: Solver, friction: Friction) -> None:

@@ -19,8 +19,8 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.scene import Scene
 
 POINTS = 4
-"""Cable points of each rank: a rider, two rails and a free one; the first rail is a ghost on all
-other ranks."""
+"""Cable points of each rank: a tied point, two edge sliders and a free one; the first edge slider
+is a ghost on all other ranks."""
 
 
 def place(rank: int, k: int) -> Array:
@@ -29,15 +29,15 @@ def place(rank: int, k: int) -> Array:
 
 
 def direction(rank: int, k: int) -> Array:
-    """Unit vector of a rail, the same on all ranks."""
+    """Unit vector of an edge slider, the same on all ranks."""
     d = np.random.default_rng((rank, k, 1)).normal(size=3)
     return np.asarray(d / np.linalg.norm(d))
 
 
-def cables(comm: MPI.Intracomm, *, rails: bool = True) -> OnMesh:
-    """Cables through riders, rails, free points and vertices, and from rail to rail of all ranks.
+def cables(comm: MPI.Intracomm, *, edge_sliders: bool = True) -> OnMesh:
+    """Cables through tied points, edge sliders, free points and vertices, and between edge sliders.
 
-    Without rails the same points are free.
+    Without edge sliders the same points are free.
     """
     scene = Scene(irregular_square(comm), ISOTROPIC)
     others = [rank for rank in range(comm.size) if rank != comm.rank]
@@ -47,14 +47,14 @@ def cables(comm: MPI.Intracomm, *, rails: bool = True) -> OnMesh:
     unknowns.X[own] = [place(comm.rank, k) for k in range(POINTS)]
     for block, rank in zip(foreign, others, strict=True):
         unknowns.X[block] = place(rank, 1)
-    rider, first, second, free = own
-    unknowns.set_riders(own[:1], vertices[None, :3], np.array([[0.2, 0.3, 0.5]]))
-    if rails:
-        unknowns.set_rails(
+    tied_point, first, second, free = own
+    unknowns.set_tied_points(own[:1], vertices[None, :3], np.array([[0.2, 0.3, 0.5]]))
+    if edge_sliders:
+        unknowns.set_edge_sliders(
             np.concatenate([own[1:3], foreign]),
             np.array([direction(comm.rank, k) for k in (1, 2)] + [direction(r, 1) for r in others]),
         )
-    links = [(rider, first), (first, second), (second, free), (free, vertices[4])]
+    links = [(tied_point, first), (first, second), (second, free), (free, vertices[4])]
     links += [(first, vertices[5]), *((block, second) for block in foreign)]
     n = len(links)
     number = np.array([0, 0, 1, 1, 0, *[1] * len(foreign)], dtype=np.int32)
@@ -72,12 +72,12 @@ def shaken(f: OnMesh, seed: int, size: float = 1.0) -> Array:
 
 
 def projection(f: OnMesh) -> Array:
-    """P of all points of all ranks, (3 n, 3 n), from the rails alone."""
+    """P of all points of all ranks, (3 n, 3 n), from the edge sliders alone."""
     unknowns = f.unknowns
     P = np.eye(3 * unknowns.n_global)
     own = [
         (unknowns.start + int(block), d)
-        for block, d in zip(unknowns.rails, unknowns.directions, strict=True)
+        for block, d in zip(unknowns.edge_sliders, unknowns.directions, strict=True)
         if block < unknowns.n_owned
     ]
     for number, d in (pair for pairs in unknowns.comm.allgather(own) for pair in pairs):
@@ -91,21 +91,23 @@ def everywhere(f: OnMesh, values: Array) -> Array:
 
 
 @pytest.mark.ranks
-def test_rails_stay_on_their_lines(comm) -> None:
+def test_edge_sliders_stay_on_their_lines(comm) -> None:
     """Ghosts too, wherever the minimiser wants them."""
     f = cables(comm)
     x = shaken(f, 1)
     f.value(x)
     unknowns, placed = f.unknowns, f.potential.x
     ghosts = [(rank, 1) for rank in range(comm.size) if rank != comm.rank]
-    rails = [(comm.rank, 1), (comm.rank, 2), *ghosts]
-    for block, (rank, k) in zip(unknowns.rails, rails, strict=True):
+    edge_sliders = [(comm.rank, 1), (comm.rank, 2), *ghosts]
+    for block, (rank, k) in zip(unknowns.edge_sliders, edge_sliders, strict=True):
         d = direction(rank, k)
         np.testing.assert_allclose(placed[block], d * (d @ placed[block]), atol=1e-14)
         if block < unknowns.n_owned:
             assert d @ placed[block] == pytest.approx(d @ x[block], rel=1e-12)
             assert abs(d @ x[block]) > 1e-3
-    free = np.setdiff1d(np.arange(unknowns.n_owned), [*unknowns.rails, *unknowns.riders])
+    free = np.setdiff1d(
+        np.arange(unknowns.n_owned), [*unknowns.edge_sliders, *unknowns.tied_points]
+    )
     np.testing.assert_array_equal(placed[free], x[free])
     vector, array = unknowns.vector()
     array[: unknowns.n_owned] = placed[: unknowns.n_owned]
@@ -114,10 +116,10 @@ def test_rails_stay_on_their_lines(comm) -> None:
     vector.destroy()
 
 
-def test_a_rail_is_not_held(comm) -> None:
+def test_an_edge_slider_is_not_held(comm) -> None:
     f = cables(comm)
-    assert not f.unknowns.held[f.unknowns.rails].any()
-    assert f.unknowns.held[f.unknowns.riders].all()
+    assert not f.unknowns.held[f.unknowns.edge_sliders].any()
+    assert f.unknowns.held[f.unknowns.tied_points].all()
 
 
 def test_gradient_is_that_along_the_lines(comm) -> None:
@@ -125,18 +127,18 @@ def test_gradient_is_that_along_the_lines(comm) -> None:
     x, d = shaken(f, 1), shaken(f, 2, 5.0)
     assert gradient_order(f, x, d) == pytest.approx(2, abs=0.02)
     along = np.zeros_like(d)
-    rails = f.unknowns.rails[f.unknowns.rails < f.unknowns.n_owned]
-    along[rails] = d[rails]
+    edge_sliders = f.unknowns.edge_sliders[f.unknowns.edge_sliders < f.unknowns.n_owned]
+    along[edge_sliders] = d[edge_sliders]
     assert gradient_order(f, x, along) == pytest.approx(2, abs=0.02)
     _, g = f.value(x)
-    _, free = (twin := cables(comm, rails=False)).value(f.potential.x[: len(x)])
+    _, free = (twin := cables(comm, edge_sliders=False)).value(f.potential.x[: len(x)])
     np.testing.assert_allclose(everywhere(f, g), projection(f) @ everywhere(twin, free), atol=1e-11)
-    assert np.abs(free[rails] - g[rails]).max() > 1.0
+    assert np.abs(free[edge_sliders] - g[edge_sliders]).max() > 1.0
 
 
 def test_stiffness_is_projected(comm) -> None:
-    """P K P entry by entry, K that of the same points without rails."""
-    f, twin = cables(comm), cables(comm, rails=False)
+    """P K P entry by entry, K that of the same points without edge sliders."""
+    f, twin = cables(comm), cables(comm, edge_sliders=False)
     f.value(shaken(f, 1))
     x = f.potential.x[: f.unknowns.n_owned].copy()
     P, K = projection(f), twin.matrix(x)
@@ -168,7 +170,7 @@ def test_stiffness_and_dyads_are_the_second_derivative(comm) -> None:
 @pytest.mark.ranks
 def test_minimiser_gets_forces_along_the_lines(comm) -> None:
     """Those across them count as the scene's own force, to which it compares."""
-    f, twin = cables(comm), cables(comm, rails=False)
+    f, twin = cables(comm), cables(comm, edge_sliders=False)
     f.unknowns.held[f.unknowns.vertex_blocks()] = True
     _, g = f.value(shaken(f, 1))
     held = f.unknowns.held[: len(g)]
@@ -196,7 +198,7 @@ def test_initial_hessian_is_its_dense_twin(comm) -> None:
     h0 = InitialHessian(potential, "crms_test_h0_")
     h0.rebuild()
     P, free = projection(f), ~everywhere(f, f.unknowns.held[: len(x)])
-    K = P @ cables(comm, rails=False).matrix(x) @ P
+    K = P @ cables(comm, edge_sliders=False).matrix(x) @ P
     K[~free], K[:, ~free] = 0.0, 0.0
     traces = np.diag(K).reshape(-1, 3).sum(axis=1)
     largest = traces.max()
@@ -226,20 +228,20 @@ def test_projection_allocates_nothing(comm) -> None:
     unknowns = Unknowns(Scene(irregular_square(comm), ISOTROPIC).V, n)
     values = np.ones((unknowns.n_local, 3))
     unknowns.project(values)
-    assert (values == 1.0).all()  # without rails
-    unknowns.set_rails(unknowns.owned_point_blocks(), np.tile([0.6, 0.0, 0.8], (n, 1)))
+    assert (values == 1.0).all()  # without edge sliders
+    unknowns.set_edge_sliders(unknowns.owned_point_blocks(), np.tile([0.6, 0.0, 0.8], (n, 1)))
     tracemalloc.start()
     unknowns.project(values)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    np.testing.assert_allclose(values[unknowns.rails], np.tile([0.84, 0.0, 1.12], (n, 1)))
-    assert peak < 8 * n  # less than one component of the rails
+    np.testing.assert_allclose(values[unknowns.edge_sliders], np.tile([0.84, 0.0, 1.12], (n, 1)))
+    assert peak < 8 * n  # less than one component of the edge sliders
 
 
 def between(comm: MPI.Intracomm, anchors: Array, lines: list[tuple[Array, Array]]) -> OnMesh:
-    """A cable between two anchors over rails (place, direction).
+    """A cable between two anchors over edge sliders (place, direction).
 
-    The first rank has the anchors and computes all, the last one the rails.
+    The first rank has the anchors and computes all, the last one the edge sliders.
     """
     scene = Scene(irregular_square(comm), ISOTROPIC)
     last, n = comm.size - 1, len(lines)
@@ -247,17 +249,17 @@ def between(comm: MPI.Intracomm, anchors: Array, lines: list[tuple[Array, Array]
     count = 2 * (comm.rank == 0) + n * (comm.rank == last)
     unknowns = Unknowns(scene.V, count, ghosts)
     points = np.concatenate([unknowns.owned_point_blocks(), unknowns.ghost_point_blocks()])
-    rails = points[2 * (comm.rank == 0) :]
+    edge_sliders = points[2 * (comm.rank == 0) :]
     segments = np.zeros((0, 2), dtype=np.int32)
     if comm.rank == 0:
         unknowns.X[points[:2]] = anchors
         unknowns.held[points[:2]] = True
-        chain = np.array([points[0], *rails, points[1]], dtype=np.int32)
+        chain = np.array([points[0], *edge_sliders, points[1]], dtype=np.int32)
         segments = np.stack([chain[:-1], chain[1:]], axis=1)
     unknowns.held[unknowns.vertex_blocks()] = True
-    if len(rails):
-        unknowns.X[rails] = [start for start, _ in lines]
-        unknowns.set_rails(rails, np.array([d for _, d in lines]))
+    if len(edge_sliders):
+        unknowns.X[edge_sliders] = [start for start, _ in lines]
+        unknowns.set_edge_sliders(edge_sliders, np.array([d for _, d in lines]))
     m = len(segments)
     cable = np.zeros(m, dtype=np.int32)
     term = CableTension(segments, np.full(m, 1e-3), cable, np.array([3000.0]), np.array([50.0]))
@@ -265,16 +267,16 @@ def between(comm: MPI.Intracomm, anchors: Array, lines: list[tuple[Array, Array]
 
 
 def ways(f: OnMesh) -> Array:
-    """How far the rails have gone along their lines, on all ranks."""
+    """How far the edge sliders have gone along their lines, on all ranks."""
     unknowns = f.unknowns
-    own = unknowns.rails < unknowns.n_owned
-    way = np.sum(f.potential.x[unknowns.rails[own]] * unknowns.directions[own], axis=1)
+    own = unknowns.edge_sliders < unknowns.n_owned
+    way = np.sum(f.potential.x[unknowns.edge_sliders[own]] * unknowns.directions[own], axis=1)
     return np.concatenate(unknowns.comm.allgather(way))
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0], ids=["across", "reflected"])
-def test_a_cable_over_a_rail_is_straight_when_unfolded(comm, side: float) -> None:
-    """The rail divides the anchors' way along it as the anchors' distances from it."""
+def test_a_cable_over_an_edge_slider_is_straight_when_unfolded(comm, side: float) -> None:
+    """The edge slider divides the anchors' way along it as the anchors' distances from it."""
     d = np.array([2.0, -1.0, 2.0]) / 3
     normal = np.array([1.0, 2.0, 0.0]) / np.sqrt(5)
     start = np.array([30.0, 20.0, 10.0])
@@ -284,16 +286,16 @@ def test_a_cable_over_a_rail_is_straight_when_unfolded(comm, side: float) -> Non
     minimizer = Minimizer(f.potential, "crms_test_", 1e-11)
     outcome = minimizer.solve()
     assert outcome.converged
-    # 7 and 2 measured, 5 and 2 over four rails below
+    # 7 and 2 measured, 5 and 2 over four edge sliders below
     assert outcome.iterations <= 8 and outcome.factorizations <= 3
     expected = (-5.0 * 30 + 40.0 * 12) / (12 + 30)
-    # the tension's force along the rail is 1e-11 of itself, its stiffness T/12 + T/30
+    # the tension's force along the edge slider is 1e-11 of itself, its stiffness T/12 + T/30
     np.testing.assert_allclose(ways(f), [expected], rtol=0, atol=1e-8)
     minimizer.destroy()
 
 
-def test_a_cable_over_many_rails_is_the_shortest(comm) -> None:
-    """Parallel rails over a hill: they divide the cable's way along them as its lengths across."""
+def test_a_cable_over_many_edge_sliders_is_the_shortest(comm) -> None:
+    """Parallel edge sliders over a hill: they divide the way along them as its lengths across."""
     d = np.array([0.6, 0.8, 0.0])
     across = np.array([0.8, -0.6, 0.0])
     run = np.array([0.0, 11.0, 30.0, 44.0, 60.0, 75.0])
