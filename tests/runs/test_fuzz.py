@@ -92,7 +92,7 @@ def test_a_scene_follows_from_its_number() -> None:
         (528, "load"),
         (1000, "stopped"),
         (1012, "resume"),
-        (289, "branch"),
+        (251, "turned"),
     ],
 )
 def test_scenes_of_many_features(number: int, kind: str) -> None:
