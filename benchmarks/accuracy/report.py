@@ -28,6 +28,8 @@ class Row:
     seconds, solving, wall
         Medians over `runs` runs of processor time, of its part after all that is done once (scene,
         forms, tables), and of wall time.
+    of_finest
+        Of a study of convergence the wall time relative to that of its finest level; else 1.
     memory, base
         Peak memory of the process, and what it has before the first run (MiB).
     first, second
@@ -47,6 +49,7 @@ class Row:
     seconds: float
     solving: float
     wall: float
+    of_finest: float
     runs: int
     iterations: int
     evaluations: int
@@ -96,7 +99,7 @@ def row(name: str, method: str, n: int, laws: Laws, figures: dict) -> Row:
     return Row(
         name, method, n, laws.steps or 0, int(figures.get("unknowns", 0)), figures["converged"],
         figures["reason"], number("seconds"), number("solving"),
-        number("wall"), int(figures.get("runs", 0)),
+        number("wall"), number("of_finest"), int(figures.get("runs", 0)),
         *counts, number("memory"), number("base"), *values, *errors,
     )  # fmt: skip
 
@@ -173,11 +176,12 @@ def summary(rows: Sequence[Row]) -> str:
 
 
 def _gains(rows: Sequence[Row]) -> list[str]:
-    """What extrapolation gains and costs, beside a run on a mesh as fine as its finest."""
+    """What extrapolation gains and costs, beside a run on a mesh as fine, and its finest level."""
     lines = [
         "",
-        "| case, errors of | n | of | mesh n | limit | ratio | time, relative | evaluations |",
-        "|---" * 8 + "|",
+        "| case, errors of | n | of | mesh n | limit | ratio | time, relative | to its finest | "
+        "evaluations |",
+        "|---" * 9 + "|",
     ]
     runs = {(r.case, r.method, r.n): r for r in rows if r.converged}
     for (name, method, n), limit in runs.items():
@@ -190,6 +194,7 @@ def _gains(rows: Sequence[Row]) -> list[str]:
             of_mesh, of_limit = getattr(mesh, error), getattr(limit, error)
             lines.append(
                 f"| {CASES[name].title} | {n} | {quantity} | {of_mesh:.1e} | {of_limit:.1e} | "
-                f"{of_mesh / of_limit:.3g} | {spent[0]:.2f} | {spent[1]:.2f} |"
+                f"{of_mesh / of_limit:.3g} | {spent[0]:.2f} | {limit.of_finest:.2f} | "
+                f"{spent[1]:.2f} |"
             )
     return lines

@@ -119,10 +119,12 @@ def work(case_name: str, method_name: str, n: int, steps: int | None, limit: flo
             "found": {"W": watch.energy},
             "evaluations": watch.evaluations,
         }
-        spent = spent or [(time.process_time() - began, float("nan"), float("nan"))]
-    seconds, wall, solving = (statistics.median(times) for times in zip(*spent, strict=True))
-    return figures | {"seconds": seconds, "wall": wall, "solving": solving, "runs": len(spent),
-                      "memory": _peak(), "base": base}  # fmt: skip
+        spent = spent or [(time.process_time() - began, *[float("nan")] * 3)]
+    medians = (statistics.median(times) for times in zip(*spent, strict=True))
+    names = ("seconds", "wall", "of_finest", "solving")
+    return figures | dict(zip(names, medians, strict=True)) | {
+        "runs": len(spent), "memory": _peak(), "base": base,
+    }  # fmt: skip
 
 
 def _timed(
@@ -130,7 +132,8 @@ def _timed(
 ) -> tuple[Any, Any, dict]:
     """Processor and wall time, solver and results of a run; the first mesh is made before.
 
-    Of several levels these are the limits, and the time is that of all of them.
+    Of several levels these are the limits, and the time is that of all of them; a third number is
+    that time relative to the finest level's.
     """
     case = CASES[case_name]
     mesh = case.mesh(n >> (levels - 1))
@@ -138,15 +141,16 @@ def _timed(
     began = np.array([time.process_time(), time.perf_counter()])
     try:
         if levels == 1:
-            solver, found = case.run(mesh, laws)
+            (solver, found), seconds = case.run(mesh, laws), (1.0,)
         else:
             wanted = {q: QUANTITIES[q] for q in case.quantities}
             study = convergence(
                 lambda mesh: case.run(mesh, laws)[0], mesh, levels, quantities=wanted
             )
             solver, found = study.finest, {q: study[q].limit for q in wanted}
+            seconds = study.seconds
         times = np.array([time.process_time(), time.perf_counter()]) - began
-        return tuple(times.tolist()), solver, found
+        return (*times.tolist(), sum(seconds) / seconds[-1]), solver, found
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
 
