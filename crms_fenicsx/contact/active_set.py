@@ -134,8 +134,8 @@ class ActiveSet:
         Near the limit a cable is in equilibrium both slack, on flat cells, and in tension, on cells
         that it has folded and that bulge. It is in tension if it is nearly tight on flat cells and
         stays so on folded ones, which is tried once in each solve. One that is in tension, but on
-        flat cells would be slack, is let go first, so that the way there does not
-        matter; not where friction holds it along, as then the way does.
+        flat cells would be slack, is let go first, so that the way there does not matter;
+        not with axial friction, where the way does.
         """
         if cable.cable.law == "step":
             return []

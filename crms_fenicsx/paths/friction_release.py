@@ -35,7 +35,7 @@ def pass_vertices(change: PathChange, tried: TriedPaths, most: int | None = None
     shape, passed = change.net.strip_shape(), 0
     for cable in held.values():
         done = 0
-        for one in sorted(_run_into(cable, shape), key=lambda one: -one.smoothing_length):
+        for one in sorted(_run_into(cable, shape), key=lambda one: -one.excess):
             if most is None or done < most:
                 done += _pass(change, tried, cable, VertexRun.of([one]))
         passed = max(passed, done)
@@ -87,7 +87,7 @@ def straighten_kinks(
 
 def _run_into(cable: LaidCable, shape: StripShape) -> list[HeldVertex]:
     """The vertices that hold a cable by more than friction does."""
-    return [one for one in held_vertices(cable, shape) if one.smoothing_length > 0.0]
+    return [one for one in held_vertices(cable, shape) if one.excess > 0.0]
 
 
 def _pass(change: PathChange, tried: TriedPaths, cable: LaidCable, run: VertexRun) -> int:

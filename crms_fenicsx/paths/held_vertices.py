@@ -46,15 +46,14 @@ class HeldVertex:
 
     vertex: int  # its id
     nodes: tuple[int, ...]  # the cable's nodes there, in order
-    # the cable's force sideways, positive to its left seen from outside, that friction does not
-    # carry (force)
+    # lateral force of the cable, positive to its left seen from outside, less the friction force
     pull: float
     press: float  # the cable's force on the membrane there (force)
-    allowed: float  # size up to which the pull is none (force)
+    allowed: float  # rounding threshold of the pull (force)
 
     @property
-    def smoothing_length(self) -> float:
-        """Part of the pull that is more than what is none (force); negative where it is none."""
+    def excess(self) -> float:
+        """Pull beyond the rounding threshold (force); negative below it."""
         return abs(self.pull) - self.allowed
 
 
@@ -64,16 +63,16 @@ class VertexRun:
 
     vertices: tuple[int, ...]  # ids, in the order of the path
     to_left: bool  # whether it leaves them to its left, seen from outside
-    smoothing_length: float  # force with which they hold it together (force)
+    excess: float  # lateral force that they carry, beyond the thresholds (force)
     press: float  # the cable's force on the membrane there (force)
 
     @classmethod
     def of(cls, part: Sequence[HeldVertex]) -> VertexRun:
         """The run of some vertices in a row."""
         pull = sum(one.pull for one in part)
-        smoothing_length = abs(pull) - sum(one.allowed for one in part)
+        excess = abs(pull) - sum(one.allowed for one in part)
         vertices = tuple(one.vertex for one in part)
-        return cls(vertices, pull > 0.0, smoothing_length, sum(one.press for one in part))
+        return cls(vertices, pull > 0.0, excess, sum(one.press for one in part))
 
 
 def held_vertices(cable: LaidCable, shape: StripShape) -> list[HeldVertex]:
@@ -124,9 +123,9 @@ def held_runs(cable: LaidCable, shape: StripShape) -> list[VertexRun]:
     """
     held = held_vertices(cable, shape)
     if cable.lateral is not None:  # it sticks to the others
-        held = [one for one in held if one.smoothing_length > 0.0]
+        held = [one for one in held if one.excess > 0.0]
     runs = [VertexRun.of(part) for row in _rows(held, cable) for part in _parts(row, cable)]
-    return [run for run in runs if run.smoothing_length > 0.0]
+    return [run for run in runs if run.excess > 0.0]
 
 
 def _parts(row: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]]:

@@ -126,8 +126,8 @@ def _held(cable: LaidCable, shape: StripShape, press: float) -> dict[str, float]
     values = {"held by a line of the mesh": 0.0, "held by vertices": 0.0}
     runs = held_runs(cable, shape)
     if runs:
-        values["held by vertices"] = sum(run.smoothing_length for run in runs) / press
-        lines = [run.smoothing_length / press for run in runs if len(run.vertices) >= IN_LINE]
+        values["held by vertices"] = sum(run.excess for run in runs) / press
+        lines = [run.excess / press for run in runs if len(run.vertices) >= IN_LINE]
         values["held by a line of the mesh"] = max(lines, default=0.0)
     return values
 

@@ -247,7 +247,7 @@ def test_forces_of_held_vertices(comm, monkeypatch) -> None:
         assert one.press == pytest.approx(forces.normal[list(one.nodes)].sum(), rel=1e-12)
     (run,) = held_runs(cable, shape)
     assert run.vertices == tuple(one.vertex for one in found[1:-1])
-    assert 0.08 < run.smoothing_length / run.press < 0.13
+    assert 0.08 < run.excess / run.press < 0.13
     assert not run.to_left  # to y < 30, as it goes to x = 100
 
 

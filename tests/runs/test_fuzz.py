@@ -92,7 +92,7 @@ def test_a_scene_follows_from_its_number() -> None:
         (528, "load"),
         (1000, "stopped"),
         (1012, "resume"),
-        (251, "turned"),
+        (289, "branch"),
     ],
 )
 def test_scenes_of_many_features(number: int, kind: str) -> None:
@@ -100,4 +100,4 @@ def test_scenes_of_many_features(number: int, kind: str) -> None:
     data = feature_scenes.feature_scene(number)
     result = feature_runs.run(data, MPI.COMM_SELF, (kind,))
     assert result.outcome == "converged", (result.text, result.problems)
-    assert len(result.answers) > len(data.events)
+    assert len(result.answers) >= len(data.events)
