@@ -310,9 +310,7 @@ class Solver:
 
     def _resumed(self, loads: Plain) -> tuple[float, float]:
         """Bring scene and solver to where a call to `advance` has come to before. Collective.
-
-        Returns number of increments that are done, and the next one; 0 and 1 for a new call.
-        """
+        Returns number of increments that are done, and the next one; 0 and 1 for a new call."""
         if self._journal is None:
             return 0.0, 1.0
         come, run = self._journal.begin(self.scene, loads)

@@ -160,10 +160,8 @@ cables to lie."""
 def arrange(
     cables: Sequence[LaidCable], strip: Strip, known: Sequence[Crossing]
 ) -> tuple[Crossing, ...]:
-    """Find the crossings of the cables in tension, and insert their points into the cables.
-
-    What the last solve has found of a cable's points stays where these are as before.
-    """
+    """Find the crossings of the cables in tension, and insert their points into the cables. What
+    the last solve has found of a cable's points stays where these are as before."""
     before = [cable.state for cable in cables]
     for cable in cables:
         known = _remove_crossings(cable, known)
@@ -233,11 +231,9 @@ def _link(cables: Sequence[LaidCable], member: NodeId) -> tuple[Array, Array]:
 
 
 def _inherited(crossing: Crossing, left: list[Crossing], cables: Sequence[LaidCable]) -> Crossing:
-    """Go on from the nearest one left of these cables' crossings; a new one starts as they lie.
-
-    It stays where it was if they cross the same edges before and after it: else it would draw them
-    aside.
-    """
+    """Go on from the nearest one left of these cables' crossings; a new one starts as they lie. It
+    stays where it was if they cross the same edges before and after it: else it would draw them
+    aside."""
     if not left:
         upper, k = cables[crossing.upper], crossing.links[1]
         return replace(crossing, separated=all(upper.lifted[k : k + 2]))

@@ -107,11 +107,9 @@ def current_surface(net: CableNet) -> CurrentSurface:
 
 def gained_volume(net: CableNet) -> float:
     """Volume between the stress-free and the current cells under pressure (length cubed).
-
     Collective. A pressure p does the work p V on it. While their rim is held, or slides in planes,
     it is that between the two surfaces and the planes; if it moves else, what its way sweeps out as
-    seen from the stress-free membrane's centre counts too.
-    """
+    seen from the stress-free membrane's centre counts too."""
     membrane = net.membrane
     V, mesh = membrane.V, membrane.mesh.mesh
     shape = folded_shape(net)
@@ -133,10 +131,8 @@ def gained_volume(net: CableNet) -> float:
 
 
 def _volume_change(X: Array, u: Array, triangles: npt.NDArray[np.integer]) -> Array:
-    """Volume between each triangle and the origin, current less stress-free, (n,).
-
-    Term by term, so that a small change is not lost in a large volume.
-    """
+    """Volume between each triangle and the origin, current less stress-free, (n,). Term by term, so
+    that a small change is not lost in a large volume."""
     a, h = X[triangles], u[triangles]
     d, s = a[:, 1:] - a[:, :1], h[:, 1:] - h[:, :1]
     n0 = np.cross(d[:, 0], d[:, 1])

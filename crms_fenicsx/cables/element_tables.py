@@ -58,11 +58,9 @@ class CutCells:
         self.chords = starts, members
 
     def pieces(self, some: Integers, vertices: Integers, nodes: Integers) -> Polygons:
-        """Polygons into which the chords cut some cells.
-
-        Shapes: some (n,). Returns the polygons in the membrane's orientation, with the place in
-        `some` of the cell of each. Points on sides that no chord leaves are corners too.
-        """
+        """Polygons into which the chords cut some cells. Shapes: some (n,). Returns the polygons in
+        the membrane's orientation, with the place in `some` of the cell of each. Points on sides
+        that no chord leaves are corners too."""
         cut = np.diff(self.chords_of)[some]
         chord = runs(self.chords_of[some], cut)
         starts, members = self.chords
@@ -146,11 +144,9 @@ def facets_of(numbering: CableNumbering, cells: Booleans) -> Facets:
 
 
 def depth_of(numbering: CableNumbering) -> tuple[Facets, Integers]:
-    """Facets around what lies between folded cells and the triangles of their corners.
-
-    Those of a cell close: its facets, the triangle from below, and along each folded side what lies
-    between it and the straight edge. With them comes the local cell of each.
-    """
+    """Facets around what lies between folded cells and the triangles of their corners. Those of a
+    cell close: its facets, the triangle from below, and along each folded side what lies between it
+    and the straight edge. With them comes the local cell of each."""
     return _FoldedCellsOf(numbering).depth()
 
 

@@ -67,10 +67,8 @@ class NodePositions:
         self._pairs = sides[first[counts == 2][:, None] + np.arange(2)]
 
     def gather(self, x: Array) -> None:
-        """Give the cables the places of their points at the displacements x (n, 3). Collective.
-
-        The points of slack cables in x are brought up to date.
-        """
+        """Give the cables the places of their points at the displacements x (n, 3). Collective. The
+        points of slack cables in x are brought up to date."""
         numbering, unknowns = self.numbering, self.unknowns
         unknowns.place_idle_tied_points(x)
         local = np.zeros((self._starts[-1], 7))  # position, fraction, place when stress-free
@@ -110,12 +108,10 @@ class NodePositions:
             )
 
     def _set_material(self, total: Array) -> None:
-        """Find the nodes' places on the stress-free membrane; none where a cable is off it.
-
-        A crossing slides in its cell while its cell point stays: between two contacts it goes onto
+        """Find the nodes' places on the stress-free membrane; none where a cable is off it. A
+        crossing slides in its cell while its cell point stays: between two contacts it goes onto
         the line from one to the other, where the cable has bent it to. Beside a lifted node the
-        cable does not say where it is, but the other one may.
-        """
+        cable does not say where it is, but the other one may."""
         position, material = total[:, :3], total[:, 4:]
         material[~self._known] = np.nan
         first, last = material[self._links.first], material[self._links.last]

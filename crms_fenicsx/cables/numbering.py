@@ -32,10 +32,8 @@ from crms_fenicsx.surface.points import Edge
 
 
 class EdgeSliders:
-    """The edge sliders of cables in tension that this rank knows.
-
-    Shapes: members (n,), blocks (n,), ends (n, 2).
-    """
+    """The edge sliders of cables in tension that this rank knows. Shapes: members (n,), blocks
+    (n,), ends (n, 2)."""
 
     def __init__(
         self,
@@ -188,11 +186,9 @@ class CableNumbering:
         self._find_far_vertices([(int(a), int(b)) for a, b in np.unique(far, axis=0) if b >= 0])
 
     def _find_far_vertices(self, far: Sequence[tuple[int, int]]) -> None:
-        """Owner and number there of the vertices at ends of spans that this rank has not.
-
-        Those that are the ends themselves, and those on which edge sliders and tied points at ends
-        depend.
-        """
+        """Owner and number there of the vertices at ends of spans that this rank has not. Those
+        that are the ends themselves, and those on which edge sliders and tied points at ends
+        depend."""
         strip = self.strip
         far = [(rank, v) for rank, v in far if not np.any(strip.owner[strip.rows((v,))] == rank)]
         self.far_vertices: dict[int, tuple[int, int]] = {}
@@ -270,10 +266,8 @@ class CableNumbering:
         return np.where((corners < 0) | (on < 0)[:, None], -1, self.vertex_blocks[corners])
 
     def hold(self, unknowns: Unknowns) -> None:
-        """Hold the anchors; let tied points and the sliding points of slack cables ride.
-
-        Ends that are fixed to joints ride on these. Collective.
-        """
+        """Hold the anchors; let tied points and the sliding points of slack cables ride. Ends that
+        are fixed to joints ride on these. Collective."""
         nodes, rows, joints = self.nodes, self._own_points, self._joint_blocks()
         unknowns.held[self.node_blocks[rows[nodes.kind[rows] == ANCHOR]]] = True
         rides = (nodes.kind == TIED) | (nodes.slides & ~nodes.taut) | (joints >= 0)
@@ -340,11 +334,9 @@ class CableNumbering:
         }
 
     def lines(self, edges: Integers) -> tuple[Integers, Indices]:
-        """Local blocks along edges, given by number, in CSR form: pointers, blocks.
-
-        Each begins with the edge's first vertex, which the points of the cables in tension follow
-        and its last vertex.
-        """
+        """Local blocks along edges, given by number, in CSR form: pointers, blocks. Each begins
+        with the edge's first vertex, which the points of the cables in tension follow and its last
+        vertex."""
         points = self.points
         counts = points.counts[edges]
         starts = pointers(counts + 2)

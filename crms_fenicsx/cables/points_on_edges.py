@@ -108,10 +108,8 @@ def nodes_on_edges(
 def points_by_edge(
     cables: Sequence[LaidCable], nodes: Mapping[Edge, Sequence[tuple[int, int]]] | None = None
 ) -> dict[Edge, list[tuple[float, int, int]]]:
-    """Points of cables in tension on each edge, sorted from its first vertex to its last.
-
-    Returns places on the edge (fractions) and numbers of cables and nodes; without lifted ones.
-    """
+    """Points of cables in tension on each edge, sorted from its first vertex to its last. Returns
+    places on the edge (fractions) and numbers of cables and nodes; without lifted ones."""
     found = {
         edge: sorted(
             (float(cables[c].fractions[k]), c, k) for c, k in members if not cables[c].lifted[k]

@@ -238,9 +238,7 @@ def cells_at(
     membrane: Membrane, vertices: npt.ArrayLike, held_edges: Booleans | None = None
 ) -> Strip:
     """Gather the cells around some vertices, given by id and alike on all ranks. Collective.
-
-    `held_edges` are those of a state that the membrane is not in yet.
-    """
+    `held_edges` are those of a state that the membrane is not in yet."""
     wanted = np.unique(np.asarray(vertices, dtype=np.int64))
     ids = _own_cells(membrane)
     chosen = np.flatnonzero(np.isin(ids, wanted).any(axis=1))
@@ -251,9 +249,7 @@ def cells_at(
 
 def grown(membrane: Membrane, strip: Strip, vertices: npt.ArrayLike, rings: int = 1) -> Strip:
     """A strip and the cells around some vertices, given by id and alike on all ranks. Collective.
-
-    `rings` tells how many rings of cells around them are added.
-    """
+    `rings` tells how many rings of cells around them are added."""
     wanted = np.unique(np.asarray(vertices, dtype=np.int64))
     for _ in range(rings):
         lacking = [int(v) for v in wanted if int(v) not in strip.complete]
@@ -264,11 +260,8 @@ def grown(membrane: Membrane, strip: Strip, vertices: npt.ArrayLike, rings: int 
 
 
 def cells_near(membrane: Membrane, route: Array, along_legs: bool) -> Strip:
-    """Gather the cells that tracing a route on the current shape needs. Collective.
-
-    None behind a seam is among them. Those along the legs are enough for most routes, see
-    `near_section`.
-    """
+    """Gather the cells that tracing a route on the current shape needs. Collective. None behind a
+    seam is among them. Those along the legs are enough for most routes, see `near_section`."""
     positions, nodes = own_surface(membrane)
     outer = np.setdiff1d(np.arange(len(nodes)), membrane.mesh.hidden)
     near = near_section(positions, nodes[outer], route, comm=membrane.comm, along_legs=along_legs)
@@ -372,10 +365,8 @@ class StripShape:
 
     def normals_and_sizes(self, supports: Sequence[tuple[int, ...]]) -> tuple[Array, Array]:
         """Normals and sizes of the membrane at vertices, edges or cells: of the cells around.
-
         Shapes: supports (m,). Returns normals (m, 3): current unit normals; sizes (m,): square
-        roots of twice the cells' mean areas (length).
-        """
+        roots of twice the cells' mean areas (length)."""
         around = [self.strip.outer_rows(support) for support in supports]
         counts = np.array([len(rows) for rows in around], dtype=np.int64)
         normals = self.normals[np.fromiter(chain.from_iterable(around), np.int64)]

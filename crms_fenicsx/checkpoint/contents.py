@@ -103,10 +103,8 @@ def _supports(net: CableNetState) -> Iterator[Support]:
 
 
 def fingerprint(scene: Scene) -> dict[str, Any]:
-    """Describe what a script must build alike, but for where the vertices are. Collective.
-
-    Returns by name, in the order in which differences are worth telling; made of numbers and texts.
-    """
+    """Describe what a script must build alike, but for where the vertices are. Collective. Returns
+    by name, in the order in which differences are worth telling; made of numbers and texts."""
     refuse_history(scene)
     mesh = scene.mesh.mesh
     cells = cell_vertex_ids(mesh)[: mesh.topology.index_map(2).size_local]

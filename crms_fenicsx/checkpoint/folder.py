@@ -32,10 +32,8 @@ def complete(folder: Path) -> Path:
 
 @contextmanager
 def replaced_folder(folder: Path, comm: MPI.Intracomm, mark: str) -> Iterator[Path]:
-    """Fill a folder beside `folder` in the block; then it takes its place. Collective.
-
-    Yields what to fill with files; all but that one are on the disk when the block ends.
-    """
+    """Fill a folder beside `folder` in the block; then it takes its place. Collective. Yields what
+    to fill with files; all but that one are on the disk when the block ends."""
     partial, aside = partial_of(folder), _aside(folder)
     with raised_together(comm), explained(folder):
         if comm.rank == 0:

@@ -68,11 +68,9 @@ def _name(key: object) -> str:
 
 
 def scene_record(scene: Scene) -> Plain:
-    """Describe a scene by numbers and texts that hardly any change leaves alone. Collective.
-
-    Of fields they are sums with weights, so that they are the same on any number of processes up to
-    rounding.
-    """
+    """Describe a scene by numbers and texts that hardly any change leaves alone. Collective. Of
+    fields they are sums with weights, so that they are the same on any number of processes up to
+    rounding."""
     mesh = scene.mesh.mesh
     own = scene.V.dofmap.index_map.size_local
     ids = scene.membrane.vertex_ids
@@ -230,11 +228,9 @@ class Journal:
                 make_writable(self.folder)
 
     def begin(self, scene: Scene, loads: Plain) -> tuple[CallProgress, Run | None]:
-        """Begin a call, and bring the scene to where it has come to before. Collective.
-
-        Returns how far the call has come, and the load steps so far; none where it is computed from
-        its beginning.
-        """
+        """Begin a call, and bring the scene to where it has come to before. Collective. Returns how
+        far the call has come, and the load steps so far; none where it is computed from its
+        beginning."""
         refuse_history(scene)
         steps = loads["steps"]
         self._number += 1
@@ -270,11 +266,8 @@ class Journal:
         return progress, run
 
     def make_way(self) -> None:
-        """Remove the folders of calls that will be computed anew. Collective.
-
-        The last one goes first, each at once: whenever the run is killed, what is left is one that
-        can go on.
-        """
+        """Remove the folders of calls that will be computed anew. Collective. The last one goes
+        first, each at once: whenever the run is killed, what is left is one that can go on."""
         first, self._outdated = self._outdated, 0
         if first == 0:
             return

@@ -120,20 +120,15 @@ def read(folder: Path, comm: MPI.Intracomm) -> Saved:
 
 
 def load(folder: str | Path, scene: Scene) -> Run:
-    """Bring a scene to the state of a checkpoint; see `Solver.load`. Collective.
-
-    Returns what its solver must know.
-    """
+    """Bring a scene to the state of a checkpoint; see `Solver.load`. Collective. Returns what its
+    solver must know."""
     checks.same(scene.comm, "load", folder=folder)
     place = checks.file("load: folder", folder).resolve()
     return restore(read(complete(place), scene.comm), scene)
 
 
 def restore(saved: Saved, scene: Scene) -> Run:
-    """Bring a scene to the state of a checkpoint. Collective.
-
-    Returns what its solver must know.
-    """
+    """Bring a scene to the state of a checkpoint. Collective. Returns what its solver must know."""
     contents, storage = saved.contents, SceneStorage(saved.file.parent, scene)
     check_same(contents.scene, scene)
     storage.check_mesh(contents.positions)

@@ -112,9 +112,7 @@ class ActiveSet:
 
     def _forget(self) -> None:
         """Forget where cables were let go and touched, but not those that have not moved since.
-
-        What has settled in the state that is there would settle again.
-        """
+        What has settled in the state that is there would settle again."""
         self._first_look = False
         moved = {cable.name for cable in self.net.cables if not self._rested(cable)}
         for keys in (self._released, self._settled):

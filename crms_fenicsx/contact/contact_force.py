@@ -101,12 +101,10 @@ def contact_forces(cable: LaidCable, shape: StripShape) -> ContactForces:
 
 
 def wrap_angles(cable: LaidCable, shape: StripShape) -> Array:
-    """Angle by which the cable wraps what it presses on at each node, (n,).
-
-    On the membrane it is the turn that the normal contact force comes from, without the turn
-    sideways, and smoothed like that force; zero where the membrane would be pulled. The pocket of a
-    free edge also holds the cable sideways, and there the whole turn counts.
-    """
+    """Angle by which the cable wraps what it presses on at each node, (n,). On the membrane it is
+    the turn that the normal contact force comes from, without the turn sideways, and smoothed like
+    that force; zero where the membrane would be pulled. The pocket of a free edge also holds the
+    cable sideways, and there the whole turn counts."""
     nodes, before, after = _turns_on_membrane(cable)
     up, left = directions(cable, nodes, shape, before, after)
     ways = [up, left] if cable.in_edge else [up]
@@ -124,11 +122,9 @@ def wrap_angles(cable: LaidCable, shape: StripShape) -> Array:
 
 
 def paper_forces(cable: LaidCable) -> Array:
-    """Equivalent contact force of the paper at each node, (n,) (force).
-
-    Equations (3.2-1) inside the membrane and (3.2-2) next to an anchor, at its boundary; both are
-    zero at zero angle, and stay finite up to pi and just below it.
-    """
+    """Equivalent contact force of the paper at each node, (n,) (force). Equations (3.2-1) inside
+    the membrane and (3.2-2) next to an anchor, at its boundary; both are zero at zero angle, and
+    stay finite up to pi and just below it."""
     forces = np.zeros(len(cable.nodes))
     if not cable.taut:
         return forces
@@ -150,10 +146,8 @@ def paper_forces(cable: LaidCable) -> Array:
 
 
 def forces_at(cable: LaidCable, nodes: Sequence[int], shape: StripShape) -> tuple[Array, Array]:
-    """Forces of a cable on the membrane at some of the nodes that it touches.
-
-    Shapes: nodes (m,). Returns normal, lateral (m,): as in `ContactForces` (force).
-    """
+    """Forces of a cable on the membrane at some of the nodes that it touches. Shapes: nodes (m,).
+    Returns normal, lateral (m,): as in `ContactForces` (force)."""
     turned, before, after = _turns(cable)
     wanted = np.asarray(nodes, dtype=np.int64)
     at = np.minimum(np.searchsorted(turned, wanted), max(len(turned) - 1, 0))
@@ -204,11 +198,9 @@ def directions(
     cable: LaidCable, nodes: Sequence[int] | Integers, shape: StripShape, before: Array,
     after: Array,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Outward normals at nodes, square to edge and cable, and directions to the cable's left.
-
-    At a vertex the normal halves the angle between the two sides of the membrane. Shapes: nodes
-    (m,), before, after (m, 3). Returns (m, 3) unit vectors, and (m, 3).
-    """
+    """Outward normals at nodes, square to edge and cable, and directions to the cable's left. At a
+    vertex the normal halves the angle between the two sides of the membrane. Shapes: nodes (m,),
+    before, after (m, 3). Returns (m, 3) unit vectors, and (m, 3)."""
     if len(nodes) == 0:
         return np.zeros((0, 3)), np.zeros((0, 3))
     points = [cable.nodes[k].point for k in nodes]
@@ -236,11 +228,9 @@ def _left_at_vertices(
     vertices: Sequence[int], shape: StripShape, along: Array, left: Array
 ) -> Array:
     """Directions to the left of a cable at vertices, square to it: means of both sides' surface.
-
     Where the membrane on the two sides pulls equally hard, square to the cable, the sum of the two
     pulls has no part in this direction, whichever cells are there. At the membrane's boundary the
-    direction given is returned. Shapes: vertices (m,), along, left (m, 3).
-    """
+    direction given is returned. Shapes: vertices (m,), along, left (m, 3)."""
     strip = shape.strip
     around = [strip.outer_rows((vertex,)) for vertex in vertices]
     of = np.repeat(np.arange(len(vertices)), [len(rows) for rows in around])
@@ -302,12 +292,9 @@ def stretches(arc: Array) -> Array:
 def smoothed(
     arc: Array, forces: Array, at: Array, width: float, ends: tuple[float, float]
 ) -> Array:
-    """Smoothed forces from the start of their stretch of cable up to some places, (m,).
-
-    Two boxes make a hat. What it would spread beyond an end is reflected there, so that the sum
-    stays. Shapes and units: arc, forces (n,) (length), at (m,) (length), width (length), ends
-    (length).
-    """
+    """Smoothed forces from the start of their stretch of cable up to some places, (m,). Two boxes
+    make a hat. What it would spread beyond an end is reflected there, so that the sum stays. Shapes
+    and units: arc, forces (n,) (length), at (m,) (length), width (length), ends (length)."""
     start, end = ends
     images = np.concatenate([arc, 2 * start - arc, 2 * end - arc])
 

@@ -132,12 +132,10 @@ def is_foot(cable: LaidCable, k: int) -> bool:
 
 def outward_pulls(cable: LaidCable, nodes: Sequence[int], normals: Array, reaches: Array) -> Array:
     """Forces of the cable around some of its nodes along the normals, relative to the tension.
-
     Points close together, as those around a vertex, share one contact: what counts is the turn of
     the cable between a distance `reach` before and after the node, but not that at a crossing,
     where another cable presses. Shapes: nodes (n,), normals (n, 3), reaches (n,). Returns (n,)
-    forces, positive outward; -1 where the cable lies on its anchor, or on another cable.
-    """
+    forces, positive outward; -1 where the cable lies on its anchor, or on another cable."""
     contacts = cable.contacts()
     x, i = cable.positions[contacts], np.searchsorted(contacts, nodes)
     arc = arc_lengths(x)
@@ -232,11 +230,9 @@ def _passed_by_all(cable: LaidCable, k: int, passed: Mapping[int, Gap]) -> bool:
 
 
 def sunk(cables: Sequence[LaidCable], shape: StripShape) -> set[int]:
-    """Numbers of cables with a span that runs deep below the membrane beside a vertex.
-
-    Beyond the ends of edges, so that no edge of its path can stop it, and maybe far beyond where it
-    ends at another cable, and their crossing has slid out of its cell.
-    """
+    """Numbers of cables with a span that runs deep below the membrane beside a vertex. Beyond the
+    ends of edges, so that no edge of its path can stop it, and maybe far beyond where it ends at
+    another cable, and their crossing has slid out of its cell."""
     found = set()
     for c, cable in enumerate(cables):
         if not cable.taut or cable.sleeve:

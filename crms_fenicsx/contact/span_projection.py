@@ -51,10 +51,8 @@ class _Plane:
 def project_span(
     shape: StripShape, first: CableNode, start: Array, last: CableNode, end: Array
 ) -> list[SurfacePoint] | None:
-    """The points of the membrane's edges under a span, in order.
-
-    Returns the points between the two; None if the way from the one does not lead to the other.
-    """
+    """The points of the membrane's edges under a span, in order. Returns the points between the
+    two; None if the way from the one does not lead to the other."""
     assert first.point is not None
     plane = _Plane(shape, start, end, shape.normal(first.point.support))
     goal = set() if last.point is None else set(last.point.support)
@@ -118,9 +116,7 @@ def with_span_projections(
     cable: LaidCable, shape: StripShape
 ) -> tuple[list[SurfacePoint], list[bool]] | None:
     """The path of a cable with the projections of its spans renewed: points, and which are lifted.
-
-    Returns None where nothing has changed.
-    """
+    Returns None where nothing has changed."""
     nodes, contacts = cable.nodes, cable.contacts()
     renewed: dict[int, list[SurfacePoint]] = {}  # by the contact before them
     changed = False

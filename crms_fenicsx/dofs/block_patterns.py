@@ -21,11 +21,9 @@ from crms_fenicsx.runtime.arrays import Array, Indices, Integers
 
 
 def unique_pairs(rows: Indices, cols: Indices, size: int) -> tuple[Integers, Integers, Integers]:
-    """Sort pairs of numbers (n,) from 0 to `size` - 1 by rows, then by columns.
-
-    By counting, as there are many more pairs than numbers: several times as fast as `np.unique`.
-    Returns rows, cols: the m different pairs; place (n,): which of them each pair is.
-    """
+    """Sort pairs of numbers (n,) from 0 to `size` - 1 by rows, then by columns. By counting, as
+    there are many more pairs than numbers: several times as fast as `np.unique`. Returns rows,
+    cols: the m different pairs; place (n,): which of them each pair is."""
     found: tuple[Integers, Integers, Integers] = _unique_pairs(
         rows.astype(np.int64), cols.astype(np.int64), np.arange(len(rows)), size
     )
@@ -73,10 +71,7 @@ class RowSizes:
         self._counts[: unknowns.n_owned, 0] = 1.0
 
     def add(self, rows: Indices, cols: Indices) -> None:
-        """Count blocks of one term beside the diagonal, each once.
-
-        Shapes: rows, cols (n,).
-        """
+        """Count blocks of one term beside the diagonal, each once. Shapes: rows, cols (n,)."""
         n = self.unknowns.n_owned
         beside = rows != cols
         rows, elsewhere = rows[beside], ((rows >= n) | (cols >= n))[beside]
@@ -85,10 +80,8 @@ class RowSizes:
         self._counts[:, 1] += np.bincount(rows, weights=elsewhere, minlength=size)
 
     def allocate(self, A: PETSc.Mat) -> None:
-        """Give a matrix of all blocks, or of the vertices, its memory.
-
-        Collective, and the last call.
-        """
+        """Give a matrix of all blocks, or of the vertices, its memory. Collective, and the last
+        call."""
         self.unknowns.add_ghosts(self._vector)
         rows, all_rows = (size // 3 for size in A.getSizes()[0])
         own, others = self._counts[:rows, :2].astype(PETSc.IntType).T
@@ -150,11 +143,8 @@ class BlockPattern:
         sizes.add(*sizes.unknowns.matrix_order()[self._numbers[:, new]])
 
     def add(self, A: PETSc.Mat | BlockSink, unknowns: Unknowns) -> None:
-        """Add what `values` holds.
-
-        Points that ride on vertices hand their part on to them; of edge sliders the part along
-        their lines counts.
-        """
+        """Add what `values` holds. Points that ride on vertices hand their part on to them; of edge
+        sliders the part along their lines counts."""
         if not isinstance(A, PETSc.Mat):
             A.take(self)
             return
@@ -194,10 +184,8 @@ def _arrange_rows(rows, cols, numbers, starts, strides):  # type: ignore[no-unty
 
 @numba.njit(cache=True)
 def _sum_blocks(values, sources, weights, starts, strides, out):  # type: ignore[no-untyped-def]
-    """Add up blocks (n, 3, 3) times their weights in rows of numbers.
-
-    Block ``sources[k]`` goes to ``starts[k]``, its three rows ``strides[k]`` apart.
-    """
+    """Add up blocks (n, 3, 3) times their weights in rows of numbers. Block ``sources[k]`` goes to
+    ``starts[k]``, its three rows ``strides[k]`` apart."""
     out[:] = 0.0
     for k in range(len(sources)):
         v, w, start = values[sources[k]], weights[k], starts[k]

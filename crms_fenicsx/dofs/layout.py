@@ -52,12 +52,10 @@ class ElementTable(ABC):
 
 
 def vertex_places(V: fem.FunctionSpace) -> Array:
-    """Stress-free positions (length) of the vertices by local degree of freedom, (n, 3).
-
-    Those of the mesh as it was given: DOLFINx's `tabulate_dof_coordinates` maps them from the
-    reference cell, which rounds differently from one of the cells around a vertex to another, and
-    which of them it takes depends on how the mesh is shared out.
-    """
+    """Stress-free positions (length) of the vertices by local degree of freedom, (n, 3). Those of
+    the mesh as it was given: DOLFINx's `tabulate_dof_coordinates` maps them from the reference
+    cell, which rounds differently from one of the cells around a vertex to another, and which of
+    them it takes depends on how the mesh is shared out."""
     vertices = V.dofmap.index_map
     places = np.zeros((vertices.size_local + vertices.num_ghosts, 3))
     places[V.dofmap.list] = V.mesh.geometry.x[geometry_dofmap(V.mesh)]
@@ -168,11 +166,9 @@ class Unknowns(LocalBlocks):
         return np.arange(first, self.n_local, dtype=np.int32)
 
     def vector(self) -> tuple[PETSc.Vec, Array]:
-        """A ghosted vector and its local array (n, 3), ghosts included, which share memory.
-
-        By default PETSc's products of one vector with several take another way, with other last
-        digits, where these happen to lie evenly in memory. A run would not be the same twice.
-        """
+        """A ghosted vector and its local array (n, 3), ghosts included, which share memory. By
+        default PETSc's products of one vector with several take another way, with other last
+        digits, where these happen to lie evenly in memory. A run would not be the same twice."""
         options = PETSc.Options()
         if not options.hasName(EVENLY):
             options[EVENLY] = False
@@ -209,10 +205,8 @@ class Unknowns(LocalBlocks):
             vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
 
     def gather_forces(self, vector: PETSc.Vec, g: Array) -> None:
-        """Hand the tied points' forces to their vertices and those of ghosts to their owners.
-
-        `g` is the vector's local array, (n, 3).
-        """
+        """Hand the tied points' forces to their vertices and those of ghosts to their owners. `g`
+        is the vector's local array, (n, 3)."""
         self.hand_over(g)
         self.add_ghosts(vector)
 

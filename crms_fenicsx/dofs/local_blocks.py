@@ -34,11 +34,9 @@ class LocalBlocks:
         weights: Array,
         n_loaded: int | None = None,
     ) -> None:
-        """Let points ride on vertices: their position is a weighted mean of the vertices'.
-
-        `X` must have the places of all these blocks. Shapes: tied points (n,), interpolation,
-        weights (n, 3).
-        """
+        """Let points ride on vertices: their position is a weighted mean of the vertices'. `X` must
+        have the places of all these blocks. Shapes: tied points (n,), interpolation, weights (n,
+        3)."""
         self.tied_points, self.interpolation, self.weights = tied_points, interpolation, weights
         self.n_tied_points, self.n_loaded = (
             len(tied_points),
@@ -66,10 +64,8 @@ class LocalBlocks:
         x[self.tied_points[some]] = moved + self._undisplaced[some]
 
     def set_edge_sliders(self, edge_sliders: Indices, directions: Array) -> None:
-        """Let points be displaced along a direction only.
-
-        Shapes: edge sliders (n,), directions (n, 3).
-        """
+        """Let points be displaced along a direction only. Shapes: edge sliders (n,), directions (n,
+        3)."""
         self.edge_sliders, self.directions = np.asarray(edge_sliders, dtype=np.intp), directions
         self.n_edge_sliders = len(edge_sliders)
         self._at_edge_sliders, self._along = (
@@ -79,9 +75,7 @@ class LocalBlocks:
 
     def project(self, values: Array) -> None:
         """Leave of the edge sliders' vectors in `values` (n_local, 3) the part along their lines.
-
-        Allocates nothing.
-        """
+        Allocates nothing."""
         if self.n_edge_sliders:
             np.take(values, self.edge_sliders, axis=0, out=self._at_edge_sliders, mode="clip")
             np.einsum("ni,ni->n", self._at_edge_sliders, self.directions, out=self._along)
@@ -98,11 +92,9 @@ class LocalBlocks:
             g[tied_points] = 0.0
 
     def spread(self, rows: Indices, cols: Indices) -> tuple[Indices, Indices, Array]:
-        """Where stiffness blocks go, those of tied points to their vertices.
-
-        Shapes: rows, cols (n,). Returns places: local blocks of rows and columns, (2, m); sources,
-        weights: which of the n blocks goes there, and what part of it, (m,).
-        """
+        """Where stiffness blocks go, those of tied points to their vertices. Shapes: rows, cols
+        (n,). Returns places: local blocks of rows and columns, (2, m); sources, weights: which of
+        the n blocks goes there, and what part of it, (m,)."""
         if self.n_tied_points == 0:
             return np.stack([rows, cols]), np.arange(len(rows), dtype=np.int32), np.ones(len(rows))
         blocks = np.zeros((self.n_local, 3), dtype=np.int32)

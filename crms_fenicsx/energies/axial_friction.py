@@ -96,9 +96,7 @@ class _Run:
 
 class CapstanTension(EnergyTerm):
     """Strain energy of cables with friction along their axis, and the potential of that friction.
-
-    Shapes and units: L0 (n_cables,) (length).
-    """
+    Shapes and units: L0 (n_cables,) (length)."""
 
     name = "cables"
     of_cables = True
@@ -223,11 +221,9 @@ class CapstanTension(EnergyTerm):
         self._add_links(x, sums, A)
 
     def _find_runs(self, sums: Array) -> list[_Run]:
-        """The cables between nodes that stick, slack parts left out.
-
-        A node sticks if friction is stiffer there than the cable beside it: by ``force / slip``, as
-        many nodes have little slip and will stick as soon as they turn back.
-        """
+        """The cables between nodes that stick, slack parts left out. A node sticks if friction is
+        stiffer there than the cable beside it: by ``force / slip``, as many nodes have little slip
+        and will stick as soon as they turn back."""
         grips, lengths = self.grips, sums[: self.n_spans]
         stiffness = secant_stiffness(self.slips, grips.bound, grips.eps)
         runs = []

@@ -79,10 +79,8 @@ class BarEnergy(EnergyTerm):
         _add_forces(self._X, x, self.table.ends, self.forces, g)
 
     def rounding(self, x: Array, sums: Array) -> float:
-        """Squared norm of the forces that rounding leaves at the ends of this rank's bars.
-
-        Of a bar's direction and of its length, from coordinates that may be longer than itself.
-        """
+        """Squared norm of the forces that rounding leaves at the ends of this rank's bars. Of a
+        bar's direction and of its length, from coordinates that may be longer than itself."""
         ends = self._X[self.table.ends] + x[self.table.ends]
         far = np.linalg.norm(ends, axis=2).max(axis=1, initial=0.0)
         stiffness = np.abs(self.forces) / self._least_lengths() + self.table.EA / self.table.L0

@@ -103,11 +103,9 @@ class CableTension(EnergyTerm):
         add_segment_forces(self.unknowns.X, x, self.segments, self.eps, self._forces, g)
 
     def rounding(self, x: Array, sums: Array) -> float:
-        """Squared norm of the forces that rounding leaves at the ends of this rank's segments.
-
-        Of a segment's direction, from coordinates that are longer than itself, and of the cable's
-        tension, from its length. Ends that are given and coincide have none.
-        """
+        """Squared norm of the forces that rounding leaves at the ends of this rank's segments. Of a
+        segment's direction, from coordinates that are longer than itself, and of the cable's
+        tension, from its length. Ends that are given and coincide have none."""
         ends = self.unknowns.X[self.segments] + x[self.segments]
         far = np.linalg.norm(ends, axis=2).max(axis=1)
         lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
@@ -130,10 +128,8 @@ class CableTension(EnergyTerm):
         self.pattern.add(A, self.unknowns)
 
     def dyads(self, sums: Array) -> Array:
-        """Stiffness EA/L0 against the elongation of each cable in tension (force/length).
-
-        One that is nearly as long as it must be to have tension counts: it soon will.
-        """
+        """Stiffness EA/L0 against the elongation of each cable in tension (force/length). One that
+        is nearly as long as it must be to have tension counts: it soon will."""
         return np.where(sums > (1 - NEARLY_TAUT) * self.L0, self.EA / self.L0, 0.0)
 
     def add_dyad_column(self, k: int, x: Array, g: Array) -> None:
@@ -160,11 +156,9 @@ class CableTension(EnergyTerm):
         return np.bincount(self.cable, self._lengths, len(self.EA)).astype(np.float64)
 
     def split(self, groups: Integers, comm: MPI.Intracomm) -> CableTension:
-        """Cables in pieces, one for each group that they run through.
-
-        A piece is as stiff as all pieces of its cable together, so that the energy of all, if each
-        moves as if the others did not, is none below the true one.
-        """
+        """Cables in pieces, one for each group that they run through. A piece is as stiff as all
+        pieces of its cable together, so that the energy of all, if each moves as if the others did
+        not, is none below the true one."""
         group = groups[self.segments].max(axis=1)
         stride = int(group.max(initial=0)) + 1
         pieces, piece = np.unique(self.cable * stride + group, return_inverse=True)

@@ -111,12 +111,9 @@ def unstressed(rest, L0, s, d):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def find_slips(kind, span, rest, L0, bound, eps, s, d):  # type: ignore[no-untyped-def]
-    """Find the slips that minimise one of the functions.
-
-    Shapes and units: span (m,) (length), rest (m - 1,) (length), L0 (length), bound (m - 1,), eps
-    (m - 1,) (length), s (m - 1,) (length), d (m,) (length). Returns number of iterations, -1 if
-    there were too many.
-    """
+    """Find the slips that minimise one of the functions. Shapes and units: span (m,) (length), rest
+    (m - 1,) (length), L0 (length), bound (m - 1,), eps (m - 1,) (length), s (m - 1,) (length), d
+    (m,) (length). Returns number of iterations, -1 if there were too many."""
     m = span.shape[0]
     bad = unstressed(rest, L0, s, d) <= 0.0
     for k in range(m):  # a slack span says nothing of where to go

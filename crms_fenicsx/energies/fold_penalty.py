@@ -131,11 +131,9 @@ def _add_angle(ru, rc, u, c, w, out, i, eu, ec):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def add_curvature(X, x, points, coefficients, weighted, r, blocks):  # type: ignore[no-untyped-def]
-    """Add ``2 mu w r Hessian(w r)`` to blocks (n, 4, 4, 3, 3) of the places' four points.
-
-    The residual depends on three vectors from p: to the previous point on the side, to the next
-    one, and along the chord, numbers 0, 1 and 2 here.
-    """
+    """Add ``2 mu w r Hessian(w r)`` to blocks (n, 4, 4, 3, 3) of the places' four points. The
+    residual depends on three vectors from p: to the previous point on the side, to the next one,
+    and along the chord, numbers 0, 1 and 2 here."""
     at = (0, 2, 3)
     unit, H = np.empty((3, 3)), np.empty((3, 3, 3, 3))
     sides, chords = np.empty((2, 3)), np.empty((2, 3))  # gradients of both angles by their vectors

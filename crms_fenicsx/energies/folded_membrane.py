@@ -105,10 +105,8 @@ def cell_forces(  # type: ignore[no-untyped-def]
     orthotropic,
 ):  # fmt: skip
     """Energy of all cells, and of each into `energies` (n,); forces in the segments (m,); strain,
-    stress and state into `out` (n, 7).
-
-    `orthotropic` as in `crms_fenicsx.energies.stress_laws.stress`.
-    """
+    stress and state into `out` (n, 7). `orthotropic` as in
+    `crms_fenicsx.energies.stress_laws.stress`."""
     forces[:] = 0.0
     energy = 0.0
     e, s, r = np.empty(3), np.empty(3), np.empty(3)
@@ -141,12 +139,10 @@ def cell_stiffness(  # type: ignore[no-untyped-def]
     X, x, segments, eps, lengths, pointers, side_segments, sides, maps, areas, law, p, out, floor,
     prestress, exact, element_pointers, element_blocks, offsets, values, tension, orthotropic,
 ):  # fmt: skip
-    """Stiffness ``sum K_kl grad(r_k) grad(r_l)^T`` per cell, r its sides.
-
-    K = 4 r_k r_l A (M^T C M)_kl, and on the diagonal force / side where that is tensile, or
-    `exact`. Into `tension` (m,) goes the sum of these forces in each segment: taken cell by cell,
-    not of the sum, so that two ranks that share a side make the same stiffness as one.
-    """
+    """Stiffness ``sum K_kl grad(r_k) grad(r_l)^T`` per cell, r its sides. K = 4 r_k r_l A (M^T C
+    M)_kl, and on the diagonal force / side where that is tensile, or `exact`. Into `tension` (m,)
+    goes the sum of these forces in each segment: taken cell by cell, not of the sum, so that two
+    ranks that share a side make the same stiffness as one."""
     tension[:] = 0.0
     C, K = np.empty((3, 3)), np.empty((3, 3))
     for c in range(sides.shape[0]):
@@ -233,10 +229,8 @@ class FoldedMembraneEnergy(EnergyTerm):
         )  # fmt: skip
 
     def cell_results(self) -> Array:
-        """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state at the last sums.
-
-        In the material axes, (n, 7).
-        """
+        """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state at the last sums. In
+        the material axes, (n, 7)."""
         return self.results
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:

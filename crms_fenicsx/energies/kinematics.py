@@ -134,11 +134,9 @@ class Stiffening:
                 part.value = value
 
     def set(self, prestress: float, failures: int = 0, least: float = 0.0) -> None:
-        """Take this prestress, and the floor that goes with it, `least` or more.
-
-        After a line search that has failed, as slack cells let a step go too far, the floor is
-        higher, and ten times as high after each further one.
-        """
+        """Take this prestress, and the floor that goes with it, `least` or more. After a line
+        search that has failed, as slack cells let a step go too far, the floor is higher, and ten
+        times as high after each further one."""
         self.prestress.value = prestress
         raised = failures + (prestress > 0.0)
         floor = FLOOR_FROM_FLAT * 10.0 ** (raised - 1) if raised else FLOOR

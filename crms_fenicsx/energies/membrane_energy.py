@@ -170,12 +170,10 @@ class MembraneEnergy(EnergyTerm):
         self.unknowns.add_to_vertices(self.integral.gradient, g)
 
     def rounding(self, x: Array, sums: Array) -> float:
-        """Squared norm of the forces that rounding leaves at this rank's vertices.
-
-        A cell's forces are its section force times its size, of which the squares sum up to the
-        area. The section force is that of the prestress and, from displacement gradients of the
-        size of the largest displacement over a quarter of the membrane, that of the strain.
-        """
+        """Squared norm of the forces that rounding leaves at this rank's vertices. A cell's forces
+        are its section force times its size, of which the squares sum up to the area. The section
+        force is that of the prestress and, from displacement gradients of the size of the largest
+        displacement over a quarter of the membrane, that of the strain."""
         if self._area == 0.0:
             return 0.0
         gradient = 4 * float(np.abs(self.u.x.array).max(initial=0.0)) / self._area**0.5
@@ -223,11 +221,9 @@ class MembraneEnergy(EnergyTerm):
         return edge_ends(self.u.function_space)
 
     def cell_results(self) -> Array:
-        """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state of the owned cells.
-
-        In the material axes, (n, 7), as of `FoldedMembraneEnergy.results`; folded cells are treated
-        as plain. Collective: the first call compiles.
-        """
+        """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state of the owned cells. In
+        the material axes, (n, 7), as of `FoldedMembraneEnergy.results`; folded cells are treated as
+        plain. Collective: the first call compiles."""
         mesh = self.u.function_space.mesh
         cells = np.arange(mesh.topology.index_map(2).size_local, dtype=np.int32)
         tags = self.material_tags(cells)

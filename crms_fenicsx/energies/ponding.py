@@ -43,12 +43,10 @@ def find_level(
     volume: float,
     level: float,
 ) -> float:
-    """Find the level at which water has a volume, by Newton's method. Collective.
-
-    The volume is a convex function of the level where the surface lies under all of the water, so
-    that Newton's steps come from above; where it does not, or is dry, they are kept in brackets.
-    Units: sums (length cubed), volume (length cubed), level (length).
-    """
+    """Find the level at which water has a volume, by Newton's method. Collective. The volume is a
+    convex function of the level where the surface lies under all of the water, so that Newton's
+    steps come from above; where it does not, or is dry, they are kept in brackets. Units: sums
+    (length cubed), volume (length cubed), level (length)."""
     low, high, step = -float("inf"), float("inf"), volume ** (1 / 3)
     total = sums.copy()
     for _ in range(TURNS):
@@ -234,9 +232,7 @@ class Ponding(EnergyTerm):
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's parts of the integrals of depth squared, depth, and 1 over the wet plan.
-
-        Collective where the volume is given.
-        """
+        Collective where the volume is given."""
         facets = (self.unknowns.X, x, self.table.corners, self._weights)
         if self.pond.given == "level":
             self.level = self.pond.level
@@ -260,11 +256,9 @@ class Ponding(EnergyTerm):
         )  # fmt: skip
 
     def add_pressure(self, x: Array, g: Array, factor: float) -> None:
-        """Add the water's forces on the membrane, normal to it, times a factor.
-
-        They are the gradient's but at the rim of its cells, where that has what would come or go
-        with water beyond it.
-        """
+        """Add the water's forces on the membrane, normal to it, times a factor. They are the
+        gradient's but at the rim of its cells, where that has what would come or go with water
+        beyond it."""
         _add_pressure(
             self.unknowns.X,
             x,

@@ -174,9 +174,7 @@ def _ends(V: fem.FunctionSpace, a: Indices, b: Indices, s: Array) -> tuple[Indic
 
 class RimPressure(EnergyTerm):
     """Potential of the pressure on what closes the volume at the rim: ``-p`` times its change.
-
-    Shapes and units: pressure (force per area), origin (3,) (length).
-    """
+    Shapes and units: pressure (force per area), origin (3,) (length)."""
 
     name = "pressure"
 

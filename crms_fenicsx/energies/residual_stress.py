@@ -19,10 +19,8 @@ from crms_fenicsx.runtime.compat import geometry_dofmap
 
 
 class ResidualStress(EnergyTerm):
-    """Energy ``int S : E`` of second Piola-Kirchhoff forces S that stay, E the strain.
-
-    Shapes and units: forces (n, 3, 3) (force per length).
-    """
+    """Energy ``int S : E`` of second Piola-Kirchhoff forces S that stay, E the strain. Shapes and
+    units: forces (n, 3, 3) (force per length)."""
 
     name = "residual stress"
     exact_hessian = True

@@ -130,9 +130,7 @@ def add_slip_forces(pointers, blocks, gradients, force, slope, g):  # type: igno
 @numba.njit(cache=True)
 def slip_stiffness(pointers, blocks, gradients, stiffness, values):  # type: ignore[no-untyped-def]
     """Put ``stiffness * grad(fraction) grad(fraction)^T`` into `values`, pairs of blocks (m, 3, 3).
-
-    The pairs are those of one node after the other, by rows.
-    """
+    The pairs are those of one node after the other, by rows."""
     pair = 0
     for k in range(stiffness.shape[0]):
         for q in range(pointers[k], pointers[k + 1]):
@@ -145,12 +143,9 @@ def slip_stiffness(pointers, blocks, gradients, stiffness, values):  # type: ign
 
 @numba.njit(cache=True)
 def add_slip_curvature(X, x, pointers, blocks, place, fractions, gradients, force, values):  # type: ignore[no-untyped-def]
-    """Add ``force * Hessian(fraction)`` to such `values`.
-
-    With total the edge's length, u_q its derivatives and s the fraction, the second derivatives are
-    ``(sum_q c_q Hessian(d_q) - grad(s) u^T - u grad(s)^T) / total``, c_q = 1 - s before the node
-    and -s behind it.
-    """
+    """Add ``force * Hessian(fraction)`` to such `values`. With total the edge's length, u_q its
+    derivatives and s the fraction, the second derivatives are ``(sum_q c_q Hessian(d_q) - grad(s)
+    u^T - u grad(s)^T) / total``, c_q = 1 - s before the node and -s behind it."""
     start = 0
     for k in range(force.shape[0]):
         first, n = pointers[k], pointers[k + 1] - pointers[k]

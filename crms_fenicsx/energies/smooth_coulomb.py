@@ -45,10 +45,8 @@ def coulomb_forces(slip: Array, bound: Array, eps: Array) -> Array:
 
 
 def stored_and_lost(slip: Array, bound: Array, eps: Array, elastic: Array) -> tuple[float, float]:
-    """Energy that friction stores elastically, and that it dissipates (force x length).
-
-    Shapes: slip, bound, eps, elastic (n,).
-    """
+    """Energy that friction stores elastically, and that it dissipates (force x length). Shapes:
+    slip, bound, eps, elastic (n,)."""
     force = np.abs(coulomb_forces(slip, bound, eps))
     back = np.minimum(np.abs(slip), elastic)
     y = np.minimum(back / eps, 1.0)
@@ -58,11 +56,9 @@ def stored_and_lost(slip: Array, bound: Array, eps: Array, elastic: Array) -> tu
 
 
 def secant_stiffness(slip: Array, bound: Array, eps: Array) -> Array:
-    """Stiffness ``force / slip`` of nodes, (n,) (force/length).
-
-    It is that of the parabola which touches the potential at the present slip and lies above it
-    elsewhere: the tangent is zero beyond eps, and says nothing of what comes below.
-    """
+    """Stiffness ``force / slip`` of nodes, (n,) (force/length). It is that of the parabola which
+    touches the potential at the present slip and lies above it elsewhere: the tangent is zero
+    beyond eps, and says nothing of what comes below."""
     y = np.abs(slip) / eps
     return np.asarray(bound / eps * np.where(y < 1.0, 2.0 - y, 1.0 / np.maximum(y, 1.0)))
 

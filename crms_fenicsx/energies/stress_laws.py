@@ -37,10 +37,8 @@ MOST_STEPS = 50
 
 @numba.njit(cache=True)
 def tension_line(p, e0, e1, e2):  # type: ignore[no-untyped-def]
-    """Direction of the tension in a wrinkled orthotropic membrane.
-
-    Returns (cos(psi), sin(psi), N, M), in the terms above.
-    """
+    """Direction of the tension in a wrinkled orthotropic membrane. Returns (cos(psi), sin(psi), N,
+    M), in the terms above."""
     rho, kappa = p[16], p[17]
     a, b, d = e0, 0.5 * rho * e2, rho * rho * e1
     mean, half = 0.5 * (a + d), 0.5 * (a - d)
@@ -73,12 +71,10 @@ def orthotropic_flag(laws: npt.ArrayLike) -> bool | None:
 
 @numba.njit(cache=True)
 def stress(law, p, e, s, orthotropic):  # type: ignore[no-untyped-def]
-    """Energy per area; section forces (S11, S22, S12) into s. Returns (energy, state).
-
-    `p` is `MembraneMaterial.parameters`, e the strain (E11, E22, 2 E12); state is 2 taut,
-    1 wrinkled, 0 slack. Where `orthotropic` is None, and not True, the orthotropic tension field
-    is not compiled: its iteration takes longer than all the rest.
-    """
+    """Energy per area; section forces (S11, S22, S12) into s. Returns (energy, state). `p` is
+    `MembraneMaterial.parameters`, e the strain (E11, E22, 2 E12); state is 2 taut, 1 wrinkled, 0
+    slack. Where `orthotropic` is None, and not True, the orthotropic tension field is not compiled:
+    its iteration takes longer than all the rest."""
     # Taut: without the energy at rest, S^2 / E t, in which small changes would be lost.
     energy = 0.0
     for i in range(3):
@@ -140,9 +136,7 @@ def _orthotropic(p, e0, e1, e2, s):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True)
 def tangent(law, p, e, floor, C, orthotropic):  # type: ignore[no-untyped-def]
     """Consistent tangent (3, 3) into C, in wrinkling laws plus `floor` times the taut stiffness.
-
-    `orthotropic` as in `stress`.
-    """
+    `orthotropic` as in `stress`."""
     for i in range(3):
         for j in range(3):
             C[i, j] = p[3 * i + j]
@@ -163,10 +157,8 @@ def tangent(law, p, e, floor, C, orthotropic):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _isotropic_dyads(p, e0, e1, e2):  # type: ignore[no-untyped-def]
-    """Whether (nearly) taut, else the tangent's dyads, paired with (E11, E22, 2 E12).
-
-    One along the tension, and one across as it turns with the strain, each with its factor.
-    """
+    """Whether (nearly) taut, else the tangent's dyads, paired with (E11, E22, 2 E12). One along the
+    tension, and one across as it turns with the strain, each with its factor."""
     nothing = (0.0, 0.0, 0.0)
     mean, half, shear = 0.5 * (e0 + e1), 0.5 * (e0 - e1), 0.5 * e2
     radius = math.sqrt(half * half + shear * shear)
@@ -182,11 +174,8 @@ def _isotropic_dyads(p, e0, e1, e2):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _orthotropic_dyads(p, e0, e1, e2):  # type: ignore[no-untyped-def]
-    """As `_isotropic_dyads`.
-
-    With f(psi, E) the energy in a given direction, the tangent of its maximum over psi is
-    ``f_EE + f_Epsi f_Epsi^T / (-f_psipsi)``.
-    """
+    """As `_isotropic_dyads`. With f(psi, E) the energy in a given direction, the tangent of its
+    maximum over psi is ``f_EE + f_Epsi f_Epsi^T / (-f_psipsi)``."""
     nothing = (0.0, 0.0, 0.0)
     s0 = p[0] * e0 + p[1] * e1 + UNSTRAINED * p[0]
     s1 = p[3] * e0 + p[4] * e1 + UNSTRAINED * p[4]

@@ -24,10 +24,8 @@ from crms_fenicsx.runtime.compat import geometry_dofmap
 @numba.njit(cache=True)
 def cell_values(u, dofs, axes, shapes, row, p, cells, strains, values):  # type: ignore[no-untyped-def]
     """Strains (n, 3); energy per area, section forces and state into `values` at the cells.
-
     `shapes` (n, 2, 2) takes the differences of u along two sides to slopes along the axes, `row`
-    (n,) says which parameters a cell has.
-    """
+    (n,) says which parameters a cell has."""
     e, s = np.empty(3), np.empty(3)
     slopes = np.empty((2, 3))
     for c in range(len(cells)):
@@ -61,10 +59,8 @@ def cell_tangents(strains, row, p, cells, tangents):  # type: ignore[no-untyped-
 
 
 class TensionField:
-    """Stress, energy and tangent of wrinkling orthotropic cells, as fields for UFL forms.
-
-    Shapes: cells (n,), axes (n, 2, 3), parameters (k, N_PARAMETERS), row (n,).
-    """
+    """Stress, energy and tangent of wrinkling orthotropic cells, as fields for UFL forms. Shapes:
+    cells (n,), axes (n, 2, 3), parameters (k, N_PARAMETERS), row (n,)."""
 
     def __init__(
         self, u: fem.Function, cells: Indices, axes: Array, parameters: Array, row: Indices

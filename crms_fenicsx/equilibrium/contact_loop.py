@@ -99,9 +99,7 @@ class ContactLoop:
 
 def restore_positions(scene: Scene, state: SceneState) -> None:
     """Bring membrane and cables to where they were, the cables on their new paths. Collective.
-
-    Points that the paths had are where they were; others lie on the membrane of then.
-    """
+    Points that the paths had are where they were; others lie on the membrane of then."""
     scene.u.x.array[:] = state.u
     scene.frame.state = state.frame
     shape = scene.net.strip_shape()

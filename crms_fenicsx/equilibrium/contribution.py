@@ -12,10 +12,8 @@ from crms_fenicsx.scene import Scene
 
 
 class Contribution:
-    """One feature of a scene: its terms, and what goes between them and the scene.
-
-    Every method does nothing by default. All are called on all ranks, in the order of the terms.
-    """
+    """One feature of a scene: its terms, and what goes between them and the scene. Every method
+    does nothing by default. All are called on all ranks, in the order of the terms."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene

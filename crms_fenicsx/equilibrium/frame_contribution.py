@@ -89,11 +89,9 @@ class BarContribution(Contribution):
         return np.array([at[end] for end in ends], dtype=np.int32)
 
     def damping(self, of_cables: Damping | None) -> Damping:
-        """What damps the quasi-Newton steps of bars' ends, and of cables.
-
-        As with the parts of a cable: sideways nothing holds the ends of slack guys and of bars
-        without force. A chain of them has no equilibrium found without it.
-        """
+        """What damps the quasi-Newton steps of bars' ends, and of cables. As with the parts of a
+        cable: sideways nothing holds the ends of slack guys and of bars without force. A chain of
+        them has no equilibrium found without it."""
         none = np.zeros((0, 3), dtype=np.int32)
         springs = Springs(none, np.zeros(0), none[:, :2])
         springs = springs if of_cables is None else of_cables.springs

@@ -144,10 +144,8 @@ class FrameStability:
 
 
 def instabilities(system: System, tolerance: float) -> list[StateWarning]:
-    """What bars, joints and ponds make unstable in a scene's state. Collective.
-
-    Units: tolerance (force).
-    """
+    """What bars, joints and ponds make unstable in a scene's state. Collective. Units: tolerance
+    (force)."""
     ponds = [] if system.ponds is None else [one for one in system.ponds.ponds if one.pond.factor]
     frame = FrameStability(system.scene, tolerance) if system.scene.bars else None
     told = []

@@ -104,9 +104,7 @@ def hold(scene: Scene, unknowns: Unknowns) -> None:
 
 def tiny_force(scene: Scene) -> float:
     """Return a force that is nothing without any load; with one, forces are told from its own.
-
-    However stiff the membrane is, it is nothing to a cable in tension, or to a bar, either.
-    """
+    However stiff the membrane is, it is nothing to a cable in tension, or to a bar, either."""
     if scene.pressure != 0.0 or any(load.factor * load.intensity != 0.0 for load in scene.loads):
         return 0.0
     materials = scene.materials.values()

@@ -51,9 +51,7 @@ class FrictionLoop:
 
     def solve(self, h0_prestress: tuple[float, ...]) -> Outcome:
         """Solve, again and again until the friction forces are those of its own state. Collective.
-
-        While these change much the states are worked out near their equilibrium only.
-        """
+        While these change much the states are worked out near their equilibrium only."""
         solve, lags = self._solve, self._lags()
         outcome = solve(h0_prestress, bool(lags))
         if not lags:
@@ -159,10 +157,8 @@ class EquilibriumSearch:
 
     def _unsmoothed(self, outcome: Outcome, contacts: ContactLoop) -> Outcome:
         """Repeat a solve until cables are as long as their polylines, though these are smoothed.
-
         Smoothing has its place in the gradient, which turns a segment that comes to an end at a
-        vertex; the length that it adds hardly depends on the state, and is taken off.
-        """
+        vertex; the length that it adds hardly depends on the state, and is taken off."""
 
         for k in range(MAX_LENGTHS):
             if not outcome.converged or not self.system.renew_smoothing_length():

@@ -89,11 +89,9 @@ class System:
             self.minimizer.reset_h0()
 
     def rebuild(self, arrange: bool = True) -> None:
-        """Make layout, terms and minimiser anew for the scene as it is. Collective.
-
-        Unless `arrange` the cables cross as they did in the solve that led to this state: it is
-        to be looked at.
-        """
+        """Make layout, terms and minimiser anew for the scene as it is. Collective. Unless
+        `arrange` the cables cross as they did in the solve that led to this state: it is to be
+        looked at."""
         self.destroy()
         scene, damping = self.scene, None
         self._arranged = arrange or not scene.cables

@@ -108,9 +108,7 @@ class Film:
 
     def growth(self) -> Array:
         """Forces of a pressure of 1 on this rank's vertices, (n, 3) (length squared). Collective.
-
-        Inside the rim these are the derivatives of the volume by the vertices' places.
-        """
+        Inside the rim these are the derivatives of the volume by the vertices' places."""
         return self._vector("growth")
 
     def _vector(self, name: str) -> Array:
@@ -131,10 +129,8 @@ class Film:
         return self.start + self.u.x.array.reshape(-1, 3)
 
     def assemble(self, exact: bool, pressure: float, modulus: float) -> None:
-        """Assemble the stiffness, to which cables may still be added.
-
-        Units: pressure (force per area).
-        """
+        """Assemble the stiffness, to which cables may still be added. Units: pressure (force per
+        area)."""
         self._exact.value = float(exact)
         self._pressure.value = pressure
         self._assemble(self.matrix, modulus)
@@ -194,10 +190,7 @@ class Inflation:
         self.gap_slope: Array = np.zeros((0, 3))
 
     def measure(self, x: Array) -> None:
-        """Take volume and rise. Collective.
-
-        Shapes and units: x (n, 3) (length).
-        """
+        """Take volume and rise. Collective. Shapes and units: x (n, 3) (length)."""
         self.growth = self.film.growth()
         if self._volume is not None:
             self.gap, self.gap_slope = self.film.volume() - self._volume, self.growth

@@ -79,10 +79,7 @@ class FormBar:
 
 
 def add_bars(scene: Scene, reactions: Mapping[str, Array], bars: Sequence[FormBar]) -> None:
-    """Add the bars that hold points in place of supports. Collective.
-
-    Shapes: reactions (3,).
-    """
+    """Add the bars that hold points in place of supports. Collective. Shapes: reactions (3,)."""
     frame = scene.frame
     for group in dict.fromkeys(bar.group for bar in bars):
         own = [bar for bar in bars if bar.group == group]
@@ -112,10 +109,8 @@ def add_bars(scene: Scene, reactions: Mapping[str, Array], bars: Sequence[FormBa
 
 
 def bar_forces(reaction: Array, ways: Array, bars: Sequence[FormBar]) -> Array:
-    """Forces of the bars at a point, (n,), that together are its reaction (force).
-
-    Shapes: reaction (3,), ways (n, 3).
-    """
+    """Forces of the bars at a point, (n,), that together are its reaction (force). Shapes: reaction
+    (3,), ways (n, 3)."""
     group = bars[0].group
     found = np.array([np.nan if bar.force is None else bar.force for bar in bars])
     asked = np.isnan(found)

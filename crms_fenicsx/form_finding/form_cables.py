@@ -61,11 +61,9 @@ class FormCable:
 
 @dataclass
 class EdgeLine:
-    """The edges of a cable.
-
-    A film pulls at the vertices of a cable across the cable only, so that its places along the
-    cable are free. They are laid out evenly: each edge keeps its share of the length.
-    """
+    """The edges of a cable. A film pulls at the vertices of a cable across the cable only, so that
+    its places along the cable are free. They are laid out evenly: each edge keeps its share of the
+    length."""
 
     cable: FormCable  # what is prescribed of it
     ids: Integers  # (k,) its vertices from end to end, by their numbers in the mesh as it was given
@@ -86,10 +84,8 @@ class EdgeLine:
         return self._pulled(self._sides / np.linalg.norm(self._sides, axis=1)[:, None], n)
 
     def even_slope(self, n: int) -> Array:
-        """The same if each edge were to pull by how much longer it is than its share, (n, 3).
-
-        Where it is the gradient of the length, the edges have their shares.
-        """
+        """The same if each edge were to pull by how much longer it is than its share, (n, 3). Where
+        it is the gradient of the length, the edges have their shares."""
         return self._pulled(self._sides / (self.shares * self.length)[:, None], n)
 
     def tangents(self, n: int) -> Array:

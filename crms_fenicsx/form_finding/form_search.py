@@ -49,11 +49,9 @@ class Figures:
 
 
 class FormSearch:
-    """Moves a film and its cables to equilibrium.
-
-    The unknown tensions and the pressure are found with the shape: each has an equation, and a
-    column of forces. The linear systems with them are solved by block elimination.
-    """
+    """Moves a film and its cables to equilibrium. The unknown tensions and the pressure are found
+    with the shape: each has an equation, and a column of forces. The linear systems with them are
+    solved by block elimination."""
 
     def __init__(
         self,
@@ -93,10 +91,7 @@ class FormSearch:
             line.tension = line.length * (cable.force_density or self.film.largest)
 
     def run(self, lift: Array) -> None:
-        """Find the form. Collective.
-
-        Shapes and units: lift (n, 3) (length).
-        """
+        """Find the form. Collective. Shapes and units: lift (n, 3) (length)."""
         updates = wait = UPDATES
         best, error = 1.0, self._measure()
         with progress(self.comm, -np.log10(TOLERANCE), "finding the form") as bar:
@@ -133,9 +128,7 @@ class FormSearch:
 
     def _may_move_on(self) -> bool:
         """Whether vertices that were held moved to where less of what holds them is needed.
-
-        Collective.
-        """
+        Collective."""
         film = self.film
         share = film.section_forces(True) - film.section_forces(False)
         own = float(np.abs(share).max(initial=0.0)) / film.largest
@@ -175,10 +168,8 @@ class FormSearch:
             line.tension = tension
 
     def _measure(self) -> float:
-        """Take forces and the errors of equations; return the residual that is to fall.
-
-        It is that across the form until vertices are held. Collective.
-        """
+        """Take forces and the errors of equations; return the residual that is to fall. It is that
+        across the form until vertices are held. Collective."""
         film, x = self.film, self.film.positions()
         self._slopes: list[Array] = []
         forces = film.forces(self.holding)

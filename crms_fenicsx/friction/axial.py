@@ -58,10 +58,8 @@ def initial_state(cable: LaidCable, shape: StripShape) -> AxialFrictionState:
 
 
 def _supports(cable: LaidCable) -> tuple[Support, ...]:
-    """Places of the nodes that friction can hold along the cable.
-
-    Not the held vertex that an anchor lies on: between the two there is no cable.
-    """
+    """Places of the nodes that friction can hold along the cable. Not the held vertex that an
+    anchor lies on: between the two there is no cable."""
     last = len(cable.nodes) - 1
     supports = []
     for k in held_nodes(cable):
@@ -117,13 +115,11 @@ def remap_axial(cable: LaidCable) -> None:
 
 
 def reference_arcs(cable: LaidCable, shape: StripShape) -> RestPlaces:
-    """What rests at a cable's nodes, and how that changes along their edges.
-
-    A fold point that is moved along its edge by v takes the cable's material along by v . t, with t
-    the mean of the cable's directions before and after: divided by the stretch, this is the slope.
-    With it the forces of the tensions T1 and T2 and of friction on the fold point sum up to ``(T1 +
-    T2)/2 (t2 - t1)`` along the edge, which vanishes on a geodesic as without friction.
-    """
+    """What rests at a cable's nodes, and how that changes along their edges. A fold point that is
+    moved along its edge by v takes the cable's material along by v . t, with t the mean of the
+    cable's directions before and after: divided by the stretch, this is the slope. With it the
+    forces of the tensions T1 and T2 and of friction on the fold point sum up to ``(T1 + T2)/2 (t2 -
+    t1)`` along the edge, which vanishes on a geodesic as without friction."""
     grip = cable.axial
     assert grip is not None
     nodes, contacts, direction = gripped_nodes(cable), cable.contacts(), turns(cable)
@@ -165,10 +161,8 @@ def _rest_at(grip: AxialFrictionState, places: Array) -> Array:
 def store_solution(
     cable: LaidCable, spans: Array, unstressed: Array, tensions: Array, slips: Array, loss: float
 ) -> None:
-    """Take the state of a solve.
-
-    Shapes and units: spans, unstressed, tensions (n + 1,) (length).
-    """
+    """Take the state of a solve. Shapes and units: spans, unstressed, tensions (n + 1,)
+    (length)."""
     grip = cable.axial
     assert grip is not None
     axial = replace(
@@ -212,10 +206,8 @@ def end_axial_step(cable: LaidCable, shape: StripShape) -> None:
 def _curve(
     cable: LaidCable, shape: StripShape, nodes: list[int], arcs: Array
 ) -> tuple[MaterialCurve, Array]:
-    """Where a cable is over the stress-free membrane, and the arcs that rest at its points.
-
-    Places under the cable where it is off the membrane count as well: there it may touch down.
-    """
+    """Where a cable is over the stress-free membrane, and the arcs that rest at its points. Places
+    under the cable where it is off the membrane count as well: there it may touch down."""
     last = len(cable.nodes) - 1
     on = [k for k in cable.path_nodes() if not (0 < k < last and is_foot(cable, k))]
     points = np.array([material_place(cable, k, shape) for k in on]).reshape(-1, 3)
@@ -286,11 +278,9 @@ def grip_table(numbering: CableNumbering, shape: StripShape) -> Grips:
 
 
 def _fold_points(numbering: CableNumbering) -> list[tuple[int, int, int, tuple[int, int]]]:
-    """Fold points and edge sliders on the edges of this rank's cells that friction holds.
-
-    The number of the cable among those held, its number, that of the node among its held ones, and
-    the edge.
-    """
+    """Fold points and edge sliders on the edges of this rank's cells that friction holds. The
+    number of the cable among those held, its number, that of the node among its held ones, and the
+    edge."""
     strip = numbering.strip
     found = []
     cables = [c for c, cable in enumerate(numbering.cables) if held_along(cable)]

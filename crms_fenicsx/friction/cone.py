@@ -53,11 +53,9 @@ class Slip:
 
     def law(self, share: Array, other: Array) -> tuple[Array, Array, Array]:
         """The law of these slips while the other ones are held, relative to the law on its own.
-
         Where this slip is small beside the other one, the force is ``share = work/other``: the
         width is that with which the law has this slope. Shapes and units: share (n,), other (n,)
-        (length). Returns as in `SidewaysLaw`.
-        """
+        (length). Returns as in `SidewaysLaw`."""
         slides = (other > 0.0) | (self.plastic(share) > 0.0)
         width = 1 + 2 * other / self.eps
         y = np.minimum(self.work / self.eps / width, 1.0)
@@ -87,12 +85,10 @@ def shares(a: Slip, b: Slip) -> tuple[Array, Array]:
 
 
 def full_slips(cable: LaidCable, size: Array, wrap: Array) -> Array:
-    """Slips along the cable at which friction is mobilised on its own, (n,) (length).
-
-    It is relative to what the force of a node that just holds stretches one cell by: so sticking is
-    much stiffer than the cable on every mesh, however stiff the cable is. Shapes and units: size,
-    wrap (n,) (length).
-    """
+    """Slips along the cable at which friction is mobilised on its own, (n,) (length). It is
+    relative to what the force of a node that just holds stretches one cell by: so sticking is much
+    stiffer than the cable on every mesh, however stiff the cable is. Shapes and units: size, wrap
+    (n,) (length)."""
     friction = cable.cable.friction
     assert isinstance(friction, Friction)
     strain = cable.length / cable.L0 - 1

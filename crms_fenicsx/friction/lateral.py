@@ -53,13 +53,11 @@ the smoothing of lengths."""
 
 
 def start_step(cable: LaidCable, shape: StripShape) -> None:
-    """Prepare a cable for a load step, if it has friction.
-
-    Of one that has not been in tension yet no bound is known: it is taken to stick first. So that
-    one that is tightened does as well, bounds grow in advance with the tension that it has where it
-    lies: with those of the last step's tension it could slide until it is slack, a state that no
-    friction holds and that keeps itself.
-    """
+    """Prepare a cable for a load step, if it has friction. Of one that has not been in tension yet
+    no bound is known: it is taken to stick first. So that one that is tightened does as well,
+    bounds grow in advance with the tension that it has where it lies: with those of the last step's
+    tension it could slide until it is slack, a state that no friction holds and that keeps
+    itself."""
     if cable.cable.sideways is None:
         return
     if cable.lateral is None:
@@ -85,9 +83,7 @@ def start_step(cable: LaidCable, shape: StripShape) -> None:
 
 def _tension_in_place(cable: LaidCable) -> float:
     """Tension of a cable where the last step has left it, between ends that may have moved (force).
-
-    By its length of then: a crossing that it has got since is not in equilibrium yet.
-    """
+    By its length of then: a crossing that it has got since is not in equilibrium yet."""
     length, places = cable.length, cable.positions[cable.contacts()]
     if cable.ends_before is not None:
         beside = places[[1, -2]]
@@ -97,10 +93,8 @@ def _tension_in_place(cable: LaidCable) -> float:
 
 
 def _ways(cable: LaidCable, grip: LateralFrictionState, shape: StripShape) -> Array:
-    """Directions in which nodes will slide in a step, for the law that has to know before.
-
-    They go where the cable pulls them, or else as in the last step.
-    """
+    """Directions in which nodes will slide in a step, for the law that has to know before. They go
+    where the cable pulls them, or else as in the last step."""
     numbers = held_nodes(cable)
     pull = contact_forces(cable, shape).lateral[numbers]
     ways: Array = np.sign(pull) * (np.abs(pull) > NOISE * cable.tension)

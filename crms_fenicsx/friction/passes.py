@@ -62,13 +62,11 @@ AGAINST = 30.0
 
 
 class LateralIteration:
-    """Brings the bounds of one cable in a load step to those of the state that they lead to.
-
-    The bounds are proportional to the tension, and a stiff cable that slides soon loses it: taking
+    """Brings the bounds of one cable in a load step to those of the state that they lead to. The
+    bounds are proportional to the tension, and a stiff cable that slides soon loses it: taking
     their sum over would converge slowly, so it is found by the secant method. How it is divided
     among the nodes can go back and forth between two states, so of a change of that a part is
-    taken.
-    """
+    taken."""
 
     settled = SETTLED
 
@@ -184,10 +182,8 @@ class AxialIteration:
         self._pace = AitkenRelaxation(LEAST_PART)
 
     def renew(self, shape: StripShape) -> float:
-        """Take the bounds from the current state.
-
-        Returns change of the tension that follows from them, relative to their sum.
-        """
+        """Take the bounds from the current state. Returns change of the tension that follows from
+        them, relative to their sum."""
 
         cable, grip = self.cable, self.cable.axial
         assert grip is not None
@@ -248,13 +244,11 @@ class AxialIteration:
 
 
 def capstan_bounds(mean: Array, wrap: Array, y: Array) -> Array:
-    """Friction bounds with which the potential has the tensions of the law, relative to EA.
-
-    With the tensions T1 and T2 and ``P = T + T^2/(2 EA)``, the work of the tension per unstressed
-    arc, it is ``(P2 - P1)/f'(y)``; the difference ``T2 - T1 = 2 sqrt(T1 T2) sinh(wrap/2)`` of a
-    node that slides is written so that it stays accurate for small angles. Shapes: mean (n,), wrap
-    (n,), y (n,).
-    """
+    """Friction bounds with which the potential has the tensions of the law, relative to EA. With
+    the tensions T1 and T2 and ``P = T + T^2/(2 EA)``, the work of the tension per unstressed arc,
+    it is ``(P2 - P1)/f'(y)``; the difference ``T2 - T1 = 2 sqrt(T1 T2) sinh(wrap/2)`` of a node
+    that slides is written so that it stays accurate for small angles. Shapes: mean (n,), wrap (n,),
+    y (n,)."""
     share = np.minimum(np.abs(y), 1.0)
     z = wrap * share * (2.0 - share)
     return wrap * (mean * _sinhc(z / 2) + mean**2 * _sinhc(z))

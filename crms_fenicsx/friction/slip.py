@@ -27,11 +27,9 @@ from crms_fenicsx.surface.points import Support
 def succession(
     old: Sequence[Support], now: Sequence[Support]
 ) -> tuple[list[int], list[int], list[tuple[slice, list[int]]]]:
-    """How the nodes of a changed path follow on those of the old one.
-
-    Returns stays, rows: nodes that stay, and what they were; heirs: old nodes that go, a stretch at
-    a time, with those that take their place: the new ones there, or the neighbours.
-    """
+    """How the nodes of a changed path follow on those of the old one. Returns stays, rows: nodes
+    that stay, and what they were; heirs: old nodes that go, a stretch at a time, with those that
+    take their place: the new ones there, or the neighbours."""
     was = {support: k for k, support in enumerate(old)}
     stays = [k for k, support in enumerate(now) if support in was]
     rows = [was[now[k]] for k in stays]
@@ -66,10 +64,7 @@ def material_curve(
     elastic: dict[int, float] | None = None,
     moving: dict[int, float] | None = None,
 ) -> MaterialCurve:
-    """Where a cable lies now.
-
-    Units: elastic, moving (length).
-    """
+    """Where a cable lies now. Units: elastic, moving (length)."""
     elastic, moving = elastic or {}, moving or {}
     nodes: list[int] = []
     part: list[int] = []

@@ -121,11 +121,9 @@ def _fitted(surface: CheckedSurface, parents: Integers, places: Array) -> Divisi
 
 
 def _bisected(mesh: MembraneMesh, marked: Indices) -> tuple[Integers, Array]:
-    """The finer cells' parents (k,) and the places of their corners (k, 3, 3). Collective.
-
-    They are all on rank 0, in any order; elsewhere there are none. Of sides that are equally long
-    DOLFINx takes the first in the cell's own order, which is the same on any number of ranks.
-    """
+    """The finer cells' parents (k,) and the places of their corners (k, 3, 3). Collective. They are
+    all on rank 0, in any order; elsewhere there are none. Of sides that are equally long DOLFINx
+    takes the first in the cell's own order, which is the same on any number of ranks."""
     topology, comm = mesh.mesh.topology, mesh.comm
     edges = compute_incident_entities(topology, marked, 2, 1)
     finer, parents, _ = bisect(

@@ -67,12 +67,9 @@ class EdgeTable:
 
 
 def hidden_cells(points: Array, cells: Integers, piece: Integers) -> Integers:
-    """Find the cells of pieces that no cable can reach over a seam.
-
-    Shapes: points (n, 3), cells (m, 3), piece (m,). Returns indices of the cells, sorted, shape
-    (k,): those of each piece that at some seam bounds no sector which is outside of both cells
-    around it.
-    """
+    """Find the cells of pieces that no cable can reach over a seam. Shapes: points (n, 3), cells
+    (m, 3), piece (m,). Returns indices of the cells, sorted, shape (k,): those of each piece that
+    at some seam bounds no sector which is outside of both cells around it."""
     table = EdgeTable.of(cells)
     on_seam = np.repeat(table.counts > 2, table.counts)
     sides = table.order[on_seam]

@@ -43,11 +43,8 @@ def imported(package: str) -> Any:
 
 @contextmanager
 def own_model(*, quiet_only: bool = False) -> Iterator[Any]:
-    """Enter a new, empty gmsh model and yield the gmsh module.
-
-    A session that the user has started goes on afterwards with the user's model and options;
-    otherwise gmsh is finalised again.
-    """
+    """Enter a new, empty gmsh model and yield the gmsh module. A session that the user has started
+    goes on afterwards with the user's model and options; otherwise gmsh is finalised again."""
     gmsh = imported("gmsh")
     started = not gmsh.isInitialized()
     if started:
@@ -76,10 +73,7 @@ def own_model(*, quiet_only: bool = False) -> Iterator[Any]:
 
 
 def mesh_with_sizes(gmsh: Any, target: Callable[[Array], float]) -> None:
-    """Mesh the surfaces of the current model.
-
-    Shapes: target (3,).
-    """
+    """Mesh the surfaces of the current model. Shapes: target (3,)."""
 
     def size_at(dim: int, tag: int, x: float, y: float, z: float, lc: float) -> float:
         return target(np.array([x, y, z]))
@@ -89,12 +83,9 @@ def mesh_with_sizes(gmsh: Any, target: Callable[[Array], float]) -> None:
 
 
 def read_model(gmsh: Any) -> SurfaceArrays:
-    """Read the triangles and the physical groups of the current model.
-
-    Nodes that are the corner of no triangle, such as the centres of circles, are left out. A
-    triangle that is there several times is taken once: .msh files of version 2 repeat it for each
-    of its physical groups.
-    """
+    """Read the triangles and the physical groups of the current model. Nodes that are the corner of
+    no triangle, such as the centres of circles, are left out. A triangle that is there several
+    times is taken once: .msh files of version 2 repeat it for each of its physical groups."""
     return surface_of_model(gmsh_arrays(gmsh))
 
 

@@ -238,9 +238,7 @@ def mesh_generator(shape: Callable[P, SurfaceArrays]) -> Callable[P, MembraneMes
 
 def moved(mesh: MembraneMesh, V: Any, places: Array) -> MembraneMesh:
     """Return the same cells and groups on the same ranks, with the vertices elsewhere. Collective.
-
-    Shapes and units: places (n, 3) (length).
-    """
+    Shapes and units: places (n, 3) (length)."""
     nodes: Array = np.zeros((len(mesh.mesh.geometry.x), 3))
     nodes[geometry_dofmap(mesh.mesh)] = places[V.dofmap.list]
     return dataclasses.replace(mesh, mesh=with_nodes(mesh.mesh, nodes))
@@ -316,11 +314,9 @@ def gathered(mesh: MembraneMesh) -> tuple[CheckedSurface, Indices]:
 def _local_groups(
     comm: MPI.Intracomm, keys: Integers, groups: Mapping[str, Integers]
 ) -> Mapping[str, Indices]:
-    """Find each rank's members of the groups that rank 0 knows, by the keys of its entities.
-
-    Rank 0 looks up the keys of one rank after the other, so that no other rank ever holds
-    a whole group, and ghosts need no further communication.
-    """
+    """Find each rank's members of the groups that rank 0 knows, by the keys of its entities. Rank 0
+    looks up the keys of one rank after the other, so that no other rank ever holds a whole group,
+    and ghosts need no further communication."""
     asked = comm.gather(keys, root=0)
     answers = None
     if asked is not None:
@@ -339,9 +335,7 @@ def _local_groups(
 
 def outer_first(mesh: MembraneMesh, call: str, what: str, names: Iterable[object]) -> list[str]:
     """Order parts so that one inside another comes after it: its cells count to the inner one.
-
-    Collective when a mesh is first asked, which making its scene does.
-    """
+    Collective when a mesh is first asked, which making its scene does."""
     given = sorted(names, key=repr)
     for part in given:
         if part not in mesh.parts:

@@ -26,10 +26,8 @@ Ranks = ArrayLike | Callable[[Array], ArrayLike]
 def cell_ranks(
     comm: MPI.Intracomm, surface: CheckedSurface, given: Indices | None
 ) -> Indices | None:
-    """Choose the ranks of the cells of a surface that is all on rank 0. Collective.
-
-    Returns the ranks of this rank's share of the cells; None, on all ranks, to leave it to DOLFINx.
-    """
+    """Choose the ranks of the cells of a surface that is all on rank 0. Collective. Returns the
+    ranks of this rank's share of the cells; None, on all ranks, to leave it to DOLFINx."""
     is_given, has_seams = comm.bcast((given is not None, len(surface.seam_links) > 0))
     if comm.size == 1 or not (is_given or has_seams):
         return None
@@ -41,10 +39,8 @@ def cell_ranks(
 
 
 def kept_together(ranks: Indices, links: Integers) -> Indices:
-    """Move linked cells to one rank: the lowest among those that they had.
-
-    Shapes: ranks (m,), links (k, 2).
-    """
+    """Move linked cells to one rank: the lowest among those that they had. Shapes: ranks (m,),
+    links (k, 2)."""
     if not len(links):
         return ranks
     label = connected_labels(len(ranks), links[:, 0], links[:, 1])

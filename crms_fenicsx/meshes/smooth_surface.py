@@ -31,11 +31,9 @@ class SmoothSurface:
 
     @classmethod
     def of(cls, points: Array, cells: Integers) -> SmoothSurface:
-        """Estimate the normals from the cells around each vertex, exactly on spheres.
-
-        N. Max, Weights for computing vertex normals from facet normals, 1999. Shapes and units:
-        points (n, 3) (length), cells (m, 3).
-        """
+        """Estimate the normals from the cells around each vertex, exactly on spheres. N. Max,
+        Weights for computing vertex normals from facet normals, 1999. Shapes and units: points (n,
+        3) (length), cells (m, 3)."""
         sides = points[cells[:, [1, 2, 0]]] - points[cells]  # side k leaves corner k
         areas = double_areas(points[cells])
         square = dot(sides, sides)
@@ -52,12 +50,10 @@ class SmoothSurface:
         return cls(points, normals)
 
     def raised(self, corners: Integers, weights: Array) -> tuple[Array, Array]:
-        """How far the surface is from places on the facets, and its normals there.
-
-        Where an edge has a normal at one end only it is taken for an arc of a circle. Shapes:
-        corners, weights (k, 3). Returns offsets, normals (k, 3): vectors from the facets to the
-        surface (length), and unit normals, zero where there are none.
-        """
+        """How far the surface is from places on the facets, and its normals there. Where an edge
+        has a normal at one end only it is taken for an arc of a circle. Shapes: corners, weights
+        (k, 3). Returns offsets, normals (k, 3): vectors from the facets to the surface (length),
+        and unit normals, zero where there are none."""
         x, n = self.points[corners], self.normals[corners]
         height = np.zeros(len(corners))
         for i, j in PAIRS:
@@ -70,10 +66,8 @@ class SmoothSurface:
 
 
 def curve_length(points: Array, normals: Array, straight: Booleans) -> float:
-    """Length of a curve on a surface, through points with normals.
-
-    Shapes and units: points, normals (k, 3) (length), straight (k - 1,).
-    """
+    """Length of a curve on a surface, through points with normals. Shapes and units: points,
+    normals (k, 3) (length), straight (k - 1,)."""
     steps = np.diff(points, axis=0)
     chords = norm(steps)
     turns = _turns(normals[:-1], normals[1:], steps) / np.where(chords > 0, chords, 1.0)

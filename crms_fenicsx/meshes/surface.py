@@ -25,10 +25,8 @@ _DEGENERATE = 1e-10  # area / (longest edge)^2; a sliver of aspect ratio 1e4 has
 
 @dataclass(frozen=True)
 class SurfaceArrays:
-    """What a generator or a reader hands over: arrays as `from_arrays` takes them.
-
-    `project` knows the surface that the cells stand for, where that is not made of them.
-    """
+    """What a generator or a reader hands over: arrays as `from_arrays` takes them. `project` knows
+    the surface that the cells stand for, where that is not made of them."""
 
     points: ArrayLike
     cells: ArrayLike

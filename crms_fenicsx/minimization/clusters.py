@@ -70,11 +70,8 @@ class ClusterMatrix:
         return sources, weights, starts, strides
 
     def close(self, exact: bool = False) -> None:
-        """Shift the diagonal a little, and decouple what is not free to move.
-
-        A cluster's shift is from its own stiffness, whichever others are here; it is less for
-        second derivatives.
-        """
+        """Shift the diagonal a little, and decouple what is not free to move. A cluster's shift is
+        from its own stiffness, whichever others are here; it is less for second derivatives."""
         layout, n = self.layout, self.layout.n_clusters
         traces = np.maximum(self._values[self._diagonal].sum(axis=1), 0.0)
         stiff = traces > 0.0
@@ -215,10 +212,8 @@ class Clusters:
 
 
 def gather(potential: Potential, moves: Booleans, shared: Booleans) -> Clusters:
-    """Gather the clusters that this rank is to solve. Collective.
-
-    Shapes: moves (n_local,), shared (n_local,).
-    """
+    """Gather the clusters that this rank is to solve. Collective. Shapes: moves (n_local,), shared
+    (n_local,)."""
     unknowns, comm = potential.unknowns, potential.comm
     blocks, tables = np.flatnonzero(moves).astype(np.int32), _elements(potential, moves)
     elements = [table.element_blocks for k, table in tables if k != SPRINGS]
@@ -247,10 +242,8 @@ def _elements(potential: Potential, moves: Booleans) -> Tables:
 
 
 def _solvers(layout: ClusterLayout, shared: Booleans) -> Integers:
-    """Rank that is to solve each cluster, or -1 if it is too large. Collective.
-
-    Shapes: shared (n_local,).
-    """
+    """Rank that is to solve each cluster, or -1 if it is too large. Collective. Shapes: shared
+    (n_local,)."""
     unknowns = layout.whole
     assert isinstance(unknowns, Unknowns)
     comm = unknowns.comm
@@ -283,9 +276,7 @@ def give_back(
     potential: Potential, clusters: Clusters, blocks: Indices, flags: Booleans
 ) -> Booleans:
     """Hand displacements to the owners of blocks, which put them into the potential. Collective.
-
-    Shapes: blocks, flags (m,). Returns the flags of this rank's blocks, (n_local,).
-    """
+    Shapes: blocks, flags (m,). Returns the flags of this rank's blocks, (n_local,)."""
     starts = potential.unknowns.starts
     numbers, x = clusters.numbers[blocks], clusters.x[blocks]
     owner = np.searchsorted(starts, numbers, side="right") - 1

@@ -63,10 +63,7 @@ class Damping:
         return Springs(s.sliders[own], s.fractions[own], s.segments[parts])
 
     def add_stiffness(self, unknowns: Unknowns, x: Array, g: Array, A: PETSc.Mat) -> None:
-        """Add the springs' stiffness to the matrix.
-
-        Shapes: x, g (n_local, 3).
-        """
+        """Add the springs' stiffness to the matrix. Shapes: x, g (n_local, 3)."""
         X = unknowns.X + x
         force = np.linalg.norm(g, axis=1)
         point, start, end = self.springs.sliders.T

@@ -122,11 +122,9 @@ class InitialHessian:
         self.matrix.destroy()
 
     def rebuild(self, exact: bool = False) -> bool:
-        """Assemble at the potential's current state.
-
-        Its sums must be up to date, and `g` the unbalanced forces there. Returns whether it is
-        definite as far as the factorisation tells; if not it is of no use.
-        """
+        """Assemble at the potential's current state. Its sums must be up to date, and `g` the
+        unbalanced forces there. Returns whether it is definite as far as the factorisation tells;
+        if not it is of no use."""
         held = self.assemble(exact and self._exact)
         if self._membrane is not None:
             self._membrane.assemble(held)
@@ -155,10 +153,8 @@ class InitialHessian:
         return True
 
     def assemble(self, exact: bool) -> npt.NDArray[np.bool_]:
-        """Assemble K at the potential's current state, as for `rebuild`, and not more.
-
-        Returns owned components that are held in it, (n, 3).
-        """
+        """Assemble K at the potential's current state, as for `rebuild`, and not more. Returns
+        owned components that are held in it, (n, 3)."""
         A, unknowns = self.matrix, self.potential.unknowns
         held = unknowns.held[: unknowns.n_owned].copy()
         if unknowns.bounds is not None:
@@ -202,10 +198,8 @@ class InitialHessian:
 
     def _apply_to_all(self, columns: Array) -> Array:
         """K's preconditioner on many columns: at once if factorised, which is much faster.
-
         Multigrid takes them one by one: several at once end in a segmentation fault on several
-        processes with PETSc 3.25.
-        """
+        processes with PETSc 3.25."""
         solved = np.empty_like(columns)
         if not self._exact:
             b, y = self.matrix.createVecs()
@@ -259,10 +253,8 @@ class InitialHessian:
 
     def _take_out(self, y: Array) -> None:
         """Take out of multigrid's result the components that are held or lie across edge sliders.
-
-        Its coarse levels know nothing of them. For right-hand sides without them it stays
-        symmetric by that.
-        """
+        Its coarse levels know nothing of them. For right-hand sides without them it stays symmetric
+        by that."""
         unknowns = self.potential.unknowns
         values = y.reshape(-1, 3)
         values[self._held] = 0.0

@@ -113,10 +113,8 @@ class LocalPotential:
         return np.sqrt(self._sum(np.sum(self.g**2, axis=1)))
 
     def relax(self, tolerance: float, most: int) -> Booleans:
-        """Minimise the energy of each cluster.
-
-        Units: tolerance (force). Returns whether the blocks' clusters have not come there, (n,).
-        """
+        """Minimise the energy of each cluster. Units: tolerance (force). Returns whether the
+        blocks' clusters have not come there, (n,)."""
         n = self.layout.n_clusters
         least = np.maximum(tolerance / max(self._n_all, 1) ** 0.5, 1e-3 * self.residuals())
         able = np.ones(n, dtype=bool)
@@ -133,11 +131,9 @@ class LocalPotential:
         return np.asarray((self.residuals() > least)[self.layout.cluster])
 
     def _step(self, todo: Booleans, exact: Booleans) -> Array:
-        """Make a step of Newton's method in each cluster, as far as its energy falls.
-
-        Shapes: todo, exact (n_clusters,). Returns lengths of the steps, 1 at most; 0 where the
-        energy does not fall.
-        """
+        """Make a step of Newton's method in each cluster, as far as its energy falls. Shapes: todo,
+        exact (n_clusters,). Returns lengths of the steps, 1 at most; 0 where the energy does not
+        fall."""
         cluster, start, g0 = self.layout.cluster, self.x[self.blocks], self.g.copy()
         energies0 = self.energies.copy()
         d = self._directions(todo, exact)

@@ -54,9 +54,7 @@ def add_empty_diagonal(A: PETSc.Mat, unknowns: Unknowns) -> None:
 
 def stiffen_across_edge_sliders(A: PETSc.Mat, unknowns: Unknowns, value: float) -> None:
     """Give the components across the edge sliders, which have no stiffness, this one.
-
-    Collective.
-    """
+    Collective."""
     own = unknowns.edge_sliders < unknowns.n_owned
     d = unknowns.directions[own]
     across = value * (np.eye(3) - d[:, :, None] * d[:, None, :])
@@ -66,13 +64,10 @@ def stiffen_across_edge_sliders(A: PETSc.Mat, unknowns: Unknowns, value: float) 
 
 
 def exact_matrix(potential: Potential) -> tuple[PETSc.Mat, PETSc.Mat]:
-    """Second derivatives at the potential's current state, evaluated there. Collective.
-
-    Rows and columns of held components, of those across edge sliders and of points that no term
-    touches are those of the identity. Returns all of them, and all but the dyads of what couples
-    very many points, as a cable's length; the same object where there are none. They are to be
-    destroyed.
-    """
+    """Second derivatives at the potential's current state, evaluated there. Collective. Rows and
+    columns of held components, of those across edge sliders and of points that no term touches are
+    those of the identity. Returns all of them, and all but the dyads of what couples very many
+    points, as a cable's length; the same object where there are none. They are to be destroyed."""
     unknowns = potential.unknowns
     n, held = unknowns.n_owned, unknowns.held[: unknowns.n_owned]
     A = empty_matrix(potential)
@@ -133,10 +128,8 @@ def set_defaults(prefix: str, values: dict[str, str]) -> None:
 
 
 def block_traces(matrix: PETSc.Mat, held: npt.NDArray[np.bool_]) -> Array:
-    """Traces of the owned diagonal blocks without components that are held, (n, 3); (n,).
-
-    They do not depend on how the scene is turned in space.
-    """
+    """Traces of the owned diagonal blocks without components that are held, (n, 3); (n,). They do
+    not depend on how the scene is turned in space."""
     diagonal = matrix.getDiagonal()
     traces: Array = np.where(held, 0.0, diagonal.array.reshape(-1, 3)).sum(axis=1)
     diagonal.destroy()
@@ -145,9 +138,7 @@ def block_traces(matrix: PETSc.Mat, held: npt.NDArray[np.bool_]) -> Array:
 
 def shift_diagonal(matrix: PETSc.Mat, traces: Array, part: float = SHIFT) -> Array:
     """Add to a matrix's diagonal a small part of the owned blocks' traces, (n,), and their mean.
-
-    Returns what was added to each block, (n,).
-    """
+    Returns what was added to each block, (n,)."""
     some = np.log(traces[traces > 0.0])
     total = np.array([some.sum(), len(some)])
     matrix.getComm().tompi4py().Allreduce(MPI.IN_PLACE, total)
@@ -161,10 +152,8 @@ def shift_diagonal(matrix: PETSc.Mat, traces: Array, part: float = SHIFT) -> Arr
 
 
 def tell_rigid_motions(matrix: PETSc.Mat, potential: Potential) -> None:
-    """Attach what costs little energy, of which multigrid makes its coarse levels.
-
-    The matrix is of all blocks, or of the vertices, which come first.
-    """
+    """Attach what costs little energy, of which multigrid makes its coarse levels. The matrix is of
+    all blocks, or of the vertices, which come first."""
     unknowns, comm = potential.unknowns, potential.comm
     motions = [matrix.createVecLeft() for _ in range(6)]
     n = motions[0].getLocalSize() // 3

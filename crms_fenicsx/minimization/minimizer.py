@@ -79,12 +79,10 @@ BOUNDED_TYPES, UNBOUNDED_TYPES = ("blmvm", "bqnls", "bncg"), ("lmvm", "cg")
 
 
 class Minimizer:
-    """TAO's BLMVM on a potential, in stages with a fresh H0 each.
-
-    Every choice can be changed in PETSc's options database under the prefix, for example
-    ``-crms_tao_type``, ``-crms_tao_monitor``, ``-crms_h0_pc_type``,
-    ``-crms_h0_pc_factor_mat_solver_type``. Units: atol (force).
-    """
+    """TAO's BLMVM on a potential, in stages with a fresh H0 each. Every choice can be changed in
+    PETSc's options database under the prefix, for example ``-crms_tao_type``,
+    ``-crms_tao_monitor``, ``-crms_h0_pc_type``, ``-crms_h0_pc_factor_mat_solver_type``. Units: atol
+    (force)."""
 
     def __init__(
         self,
@@ -226,10 +224,8 @@ class Minimizer:
         self._aged = True
 
     def _renew_h0(self, h0_prestress: tuple[float, ...], renewals: int, failures: int) -> None:
-        """Rebuild H0 at the current state, and hand it to TAO the first time.
-
-        `renewals` have been in this solve before; `failures` of line searches just now.
-        """
+        """Rebuild H0 at the current state, and hand it to TAO the first time. `renewals` have been
+        in this solve before; `failures` of line searches just now."""
         prestress = h0_prestress[min(renewals, len(h0_prestress) - 1)]
         flat, least = h0_prestress[0] > 0.0, 0.0
         if flat and renewals > 1:
@@ -275,10 +271,8 @@ class Minimizer:
         h0_prestress: tuple[float, ...] = (0.0,),
         interrupt: Callable[[], bool] | None = None,
     ) -> Outcome:
-        """Minimise from the potential's current state; the state is then the minimiser.
-
-        Units: h0_prestress (force per length).
-        """
+        """Minimise from the potential's current state; the state is then the minimiser. Units:
+        h0_prestress (force per length)."""
         potential = self.potential
         self._interrupt, self._interrupted, self._error = interrupt, False, None
         self._place_bounds()

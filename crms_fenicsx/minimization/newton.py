@@ -69,11 +69,9 @@ class NewtonMethod:
         self._count, self._mark = 0, 0.0
 
     def is_quick(self, residual: float, scale: float) -> bool:
-        """Decide whether the next step is one by the second derivatives, with points relaxed.
-
-        So it is on the way from afar to near the minimum, unless it fails or makes no progress.
-        Units: residual (force).
-        """
+        """Decide whether the next step is one by the second derivatives, with points relaxed. So it
+        is on the way from afar to near the minimum, unless it fails or makes no progress. Units:
+        residual (force)."""
         if self.trusts_exact and self._quick:
             self._count += 1
             if self._count == QUICK_STEPS:
@@ -92,10 +90,8 @@ class NewtonMethod:
         return self._quick
 
     def take_over(self, residual: float, reduced: float, scale: float) -> None:
-        """Begin where a stage has `reduced` the residual to little less than it was.
-
-        Units: residual, reduced (force).
-        """
+        """Begin where a stage has `reduced` the residual to little less than it was. Units:
+        residual, reduced (force)."""
         self.active, self._count, self._mark = residual > STUBBORN * reduced, 0, residual
         self.restraint = RESTRAINT * (residual / max(scale, residual)) ** 0.5
 
@@ -109,10 +105,8 @@ class NewtonMethod:
     def step(
         self, x0: PETSc.Vec, g0: PETSc.Vec, energy0: float, x: PETSc.Vec, g: PETSc.Vec, d: PETSc.Vec
     ) -> bool:
-        """Step by H0 alone, as far as the energy falls.
-
-        Returns whether the energy has fallen; the potential is then in the new state.
-        """
+        """Step by H0 alone, as far as the energy falls. Returns whether the energy has fallen; the
+        potential is then in the new state."""
         part, kept, fallen = 2.0, 0.0, False
         self.h0.solve(g0, d)
         slope = -g0.dot(d)

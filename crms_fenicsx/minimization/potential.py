@@ -60,10 +60,8 @@ class Potential:
             vector.destroy()
 
     def place(self, X: PETSc.Vec | None = None) -> None:
-        """Make X (or what `x` holds) the current state, ghosts and DOLFINx's view included.
-
-        Where X is what the minimiser evaluated last, all that is known of it stays.
-        """
+        """Make X (or what `x` holds) the current state, ghosts and DOLFINx's view included. Where X
+        is what the minimiser evaluated last, all that is known of it stays."""
         if X is None or not (self._is_asked and X.equal(self._asked)):
             self._place(X)
 
@@ -138,13 +136,10 @@ class Potential:
         self.g_vector.copy(G)
 
     def add_stiffness(self, A: PETSc.Mat, exact: bool = False) -> None:
-        """Add stiffness and damping at the current state, the sums and the gradient there.
-
-        If `exact` it is the second derivatives of the terms, without damping.
-
-        DOLFINx's forms come last (they are the first terms): they flush the matrix, after which
-        PETSc takes long for each new entry.
-        """
+        """Add stiffness and damping at the current state, the sums and the gradient there. If
+        `exact` it is the second derivatives of the terms, without damping. DOLFINx's forms come
+        last (they are the first terms): they flush the matrix, after which PETSc takes long for
+        each new entry."""
         if self.damping is not None and not exact:
             self.unknowns.update_ghosts(self.g_vector)
             self.damping.add_stiffness(self.unknowns, self.x, self.g, A)
@@ -181,10 +176,8 @@ class Potential:
 
     def rounding(self) -> float:
         """Norm of the forces that rounding leaves at the state last evaluated (force). Collective.
-
         Where large forces cancel each other, a cable's before and behind a point or a tight
-        membrane's around it, what remains of them is not known better than this.
-        """
+        membrane's around it, what remains of them is not known better than this."""
         squares = 0.0
         for term, part in zip(self.terms, self._slices, strict=True):
             squares += term.rounding(self.x, self._sums[part])
@@ -204,12 +197,10 @@ class Potential:
 
     def evaluate_terms(self) -> tuple[float, float]:
         """As `evaluate`, term by term; what is known of the current state is not computed again.
-
         Returns energy: energy at the current state (force x length); scale: largest norm of one
         term's free nodal forces: the scene's own force. Those across edge sliders count, as there
         may be no other that does not vanish. Where only one term has any, which vanish in
-        equilibrium, those of the supports.
-        """
+        equilibrium, those of the supports."""
         self.evaluations += not self._is_summed
         self.bring_up_to_date()
         n = self.unknowns.n_owned

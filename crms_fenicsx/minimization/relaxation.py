@@ -100,11 +100,9 @@ class LocalRelaxation:
     def before_step(
         self, residual: float, tolerance: float, scale: float, *, stressed: bool, first: bool
     ) -> bool:
-        """Relax what is far out of balance, before a step of all unknowns. Collective.
-
-        Units: residual (force), tolerance (force). Returns whether the state has changed; the
-        potential is then evaluated in the new one.
-        """
+        """Relax what is far out of balance, before a step of all unknowns. Collective. Units:
+        residual (force), tolerance (force). Returns whether the state has changed; the potential is
+        then evaluated in the new one."""
         if first:
             return stressed and self.relax_patch(scale)
         of_vertices = self.vertex_residual()
@@ -113,11 +111,9 @@ class LocalRelaxation:
         return settled and residual > SETTLED * scale and self.relax_points(tolerance)
 
     def relax_points(self, tolerance: float) -> bool:
-        """Relax points while they are far more out of balance than the vertices. Collective.
-
-        Units: tolerance (force). Returns whether any point moved; the potential is then evaluated
-        in the new state.
-        """
+        """Relax points while they are far more out of balance than the vertices. Collective. Units:
+        tolerance (force). Returns whether any point moved; the potential is then evaluated in the
+        new state."""
         chosen, aim = np.zeros_like(self._points), 0.0
         self._stuck[:] = False
         for turn in range(ROUNDS):
@@ -135,10 +131,8 @@ class LocalRelaxation:
         return True
 
     def relax_patch(self, scale: float) -> bool:
-        """Relax points and vertices around what is out of balance. Collective.
-
-        Returns whether anything moved; the potential is then evaluated in the new state.
-        """
+        """Relax points and vertices around what is out of balance. Collective. Returns whether
+        anything moved; the potential is then evaluated in the new state."""
         chosen = np.zeros_like(self._all)
         self._stuck[:] = False
         for turn in range(ROUNDS):

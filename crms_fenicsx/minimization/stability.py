@@ -33,11 +33,9 @@ PLACES = (0.0, 1 / 3, 2 / 3, 1.0)
 
 
 def is_convex_from(potential: Potential, start: Array) -> bool:
-    """Whether the energy is convex on the way from a start to the potential's state. Collective.
-
-    It takes four evaluations; the state is afterwards as before, and evaluated. Shapes and units:
-    start (n_local, 3) (length).
-    """
+    """Whether the energy is convex on the way from a start to the potential's state. Collective. It
+    takes four evaluations; the state is afterwards as before, and evaluated. Shapes and units:
+    start (n_local, 3) (length)."""
     n, end = potential.unknowns.n_owned, potential.x.copy()
     way = end - start
     free = np.where(potential.unknowns.held[:n], 0.0, way[:n])
@@ -107,9 +105,7 @@ class ExactTangent:
 
     def compliance(self, blocks: Indices) -> Array:
         """Displacements of blocks by unit forces on them, (3 k, 3 k) (length/force). Collective.
-
-        Shapes: blocks (k,).
-        """
+        Shapes: blocks (k,)."""
         potential, unknowns = self.potential, self.potential.unknowns
         n, first = unknowns.n_owned, potential.comm.rank == 0
         found: Array = np.zeros((3 * len(blocks), 3 * len(blocks)))

@@ -153,10 +153,8 @@ def stiffness_error(f: Differentiable, x: Array, d: Array, h: float = 1e-4) -> f
 
 
 def noise(X: Array, seed: int) -> Array:
-    """Random vectors (n, 3) that depend on the place alone, so on no numbering; size about 1.
-
-    Waves shorter than the distances in a mesh of about 20 look random on its vertices.
-    """
+    """Random vectors (n, 3) that depend on the place alone, so on no numbering; size about 1. Waves
+    shorter than the distances in a mesh of about 20 look random on its vertices."""
     rng = np.random.default_rng(seed)
     waves, phases = rng.uniform(-1, 1, (8, 3)), rng.uniform(0, 2 * np.pi, (8, 3))
     shake: Array = np.sin((X @ waves.T)[:, :, None] + phases).sum(axis=1) / 2

@@ -15,10 +15,8 @@ from crms_fenicsx.surface.points import EdgePoint, SurfacePoint
 
 @dataclass(frozen=True, eq=False)
 class Crossing:
-    """A place where two cables cross: one free point that both share.
-
-    The nodes of the cables refer to it by its number among the scene's crossings.
-    """
+    """A place where two cables cross: one free point that both share. The nodes of the cables refer
+    to it by its number among the scene's crossings."""
 
     lower: int  # lower, upper: numbers of the cables, the upper one on top
     upper: int
@@ -93,11 +91,9 @@ class StepStart:
 
 @dataclass(frozen=True)
 class CableState:
-    """All that is known of a laid cable, as one value; see the attributes of `LaidCable`.
-
-    A snapshot is a reference to it and a change another one, see `LaidCable.update`. Its arrays are
-    read-only. The shapes in the type hints are those that a checkpoint is checked against.
-    """
+    """All that is known of a laid cable, as one value; see the attributes of `LaidCable`. A
+    snapshot is a reference to it and a change another one, see `LaidCable.update`. Its arrays are
+    read-only. The shapes in the type hints are those that a checkpoint is checked against."""
 
     cable: Cable
     nodes: Annotated[tuple[CableNode, ...], "n"]

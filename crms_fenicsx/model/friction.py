@@ -124,11 +124,9 @@ class MaterialCurve:
     moving: Annotated[Array, "m"]
 
     def nearest(self, places: Array) -> tuple[Array, Array, Integers]:
-        """Arc lengths (n,), places (n, 3) and parts (n,) of the points nearest to places (n, 3).
-
-        An arc length lies beyond the ends of its part by what the place does. Where the curve is
-        nowhere, so are they: the parts are -1.
-        """
+        """Arc lengths (n,), places (n, 3) and parts (n,) of the points nearest to places (n, 3). An
+        arc length lies beyond the ends of its part by what the place does. Where the curve is
+        nowhere, so are they: the parts are -1."""
         joined = np.flatnonzero((self.part[1:] == self.part[:-1]) & (np.diff(self.arc) > 0.0))
         if not len(joined):
             return np.zeros(len(places)), places.copy(), np.full(len(places), -1)
@@ -150,9 +148,7 @@ class MaterialCurve:
 
     def tangents(self, at: Array, parts: Integers, reach: Array) -> Array:
         """Mean directions between a distance `reach` (n,) before and after places, unit (n, 3).
-
-        Points that lie close together have none of their own that means anything.
-        """
+        Points that lie close together have none of their own that means anything."""
         found = np.zeros((len(at), 3))
         for part in np.unique(parts):
             own, rows = self.part == part, parts == part
@@ -208,10 +204,8 @@ class LateralFrictionState:
     cone: SidewaysLaw | None = None
 
     def law(self, rows: list[int], eps: Array) -> tuple[Array, Array, Array]:
-        """Bounds (force), slips at which they are reached, and most elastic slips (length).
-
-        Units: eps (length).
-        """
+        """Bounds (force), slips at which they are reached, and most elastic slips (length). Units:
+        eps (length)."""
         bounds, own = self.bounds[rows], self.cone
         if own is None:
             return bounds, eps, eps

@@ -41,11 +41,9 @@ class CableEnd:
 
     @property
     def reaction(self) -> Array:
-        """Force (3,) with which the anchor holds the cable: its tension, along its end.
-
-        Where the end lies on the held edge that it was laid to, the anchor carries it, and not the
-        membrane's support.
-        """
+        """Force (3,) with which the anchor holds the cable: its tension, along its end. Where the
+        end lies on the held edge that it was laid to, the anchor carries it, and not the membrane's
+        support."""
         cable = self.cable
         if cable.nodes[cable.node_of(self.which)].kind != "anchor":
             raise InputError(

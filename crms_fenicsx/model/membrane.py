@@ -125,9 +125,7 @@ class Membrane:
     @cached_property
     def stress_free(self) -> Array:
         """Stress-free positions (length) of the vertices by degree of freedom, (n, 3), read-only.
-
-        With ghosts, as `positions`.
-        """
+        With ghosts, as `positions`."""
         positions = vertex_places(self.V)
         positions.flags.writeable = False
         return positions
@@ -187,9 +185,7 @@ class Membrane:
     @collective
     def vertices(self, where: str | Marker) -> Indices:
         """Local degrees of freedom of the vertices of a named group or marked by a function.
-
-        Shapes: where (n,).
-        """
+        Shapes: where (n,)."""
         checks.same(self.comm, "vertices", where=where)
         mesh = self.mesh
         dofs: Indices = np.zeros(0, dtype=np.int32)

@@ -111,12 +111,10 @@ class _Shape:
 def fixed_direction_load(
     membrane: Membrane, traction: Traction, name: str = "load", per: Area = "surface"
 ) -> MembraneLoad:
-    """A load of fixed direction on the membrane's current shape. Collective.
-
-    A cell gives a third of its load, taken at its centre, to each of its vertices. That a cable
-    folds it changes nothing: the load goes by the triangle of its corners, and together these
-    triangles cover the same surface up to the depth of the folds. Fold points get no load.
-    """
+    """A load of fixed direction on the membrane's current shape. Collective. A cell gives a third
+    of its load, taken at its centre, to each of its vertices. That a cable folds it changes
+    nothing: the load goes by the triangle of its corners, and together these triangles cover the
+    same surface up to the depth of the folds. Fold points get no load."""
     if per not in get_args(Area):
         known = ", ".join(map(repr, get_args(Area)))
         raise InputError(f"put_load: per = {per!r} is not known; use one of {known}.")

@@ -60,10 +60,8 @@ def renew_ends(change: PathChange) -> bool:
 
 
 def _moved_aside(cable: LaidCable, k: int, shape: StripShape) -> bool:
-    """Whether an anchor has left the vertical plane of its cable since the last equilibrium.
-
-    On its old path the cable would be drawn into the membrane sideways.
-    """
+    """Whether an anchor has left the vertical plane of its cable since the last equilibrium. On its
+    old path the cable would be drawn into the membrane sideways."""
     if cable.nodes[k].kind != "anchor" or cable.ends_before is None:
         return False
     contacts = cable.contacts()[1:] if k == 0 else cable.contacts()[-2::-1]
@@ -119,9 +117,7 @@ def _renew(change: PathChange, cable: LaidCable, last: bool, shape: StripShape) 
 
 def _follow(change: PathChange, cable: LaidCable, last: bool) -> bool:
     """Lead a path's end to the cell under an anchor that has been moved, or off the membrane.
-
-    Pulled taut to where the anchor was, the path would go there and back.
-    """
+    Pulled taut to where the anchor was, the path would go there and back."""
     anchor, before = -1 if last else 0, cable.ends_before
     place = cable.positions[anchor]
     if before is None or np.linalg.norm(place - before[anchor]) <= SAME_PLACE * cable.length:
@@ -131,9 +127,7 @@ def _follow(change: PathChange, cable: LaidCable, last: bool) -> bool:
 
 def _lead(change: PathChange, cable: LaidCable, last: bool, over: bool = False) -> bool:
     """Lead a path's end over the cells to the one under its anchor, or to where it leaves them.
-
-    With `over`, to none that the anchor lies under.
-    """
+    With `over`, to none that the anchor lies under."""
     anchor, beside = (-1, -2) if last else (0, 1)
     place, foot = cable.positions[anchor], cable.nodes[beside]
     ids, weights = foot.interpolation()

@@ -59,10 +59,8 @@ class NodesOnEdges:
 
 
 class FoldPoints(Mapping[Edge, Sequence[Array]]):
-    """Positions (3,) of the points on each edge that has some, in order, without lifted ones.
-
-    They are those at the time when this is made, whatever becomes of the cables.
-    """
+    """Positions (3,) of the points on each edge that has some, in order, without lifted ones. They
+    are those at the time when this is made, whatever becomes of the cables."""
 
     def __init__(self, cables: Sequence[LaidCable], kept: NodesOnEdges) -> None:
         self._states, self._kept = [cable.state for cable in cables], kept
@@ -96,10 +94,8 @@ class FoldPoints(Mapping[Edge, Sequence[Array]]):
 
 
 def refuse_places_behind(membrane: Membrane, route: Array, name: str) -> None:
-    """Refuse a route with a point on cells behind a seam, and on no others. Collective.
-
-    Shapes: route (k, 3).
-    """
+    """Refuse a route with a point on cells behind a seam, and on no others. Collective. Shapes:
+    route (k, 3)."""
     positions, cells = own_surface(membrane)
     hidden = np.isin(np.arange(len(cells)), membrane.mesh.hidden)
     behind, outer = membrane.comm.allreduce(np.array([hidden.sum(), (~hidden).sum()]))
@@ -227,10 +223,8 @@ class CreasedSurface:
 
 
 def _arcs(line: Sequence[Sequence[float]]) -> list[float]:
-    """Lengths of a polyline (n, 3) from its first point to each one.
-
-    An edge has few points: `arc_lengths` takes longer to set up than to compute.
-    """
+    """Lengths of a polyline (n, 3) from its first point to each one. An edge has few points:
+    `arc_lengths` takes longer to set up than to compute."""
     steps = ((b[0] - a[0], b[1] - a[1], b[2] - a[2]) for a, b in pairwise(line))
     sizes = (math.sqrt(x * x + y * y + z * z) for x, y, z in steps)
     return list(accumulate(sizes, initial=0.0))

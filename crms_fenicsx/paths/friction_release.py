@@ -24,10 +24,8 @@ may have bounds with which the other one is better."""
 
 
 def pass_vertices(change: PathChange, tried: TriedPaths, most: int | None = None) -> int:
-    """Move cables with friction over the vertices that they have run into. Collective.
-
-    Returns how many vertices the cable that has passed most has.
-    """
+    """Move cables with friction over the vertices that they have run into. Collective. Returns how
+    many vertices the cable that has passed most has."""
     tried.proposed = set()
     held = _held(change.net.cables)
     if not held:

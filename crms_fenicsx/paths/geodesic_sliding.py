@@ -43,11 +43,9 @@ class GeodesicSliding:
         """Ways of cables without anchors that are known to be possible: that is so once for all."""
 
     def straighten(self) -> bool:
-        """Pull the paths of cables taut that have not been in equilibrium yet. Collective.
-
-        A taut cable on a bad path would cut into the membrane, and nothing converge. Returns
-        whether there were any.
-        """
+        """Pull the paths of cables taut that have not been in equilibrium yet. Collective. A taut
+        cable on a bad path would cut into the membrane, and nothing converge. Returns whether there
+        were any."""
         fresh = [
             cable
             for cable in self.net.cables
@@ -111,10 +109,8 @@ class GeodesicSliding:
                     raise slid_off(cable, surface.shape.at(vertex))
 
     def slide(self, max_flips: int | None = None) -> int:
-        """Pull the paths of all cables in tension taut on the current surface. Collective.
-
-        Returns how many vertices the cable that has passed most has; 0: no path has changed.
-        """
+        """Pull the paths of all cables in tension taut on the current surface. Collective. Returns
+        how many vertices the cable that has passed most has; 0: no path has changed."""
         self.tried.forget_moved(self.net.cables)
         free = [
             cable

@@ -76,12 +76,10 @@ class VertexRun:
 
 
 def held_vertices(cable: LaidCable, shape: StripShape) -> list[HeldVertex]:
-    """The vertices that a cable in tension visits or has run into.
-
-    All nodes on edges at a vertex count as one where friction holds them: only their sum means
-    anything. Some of them may have lifted off where the cable bends inward against the vertex.
-    Returns in the order of the path; none of a cable in an edge, which belongs there.
-    """
+    """The vertices that a cable in tension visits or has run into. All nodes on edges at a vertex
+    count as one where friction holds them: only their sum means anything. Some of them may have
+    lifted off where the cable bends inward against the vertex. Returns in the order of the path;
+    none of a cable in an edge, which belongs there."""
     near = {} if cable.in_edge else _near(cable, shape)
     if not near:
         return []
@@ -114,13 +112,11 @@ def held_vertices(cable: LaidCable, shape: StripShape) -> list[HeldVertex]:
 
 
 def held_runs(cable: LaidCable, shape: StripShape) -> list[VertexRun]:
-    """The runs of vertices that hold a cable, and the sides to which it leaves them.
-
-    Without friction the sides are those to which a string between the ends of the run would be
-    moved by the forces: next to its ends a run may be pulled the other way, by the cable's turn
-    there. With friction they are those to which each vertex is pulled. Returns in the order of the
-    path; vertices next to each other that are left to different sides are in different runs.
-    """
+    """The runs of vertices that hold a cable, and the sides to which it leaves them. Without
+    friction the sides are those to which a string between the ends of the run would be moved by the
+    forces: next to its ends a run may be pulled the other way, by the cable's turn there. With
+    friction they are those to which each vertex is pulled. Returns in the order of the path;
+    vertices next to each other that are left to different sides are in different runs."""
     held = held_vertices(cable, shape)
     if cable.lateral is not None:  # it sticks to the others
         held = [one for one in held if one.excess > 0.0]
@@ -145,9 +141,7 @@ def _parts(row: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]
 
 def _string(places: Array, forces: Array) -> Array:
     """Displacements, but for a factor, of a string held at its ends by forces in between, (n,).
-
-    Shapes and units: places (n + 2,) (length), forces (n,) (force).
-    """
+    Shapes and units: places (n + 2,) (length), forces (n,) (force)."""
     shear = np.concatenate([[0.0], -np.cumsum(forces)])
     moved = np.concatenate([[0.0], np.cumsum(shear * np.diff(places))])
     straight = moved[-1] * (places - places[0]) / max(places[-1] - places[0], 1e-300)
@@ -167,10 +161,8 @@ def _rows(held: Sequence[HeldVertex], cable: LaidCable) -> list[list[HeldVertex]
 
 
 def _near(cable: LaidCable, shape: StripShape) -> dict[int, list[int]]:
-    """Vertices that a cable's nodes are on, or so near that they may have run into them.
-
-    Along the membrane's boundary it is a part of that, which it can only slide off.
-    """
+    """Vertices that a cable's nodes are on, or so near that they may have run into them. Along the
+    membrane's boundary it is a part of that, which it can only slide off."""
     near = PRESSED if cable.lateral is None else GRIPPED
     nodes, lifted = cable.nodes, cable.lifted
     fractions = [float(f) for f in cable.fractions]

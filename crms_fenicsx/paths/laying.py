@@ -37,12 +37,10 @@ from crms_fenicsx.surface.trace import IndirectLeg, trace
 
 def unfolded(net: CableNet, route: Array) -> tuple[Array, dict[int, SurfacePoint], list[Array]]:
     """Bring a route in space from the points of other cables to the unfolded cells. Collective.
-
     Shapes: route (k, 3). Returns route (m, 3): without points at which a cable crosses another one
     inside a cell, which no path has; those at the other points of cables are moved to their places
     on the unfolded cells; known: these places, by their rows in the route; folds: where these
-    points are in the folds, in the order of `known`.
-    """
+    points are in the folds, in the order of `known`."""
     if route.shape[1] == 2 or net.strip is None:
         return route, {}, []
     contacts: list[tuple[LaidCable, int]] = []
@@ -93,10 +91,8 @@ def lay(
     shortest: bool = False,
     joints: tuple[str | None, str | None] = (None, None),
 ) -> LaidCable:
-    """Trace the path, decide what each of its points is, and add the cable to the net.
-
-    See `Scene.lay_cable`. Everything here is the same on all ranks.
-    """
+    """Trace the path, decide what each of its points is, and add the cable to the net. See
+    `Scene.lay_cable`. Everything here is the same on all ranks."""
     if not isinstance(cable, Cable):
         raise InputError(f"lay_cable: {cable!r} is no Cable; write Cable(EA=...).")
     name = _checked_name(net, name)
@@ -217,11 +213,9 @@ def _follows_free_edge(path: Path, strip: Strip) -> bool:
 
 
 def _smooth_length(cable: LaidCable, shape: StripShape, folded: Set[SurfacePoint]) -> float:
-    """Length of a cable's path on the smooth surface through the vertices.
-
-    Facets lie inside of that, and what they take off a path is, for a membrane that hardly
-    stretches, as much as the strain that puts the cable in tension.
-    """
+    """Length of a cable's path on the smooth surface through the vertices. Facets lie inside of
+    that, and what they take off a path is, for a membrane that hardly stretches, as much as the
+    strain that puts the cable in tension."""
     vertices = shape.strip.vertices
     surface = SmoothSurface.of(shape.current, np.searchsorted(vertices, shape.strip.outer_cells))
     nodes = cable.contacts()

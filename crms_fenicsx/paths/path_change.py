@@ -55,12 +55,10 @@ def fractions_of(nodes: Sequence[CableNode]) -> Array:
 
 
 def is_crossed(cable: LaidCable) -> bool:
-    """Whether a cable is in contact with another one that crosses it.
-
-    The surface on which geodesics are found does not have the points inside cells where cables
-    press each other in. So geodesics know where cables bend to within the angles by which they do
-    so there only, and propose paths on fine meshes where cables would not go.
-    """
+    """Whether a cable is in contact with another one that crosses it. The surface on which
+    geodesics are found does not have the points inside cells where cables press each other in. So
+    geodesics know where cables bend to within the angles by which they do so there only, and
+    propose paths on fine meshes where cables would not go."""
     return any(node.crossing is not None for node in cable.nodes)
 
 
@@ -116,11 +114,9 @@ class PathChange:
         return CreasedSurface(surface.shape, surface.bends, anchors, ends)
 
     def anchors(self, cable: LaidCable, surface: CreasedSurface) -> dict[int, Array]:
-        """Positions of a cable's anchors off the membrane, by ids that no vertex has.
-
-        Not of one that a cable in a sleeve has left at a corner of the membrane, as at a mast that
-        has been moved: pulled straight to it the cable would leave the membrane.
-        """
+        """Positions of a cable's anchors off the membrane, by ids that no vertex has. Not of one
+        that a cable in a sleeve has left at a corner of the membrane, as at a mast that has been
+        moved: pulled straight to it the cable would leave the membrane."""
         ends, off = cable.ends, {}
         for k in (0, 1):
             if ends[k] == "off":
@@ -147,10 +143,8 @@ class PathChange:
     def move_ends(
         self, cable: LaidCable, points: Sequence[SurfacePoint], ends: tuple[End, End]
     ) -> None:
-        """Give a cable a path whose ends have been moved along the boundary. Collective.
-
-        It is to be straightened then: with its old folds it would cut into the membrane.
-        """
+        """Give a cable a path whose ends have been moved along the boundary. Collective. It is to
+        be straightened then: with its old folds it would cut into the membrane."""
         surface = self.surface([v for point in points for v in point.support])
         off = {
             node.point.support
@@ -170,10 +164,8 @@ class PathChange:
         ends: tuple[End, End] | None = None,
     ) -> None:
         """Give a cable a new path; points on edges that it crossed before stay where they are.
-
         Before the first equilibrium they go to the string's places: the way in which a cable was
-        laid is none in which it could be taut.
-        """
+        laid is none in which it could be taut."""
         before = {
             _key(node): k
             for k, node in enumerate(cable.nodes)
@@ -203,11 +195,9 @@ class PathChange:
         cable.set_nodes(nodes, positions, fractions, flags)
 
     def _clipped(self, cable: LaidCable, point: SurfacePoint) -> SurfacePoint:
-        """Keep a point of a string off the vertices.
-
-        Strings of several cables may touch one vertex: there, too, no two of their points may be
-        in one place, and their order must be the same all around.
-        """
+        """Keep a point of a string off the vertices. Strings of several cables may touch one
+        vertex: there, too, no two of their points may be in one place, and their order must be the
+        same all around."""
         if not isinstance(point, EdgePoint):
             return point
         least = INSIDE * (1 + 0.02 * self.net.cables.index(cable))

@@ -82,11 +82,9 @@ class TriedPaths:
             ways -= {way for way in ways if way[0] == name}
 
     def forget_moved(self, cables: Sequence[LaidCable]) -> None:
-        """Forget the paths that were tried for cables that have moved since.
-
-        Once in a load step, in its first equilibrium: what was rejected in the state that is there
-        would be rejected again, and a step without any load shall cost nothing.
-        """
+        """Forget the paths that were tried for cables that have moved since. Once in a load step,
+        in its first equilibrium: what was rejected in the state that is there would be rejected
+        again, and a step without any load shall cost nothing."""
         if not self._first_look:
             return
         self._first_look = False

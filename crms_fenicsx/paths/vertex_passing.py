@@ -59,10 +59,8 @@ class WayPast:
 def way_past(
     change: PathChange, cable: LaidCable, run: VertexRun, shape: StripShape | None = None
 ) -> WayPast | None:
-    """Find the way of a cable past a run. Collective.
-
-    Returns None where there is none for any of the vertices.
-    """
+    """Find the way of a cable past a run. Collective. Returns None where there is none for any of
+    the vertices."""
     string: Corridor = tuple(cable.nodes[k].support for k in cable.path_nodes())
     joined = change.with_anchors(cable, change.surface(run.vertices, like=shape))
     n = change.n_vertices
@@ -129,10 +127,8 @@ def straighten(
     change: PathChange, cable: LaidCable, part: list[int], shape: StripShape | None = None
 ) -> bool:
     """Pull a part of a cable, given by nodes, taut between its ends, in the cells that it crosses.
-
     Collective. Says whether that can be done. The positions of the vertices around are gathered
-    where they are not known.
-    """
+    where they are not known."""
     points = cable.points(part)
     surface = change.surface([v for point in points for v in point.support], like=shape)
     if len(points) < 3 or why_invalid(corridor(points), surface.opposite_vertices):
@@ -169,11 +165,8 @@ Trial = tuple[int, VertexRun]
 
 
 class VertexTrials:
-    """What is tried in one load step, in rounds.
-
-    In a round all runs that hold cables are left at once, and if that is rejected each half of
-    them, and each half of these.
-    """
+    """What is tried in one load step, in rounds. In a round all runs that hold cables are left at
+    once, and if that is rejected each half of them, and each half of these."""
 
     def __init__(self, change: PathChange, tried: TriedPaths) -> None:
         self.change, self.tried = change, tried
@@ -184,11 +177,8 @@ class VertexTrials:
         """What holds each cable, by number, in the state in which it was found."""
 
     def next(self, energy: float, scale: float) -> list[Trial]:
-        """Move cables past runs of vertices that hold them. Collective.
-
-        Units: energy (force x length). Returns what was moved; nothing where there is nothing left
-        to try.
-        """
+        """Move cables past runs of vertices that hold them. Collective. Units: energy (force x
+        length). Returns what was moved; nothing where there is nothing left to try."""
         while runs := self._held():
             if not self._groups:
                 if self._energy - energy < GAIN * scale:

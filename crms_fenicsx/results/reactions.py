@@ -208,10 +208,8 @@ def support_forces(system: System) -> Array:
 
 def nodal_forces(system: System) -> Array:
     """What the structure's own forces and the loads leave at this rank's blocks. Collective.
-
     Returns the energy's slope (force): zero in equilibrium but where something else holds the
-    structure, and there the force of that.
-    """
+    structure, and there the force of that."""
     system.update()
     potential, unknowns = system.potential, system.unknowns
     potential.sum_up()
@@ -234,9 +232,7 @@ def nodal_forces(system: System) -> Array:
 
 def held_lengths(membrane: Membrane, group: str | None = None) -> Array:
     """Half the length of the edges around each vertex whose ends are held in a direction, (n, 3).
-
-    With ghosts; current lengths, of all named edges or of one group. Collective.
-    """
+    With ghosts; current lengths, of all named edges or of one group. Collective."""
     own = membrane.mesh.mesh.topology.index_map(1).size_local
     groups = [edges for name, edges in membrane.mesh.edges.items() if group in (None, name)]
     edges = np.unique(np.concatenate(groups))
@@ -261,11 +257,9 @@ def _subtract_pressure(system: System, g: Array) -> None:
 
 
 def pressed_facets(system: System) -> tuple[Integers, Array]:
-    """This rank's current facets under pressure, by plain geometry.
-
-    Returns corners (n, 3): blocks; facets of folded cells that belong to a mean over fans overlap;
-    vectors (n, 3): area vectors (length squared), outward, times the facets' weights in the mean.
-    """
+    """This rank's current facets under pressure, by plain geometry. Returns corners (n, 3): blocks;
+    facets of folded cells that belong to a mean over fans overlap; vectors (n, 3): area vectors
+    (length squared), outward, times the facets' weights in the mean."""
     unknowns, owned = system.unknowns, system.scene.mesh.mesh.topology.index_map(2).size_local
     dofs = system.scene.V.dofmap.list[:owned][system.pressure.cells.x.array[:owned] > 0.5]
     corners = unknowns.vertex_blocks()[dofs]
@@ -284,11 +278,9 @@ def pressed_facets(system: System) -> tuple[Integers, Array]:
 
 
 def _leave_ends_to_anchors(system: System, g: Array) -> None:
-    """Take the pull of cable ends off the held places of the membrane that they lie on.
-
-    Between an anchor and the place of the membrane under it the cable has no length and its force
-    no direction: the gradient splits the end's pull between the two at random.
-    """
+    """Take the pull of cable ends off the held places of the membrane that they lie on. Between an
+    anchor and the place of the membrane under it the cable has no length and its force no
+    direction: the gradient splits the end's pull between the two at random."""
     if system.cables is None:
         return
     numbering = system.cables.numbering

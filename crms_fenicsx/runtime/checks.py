@@ -109,9 +109,7 @@ def same(comm: MPI.Intracomm, call: str, /, **arguments: object) -> None:
 
 def in_one_order(comm: MPI.Intracomm, given: Mapping[str, Named]) -> dict[str, Named]:
     """A mapping, the same on all ranks but for the order, with rank 0's order of names. Collective.
-
-    `same` accepts any order, so that what goes through a mapping by steps together needs one.
-    """
+    `same` accepts any order, so that what goes through a mapping by steps together needs one."""
     return {name: given[name] for name in comm.bcast(list(given))}
 
 

@@ -26,11 +26,9 @@ def create_mesh(
     points: Array,
     ranks: Indices | None = None,
 ) -> dolfinx.mesh.Mesh:
-    """Distribute a triangulated surface in space, without ghost cells.
-
-    Shapes: cells (m, 3), points (n, 3), ranks (m,). Returns a mesh of topological dimension 2 and
-    geometric dimension 3 with P1 geometry.
-    """
+    """Distribute a triangulated surface in space, without ghost cells. Shapes: cells (m, 3), points
+    (n, 3), ranks (m,). Returns a mesh of topological dimension 2 and geometric dimension 3 with P1
+    geometry."""
     element = basix.ufl.element("Lagrange", "triangle", 1, shape=(3,), dtype=np.float64)
     # 0.9 takes (comm, cells, x, e), later versions (comm, cells, e, x); the names stayed.
     partitioner = None if ranks is None else lambda *_: AdjacencyList_int32(ranks[:, None])
@@ -38,10 +36,8 @@ def create_mesh(
 
 
 def with_nodes(mesh: dolfinx.mesh.Mesh, nodes: Array) -> dolfinx.mesh.Mesh:
-    """Return a mesh of the same topology and distribution with other coordinates.
-
-    Shapes: nodes (n, 3).
-    """
+    """Return a mesh of the same topology and distribution with other coordinates. Shapes: nodes (n,
+    3)."""
     old: Any = mesh._cpp_object
     given = old.geometry
     cmap = given.cmap if hasattr(given, "cmap") else given.cmaps[0]  # several since 0.11
@@ -53,10 +49,8 @@ def with_nodes(mesh: dolfinx.mesh.Mesh, nodes: Array) -> dolfinx.mesh.Mesh:
 
 
 def default_ranks(comm: MPI.Intracomm, cells: Integers) -> Indices:
-    """Return the ranks that DOLFINx would send cells to. Collective.
-
-    Shapes: cells (m, 3). Returns a rank for each cell of this rank's share, shape (m,).
-    """
+    """Return the ranks that DOLFINx would send cells to. Collective. Shapes: cells (m, 3). Returns
+    a rank for each cell of this rank's share, shape (m,)."""
     mode = dolfinx.mesh.GhostMode.none
     try:
         partitioner = dolfinx.mesh.create_cell_partitioner(mode)
@@ -81,10 +75,8 @@ def geometric_dimension(domain: ufl.AbstractDomain) -> int:
 
 
 def interpolation_points(element: Any) -> NDArray[np.floating]:
-    """Return the reference points of a DOLFINx element, shape (points, topological dimension).
-
-    A method in 0.9, a property since 0.10. Pass the result to `dolfinx.fem.Expression`.
-    """
+    """Return the reference points of a DOLFINx element, shape (points, topological dimension). A
+    method in 0.9, a property since 0.10. Pass the result to `dolfinx.fem.Expression`."""
     points: Any = element.interpolation_points
     points = points() if callable(points) else points
     return np.asarray(points)

@@ -101,11 +101,9 @@ def as_text(position: Sequence[float] | Array) -> str:
 
 @contextmanager
 def raised_together(comm: MPI.Intracomm) -> Iterator[None]:
-    """Let an exception in the block on any rank be raised on all ranks of `comm`.
-
-    The block must not communicate, so that a rank that leaves it early keeps nobody waiting.
-    Every rank raises the error of the lowest rank that has one.
-    """
+    """Let an exception in the block on any rank be raised on all ranks of `comm`. The block must
+    not communicate, so that a rank that leaves it early keeps nobody waiting. Every rank raises the
+    error of the lowest rank that has one."""
     error: Exception | None = None
     try:
         yield
@@ -137,13 +135,11 @@ def _kind_and_text(error: Exception | None) -> tuple[type[Exception], str]:
 
 
 def collective(method: Method) -> Method:
-    """Let no rank wait for ever in a method that another one has left with an error.
-
-    The errors of this package are raised on all ranks. A bug, a lack of memory or an interrupt may
-    strike one rank alone, while the others are in a reduction that it will never reach. So a rank
-    with an error waits for the others to have one too, for `PATIENCE` seconds, and if they do not
-    it prints its traceback and ends all ranks.
-    """
+    """Let no rank wait for ever in a method that another one has left with an error. The errors of
+    this package are raised on all ranks. A bug, a lack of memory or an interrupt may strike one
+    rank alone, while the others are in a reduction that it will never reach. So a rank with an
+    error waits for the others to have one too, for `PATIENCE` seconds, and if they do not it prints
+    its traceback and ends all ranks."""
 
     @functools.wraps(method)
     def guarded(*args: Any, **kwargs: Any) -> Any:
@@ -191,10 +187,8 @@ def end_all(comm: MPI.Intracomm, error: str, where: str) -> None:
 
 
 def _abort_after_an_error() -> None:
-    """Let `python -m mpi4py` end all ranks when the program has failed on one, as it promises.
-
-    It does so at the very end, and PETSc's own end, which comes before, waits for all ranks.
-    """
+    """Let `python -m mpi4py` end all ranks when the program has failed on one, as it promises. It
+    does so at the very end, and PETSc's own end, which comes before, waits for all ranks."""
     failed = getattr(sys, "last_value", None) is not None
     if failed and "mpi4py.run" in sys.modules and MPI.COMM_WORLD.size > 1:
         sys.stderr.flush()

@@ -24,9 +24,7 @@ def partial_of(path: Path) -> Path:
 
 def absolute(path: str | Path, comm: MPI.Intracomm) -> Path:
     """The path from the root, that of rank 0: where it leads now, and wherever the run goes later.
-
-    Collective.
-    """
+    Collective."""
     with raised_together(comm), explained(Path(path)):
         path = Path(path).absolute()
     return Path(comm.bcast(path))
@@ -79,9 +77,7 @@ def read_text(path: Path) -> bytes:
 @contextmanager
 def replaced(path: Path) -> Iterator[Path]:
     """Write a file beside `path` in the block; it takes the place of `path` when it is complete.
-
-    Yields where to write instead, in the same folder.
-    """
+    Yields where to write instead, in the same folder."""
     partial = partial_of(path)
     try:
         with explained(path):

@@ -10,11 +10,9 @@ Value = TypeVar("Value")
 
 
 class ReadOnly(Generic[Value]):
-    """Shows a private attribute under a public name.
-
-    An assignment to the public name would be on one rank only, unchecked and unknown to the solver.
-    It raises an `AttributeError` that tells what to do instead.
-    """
+    """Shows a private attribute under a public name. An assignment to the public name would be on
+    one rank only, unchecked and unknown to the solver. It raises an `AttributeError` that tells
+    what to do instead."""
 
     def __init__(self, source: str, remedy: str) -> None:
         self._get, self._remedy = attrgetter(source), remedy

@@ -56,10 +56,8 @@ _restore_handler(signal.SIGPIPE)
 
 @contextmanager
 def postponed(comm: MPI.Intracomm) -> Iterator[None]:
-    """Note signals in the block, for `stop_together`. Collective.
-
-    Handlers that are not Python's own stay, and other threads than the main one have none.
-    """
+    """Note signals in the block, for `stop_together`. Collective. Handlers that are not Python's
+    own stay, and other threads than the main one have none."""
     taken = {}
     if threading.current_thread() is threading.main_thread():
         taken = {n: usual for n, usual in USUAL.items() if signal.getsignal(n) is usual}

@@ -28,10 +28,8 @@ LoadT = TypeVar("LoadT", MembraneLoad, Pond)
 
 
 def between(first: float, last: float, share: float) -> float:
-    """A load at a share of the way; none where only rounding is left of it.
-
-    A scene without load is another one than one with the least: nothing may be in equilibrium.
-    """
+    """A load at a share of the way; none where only rounding is left of it. A scene without load is
+    another one than one with the least: nothing may be in equilibrium."""
     value = first + share * (last - first)
     rounding = 4 * EPSILON * max(abs(first), abs(last))
     return 0.0 if abs(value) <= rounding else value

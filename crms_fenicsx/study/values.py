@@ -188,9 +188,7 @@ def _components(name: str, vector: Array, size: float = 0.0) -> dict[str, Value]
 
 def displacements(scene: Scene, places: Array) -> Array:
     """Displacements of the folded surface's stress-free places nearest to points. Collective.
-
-    Shapes and units: places (k, 3) (length). Returns the same on all ranks (length).
-    """
+    Shapes and units: places (k, 3) (length). Returns the same on all ranks (length)."""
     found = _nearest(scene, places)
     return found.positions - found.stress_free
 

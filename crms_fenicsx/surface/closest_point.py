@@ -108,9 +108,7 @@ class TargetSurface:
 @dataclass(frozen=True)
 class Place:
     """A route point: on the surface, or an anchor (then `point` is None), over it or beyond it.
-
-    Anchors have a foot, the nearest place of the surface.
-    """
+    Anchors have a foot, the nearest place of the surface."""
 
     point: SurfacePoint | None
     position: Array
@@ -132,10 +130,8 @@ class Place:
 
 
 def places_in_plan(surface: TargetSurface, course: Array, snap: float) -> list[Place]:
-    """Return the places of route points given in plan, on the uppermost sheet there.
-
-    A point outside by less than `RIM` of the cell there is meant to lie on the rim.
-    """
+    """Return the places of route points given in plan, on the uppermost sheet there. A point
+    outside by less than `RIM` of the cell there is meant to lie on the rim."""
     found = _held_in_plan(surface, course, snap)
     outside = [i for i, place in enumerate(found) if place is None]
     on_rim = np.array([_on_the_rim(surface, course[i], i) for i in outside]).reshape(-1, 2)
@@ -204,11 +200,9 @@ def located(
     triangles: Array,
     snap: float,
 ) -> list[tuple[SurfacePoint, Array] | None]:
-    """Return the points of the surface at targets (k, 3), with their positions.
-
-    Shapes: target, rows (p,), triangles (p, 3, 3). Returns a vertex where one is near, else an
-    edge, else a place in the nearest cell; None for a target without cells.
-    """
+    """Return the points of the surface at targets (k, 3), with their positions. Shapes: target,
+    rows (p,), triangles (p, 3, 3). Returns a vertex where one is near, else an edge, else a place
+    in the nearest cell; None for a target without cells."""
     corners, at = surface.cells[rows], targets[target]
     reach = snap * altitudes(triangles)
     to_corner = norm(triangles - at[:, None])
@@ -249,10 +243,8 @@ def located(
 def places_in_space(
     surface: TargetSurface, course: Array, snap: float, known: Mapping[int, SurfacePoint]
 ) -> list[Place]:
-    """Return the places of route points given in space; the first and last may be anchors.
-
-    Of those that are known only the normal is found.
-    """
+    """Return the places of route points given in space; the first and last may be anchors. Of those
+    that are known only the normal is found."""
     feet = feet_of(surface.points, surface.cells, course)
     positions = np.array([foot.position for foot in feet])
     target, rows = _touching(surface, positions, snap)

@@ -22,19 +22,15 @@ def corridor(points: Sequence[SurfacePoint]) -> Corridor:
 
 
 def cell_between(a: Support, b: Support) -> Support:
-    """Return the vertices of the cell through which a path goes from a to b, ascending.
-
-    Two vertices where it follows an edge.
-    """
+    """Return the vertices of the cell through which a path goes from a to b, ascending. Two
+    vertices where it follows an edge."""
     return tuple(sorted({*a, *b}))
 
 
 def without_detours(supports: Sequence[Support]) -> Corridor:
-    """Return a corridor without its detours; both ends stay.
-
-    What goes: an edge that is crossed to and fro, a visit from which the path turns straight
-    back, and an edge crossed next to a visit to one of its vertices.
-    """
+    """Return a corridor without its detours; both ends stay. What goes: an edge that is crossed to
+    and fro, a visit from which the path turns straight back, and an edge crossed next to a visit to
+    one of its vertices."""
     kept: list[Support] = []
     for i, new in enumerate(supports):
         _append(kept, new, last=i == len(supports) - 1)
@@ -79,11 +75,9 @@ def _along_edge(end: Support, vertex: Support) -> bool:
 
 
 def snap_ends(supports: Corridor, opposite_vertices: Callable[[Edge], tuple[int, ...]]) -> Corridor:
-    """Return a corridor with each end that lies inside an edge which it then follows in a cell.
-
-    The cell is one next to the edge: where there is a choice, not the one that the path goes on
-    through.
-    """
+    """Return a corridor with each end that lies inside an edge which it then follows in a cell. The
+    cell is one next to the edge: where there is a choice, not the one that the path goes on
+    through."""
     result = list(supports)
     for i, step in ((0, 1), (-1, -1)):
         if _along_edge(supports[i], supports[i + step]):
@@ -99,12 +93,10 @@ def snap_ends(supports: Corridor, opposite_vertices: Callable[[Edge], tuple[int,
 def why_invalid(
     supports: Corridor, opposite_vertices: Callable[[Edge], tuple[int, ...]]
 ) -> str | None:
-    """Say why no cable can follow a corridor; None if one can.
-
-    Returns what is wrong: two ends on one edge; a vertex visited, an edge crossed or followed, or a
-    cell entered twice; a cell with points on all three edges. Both ends of a hoop, which goes
-    around, may lie on one vertex or edge.
-    """
+    """Say why no cable can follow a corridor; None if one can. Returns what is wrong: two ends on
+    one edge; a vertex visited, an edge crossed or followed, or a cell entered twice; a cell with
+    points on all three edges. Both ends of a hoop, which goes around, may lie on one vertex or
+    edge."""
     if len(supports) < 2:
         return "nothing of it is left between its ends"
     links = [cell_between(a, b) for a, b in pairwise(supports)]

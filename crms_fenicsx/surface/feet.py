@@ -28,10 +28,8 @@ class Foot:
 def feet_of(
     points: Array, cells: Integers, targets: Array, comm: MPI.Intracomm | None = None
 ) -> list[Foot]:
-    """Return the nearest places of a surface, the same on all ranks of `comm`.
-
-    Shapes and units: points (n, 3) (length), cells (m, 3), targets (k, 3).
-    """
+    """Return the nearest places of a surface, the same on all ranks of `comm`. Shapes and units:
+    points (n, 3) (length), cells (m, 3), targets (k, 3)."""
     triangles = points[cells]
     centre, radius = balls(triangles)
     held, position, share, corners = _nearest(triangles, centre, radius, targets)
@@ -82,10 +80,8 @@ def _nearest(
 
 
 def nearest_pairs(centre: Array, radius: Array, targets: Array) -> tuple[Integers, Integers]:
-    """Return pairs of targets and cells that may be the nearest ones, as `pairs_within`.
-
-    Shapes: centre, radius (m,), targets (k, 3).
-    """
+    """Return pairs of targets and cells that may be the nearest ones, as `pairs_within`. Shapes:
+    centre, radius (m,), targets (k, 3)."""
     rows, columns = [], []
     widest = radius.max()
     for first, square, rounding in _squares(centre, targets):
@@ -101,9 +97,7 @@ def nearest_pairs(centre: Array, radius: Array, targets: Array) -> tuple[Integer
 
 def pairs_within(centre: Array, targets: Array, reach: Array) -> tuple[Integers, Integers]:
     """Return all pairs of targets (k, 3) and centres (m, 3) nearer than `reach` (k,), or nearly so.
-
-    As the rows of both, (p,), those of targets ascending and then those of centres.
-    """
+    As the rows of both, (p,), those of targets ascending and then those of centres."""
     rows, columns = [], []
     for first, square, rounding in _squares(centre, targets):
         row, column = marked(

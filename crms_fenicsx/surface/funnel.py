@@ -56,11 +56,8 @@ class TautString:
 def pull_taut(
     start: SurfacePoint, edges: Sequence[Edge], end: SurfacePoint, lengths: Lengths
 ) -> TautString:
-    """Pull a string taut from one place of a surface to another.
-
-    D. T. Lee and F. P. Preparata, Euclidean shortest paths in the presence of rectilinear barriers,
-    Networks 14 (1984).
-    """
+    """Pull a string taut from one place of a surface to another. D. T. Lee and F. P. Preparata,
+    Euclidean shortest paths in the presence of rectilinear barriers, Networks 14 (1984)."""
     return _through(start, edges, end, lengths) if edges else _direct(start, end, lengths)
 
 
@@ -88,10 +85,8 @@ def _cross(a: complex, b: complex) -> float:
 
 
 def _turns(a: complex, b: complex, sign: float) -> bool:
-    """Say whether b turns from a to one side (1 left, -1 right), or goes on as a does.
-
-    It does neither where it goes straight back, nor where one of the two is nothing.
-    """
+    """Say whether b turns from a to one side (1 left, -1 right), or goes on as a does. It does
+    neither where it goes straight back, nor where one of the two is nothing."""
     turn = a.conjugate() * b
     return sign * turn.imag > -TOUCHES * turn.real
 
@@ -240,10 +235,8 @@ def _through(
 
 
 def _touched(strip: _Strip, nodes: list[int]) -> list[tuple[int, int]]:
-    """Return the first and the last edge that the string crosses at each of its nodes.
-
-    These are all edges at a bend, unless the string comes or goes along one of them.
-    """
+    """Return the first and the last edge that the string crosses at each of its nodes. These are
+    all edges at a bend, unless the string comes or goes along one of them."""
     touched = [(strip.first[n], strip.last[n]) for n in nodes[:-1]]
     touched.append((len(strip.left), len(strip.left)))
     for i in range(1, len(nodes) - 2):
@@ -283,10 +276,8 @@ def _crossing(p: complex, q: complex, a: complex, b: complex) -> float:
 
 
 def _towards(end: SurfacePoint, beyond: tuple[int, complex]) -> dict[int, complex]:
-    """Return, by vertices of an end's edge, a place that lies from there as the end does.
-
-    However near to the vertex the end is, even no more than rounding away.
-    """
+    """Return, by vertices of an end's edge, a place that lies from there as the end does. However
+    near to the vertex the end is, even no more than rounding away."""
     if not isinstance(end, EdgePoint):
         return {}
     return {v: beyond[1] for v in end.edge if v != beyond[0]}

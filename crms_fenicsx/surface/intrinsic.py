@@ -42,11 +42,9 @@ class IntrinsicSurface(Protocol):
         """Return the length of an edge (a, b), a < b, through all fold points on it."""
 
     def opposite_vertices(self, edge: Edge) -> tuple[int, ...]:
-        """Return the vertices opposite to an edge (a, b), a < b, in any order.
-
-        Two, one at the boundary, none where the surface has no such edge. Those of cells that
-        are not known may be left out, except at edges of the path given.
-        """
+        """Return the vertices opposite to an edge (a, b), a < b, in any order. Two, one at the
+        boundary, none where the surface has no such edge. Those of cells that are not known may be
+        left out, except at edges of the path given."""
 
     def ring(self, vertex: int) -> Ring:
         """Return the neighbours of a vertex in order.

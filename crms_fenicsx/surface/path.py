@@ -38,10 +38,8 @@ Link = AlongEdge | AcrossCell
 
 @dataclass(frozen=True)
 class Path:
-    """The way of a cable over the membrane, from one end to the other.
-
-    Shapes and units: start_anchor, end_anchor (3,) (length).
-    """
+    """The way of a cable over the membrane, from one end to the other. Shapes and units:
+    start_anchor, end_anchor (3,) (length)."""
 
     points: tuple[SurfacePoint, ...]
     start_anchor: tuple[float, float, float] | None = None
@@ -66,11 +64,8 @@ class Path:
             object.__setattr__(self, name, position)
 
     def positions(self, vertices: Integers, points: Array) -> Array:
-        """Return where the path's points are, anchors left out.
-
-        Shapes and units: vertices (n,), points (n, 3) (length). Returns (len(points), 3) positions
-        (length).
-        """
+        """Return where the path's points are, anchors left out. Shapes and units: vertices (n,),
+        points (n, 3) (length). Returns (len(points), 3) positions (length)."""
         vertices, points = np.asarray(vertices), np.asarray(points)
         order = np.argsort(vertices, kind="stable")
         wanted = np.array([v for point in self.points for v in point.support])
@@ -87,11 +82,9 @@ class Path:
         return result
 
     def links(self, cells: Integers) -> tuple[Link, ...]:
-        """Return the way from each point to the next, and check the whole path.
-
-        Shapes: cells (m, 3). Returns one `AlongEdge` (vertex to vertex) or `AcrossCell` (through
-        one cell's interior) for each pair of consecutive points.
-        """
+        """Return the way from each point to the next, and check the whole path. Shapes: cells (m,
+        3). Returns one `AlongEdge` (vertex to vertex) or `AcrossCell` (through one cell's interior)
+        for each pair of consecutive points."""
         surroundings = _Surroundings(cells, self.points)
         links: list[Link] = []
         for i, (a, b) in enumerate(zip(self.points, self.points[1:], strict=False)):
@@ -149,13 +142,11 @@ class _Surroundings:
 def without_backtracking(
     points: Sequence[SurfacePoint], cells: Integers
 ) -> tuple[SurfacePoint, ...]:
-    """Return the points without the detours that a polyline makes at its corners.
-
-    A cable that enters a cell and leaves it through the edge it came from does not need that cell:
-    its two points on the edge go, and again where that leaves another such detour. An end inside an
-    edge that the cable then follows becomes a place in a cell next to that edge. Shapes: cells (m,
-    3). Returns the points that are left, both ends among them; fewer than two where all cancels.
-    """
+    """Return the points without the detours that a polyline makes at its corners. A cable that
+    enters a cell and leaves it through the edge it came from does not need that cell: its two
+    points on the edge go, and again where that leaves another such detour. An end inside an edge
+    that the cable then follows becomes a place in a cell next to that edge. Shapes: cells (m, 3).
+    Returns the points that are left, both ends among them; fewer than two where all cancels."""
     kept = list(points)
     surroundings = _Surroundings(cells, kept)
     _cancel(kept, surroundings)

@@ -31,11 +31,9 @@ FIRST, SECOND = np.array([0, 1, 2]), np.array([1, 2, 0])
 
 @dataclass(frozen=True)
 class Plane:
-    """The plane of a leg, through both ends and the mean normal of the surface there.
-
-    `ahead` and `across`, unit vectors, lie across the mean normal, in the plane and athwart it;
-    `length` is that of the leg seen along the normal.
-    """
+    """The plane of a leg, through both ends and the mean normal of the surface there. `ahead` and
+    `across`, unit vectors, lie across the mean normal, in the plane and athwart it; `length` is
+    that of the leg seen along the normal."""
 
     origin: Array
     ahead: Array
@@ -79,11 +77,9 @@ def strips(
     planes: Sequence[Plane], points: Array, cells: Integers, reach: float, margin: float
 ) -> tuple[Integers, Integers]:
     """Find the cells that planes cross or pass within `reach`: planes and cells, (p,), ascending.
-
-    `reach` covers what the ends may be moved when they snap, and grows beyond the ends, where
-    that turns the plane farther away. Only cells that come nearer than `margin` to what lies
-    between both ends of the leg count. Rounding may add some cells that are a little farther away.
-    """
+    `reach` covers what the ends may be moved when they snap, and grows beyond the ends, where that
+    turns the plane farther away. Only cells that come nearer than `margin` to what lies between
+    both ends of the leg count. Rounding may add some cells that are a little farther away."""
     none: Integers = np.zeros(0, dtype=np.int64)
     legs, rows = [none], [none]
     if not len(points):
@@ -130,10 +126,8 @@ def cuts(
     snap: float,
     margin: float = np.inf,
 ) -> list[Cut]:
-    """Cut the surface with the planes of legs; of their ends, those on vertices lie in them.
-
-    Only by as much as `margin` (length) beyond both ends.
-    """
+    """Cut the surface with the planes of legs; of their ends, those on vertices lie in them. Only
+    by as much as `margin` (length) beyond both ends."""
     if not planes:
         return []
     points, reach = surface.points, snap * surface.size
@@ -190,10 +184,8 @@ def _split(
 
 
 def _altitudes(advance: Array, offset: Array, triangles: Array) -> Array:
-    """Return the smallest altitudes (m,) of the projections of (m, 3, 3) triangles.
-
-    A wall has none: it counts with its true one, if it is not parallel to the plane.
-    """
+    """Return the smallest altitudes (m,) of the projections of (m, 3, 3) triangles. A wall has
+    none: it counts with its true one, if it is not parallel to the plane."""
     flat = np.zeros_like(triangles)
     flat[..., 0], flat[..., 1] = advance, offset
     wall = norm(double_areas(flat)) <= WALL * norm(double_areas(triangles))
@@ -214,10 +206,8 @@ FACING = float(np.sqrt(0.5))
 
 @dataclass(frozen=True)
 class Section:
-    """The section of a surface with a plane, as a graph of the points it meets.
-
-    Units: points, positions (length).
-    """
+    """The section of a surface with a plane, as a graph of the points it meets. Units: points,
+    positions (length)."""
 
     points: dict[Node, SurfacePoint]
     positions: dict[Node, Array]
@@ -260,10 +250,8 @@ class Section:
     def nearest(
         self, target: Array, surface: TargetSurface, snap: float
     ) -> tuple[SurfacePoint, Array] | None:
-        """Return the section's place nearest to a point of its plane; None if it is empty.
-
-        It is a node where it is as near to one as `snap` says.
-        """
+        """Return the section's place nearest to a point of its plane; None if it is empty. It is a
+        node where it is as near to one as `snap` says."""
         chords = sorted(
             (nodes[0], nodes[1], corners)
             for corners, nodes in self.cells.items()
@@ -291,12 +279,10 @@ class Section:
         return CellPoint((u, v, w), (x, y, z)), places[i]
 
     def gaps(self) -> dict[tuple[Node, Node], float]:
-        """Return the openings in the section, with their widths along the arc over them.
-
-        An opening is where the section ends at the boundary and would go on at another end of it
-        that faces it. The outside of a dome or of a hall is none: what lies below the ground turns
-        away from the membrane there.
-        """
+        """Return the openings in the section, with their widths along the arc over them. An opening
+        is where the section ends at the boundary and would go on at another end of it that faces
+        it. The outside of a dome or of a hall is none: what lies below the ground turns away from
+        the membrane there."""
         ends: list[Node] = []
         looks: list[Array] = []
         for node in sorted(self.rim):

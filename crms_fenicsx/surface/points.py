@@ -49,10 +49,7 @@ class VertexPoint:
 
 @dataclass(frozen=True)
 class EdgePoint:
-    """A point of a path strictly inside an edge of the mesh.
-
-    Shapes: edge (a, b).
-    """
+    """A point of a path strictly inside an edge of the mesh. Shapes: edge (a, b)."""
 
     edge: tuple[int, int]
     fraction: float
@@ -85,10 +82,7 @@ class EdgePoint:
 
 @dataclass(frozen=True)
 class CellPoint:
-    """An end of a cable that is tied to the membrane inside a cell.
-
-    Shapes: weights (3,).
-    """
+    """An end of a cable that is tied to the membrane inside a cell. Shapes: weights (3,)."""
 
     cell: tuple[int, int, int]
     weights: tuple[float, float, float]

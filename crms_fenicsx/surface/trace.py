@@ -78,11 +78,9 @@ def near_section(
     along_legs: bool = False,
 ) -> Booleans:
     """Mark the cells that `trace` needs: it finds the same path on them as on the whole mesh.
-
     Shapes and units: points (n, 3) (length), cells (m, 3). Returns (m,) mask. A strip along every
     leg's plane, across the whole mesh or along the leg, and the cells nearest to each route point.
-    From what may be an anchor it is always the whole mesh.
-    """
+    From what may be an anchor it is always the whole mesh."""
     course = checked_route(route, snap)
     x = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     rows = np.asarray(cells, dtype=np.int64).reshape(-1, 3)
@@ -153,13 +151,11 @@ def trace(
     known: Mapping[int, SurfacePoint] = MappingProxyType({}),
     along_legs: bool = False,
 ) -> Path:
-    """Return the path that a cable takes over the surface along a route.
-
-    Shapes and units: vertices (n,), points (n, 3) (length), cells (m, 3), route (k, 3). Returns a
-    valid path, which passes every point of the route on the surface, in order. Corners of the route
-    that lie inside cells are cut off: the points where it enters and leaves such a cell are linked,
-    or cancel where it leaves as it came; by no more than a cell's size.
-    """
+    """Return the path that a cable takes over the surface along a route. Shapes and units: vertices
+    (n,), points (n, 3) (length), cells (m, 3), route (k, 3). Returns a valid path, which passes
+    every point of the route on the surface, in order. Corners of the route that lie inside cells
+    are cut off: the points where it enters and leaves such a cell are linked, or cancel where it
+    leaves as it came; by no more than a cell's size."""
     surface = TargetSurface.checked(vertices, points, cells)
     course = checked_route(route, snap)
     if course.shape[1] == 2:
@@ -198,10 +194,9 @@ def _refuse_shortcuts(
     surface: TargetSurface, path: Path, course: Array, places: list[Place]
 ) -> None:
     """Refuse a path that does not pass the route's places in order, within the size of their cells.
-
     A route that comes back through the cells that it went out by cannot be held by their edges:
-    both ways cancel, which is right at a corner inside a cell, but not of a whole part of a route.
-    """
+    both ways cancel, which is right at a corner inside a cell, but not of a whole part of a
+    route."""
     x = path.positions(surface.ids, surface.points)
     start, side = x[:-1], np.diff(x, axis=0)
     square = np.maximum(dot(side, side), 1e-300)
@@ -297,11 +292,9 @@ def _direct_ways(
 def _direct_way(
     surface: TargetSurface, plane: Plane, first: Place, last: Place, cut: Cut
 ) -> list[SurfacePoint] | None:
-    """Return the points of a leg that goes straight on, found in the cells around it alone.
-
-    None unless it is the shortest way on the whole surface: one that leaves these cells is longer
-    than the leg by twice a cell's size, and one over an opening is no shorter than straight on.
-    """
+    """Return the points of a leg that goes straight on, found in the cells around it alone. None
+    unless it is the shortest way on the whole surface: one that leaves these cells is longer than
+    the leg by twice a cell's size, and one over an opening is no shorter than straight on."""
     assert first.point is not None and last.point is not None
     try:
         section = section_of(cut, "a leg")

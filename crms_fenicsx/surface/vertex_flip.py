@@ -27,10 +27,8 @@ class OtherSide:
 def other_side(
     supports: Corridor, surface: IntrinsicSurface, vertex: int, upward: bool | None = None
 ) -> OtherSide | None:
-    """Lead a corridor around the other side of a vertex.
-
-    Returns None if no cable could follow it.
-    """
+    """Lead a corridor around the other side of a vertex. Returns None if no cable could follow
+    it."""
     run = [i for i, s in enumerate(supports) if vertex in s and len(s) < 3]
     inner = [i for i in run if 0 < i < len(supports) - 1]
     visits = [i for i in inner if len(supports[i]) == 1]
@@ -73,12 +71,9 @@ class EdgeLengths(dict[Edge, float]):
 
 
 class Arcs:
-    """The two ways around a vertex from one support next to it to another.
-
-    Places around the ring are numbered: 2 i at neighbour i, 2 i + 1 in the cell between the
-    neighbours i and i + 1. `up` goes with the numbers, `down` against them; None stands for a
-    way outside the surface.
-    """
+    """The two ways around a vertex from one support next to it to another. Places around the ring
+    are numbered: 2 i at neighbour i, 2 i + 1 in the cell between the neighbours i and i + 1. `up`
+    goes with the numbers, `down` against them; None stands for a way outside the surface."""
 
     def __init__(self, vertex: int, ring: Ring, a: Support, b: Support) -> None:
         self.vertex, self.ring = vertex, ring
@@ -181,10 +176,8 @@ def ordered(flips: Sequence[Flip], middle: int) -> list[Flip]:
 
 
 def compatible(flips: Sequence[Flip]) -> list[Flip]:
-    """Return the first flip and those that turn nearly as sharply and share no cell with it.
-
-    Nor with each other.
-    """
+    """Return the first flip and those that turn nearly as sharply and share no cell with it. Nor
+    with each other."""
     chosen: list[Flip] = []
     least = TOGETHER * (math.pi - flips[0].angle) - TIE if flips else 0.0
     busy: set[int] = set()

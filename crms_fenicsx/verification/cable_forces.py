@@ -19,10 +19,8 @@ from crms_fenicsx.verification.report import NO_STRAIN
 
 
 def plain_vertices(system: System) -> Integers:
-    """This rank's free vertices at which neither a cable in tension nor a bar acts. Collective.
-
-    The potential's gradient is lost.
-    """
+    """This rank's free vertices at which neither a cable in tension nor a bar acts. Collective. The
+    potential's gradient is lost."""
     scene, unknowns, potential = system.scene, system.unknowns, system.potential
     n = unknowns.n_vertices
     plain: Booleans = np.logical_not(np.any(unknowns.held[:n], axis=1))
@@ -72,10 +70,8 @@ def is_tense(cable: LaidCable) -> bool:
 def contacts(
     cable: LaidCable, on_mesh: Booleans, on_edge: Integers, shape: StripShape
 ) -> dict[str, float]:
-    """How hard the cable pulls the membrane outward, and how deep it runs below it.
-
-    Shapes: on_mesh, on_edge (n,).
-    """
+    """How hard the cable pulls the membrane outward, and how deep it runs below it. Shapes:
+    on_mesh, on_edge (n,)."""
     pull = depth = 0.0
     on = [k for k in may_lift(cable) if not cable.lifted[k]]
     supports = [p.support for k in on if (p := cable.nodes[k].point) is not None]
@@ -119,10 +115,8 @@ def forces(cable: LaidCable, shape: StripShape, free: float) -> dict[str, float]
 
 def _held(cable: LaidCable, shape: StripShape, press: float) -> dict[str, float]:
     """The forces with which the mesh holds a cable sideways, to those with which the cable presses.
-
     A cable that is at rest because it lies on vertices, or has run into them, is not where it would
-    be on another mesh. At single ones that depends on how coarse the mesh is.
-    """
+    be on another mesh. At single ones that depends on how coarse the mesh is."""
     values = {"held by a line of the mesh": 0.0, "held by vertices": 0.0}
     runs = held_runs(cable, shape)
     if runs:
@@ -133,11 +127,9 @@ def _held(cable: LaidCable, shape: StripShape, press: float) -> dict[str, float]
 
 
 def _beside_edges(cable: LaidCable, shape: StripShape) -> float:
-    """Sum of the forces sideways at points that slide freely along their edges (force).
-
-    The edge itself carries them where it is much stiffer than the cable is tight; what cells make
-    of them that are not alike is left out.
-    """
+    """Sum of the forces sideways at points that slide freely along their edges (force). The edge
+    itself carries them where it is much stiffer than the cable is tight; what cells make of them
+    that are not alike is left out."""
     nodes = [
         k
         for k in held_nodes(cable)
@@ -150,10 +142,8 @@ def _beside_edges(cable: LaidCable, shape: StripShape) -> float:
 
 
 def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, float]:
-    """Friction forces, as the cable's way in space says, against contact forces; and heat.
-
-    What is beyond the bounds is relative to the force with which the cable presses, on the whole.
-    """
+    """Friction forces, as the cable's way in space says, against contact forces; and heat. What is
+    beyond the bounds is relative to the force with which the cable presses, on the whole."""
     values: dict[str, float] = {}
     friction = cable.cable.sideways
     if friction is None and cable.axial is None:

@@ -91,10 +91,8 @@ class Verifier:
         self._joints = [joint.position for joint in scene.joints]
 
     def check(self, system: System, outcome: Outcome) -> Verification:
-        """Check the state that a solve has left in the scene and in the potential. Collective.
-
-        Both are afterwards as they were.
-        """
+        """Check the state that a solve has left in the scene and in the potential. Collective. Both
+        are afterwards as they were."""
         began = time.perf_counter()
         force = max(outcome.scale, NEGLIGIBLE)
         checks = [self._finite(system)]
@@ -126,11 +124,9 @@ class Verifier:
         return Check("values not finite", float(self.comm.allreduce(bad)), 0.0)
 
     def _virtual_work(self, system: System, outcome: Outcome, force: float) -> Check:
-        """Central difference of the energy along a random displacement, which must vanish.
-
-        Its components are of unit variance: a force that is not balanced has about its own size as
-        virtual work, wherever it is.
-        """
+        """Central difference of the energy along a random displacement, which must vanish. Its
+        components are of unit variance: a force that is not balanced has about its own size as
+        virtual work, wherever it is."""
         potential, unknowns = system.potential, system.unknowns
         n, scene = unknowns.n_owned, self.scene
         if self._shake.size != 3 * n:
@@ -173,11 +169,9 @@ class Verifier:
         return found
 
     def _cancelling(self) -> float:
-        """What rounding of energies counts with (force x length).
-
-        That of places counts with the forces, not with their energies: N A and T L. Plain cells
-        know displacements only, cells that are folded by cables the places.
-        """
+        """What rounding of energies counts with (force x length). That of places counts with the
+        forces, not with their energies: N A and T L. Plain cells know displacements only, cells
+        that are folded by cables the places."""
         scene, energies = self.scene, self.scene.energies
         reach = 1.0
         if not scene.cables:
@@ -205,10 +199,8 @@ class Verifier:
         return float(change.sum())
 
     def _spare_small_cells(self, system: System, size: float, shake: Array) -> None:
-        """Shake vertices less where cells are smaller than on the whole, or slivers.
-
-        Points of cables may lie in any cell: as little as the vertex that moves least.
-        """
+        """Shake vertices less where cells are smaller than on the whole, or slivers. Points of
+        cables may lie in any cell: as little as the vertex that moves least."""
         scene, unknowns = self.scene, system.unknowns
         if self._share is None:  # on all ranks, also those without a vertex
             mesh = scene.mesh.mesh
@@ -319,11 +311,9 @@ class Verifier:
         return any(friction is not None and friction.law == "step" for friction in taut)
 
     def _loads(self, system: System) -> Array:
-        """This rank's nodal forces of pressure, loads, ponds and added terms, (n_local, 3).
-
-        A facet's pressure is shared by its corners; the paper's keeps those of the step's start,
-        which its term alone knows.
-        """
+        """This rank's nodal forces of pressure, loads, ponds and added terms, (n_local, 3). A
+        facet's pressure is shared by its corners; the paper's keeps those of the step's start,
+        which its term alone knows."""
         scene, unknowns = self.scene, system.unknowns
         loads = np.zeros((unknowns.n_local, 3))
         if scene.pressure_law == "total":

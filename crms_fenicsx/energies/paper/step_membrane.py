@@ -96,10 +96,8 @@ def strain_increment(old: Any, new: Any) -> Any:
 
 
 def rotated_stiffness(stiffness: Array, directions: Array) -> Array:
-    """Voigt stiffness in frames whose x axes are given in the material axes.
-
-    Shapes: stiffness (3, 3), directions (n, 2). Returns (n, 3, 3).
-    """
+    """Voigt stiffness in frames whose x axes are given in the material axes. Shapes: stiffness (3,
+    3), directions (n, 2). Returns (n, 3, 3)."""
     c, s = (directions / np.linalg.norm(directions, axis=1)[:, None]).T
     zero_row = [c * c, s * s, -c * s]
     T = np.array([zero_row, [s * s, c * c, c * s], [2 * c * s, -2 * c * s, c * c - s * s]])
@@ -123,10 +121,8 @@ def rotated_stress(stress: Array, directions: Array) -> Array:
 
 def second_piola(stress: Array, shape: Array, stress_free: Array, directions: Array) -> Array:
     """Second Piola-Kirchhoff section forces in the material axes from those in the cells' frames.
-
     Shapes: stress (n, 3), shape, stress_free (n, 3), directions (n, 2). Returns S = J F^-1 sigma
-    F^-T.
-    """
+    F^-T."""
     (a, e, f), (a0, e0, f0) = shape.T, stress_free.T
     F = np.zeros((len(shape), 2, 2))
     F[:, 0, 0], F[:, 0, 1], F[:, 1, 1] = a / a0, (e - a * e0 / a0) / f0, f / f0
