@@ -9,15 +9,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import ufl
-from dolfinx import fem
-from dolfinx.fem import petsc as fem_petsc
+import numpy.typing as npt
 from petsc4py import PETSc
 
-from crms_fenicsx.energies.integral import one_point
-from crms_fenicsx.energies.kinematics import Kinematics, tangent_basis
-from crms_fenicsx.energies.membrane_energy import MembraneEnergy
-from crms_fenicsx.energies.pressure import FollowerPressure
 from crms_fenicsx.minimization.initial_hessian import InitialHessian
 from crms_fenicsx.minimization.minimizer import COARSE, Minimizer
 from crms_fenicsx.minimization.outcome import Outcome
@@ -32,23 +26,22 @@ class WithoutH0(Minimizer):
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self._uses_h0 = False
+        self._relaxation = self._newton_method.relaxation = None
 
 
 class Newton(Minimizer):
     """TAO's Newton method with a line search (NLS).
 
-    The Hessian of the plain cells is exact: the relaxed energy's consistent tangent, without the
-    floor that it has in H0, and the pressure's stiffness. Folded cells, cables and penalty are in
-    by the positive part that H0 has of them, folded cells without the pressure's. The first
-    iterations from a flat sheet have the package's extra prestress.
+    The Hessian is exact, but in the first iterations from a flat sheet: there it is H0's stiffness
+    with its extra prestress.
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self._uses_h0 = False
+        self._relaxation = self._newton_method.relaxation = None
         self.h0.destroy()
         self.h0 = self.hessian = ExactHessian(self.potential, "crms_h0_")
-        self._membrane = [term for term in self.potential.terms if hasattr(term, "stiffening")]
         self.tao.setType(PETSc.TAO.Type.NLS)
         self.tao.setHessian(self._place_hessian, self.h0.matrix)
         ksp = self.tao.getKSP()
@@ -72,12 +65,10 @@ class Newton(Minimizer):
         if not X.equal(self.potential.x_vector):
             self.potential.place(X)
             self.potential.evaluate()
-        for term in self._membrane:
-            last = len(self._prestress) - 1
-            stiffening = term.stiffening  # type: ignore[attr-defined]
-            stiffening.set(self._prestress[min(self.hessian.count, last)])
-            stiffening.floor.value = 0.0
-        self.hessian.assemble()
+        prestress = self._prestress[min(self.hessian.count, len(self._prestress) - 1)]
+        for stiffening in self._stiffenings():
+            stiffening.set(prestress)
+        self.hessian.assemble(exact=prestress == 0.0)
 
 
 class ExactHessian(InitialHessian):
@@ -87,18 +78,13 @@ class ExactHessian(InitialHessian):
         PETSc.Options()[MUMPS] = "mumps"
         super().__init__(potential, prefix)
         self.count = 0
-        plain = next(term.plain for term in potential.terms if isinstance(term, MembraneEnergy))
-        for term in potential.terms:
-            if isinstance(term, FollowerPressure) and not hasattr(term, "add_stiffness"):
-                stiffness = PressureStiffness(term, potential.u, plain)
-                term.add_stiffness = stiffness  # type: ignore[attr-defined]
 
-    def assemble(self) -> None:
+    def assemble(self, exact: bool) -> npt.NDArray[np.bool_]:
         """Assemble at the potential's current state."""
-        self._held = self.potential.unknowns.held[: self.potential.unknowns.n_owned].copy()
-        self._assemble(self._held)
+        held = super().assemble(exact)
         self.matrix.setOption(PETSc.Mat.Option.SPD, False)
         self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        return held
 
     def factorize(self) -> None:
         """Factorise, and solve for the cables' dyads."""
@@ -118,25 +104,6 @@ class _Factors:
 
     def apply(self, pc: PETSc.PC, b: PETSc.Vec, y: PETSc.Vec) -> None:
         self.hessian.precondition(b, y)
-
-
-class PressureStiffness:
-    """Second derivative of the follower pressure's potential ``-p (V - V0)`` on all plain cells."""
-
-    def __init__(self, term: FollowerPressure, u: fem.Function, plain: fem.Function) -> None:
-        V, mesh = u.function_space, u.function_space.mesh
-        e1, e2 = tangent_basis(mesh, None)
-        F = Kinematics(u, (e1, e2)).F
-        X = ufl.SpatialCoordinate(mesh) - term.origin
-        n0, n = ufl.cross(e1, e2), ufl.cross(F[0], F[1])
-        change = ufl.dot(u, n) + ufl.dot(X, n - n0)
-        energy = -term.pressure * plain * change / 3 * one_point(mesh)
-        first = ufl.derivative(energy, u, ufl.TestFunction(V))
-        self.form = fem.form(ufl.derivative(first, u, ufl.TrialFunction(V)))
-
-    def __call__(self, x: np.ndarray, sums: np.ndarray, A: PETSc.Mat) -> None:
-        """Add it to a matrix, as a term's `add_stiffness`."""
-        fem_petsc.assemble_matrix(A, self.form)
 
 
 class ScipyLBFGS(Minimizer):
