@@ -12,21 +12,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from crms_fenicsx import checkpoint
-from crms_fenicsx.checkpoint import Run
-from crms_fenicsx.checkpoint.codec import Plain
-from crms_fenicsx.checkpoint.journal import FOLDER, CallProgress, Journal, plain_loads
-from crms_fenicsx.contact.contact_force import ContactForces, contact_forces
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Marker
 from crms_fenicsx.model.sealed_air import FanControl
-from crms_fenicsx.output.figures.draw_scene import draw
 from crms_fenicsx.output.history import History
 from crms_fenicsx.output.recorder import Recorder
-from crms_fenicsx.output.report.reporting import write_report
 from crms_fenicsx.results.cable_and_bar_results import CableResults, cable_results
 from crms_fenicsx.results.error_estimate import ErrorEstimate, ErrorEstimator
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
@@ -55,10 +48,13 @@ from crms_fenicsx.steps.loading import checked_target
 from crms_fenicsx.steps.movements import Move
 from crms_fenicsx.steps.options import checked_options
 from crms_fenicsx.steps.snap_through import SnapThroughSearch
-from crms_fenicsx.views.pyvista_blocks import to_pyvista
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from crms_fenicsx.checkpoint import Run
+    from crms_fenicsx.checkpoint.journal import Journal
+    from crms_fenicsx.contact.contact_force import ContactForces
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -160,6 +156,8 @@ class Solver:
         self._recorder = Recorder(scene, options.results, options.estimate)
         self._journal: Journal | None = None
         if options.resume is not None and options.results is not None:
+            from crms_fenicsx.checkpoint.journal import FOLDER, Journal
+
             same = {"rtol": self.rtol, "max_halvings": self.max_halvings, "slide": self.slide}
             self._journal = Journal(options.results / FOLDER, scene.comm, same, options.resume)
 
@@ -252,8 +250,7 @@ class Solver:
         if target.is_first_load(scene):
             self.base = self.snapshot()
         first = scene.state
-        loads = plain_loads(pressure, target.moves, L0, load, steps, air)
-        done, increment = self._resumed(loads)
+        done, increment = self._resumed(pressure, target.moves, L0, load, steps, air)
         search = SnapThroughSearch(self._increments, target, first, steps)
         halvings, began = 0, time.perf_counter()
         spent: Outcome | None = None
@@ -308,12 +305,14 @@ class Solver:
         warn_of_friction(step.number, scene, before, unsettled)
         warn_of_state(step.number, scene, step.warnings)
 
-    def _resumed(self, loads: Plain) -> tuple[float, float]:
+    def _resumed(self, *call: Any) -> tuple[float, float]:
         """Bring scene and solver to where a call to `advance` has come to before. Collective.
         Returns number of increments that are done, and the next one; 0 and 1 for a new call."""
         if self._journal is None:
             return 0.0, 1.0
-        come, run = self._journal.begin(self.scene, loads)
+        from crms_fenicsx.checkpoint.journal import plain_loads
+
+        come, run = self._journal.begin(self.scene, plain_loads(*call))
         if run is not None:
             self._go_on_from(run)
         if come.failure is not None:
@@ -330,12 +329,16 @@ class Solver:
     def _keep(self, done: float, increment: float, failure: str | None = None) -> None:
         """Write a checkpoint of the state that a call to `advance` has come to, if there are."""
         if self._journal is not None:
+            from crms_fenicsx.checkpoint.journal import CallProgress
+
             self._journal.keep(self.scene, self._run, CallProgress(done, increment, failure))
             self._increments.restart_h0()  # a resumed run takes the same way
 
     @property
     def _run(self) -> Run:
         """What this solver knows of its load steps."""
+        from crms_fenicsx.checkpoint import Run
+
         return Run(self.steps, list(self.history), self._increments.tried)
 
     def _go_on_from(self, run: Run) -> None:
@@ -533,6 +536,8 @@ class Solver:
         checks.same(self.comm, "contact_forces", cable=cable)
         if not any(cable is own for own in self.scene.cables):
             raise InputError(f"contact_forces: {cable!r} is not a cable of this scene.")
+        from crms_fenicsx.contact.contact_force import contact_forces
+
         return contact_forces(cable, self.scene.net.strip_shape()).at(cable.line_nodes())
 
     @collective
@@ -659,6 +664,8 @@ class Solver:
 
         >>> solver.draw(colour="warp", unit="m", force="kN")
         """
+        from crms_fenicsx.output.figures.draw_scene import draw
+
         return draw(self, filename, **options)
 
     @collective
@@ -706,6 +713,8 @@ class Solver:
         >>> found = solver.combine({"snow": {"snow": 1.5}, "storm": {"wind": 1.5}})
         >>> solver.report("results/tent/report.html", found, title="Tent", unit="m", force="kN")
         """
+        from crms_fenicsx.output.report.reporting import write_report
+
         write_report(self, filename, combinations, **options)
 
     @collective
@@ -745,6 +754,8 @@ class Solver:
         >>> plotter.add_mesh(blocks["cables"], scalars="tension", cmap="YlOrRd")
         >>> plotter.show()
         """
+        from crms_fenicsx.views.pyvista_blocks import to_pyvista
+
         return to_pyvista(self.scene, fields_of(membrane_results(self.system)), radius)
 
     @collective
@@ -770,6 +781,8 @@ class Solver:
         ...     solver.advance(pressure=pressure)
         ...     solver.save("results/dome/checkpoint")
         """
+        from crms_fenicsx import checkpoint
+
         checkpoint.save(folder, self.scene, self._run)
         self._increments.restart_h0()  # what goes on from the checkpoint takes the same way
 
@@ -807,4 +820,6 @@ class Solver:
                 "solver."
             )
         self._recorder.claim(going_on=True)
+        from crms_fenicsx import checkpoint
+
         self._go_on_from(checkpoint.load(folder, self.scene))

@@ -23,7 +23,7 @@ DOORS = (
     "energies.membrane_energy cables.deformed_surface paths.held_vertices paths.laying "
     "paths.vertex_passing scene equilibrium minimization.minimizer verification.cable_checks "
     "verification.cable_forces verification.verifier steps.increment_solver "
-    "study.groups"
+    "solver output.recorder study.groups"
 ).split()
 """Where functions may import modules of the package: kernels, friction, and what most runs do not
 need."""

@@ -19,15 +19,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from crms_fenicsx.contact.active_set import ActiveSet
-from crms_fenicsx.equilibrium.contact_loop import ContactLoop
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
-from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.scene.state import SceneState
 
 if TYPE_CHECKING:
+    from crms_fenicsx.equilibrium.contact_loop import ContactLoop
     from crms_fenicsx.friction.passes import AxialIteration, LateralIteration
+    from crms_fenicsx.paths.tried_paths import TriedPaths
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -133,6 +132,7 @@ class EquilibriumSearch:
 
     def _loops(self, start: SceneState) -> tuple[ContactLoop, FrictionLoop]:
         """Nest the loops of a load step with cables that starts in a state."""
+        from crms_fenicsx.contact.active_set import ActiveSet
         from crms_fenicsx.equilibrium.contact_loop import ContactLoop
 
         if not self.slide:
@@ -142,6 +142,7 @@ class EquilibriumSearch:
         from crms_fenicsx.paths.boundary_ends import renew_ends
         from crms_fenicsx.paths.geodesic_sliding import GeodesicSliding
         from crms_fenicsx.paths.path_change import PathChange
+        from crms_fenicsx.paths.tried_paths import TriedPaths
 
         if self.tried is None:
             self.tried = TriedPaths()

@@ -1,13 +1,18 @@
 """What a run leaves behind: its history, files for ParaView, and pictures."""
 
-from crms_fenicsx.output.figures.draw_paths import PathOptions, draw_path
-from crms_fenicsx.output.figures.draw_scene import draw, draw_paths
-from crms_fenicsx.output.figures.draw_surface import ShapeOptions, draw_shape
-from crms_fenicsx.output.figures.picture import join_pictures
-from crms_fenicsx.output.figures.plots import HistoryOptions, draw_history
+from importlib import import_module
+from typing import TYPE_CHECKING
+
 from crms_fenicsx.output.history import History
-from crms_fenicsx.output.paraview import Series
-from crms_fenicsx.views.view_data import Line, Surface
+
+if TYPE_CHECKING:
+    from crms_fenicsx.output.figures.draw_paths import PathOptions, draw_path
+    from crms_fenicsx.output.figures.draw_scene import draw, draw_paths
+    from crms_fenicsx.output.figures.draw_surface import ShapeOptions, draw_shape
+    from crms_fenicsx.output.figures.picture import join_pictures
+    from crms_fenicsx.output.figures.plots import HistoryOptions, draw_history
+    from crms_fenicsx.output.paraview import Series
+    from crms_fenicsx.views.view_data import Line, Surface
 
 __all__ = [
     "History",
@@ -24,3 +29,21 @@ __all__ = [
     "draw_shape",
     "join_pictures",
 ]
+
+NAMES = {
+    "crms_fenicsx.output.figures.draw_paths": ("PathOptions", "draw_path"),
+    "crms_fenicsx.output.figures.draw_scene": ("draw", "draw_paths"),
+    "crms_fenicsx.output.figures.draw_surface": ("ShapeOptions", "draw_shape"),
+    "crms_fenicsx.output.figures.picture": ("join_pictures",),
+    "crms_fenicsx.output.figures.plots": ("HistoryOptions", "draw_history"),
+    "crms_fenicsx.output.paraview": ("Series",),
+    "crms_fenicsx.views.view_data": ("Line", "Surface"),
+}
+"""Modules that are imported when a name of theirs is first asked for."""
+
+
+def __getattr__(name: str) -> object:
+    for module, names in NAMES.items():
+        if name in names:
+            return getattr(import_module(module), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

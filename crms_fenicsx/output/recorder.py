@@ -10,6 +10,7 @@ import weakref
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from mpi4py import MPI
@@ -17,7 +18,6 @@ from mpi4py import MPI
 from crms_fenicsx.cables.deformed_surface import gained_volume
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.output.history import History, Value
-from crms_fenicsx.output.paraview import Series
 from crms_fenicsx.results.error_estimate import ErrorEstimator
 from crms_fenicsx.results.membrane_results import membrane_results
 from crms_fenicsx.results.quantities import fields_of
@@ -25,7 +25,10 @@ from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import explained, make_writable
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.steps.load_step import Step
-from crms_fenicsx.views.view_data import bar_lines, cable_lines, surface_piece
+
+if TYPE_CHECKING:
+    from crms_fenicsx.output.paraview import Series
+
 
 NAME = ".lock"
 """Name of the file that is locked. It stays, as a file that comes and goes could be locked twice.
@@ -110,6 +113,8 @@ class Recorder:
         self._lock: FolderLock | None = None
         self.history = History(None if folder is None else Path(folder) / "history.csv", scene.comm)
         if folder is not None:
+            from crms_fenicsx.output.paraview import Series
+
             self.series = Series(folder, scene.comm)
             self._lock = FolderLock(self.series.folder, scene.comm)
 
@@ -128,6 +133,8 @@ class Recorder:
             row["case"] = case
         self.history.append(row)
         if self.series is not None:
+            from crms_fenicsx.views.view_data import bar_lines, cable_lines, surface_piece
+
             scene, results = self.scene, membrane_results(system)
             surface = surface_piece(scene.membrane, results.surface, fields_of(results))
             lines = [*cable_lines(scene.net), *bar_lines(scene.bars)]
