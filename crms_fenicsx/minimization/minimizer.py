@@ -40,8 +40,8 @@ from crms_fenicsx.runtime.errors import InputError
 if TYPE_CHECKING:
     from crms_fenicsx.minimization.relaxation import LocalRelaxation
 
-STAGE_LENGTHS, FROM_FLAT = (3, 6, 10, 20), (3, 6, 20)
-"""Iterations after which H0 is rebuilt, also of a sheet without stress; the last value repeats."""
+STAGE_LENGTHS = (3, 6, 10, 20)
+"""Iterations after which H0 is rebuilt if that pays; the last value repeats."""
 
 UNSETTLED = 10.0
 """Part of the taut stiffness that wrinkled cells have in the third H0 there and later ones, over
@@ -234,8 +234,7 @@ class Minimizer:
             stiffening.set(prestress, failures, least)
             if self._newton_method.active:
                 stiffening.floor.value = self._newton_method.restraint
-        lengths = FROM_FLAT if flat else STAGE_LENGTHS
-        self._length = lengths[min(renewals, len(lengths) - 1)]
+        self._length = STAGE_LENGTHS[min(renewals, len(STAGE_LENGTHS) - 1)]
         self._worn = 2 * REBUILD if least > FLOOR else math.inf
         near = self._residual0 < EXACT * self._scale and self._newton_method.trusts_exact
         if not self.h0.rebuild(exact=near and prestress == 0.0 and failures == 0):
