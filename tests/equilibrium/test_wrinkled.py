@@ -88,8 +88,10 @@ def test_cables_along_edges_have_sleeves_without_a_word(comm: MPI.Intracomm) -> 
     np.testing.assert_allclose(found[0], found[1], rtol=1e-12)
 
 
-@pytest.mark.parametrize(("n", "factorizations"), [(64, 3), (128, 4)])
-def test_first_inflation_of_a_flat_square(comm: MPI.Intracomm, n: int, factorizations: int) -> None:
+@pytest.mark.parametrize(("n", "factorizations", "evaluations"), [(64, 4, 32), (128, 5, 52)])
+def test_first_inflation_of_a_flat_square(
+    comm: MPI.Intracomm, n: int, factorizations: int, evaluations: int
+) -> None:
     """Cells that turn from wrinkled to taut ask for few new H0, also on fine meshes."""
     mesh = meshes.rectangle(comm, 100.0, 100.0, 100.0 / n, structured=True)
     scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
@@ -97,7 +99,7 @@ def test_first_inflation_of_a_flat_square(comm: MPI.Intracomm, n: int, factoriza
     solver = Solver(scene)
     first = solver.advance(pressure=0.008).outcome
     assert first.factorizations <= factorizations
-    assert first.evaluations <= 60
+    assert first.evaluations <= evaluations
     second = solver.advance(pressure=0.01).outcome
     assert second.factorizations <= 1
     assert second.evaluations <= 25
