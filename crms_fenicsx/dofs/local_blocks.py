@@ -35,8 +35,8 @@ class LocalBlocks:
         n_loaded: int | None = None,
     ) -> None:
         """Let points ride on vertices: their position is a weighted mean of the vertices'. `X` must
-        have the places of all these blocks. Shapes: tied points (n,), interpolation, weights (n,
-        3)."""
+        have the places of all these blocks. Shapes: tied points (n,), interpolation, weights
+        (n, 3)."""
         self.tied_points, self.interpolation, self.weights = tied_points, interpolation, weights
         self.n_tied_points, self.n_loaded = (
             len(tied_points),
@@ -64,8 +64,8 @@ class LocalBlocks:
         x[self.tied_points[some]] = moved + self._undisplaced[some]
 
     def set_edge_sliders(self, edge_sliders: Indices, directions: Array) -> None:
-        """Let points be displaced along a direction only. Shapes: edge sliders (n,), directions (n,
-        3)."""
+        """Let points be displaced along a direction only. Shapes: edge sliders (n,), directions
+        (n, 3)."""
         self.edge_sliders, self.directions = np.asarray(edge_sliders, dtype=np.intp), directions
         self.n_edge_sliders = len(edge_sliders)
         self._at_edge_sliders, self._along = (

@@ -139,10 +139,10 @@ def cell_stiffness(  # type: ignore[no-untyped-def]
     X, x, segments, eps, lengths, pointers, side_segments, sides, maps, areas, law, p, out, floor,
     prestress, exact, element_pointers, element_blocks, offsets, values, tension, orthotropic,
 ):  # fmt: skip
-    """Stiffness ``sum K_kl grad(r_k) grad(r_l)^T`` per cell, r its sides. K = 4 r_k r_l A (M^T C
-    M)_kl, and on the diagonal force / side where that is tensile, or `exact`. Into `tension` (m,)
-    goes the sum of these forces in each segment: taken cell by cell, not of the sum, so that two
-    ranks that share a side make the same stiffness as one."""
+    """Stiffness ``sum K_kl grad(r_k) grad(r_l)^T`` per cell, r its sides. K = 4 r_k r_l A
+    (M^T C M)_kl, and on the diagonal force / side where that is tensile, or `exact`. Into `tension`
+    (m,) goes the sum of these forces in each segment: taken cell by cell, not of the sum, so that
+    two ranks that share a side make the same stiffness as one."""
     tension[:] = 0.0
     C, K = np.empty((3, 3)), np.empty((3, 3))
     for c in range(sides.shape[0]):

@@ -144,8 +144,9 @@ def slip_stiffness(pointers, blocks, gradients, stiffness, values):  # type: ign
 @numba.njit(cache=True)
 def add_slip_curvature(X, x, pointers, blocks, place, fractions, gradients, force, values):  # type: ignore[no-untyped-def]
     """Add ``force * Hessian(fraction)`` to such `values`. With total the edge's length, u_q its
-    derivatives and s the fraction, the second derivatives are ``(sum_q c_q Hessian(d_q) - grad(s)
-    u^T - u grad(s)^T) / total``, c_q = 1 - s before the node and -s behind it."""
+    derivatives and s the fraction, the second derivatives are
+    ``(sum_q c_q Hessian(d_q) - grad(s) u^T - u grad(s)^T) / total``, c_q = 1 - s before the node
+    and -s behind it."""
     start = 0
     for k in range(force.shape[0]):
         first, n = pointers[k], pointers[k + 1] - pointers[k]

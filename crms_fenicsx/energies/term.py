@@ -235,8 +235,8 @@ NAMES = ("membrane", "pressure", "dead load", "penalty", "cables", "friction")
 def checked_energy(
     term: object, u: fem.Function, cell_tags: Any, taken: Collection[str]
 ) -> tuple[EnergyTerm, float]:
-    """Check a term, and evaluate it once. Collective. Returns the term, and its energy (force x
-    length)."""
+    """Check a term, and evaluate it once. Collective. Returns the term, and its energy
+    (force x length)."""
     if not isinstance(term, EnergyTerm):
         raise InputError(
             f"add_term: {term!r} is no EnergyTerm; derive its class from crms_fenicsx.EnergyTerm."

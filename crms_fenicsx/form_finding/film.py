@@ -129,8 +129,8 @@ class Film:
         return self.start + self.u.x.array.reshape(-1, 3)
 
     def assemble(self, exact: bool, pressure: float, modulus: float) -> None:
-        """Assemble the stiffness, to which cables may still be added. Units: pressure (force per
-        area)."""
+        """Assemble the stiffness, to which cables may still be added. Units: pressure
+        (force per area)."""
         self._exact.value = float(exact)
         self._pressure.value = pressure
         self._assemble(self.matrix, modulus)

@@ -118,8 +118,8 @@ def reference_arcs(cable: LaidCable, shape: StripShape) -> RestPlaces:
     """What rests at a cable's nodes, and how that changes along their edges. A fold point that is
     moved along its edge by v takes the cable's material along by v . t, with t the mean of the
     cable's directions before and after: divided by the stretch, this is the slope. With it the
-    forces of the tensions T1 and T2 and of friction on the fold point sum up to ``(T1 + T2)/2 (t2 -
-    t1)`` along the edge, which vanishes on a geodesic as without friction."""
+    forces of the tensions T1 and T2 and of friction on the fold point sum up to
+    ``(T1 + T2)/2 (t2 - t1)`` along the edge, which vanishes on a geodesic as without friction."""
     grip = cable.axial
     assert grip is not None
     nodes, contacts, direction = gripped_nodes(cable), cable.contacts(), turns(cable)

@@ -32,8 +32,8 @@ class SmoothSurface:
     @classmethod
     def of(cls, points: Array, cells: Integers) -> SmoothSurface:
         """Estimate the normals from the cells around each vertex, exactly on spheres. N. Max,
-        Weights for computing vertex normals from facet normals, 1999. Shapes and units: points (n,
-        3) (length), cells (m, 3)."""
+        Weights for computing vertex normals from facet normals, 1999. Shapes and units: points
+        (n, 3) (length), cells (m, 3)."""
         sides = points[cells[:, [1, 2, 0]]] - points[cells]  # side k leaves corner k
         areas = double_areas(points[cells])
         square = dot(sides, sides)

@@ -85,9 +85,9 @@ def balls(triangles: Array) -> tuple[Array, Array]:
 
 
 def closest(triangles: Array, target: Array) -> tuple[Array, Array, Array]:
-    """Return the places nearest to `target`, (3,) or (m, 3), in each of (m, 3, 3) triangles. As (m,
-    3) weights of the corners, (m, 3) positions and (m,) distances. In slivers the weights are badly
-    conditioned, the positions and distances are not."""
+    """Return the places nearest to `target`, (3,) or (m, 3), in each of (m, 3, 3) triangles. As
+    (m, 3) weights of the corners, (m, 3) positions and (m,) distances. In slivers the weights are
+    badly conditioned, the positions and distances are not."""
     every = np.arange(len(triangles))
     target = np.broadcast_to(target, (len(triangles), 3))
     sides = triangles[:, [1, 2, 0]] - triangles

@@ -295,8 +295,8 @@ def law_terms(law: int, E: Any, p: Any) -> LawTerms:
     """The stress law's UFL expressions. Relaxed energy of the isotropic tension field with
     principal strains E1 >= E2 (A. C. Pipkin, IMA J. Appl. Math. 36, 1986): linear where E2 + nu E1
     >= 0 (taut); E t/2 E1^2 where that is negative and E1 > 0 (wrinkled); zero elsewhere (slack).
-    The branches that are not selected may divide by zero; the conditionals drop them. Shapes: E (2,
-    2)."""
+    The branches that are not selected may divide by zero; the conditionals drop them. Shapes: E
+    (2, 2)."""
     if law not in (LINEAR, TENSION_FIELD):
         raise ValueError(
             f"law_terms: law {law} has no UFL expressions, only {LINEAR}, {TENSION_FIELD}"

@@ -177,8 +177,8 @@ class VertexTrials:
         """What holds each cable, by number, in the state in which it was found."""
 
     def next(self, energy: float, scale: float) -> list[Trial]:
-        """Move cables past runs of vertices that hold them. Collective. Units: energy (force x
-        length). Returns what was moved; nothing where there is nothing left to try."""
+        """Move cables past runs of vertices that hold them. Collective. Units: energy
+        (force x length). Returns what was moved; nothing where there is nothing left to try."""
         while runs := self._held():
             if not self._groups:
                 if self._energy - energy < GAIN * scale:

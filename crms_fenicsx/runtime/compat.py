@@ -36,8 +36,8 @@ def create_mesh(
 
 
 def with_nodes(mesh: dolfinx.mesh.Mesh, nodes: Array) -> dolfinx.mesh.Mesh:
-    """Return a mesh of the same topology and distribution with other coordinates. Shapes: nodes (n,
-    3)."""
+    """Return a mesh of the same topology and distribution with other coordinates. Shapes: nodes
+    (n, 3)."""
     old: Any = mesh._cpp_object
     given = old.geometry
     cmap = given.cmap if hasattr(given, "cmap") else given.cmaps[0]  # several since 0.11

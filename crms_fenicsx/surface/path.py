@@ -82,9 +82,9 @@ class Path:
         return result
 
     def links(self, cells: Integers) -> tuple[Link, ...]:
-        """Return the way from each point to the next, and check the whole path. Shapes: cells (m,
-        3). Returns one `AlongEdge` (vertex to vertex) or `AcrossCell` (through one cell's interior)
-        for each pair of consecutive points."""
+        """Return the way from each point to the next, and check the whole path. Shapes: cells
+        (m, 3). Returns one `AlongEdge` (vertex to vertex) or `AcrossCell`
+        (through one cell's interior) for each pair of consecutive points."""
         surroundings = _Surroundings(cells, self.points)
         links: list[Link] = []
         for i, (a, b) in enumerate(zip(self.points, self.points[1:], strict=False)):

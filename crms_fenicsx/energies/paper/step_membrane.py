@@ -96,8 +96,8 @@ def strain_increment(old: Any, new: Any) -> Any:
 
 
 def rotated_stiffness(stiffness: Array, directions: Array) -> Array:
-    """Voigt stiffness in frames whose x axes are given in the material axes. Shapes: stiffness (3,
-    3), directions (n, 2). Returns (n, 3, 3)."""
+    """Voigt stiffness in frames whose x axes are given in the material axes. Shapes: stiffness
+    (3, 3), directions (n, 2). Returns (n, 3, 3)."""
     c, s = (directions / np.linalg.norm(directions, axis=1)[:, None]).T
     zero_row = [c * c, s * s, -c * s]
     T = np.array([zero_row, [s * s, c * c, c * s], [2 * c * s, -2 * c * s, c * c - s * s]])
