@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from crms_fenicsx.contact.contact_force import ContactForces, contact_forces
 from crms_fenicsx.equilibrium.search import EquilibriumSearch
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
@@ -54,7 +55,6 @@ if TYPE_CHECKING:
 
     from crms_fenicsx.checkpoint import Run
     from crms_fenicsx.checkpoint.journal import Journal
-    from crms_fenicsx.contact.contact_force import ContactForces
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -310,9 +310,7 @@ class Solver:
         Returns number of increments that are done, and the next one; 0 and 1 for a new call."""
         if self._journal is None:
             return 0.0, 1.0
-        from crms_fenicsx.checkpoint.journal import plain_loads
-
-        come, run = self._journal.begin(self.scene, plain_loads(*call))
+        come, run = self._journal.begin(self.scene, self._journal.plain_loads(*call))
         if run is not None:
             self._go_on_from(run)
         if come.failure is not None:
@@ -329,9 +327,7 @@ class Solver:
     def _keep(self, done: float, increment: float, failure: str | None = None) -> None:
         """Write a checkpoint of the state that a call to `advance` has come to, if there are."""
         if self._journal is not None:
-            from crms_fenicsx.checkpoint.journal import CallProgress
-
-            self._journal.keep(self.scene, self._run, CallProgress(done, increment, failure))
+            self._journal.keep(self.scene, self._run, done, increment, failure)
             self._increments.restart_h0()  # a resumed run takes the same way
 
     @property
@@ -536,8 +532,6 @@ class Solver:
         checks.same(self.comm, "contact_forces", cable=cable)
         if not any(cable is own for own in self.scene.cables):
             raise InputError(f"contact_forces: {cable!r} is not a cable of this scene.")
-        from crms_fenicsx.contact.contact_force import contact_forces
-
         return contact_forces(cable, self.scene.net.strip_shape()).at(cable.line_nodes())
 
     @collective

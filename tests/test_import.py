@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import crms_fenicsx
 
 ROOT = Path(__file__).parents[1]
@@ -107,3 +109,14 @@ print([name for name in OPTIONAL if name in sys.modules])
 """
     optional = OPTIONAL + UNUSED
     assert in_a_process(f"OPTIONAL = {optional!r}\n{code}", tmp_path) == "[]"
+
+
+def test_names_of_the_output_are_found_when_asked_for() -> None:
+    """`output` knows in which of its modules each of them is, and only these names."""
+    from crms_fenicsx import output
+
+    lazy = [name for names in output.NAMES.values() for name in names]
+    assert sorted(["History", *lazy]) == output.__all__
+    assert all(getattr(output, name).__name__ == name for name in output.__all__)
+    with pytest.raises(AttributeError, match="nothing"):
+        _ = output.nothing

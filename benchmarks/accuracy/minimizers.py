@@ -26,10 +26,12 @@ class WithoutH0(Minimizer):
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self._uses_h0 = False
+        if self._relaxation is not None:
+            self._relaxation.destroy()
         self._relaxation = self._newton_method.relaxation = None
 
 
-class Newton(Minimizer):
+class Newton(WithoutH0):
     """TAO's Newton method with a line search (NLS).
 
     The Hessian is exact, but in the first iterations from a flat sheet: there it is H0's stiffness
@@ -38,8 +40,6 @@ class Newton(Minimizer):
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
-        self._uses_h0 = False
-        self._relaxation = self._newton_method.relaxation = None
         self.h0.destroy()
         self.h0 = self.hessian = ExactHessian(self.potential, "crms_h0_")
         self.tao.setType(PETSc.TAO.Type.NLS)

@@ -40,25 +40,6 @@ ROUNDING = 1e-7
 their rounding make."""
 
 
-def plain_loads(
-    pressure: float | FanControl | None,
-    move: Mapping[object, Vector],
-    L0: Mapping[object, float],
-    load: float | Mapping[str, float] | None,
-    steps: int,
-    air: Mapping[str, float | None],
-) -> Plain:
-    """The arguments of `Solver.advance` as plain data, by names; `air` are those of sealed air."""
-    return {
-        "pressure": encode(pressure),
-        "load": encode(load),
-        "move": {_name(key): [float(x) for x in vector] for key, vector in move.items()},
-        "L0": {_name(key): float(length) for key, length in L0.items()},
-        "steps": int(steps),
-        **{name: encode(value) for name, value in air.items()},
-    }
-
-
 def _name(key: object) -> str:
     if isinstance(key, Joint | PlacedBar):
         return f"{'joint' if isinstance(key, Joint) else 'bar'} {key.name!r}"
@@ -227,6 +208,25 @@ class Journal:
             if comm.rank == 0:
                 make_writable(self.folder)
 
+    @staticmethod
+    def plain_loads(
+        pressure: float | FanControl | None,
+        move: Mapping[object, Vector],
+        L0: Mapping[object, float],
+        load: float | Mapping[str, float] | None,
+        steps: int,
+        air: Mapping[str, float | None],
+    ) -> Plain:
+        """The arguments of `Solver.advance` as plain data, by names; `air`: those of sealed air."""
+        return {
+            "pressure": encode(pressure),
+            "load": encode(load),
+            "move": {_name(key): [float(x) for x in vector] for key, vector in move.items()},
+            "L0": {_name(key): float(length) for key, length in L0.items()},
+            "steps": int(steps),
+            **{name: encode(value) for name, value in air.items()},
+        }
+
     def begin(self, scene: Scene, loads: Plain) -> tuple[CallProgress, Run | None]:
         """Begin a call, and bring the scene to where it has come to before. Collective. Returns how
         far the call has come, and the load steps so far; none where it is computed from its
@@ -281,9 +281,12 @@ class Journal:
                     if int(match[2]) >= first:
                         _remove(path, self.folder / match[2])
 
-    def keep(self, scene: Scene, run: Run, progress: CallProgress) -> None:
-        """Write the checkpoint of a load step of the call. Collective."""
+    def keep(
+        self, scene: Scene, run: Run, done: float, increment: float, failure: str | None
+    ) -> None:
+        """Write the checkpoint of a load step of the call; see `CallProgress`. Collective."""
         self.make_way()
+        progress = CallProgress(done, increment, failure)
         save(self._place(), scene, run, self._call | {"progress": encode(progress)})
 
     def _place(self) -> Path:

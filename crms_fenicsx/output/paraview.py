@@ -9,9 +9,9 @@ from __future__ import annotations
 import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
-from html import escape
 from pathlib import Path
 from typing import Any, NamedTuple
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from mpi4py import MPI
@@ -69,7 +69,7 @@ class Column(NamedTuple):
         many = self.components > 1 and self.section != "Cells"
         components = f'NumberOfComponents="{self.components}" ' if many else ""
         return (
-            f'        <DataArray type="{kind}" Name="{escape(self.name)}" {components}'
+            f'        <DataArray type="{kind}" Name={quoteattr(self.name)} {components}'
             f'format="appended" offset="{offset}"/>\n'
         )
 
@@ -317,7 +317,7 @@ class Series:
                 (self.folder / f"{collection}.pvd").unlink(missing_ok=True)
         kept = "".join(entry for entries in self._entries.values() for entry in entries)
         for path in steps.iterdir():
-            if _OURS.fullmatch(path.name) and f'"steps/{path.name}"' not in kept:
+            if _OURS.fullmatch(path.name) and quoteattr(f"steps/{path.name}") not in kept:
                 path.unlink()
 
     def _list(self, collection: str, time: float, name: str) -> None:
@@ -335,4 +335,5 @@ class Series:
 
 
 def _entry(time: float, name: str) -> str:
-    return f'    <DataSet timestep="{float(time)!r}" part="0" file="steps/{name}"/>\n'
+    file = quoteattr(f"steps/{name}")
+    return f'    <DataSet timestep="{float(time)!r}" part="0" file={file}/>\n'

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from copy import deepcopy
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from mpi4py import MPI
@@ -15,7 +16,6 @@ from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.versions import StateWarning
-from crms_fenicsx.paths.tried_paths import TriedPaths
 from crms_fenicsx.runtime.errors import as_text
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.scene.state import SceneState
@@ -23,6 +23,9 @@ from crms_fenicsx.steps.loading import Target, has_free_rim
 from crms_fenicsx.steps.options import Options
 from crms_fenicsx.verification.report import Verification
 from crms_fenicsx.verification.verifier import Verifier
+
+if TYPE_CHECKING:
+    from crms_fenicsx.paths.tried_paths import TriedPaths
 
 
 def starting_prestress(system: System, target: Target, share: float) -> tuple[float, ...]:

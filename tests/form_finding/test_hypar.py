@@ -77,3 +77,4 @@ def test_hypar(comm: MPI.Intracomm) -> None:
     np.testing.assert_allclose(best, exact, rtol=3e-5)
     for values, limit in zip(np.transpose(found), exact, strict=True):
         assert order(sizes, values - limit) > 1.95
+        assert abs(values[-1] / limit - 1) < 3e-3
