@@ -134,10 +134,10 @@ class ScipyLBFGS(Minimizer):
             residual = G.norm()
             if residual <= tolerance:
                 raise StopIteration
-            if interrupt is not None and not looked and residual <= COARSE * scale:
+            if interrupt is not None and not looked and residual <= COARSE[0] * scale:
                 X.array[:] = x
                 potential.place(X)
-                looked, stopped = True, interrupt()
+                looked, stopped = True, interrupt(residual, scale, True)
                 if stopped:
                     raise StopIteration
 

@@ -24,6 +24,14 @@ logger = logging.getLogger("crms_fenicsx")
 MAX_PROJECTIONS = 60
 """How often the paths of lifted parts are brought under their spans in one load step."""
 
+PATHS = 1e-3
+"""Residual, relative to the force scale, from which on paths are looked at. Contacts are before: a
+wrong one is changed back, but a vertex once passed is not."""
+
+WEAK = 0.1
+"""Residual, relative to the weakest tension, from which on contacts are: a larger one would make
+cables slack that are not."""
+
 
 class ContactLoop:
     """Solves one load step on given paths."""
@@ -52,12 +60,18 @@ class ContactLoop:
         total: Outcome | None = None
         looked = False
 
-        def interrupt() -> bool:
+        def interrupt(residual: float, scale: float, last: bool) -> bool:
             nonlocal changes, looked
+            if looked:
+                return False
             system.write_scene()
+            if residual > self._weakest() * WEAK and not last:
+                return False
             changes = self._changes()
             if changes:
                 return True
+            if residual > PATHS * scale:
+                return False
             looked = True
             return look is not None and look()
 
@@ -87,6 +101,10 @@ class ContactLoop:
             if active.restless():
                 reason = f"{active.restless()} keeps turning from slack to taut and back"
                 return replace(total, converged=False, reason=reason)
+
+    def _weakest(self) -> float:
+        """Least tension of the cables in tension (force)."""
+        return min((cable.tension for cable in self.scene.cables if cable.taut), default=0.0)
 
     def _changes(self) -> list[str]:
         """Change what the solved state asks for; return the changes in words."""

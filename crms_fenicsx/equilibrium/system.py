@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -23,7 +22,7 @@ from crms_fenicsx.equilibrium.membrane_contribution import (
     hold,
     tiny_force,
 )
-from crms_fenicsx.minimization.minimizer import Minimizer
+from crms_fenicsx.minimization.minimizer import Interrupt, Minimizer
 from crms_fenicsx.minimization.outcome import Outcome
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.minimization.stability import is_convex_from
@@ -204,7 +203,7 @@ class System:
         return any([part.renew_smoothing_length(self.potential) for part in self.contributions])
 
     def minimize(
-        self, h0_prestress: tuple[float, ...], interrupt: Callable[[], bool] | None = None
+        self, h0_prestress: tuple[float, ...], interrupt: Interrupt | None = None
     ) -> Outcome:
         """Minimise the potential from the state read; see `Minimizer.solve`."""
         assert self.minimizer is not None

@@ -67,12 +67,16 @@ LONGEST = 15
 ROUNDED = 1e-6
 """Residual, relative to the force scale, up to which one of nothing but rounding is accepted."""
 
-COARSE, ROUGH = 1e-5, 1e-4
-"""Residual, relative to the force scale, at which `solve` asks whether to go on, and where points
-of cables are relaxed: the few that are far out of balance elsewhere are not there any more."""
+COARSE, LOOKS = (1e-5,), (1e-2, 1e-3, 1e-4)
+"""Residuals, relative to the force scale, at which `solve` asks whether to go on, and those where
+points of cables are relaxed: the few that are far out of balance elsewhere are not there."""
 
 TINY = 1e-300
 """What takes the place of zero in logarithms and quotients."""
+
+Interrupt = Callable[[float, float, bool], bool]
+"""Says whether to stop, given the residual and the force scale (force), and whether it is asked for
+the last time."""
 
 BOUNDED_TYPES, UNBOUNDED_TYPES = ("blmvm", "bqnls", "bncg"), ("lmvm", "cg")
 """Minimisers that need energy and gradient only, with bounds and without."""
@@ -108,7 +112,8 @@ class Minimizer:
         self._evaluations0, self._length = 0, STAGE_LENGTHS[0]
         self._relaxation: LocalRelaxation | None = None
         self._aged, self._worn = True, math.inf
-        self._interrupt: Callable[[], bool] | None = None
+        self._interrupt: Interrupt | None = None
+        self._looks: tuple[float, ...] = ()
         self._interrupted = False
         self._error: BaseException | None = None
         self.tao = PETSc.TAO().create(comm)
@@ -139,7 +144,6 @@ class Minimizer:
             from crms_fenicsx.minimization.relaxation import LocalRelaxation
 
             self._relaxation = LocalRelaxation.of(potential)
-        self._coarse = COARSE if self._relaxation is None else ROUGH
         self._newton_method = NewtonMethod(potential, self.h0, self._relaxation)
         self._h0_set = False
 
@@ -176,12 +180,13 @@ class Minimizer:
             tao.setConvergedReason(PETSc.TAO.ConvergedReason.CONVERGED_USER)
 
     def _ask(self, residual: float, X: PETSc.Vec | None = None) -> None:
-        """Ask once near the minimum whether to go on, in the state X or in the one placed."""
-        if self._interrupt is not None and residual <= self._coarse * self._scale:
+        """Ask on the way to the minimum whether to go on, in the state X or in the one placed."""
+        left = tuple(look for look in self._looks if residual > look * self._scale)
+        if self._interrupt is not None and len(left) < len(self._looks) and not self._interrupted:
+            self._looks = left
             if X is not None:
                 self.potential.place(X)
-            interrupt, self._interrupt = self._interrupt, None
-            self._interrupted = interrupt()
+            self._interrupted = self._interrupt(residual, self._scale, not left)
 
     def _stage_is_over(self, iterations: int, residual: float) -> bool:
         """Whether energy is to be measured in another way, or H0 to be rebuilt."""
@@ -247,6 +252,14 @@ class Minimizer:
     def _stiffenings(self) -> list[Stiffening]:
         return [t.stiffening for t in self.potential.terms if t.stiffening is not None]
 
+    def _begin(self, interrupt: Interrupt | None) -> None:
+        """Begin a solve in the potential's current state."""
+        self._interrupt, self._interrupted, self._error = interrupt, False, None
+        self._looks = COARSE if self._relaxation is None else LOOKS
+        self._newton_method.begin()
+        self._place_bounds()
+        self.potential.place()
+
     def _place_bounds(self) -> None:
         if self._bounds is not None:
             n = self.potential.unknowns.n_owned
@@ -268,19 +281,16 @@ class Minimizer:
     def solve(
         self,
         h0_prestress: tuple[float, ...] = (0.0,),
-        interrupt: Callable[[], bool] | None = None,
+        interrupt: Interrupt | None = None,
     ) -> Outcome:
         """Minimise from the potential's current state; the state is then the minimiser. Units:
         h0_prestress (force per length)."""
         potential = self.potential
-        self._interrupt, self._interrupted, self._error = interrupt, False, None
-        self._place_bounds()
-        potential.place()
+        self._begin(interrupt)
         iterations = factorizations = failures = renewed = 0
         start, stages, best = potential.evaluations, 0.0, np.inf
         local = 0 if self._relaxation is None else self._relaxation.steps
         reason = "too many stages"
-        self._newton_method.begin()
         # What lies on a floor is held in H0.
         self._aged |= h0_prestress[0] != 0.0 or self._bounds is not None
         self._length = STAGE_LENGTHS[0]
