@@ -50,6 +50,7 @@ class Bars(EnergyTerm):
         super().attach(unknowns)
         self.own = self.vertices[self.vertices < unknowns.n_vertices]  # the others are ghosts here
         self.pattern = ElementPattern(np.arange(len(self.own) + 1), self.own)
+        self.patterns = (self.pattern,)
 
     def sums(self, x: Any, out: Any) -> None:
         ways = self.unknowns.X[self.own] + x[self.own] - self.anchor
@@ -64,14 +65,11 @@ class Bars(EnergyTerm):
     def add_gradient(self, x: Any, sums: Any, g: Any) -> None:
         g[self.own] += self.tensions[:, None] * self.directions
 
-    def count_stiffness(self, sizes: Any) -> None:
-        self.pattern.count(sizes)
-
     def add_stiffness(self, x: Any, sums: Any, A: Any) -> None:
         along = self.directions[:, :, None] * self.directions[:, None, :]
         across = np.maximum(self.tensions / self.lengths, 0.0)[:, None, None]
         self.pattern.values[:] = self.EA / self.L0 * along + across * (np.eye(3) - along)
-        self.pattern.add(A, self.unknowns)
+        self.pattern.add(A)
 
 
 # %%

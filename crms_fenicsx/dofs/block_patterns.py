@@ -1,12 +1,4 @@
-"""Add (3, 3) blocks of cable elements to the global stiffness: pairs, row sizes, insertion.
-
-Many elements give something to the same block, and petsc4py hands over blocks one by one. So those
-of equal place are summed first, and handed over in whole rows; which those are is found once for a
-layout.
-
-If it does not it collects the places of the first values in a hash table, which takes five times as
-long as an assembly.
-"""
+"""Places of the (3, 3) blocks that elements add to a stiffness: of all unknowns, or of clusters."""
 
 from __future__ import annotations
 
@@ -14,7 +6,7 @@ from typing import Protocol
 
 import numba
 import numpy as np
-from petsc4py import PETSc
+from dolfinx import fem
 
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.runtime.arrays import Array, Indices, Integers
@@ -61,40 +53,8 @@ def _unique_pairs(rows, cols, every, size):  # type: ignore[no-untyped-def]
     return found[0], found[1], place
 
 
-class RowSizes:
-    """Upper bounds of the number of blocks in each row of the stiffness, diagonal included."""
-
-    def __init__(self, unknowns: Unknowns) -> None:
-        self.unknowns = unknowns
-        self._vector, self._counts = unknowns.vector()
-        # Columns: all blocks, and those that may belong to another rank.
-        self._counts[: unknowns.n_owned, 0] = 1.0
-
-    def add(self, rows: Indices, cols: Indices) -> None:
-        """Count blocks of one term beside the diagonal, each once. Shapes: rows, cols (n,)."""
-        n = self.unknowns.n_owned
-        beside = rows != cols
-        rows, elsewhere = rows[beside], ((rows >= n) | (cols >= n))[beside]
-        size = self.unknowns.n_local
-        self._counts[:, 0] += np.bincount(rows, minlength=size)
-        self._counts[:, 1] += np.bincount(rows, weights=elsewhere, minlength=size)
-
-    def allocate(self, A: PETSc.Mat) -> None:
-        """Give a matrix of all blocks, or of the vertices, its memory. Collective, and the last
-        call."""
-        self.unknowns.add_ghosts(self._vector)
-        rows, all_rows = (size // 3 for size in A.getSizes()[0])
-        own, others = self._counts[:rows, :2].astype(PETSc.IntType).T
-        own = np.minimum(own, rows)
-        others = np.minimum(others, all_rows - rows)
-        A.setPreallocationNNZ((np.repeat(3 * own, 3), np.repeat(3 * others, 3)))
-        # PETSc does this by itself, but not on ranks without rows, which would hang the others.
-        A.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, True)
-        self._vector.destroy()
-
-
 class BlockSink(Protocol):
-    """What takes blocks in the place of a PETSc matrix."""
+    """A stiffness that blocks are added to."""
 
     def take(self, pattern: BlockPattern) -> None:
         """Add what a pattern's `values` hold."""
@@ -114,84 +74,50 @@ class BlockPattern:
 
     def __init__(self, rows: Indices, cols: Indices) -> None:
         self.rows, self.cols = rows, cols
-        self.values = np.zeros((len(rows), 3, 3))
-        self._unknowns: Unknowns | None = None
+        self.values: Array = np.zeros((len(rows), 3, 3))
 
-    def _arrange(self, unknowns: Unknowns) -> None:
-        """Find which blocks have the same place, in the matrix's numbers."""
-        self._unknowns = unknowns
-        self._places, self._sources, self._weights = unknowns.spread(self.rows, self.cols)
-        rows, cols = unknowns.matrix_numbers[self._places]
-        rows, cols, block = unique_pairs(rows, cols, unknowns.n_local)
-        self._numbers = np.stack([rows, cols])
-        starts, strides = np.empty((2, len(cols)), dtype=np.int64)
-        self._cols = np.empty(9 * len(cols), dtype=PETSc.IntType)
-        _arrange_rows(rows, cols, self._cols, starts, strides)
-        # A row of m blocks becomes three rows of 3 m numbers, handed over one after the other.
-        first = np.flatnonzero(np.diff(rows, prepend=-1))
-        self._rows = (3 * rows[first, None] + np.arange(3)).ravel().astype(PETSc.IntType)
-        sizes = np.repeat(strides[first], 3)
-        self._pointers = np.append(0, np.cumsum(sizes)).astype(PETSc.IntType)
-        self._row_values = np.zeros(9 * len(cols))
-        self._starts, self._strides = starts[block], strides[block]
-
-    def count(self, sizes: RowSizes, known: int = 0) -> None:
-        """Count the blocks that `add` fills, but those among the first `known` of matrices."""
-        if self._unknowns is not sizes.unknowns:
-            self._arrange(sizes.unknowns)
-        new = (self._numbers >= known).any(axis=0)
-        sizes.add(*sizes.unknowns.matrix_order()[self._numbers[:, new]])
-
-    def add(self, A: PETSc.Mat | BlockSink, unknowns: Unknowns) -> None:
-        """Add what `values` holds. Points that ride on vertices hand their part on to them; of edge
-        sliders the part along their lines counts."""
-        if not isinstance(A, PETSc.Mat):
-            A.take(self)
-            return
-        if self._unknowns is not unknowns:
-            self._arrange(unknowns)
-        if len(self._places[0]) == 0:
-            return
-        values: Array = self.values
-        sources, weights = self._sources, self._weights
-        if unknowns.n_edge_sliders:
-            rows, cols = self._places
-            values = weights[:, None, None] * values[sources]
-            values = unknowns.project_blocks(rows, cols, values)
-            sources, weights = np.arange(len(values), dtype=np.int32), np.ones(len(values))
-        _sum_blocks(values, sources, weights, self._starts, self._strides, self._row_values)
-        A.setValuesLocalIJV(
-            self._pointers, self._cols, self._row_values, PETSc.InsertMode.ADD, self._rows
-        )
+    def add(self, A: BlockSink) -> None:
+        """Add what `values` holds."""
+        A.take(self)
 
 
 @numba.njit(cache=True)
-def _arrange_rows(rows, cols, numbers, starts, strides):  # type: ignore[no-untyped-def]
-    """Where sorted blocks (n,) begin in rows of numbers, the step from each of their three rows to
-    the next, and the numbers of the columns there (9 n,)."""
-    first = 0
-    while first < len(rows):
-        last = first
-        while last < len(rows) and rows[last] == rows[first]:
-            last += 1
-        for k in range(first, last):
-            starts[k], strides[k] = 9 * first + 3 * (k - first), 3 * (last - first)
-            for i in range(3):
-                for j in range(3):
-                    numbers[starts[k] + i * strides[k] + j] = 3 * cols[k] + j
-        first = last
-
-
-@numba.njit(cache=True)
-def _sum_blocks(values, sources, weights, starts, strides, out):  # type: ignore[no-untyped-def]
-    """Add up blocks (n, 3, 3) times their weights in rows of numbers. Block ``sources[k]`` goes to
+def scatter_blocks(values, sources, weights, starts, strides, out):  # type: ignore[no-untyped-def]
+    """Add blocks (n, 3, 3) times their weights to rows of numbers. Block ``sources[k]`` goes to
     ``starts[k]``, its three rows ``strides[k]`` apart."""
-    out[:] = 0.0
     for k in range(len(sources)):
         v, w, start = values[sources[k]], weights[k], starts[k]
         for i in range(3):
             for j in range(3):
                 out[start + i * strides[k] + j] += w * v[i, j]
+
+
+class FormPattern(BlockPattern):
+    """Blocks of vertices that a bilinear form of DOLFINx makes. It is for one layout after the
+    other: those of the cables' points beside the vertices differ."""
+
+    def __init__(self, form: fem.Form, V: fem.FunctionSpace) -> None:
+        self._form, self._matrix = form, fem.create_matrix(form)
+        rows = np.repeat(np.arange(len(self._matrix.indptr) - 1), np.diff(self._matrix.indptr))
+        cols = np.array(self._matrix.indices[: len(rows)])
+        # There are places of other ranks' cells, too, which this one leaves empty.
+        cells = V.dofmap.list[: V.mesh.topology.index_map(2).size_local].astype(np.int64)
+        size = int(cols.max(initial=0)) + 1
+        own = cells[:, :, None] * size + cells[:, None, :]
+        self._known = np.flatnonzero(np.isin(rows * size + cols, own))
+        self._rows, self._cols = rows[self._known], cols[self._known]
+
+    def attach(self, unknowns: Unknowns) -> None:
+        """Number the vertices as in a layout."""
+        blocks = unknowns.vertex_blocks()
+        self.rows, self.cols = blocks[self._rows], blocks[self._cols]
+
+    def add(self, A: BlockSink) -> None:
+        """Add the form at the current state of its functions."""
+        self._matrix.data[:] = 0.0
+        fem.assemble_matrix(self._matrix, self._form)  # type: ignore[arg-type]
+        self.values = np.asarray(self._matrix.data).reshape(-1, 3, 3)[self._known]
+        super().add(A)
 
 
 class SegmentPattern(BlockPattern):
@@ -203,11 +129,11 @@ class SegmentPattern(BlockPattern):
         self.own_values = np.zeros((len(segments), 3, 3))
         """Value of each segment."""
 
-    def add(self, A: PETSc.Mat | BlockSink, unknowns: Unknowns) -> None:
+    def add(self, A: BlockSink) -> None:
         """Add what `own_values` holds."""
         v = self.own_values
         np.concatenate([v, v, -v, -v], out=self.values)
-        super().add(A, unknowns)
+        super().add(A)
 
 
 class ElementPattern(BlockPattern):

@@ -130,7 +130,6 @@ class Unknowns(LocalBlocks):
         X = np.zeros((self.n_local, 3))
         X[self.vertex_blocks()] = vertex_places(V)
         super().__init__(X)
-        self.matrix_numbers = np.argsort(self.matrix_order()).astype(PETSc.IntType)
         self.bounds: tuple[Array, Array] | None = None
 
     def vertex_blocks(self) -> Indices:
@@ -179,20 +178,21 @@ class Unknowns(LocalBlocks):
         )  # fmt: skip
         return vector, array
 
-    def matrix_order(self) -> Indices:
-        """Local blocks in the order that matrices count them: all vertices, as DOLFINx's forms
-        number them, then all else."""
-        rest = np.arange(self.n_owned + self.n_ghost_vertices, self.n_local, dtype=np.int32)
-        return np.concatenate([self.vertex_blocks(), self.owned_point_blocks(), rest])
-
-    def lgmap(self) -> PETSc.LGMap:
-        """Local to global map of the blocks in matrix order."""
-        return PETSc.LGMap().create(self.numbers()[self.matrix_order()], bsize=3, comm=self.comm)
-
     def numbers(self) -> Integers:
         """Global numbers of the local blocks, (n_local,)."""
         owned = np.arange(self.start, self.start + self.n_owned, dtype=PETSc.IntType)
         return np.concatenate([owned, self.ghosts])
+
+    def vertex_numbers(self) -> Integers:
+        """DOLFINx's global numbers of the local blocks' vertices, (n_local,); -1 for points.
+        Collective."""
+        vector, numbers = self.vector()
+        first = self.V.dofmap.index_map.local_range[0]
+        numbers[: self.n_vertices, 0] = first + np.arange(self.n_vertices)
+        numbers[self.n_vertices : self.n_owned, 0] = -1
+        self.update_ghosts(vector)
+        vector.destroy()
+        return numbers[:, 0].astype(np.int64)
 
     def update_ghosts(self, vector: PETSc.Vec) -> None:
         """Copy owned values to the ghosts of other ranks."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from crms_fenicsx.runtime.arrays import Array, Indices
+from crms_fenicsx.runtime.arrays import Array, Indices, Integers
 
 
 class LocalBlocks:
@@ -118,7 +118,7 @@ class LocalBlocks:
         weights = np.concatenate([np.ones(len(plain)), parts[part, i, j]])[order]
         return places, np.concatenate([plain, entry])[order].astype(np.int32), weights
 
-    def project_blocks(self, rows: Indices, cols: Indices, values: Array) -> Array:
+    def project_blocks(self, rows: Integers, cols: Integers, values: Array) -> Array:
         """Stiffness blocks (n, 3, 3) with those of edge sliders projected: P_row K P_col."""
         number = np.full(self.n_local, -1)
         number[self.edge_sliders] = np.arange(self.n_edge_sliders)

@@ -22,9 +22,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import ElementPattern, RowSizes, SegmentPattern
+from crms_fenicsx.dofs.block_patterns import BlockSink, ElementPattern, SegmentPattern
 from crms_fenicsx.energies.capstan_chain import ENERGY, find_slips
 from crms_fenicsx.energies.segments import (
     add_segment_forces,
@@ -115,6 +114,7 @@ class CapstanTension(EnergyTerm):
         self._runs: list[_Run] = []
         self.pattern = SegmentPattern(c.segments)
         self._prepare_links()
+        self.patterns = (self.pattern, self.span_pattern)
 
     def renew(self, grips: Grips) -> None:
         """Take other bounds and places of rest for the same nodes."""
@@ -205,19 +205,14 @@ class CapstanTension(EnergyTerm):
         c = self.chains
         add_slip_forces(c.pointers, c.blocks, self._gradients, weights, self.grips.slope, g)
 
-    def count_stiffness(self, sizes: RowSizes) -> None:
-        """Count the blocks of the stiffness."""
-        self.pattern.count(sizes)
-        self.span_pattern.count(sizes)
-
-    def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+    def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add the geometric stiffness, and that of single spans between nodes that stick."""
         c = self.chains
         forces = self.tensions(sums)[c.span]
         segment_stiffness(
             self.unknowns.X, x, c.segments, c.smoothing, forces, self.pattern.own_values
         )
-        self.pattern.add(A, self.unknowns)
+        self.pattern.add(A)
         self._add_links(x, sums, A)
 
     def _find_runs(self, sums: Array) -> list[_Run]:
@@ -290,7 +285,7 @@ class CapstanTension(EnergyTerm):
         self.link_pointers = np.array(pointers, dtype=np.int32)
         self.span_pattern = ElementPattern(self.link_pointers, np.array(blocks, dtype=np.int32))
 
-    def _add_links(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+    def _add_links(self, x: Array, sums: Array, A: BlockSink) -> None:
         c, X = self.chains, self.unknowns.X
         stiffness, stretch = np.zeros(self.n_spans), np.ones(self.n_spans)
         EA = np.repeat(c.EA, np.diff(c.starts))
@@ -326,4 +321,4 @@ class CapstanTension(EnergyTerm):
                     at += len(edge)
             dyad = np.einsum("ai,bj->abij", column, column).reshape(n * n, 3, 3)
             values[:] = stiffness[span] / share * dyad
-        self.span_pattern.add(A, self.unknowns)
+        self.span_pattern.add(A)

@@ -14,9 +14,8 @@ from typing import Self
 
 import numba
 import numpy as np
-from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import RowSizes, SegmentPattern, rows_of
+from crms_fenicsx.dofs.block_patterns import BlockSink, SegmentPattern, rows_of
 from crms_fenicsx.dofs.layout import ElementTable, Unknowns
 from crms_fenicsx.energies.segments import difference
 from crms_fenicsx.energies.term import EnergyTerm
@@ -64,6 +63,7 @@ class BarEnergy(EnergyTerm):
         self.table = table
         self.lengths, self.forces = np.zeros((2, len(table.EA)))
         self._pattern = SegmentPattern(table.ends)
+        self.patterns = (self._pattern,)
 
     def attach(self, unknowns: Unknowns) -> None:
         super().attach(unknowns)
@@ -86,18 +86,15 @@ class BarEnergy(EnergyTerm):
         stiffness = np.abs(self.forces) / self._least_lengths() + self.table.EA / self.table.L0
         return float(np.sum((EPSILON * stiffness * far) ** 2))
 
-    def count_stiffness(self, sizes: RowSizes) -> None:
-        self._pattern.count(sizes)
-
-    def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+    def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add the stiffness without what compression takes off it."""
         self._add(x, SLACK, 0.0, A)
 
-    def add_hessian(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+    def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add the second derivatives."""
         self._add(x, 0.0, self.least, A)
 
-    def _add(self, x: Array, slack: float, least: float, A: PETSc.Mat) -> None:
+    def _add(self, x: Array, slack: float, least: float, A: BlockSink) -> None:
         """Add stiffness, slack guys with a part of theirs, forces no less than some."""
         t = self.table
         axial = (
@@ -112,7 +109,7 @@ class BarEnergy(EnergyTerm):
         along = d[:, :, None] * d[:, None, :]
         self._pattern.own_values[:] = (axial - across)[:, None, None] * along
         self._pattern.own_values += across[:, None, None] * np.eye(3)
-        self._pattern.add(A, self.unknowns)
+        self._pattern.add(A)
 
     def _least_lengths(self) -> Array:
         """The lengths, but those of bars whose ends meet, which have no direction."""

@@ -9,15 +9,8 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
-from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import (
-    BlockSink,
-    ElementPattern,
-    RowSizes,
-    SegmentPattern,
-    rows_of,
-)
+from crms_fenicsx.dofs.block_patterns import BlockSink, ElementPattern, SegmentPattern, rows_of
 from crms_fenicsx.dofs.layout import ElementTable
 from crms_fenicsx.energies.segments import add_segment_forces, segment_lengths, segment_stiffness
 from crms_fenicsx.energies.term import EnergyTerm
@@ -77,6 +70,7 @@ class CableTension(EnergyTerm):
         self._lengths = np.zeros(len(segments))
         self._forces = np.zeros(len(segments))
         self.pattern, self.links = SegmentPattern(segments), segments
+        self.patterns = (self.pattern,)
         self._dyads: tuple[ElementPattern, Integers, Integers, Indices] | None = None
 
     def sums(self, x: Array, out: Array) -> None:
@@ -115,17 +109,13 @@ class CableTension(EnergyTerm):
         stretched = (self.EA / self.L0)[self.cable[counts]]
         return float(np.sum((EPSILON * (turned + stretched) * far[counts]) ** 2))
 
-    def count_stiffness(self, sizes: RowSizes) -> None:
-        """Count the blocks of the stiffness."""
-        self.pattern.count(sizes)
-
-    def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+    def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add the geometric stiffness."""
         forces = np.maximum(self.tensions(sums), 0.0)[self.cable]
         segment_stiffness(
             self.unknowns.X, x, self.segments, self.eps, forces, self.pattern.own_values
         )
-        self.pattern.add(A, self.unknowns)
+        self.pattern.add(A)
 
     def dyads(self, sums: Array) -> Array:
         """Stiffness EA/L0 against the elongation of each cable in tension (force/length). One that
@@ -190,7 +180,7 @@ class CableTension(EnergyTerm):
         a, b = pattern.entries
         scaled = gradients[a] * self.dyads(sums)[cable[a], None]
         np.einsum("ni,nj->nij", scaled, gradients[b], out=pattern.values)
-        pattern.add(A, self.unknowns)
+        pattern.add(A)
 
     def element_energies(self, sums: Array) -> Array:
         """Energies of the cables, spread evenly over their segments."""

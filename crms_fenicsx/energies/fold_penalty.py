@@ -17,9 +17,8 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import ElementPattern, RowSizes, rows_of
+from crms_fenicsx.dofs.block_patterns import BlockSink, ElementPattern, rows_of
 from crms_fenicsx.dofs.layout import ElementTable
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans, Indices
@@ -182,6 +181,17 @@ def add_curvature(X, x, points, coefficients, weighted, r, blocks):  # type: ign
 
 
 @numba.njit(cache=True)
+def _square_slopes(coefficients, dr, blocks):  # type: ignore[no-untyped-def]
+    """Put ``2 mu grad(w r) grad(w r)^T`` into blocks (n, 4, 4, 3, 3)."""
+    for k in range(len(coefficients)):
+        for m in range(4):
+            for n in range(4):
+                for i in range(3):
+                    for j in range(3):
+                        blocks[k, m, n, i, j] = 2 * coefficients[k] * dr[k, m, i] * dr[k, n, j]
+
+
+@numba.njit(cache=True)
 def _add_forces(points, coefficients, r, dr, g):  # type: ignore[no-untyped-def]
     for k in range(points.shape[0]):
         factor = 2 * coefficients[k] * r[k]
@@ -204,6 +214,7 @@ class FoldPenalty(EnergyTerm):
         """``w r`` of each place at the last sums (rad)."""
         pointers = np.arange(0, 4 * n + 1, 4, dtype=np.int32)
         self.pattern = ElementPattern(pointers, table.points.reshape(-1))
+        self.patterns = (self.pattern,)
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the penalty; keeps residuals for the gradient."""
@@ -220,28 +231,24 @@ class FoldPenalty(EnergyTerm):
         slopes = np.sum(self._dr**2, axis=(1, 2))
         return float(np.sum((2 * self.table.coefficients * EPSILON * np.pi) ** 2 * slopes))
 
-    def count_stiffness(self, sizes: RowSizes) -> None:
-        """Count the blocks of the stiffness."""
-        self.pattern.count(sizes)
-
-    def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+    def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add the Gauss-Newton stiffness ``2 mu grad(w r) grad(w r)^T``."""
         self._slopes_squared()
-        self.pattern.add(A, self.unknowns)
+        self.pattern.add(A)
 
-    def add_hessian(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+    def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add the second derivatives, the Gauss-Newton stiffness and ``2 mu w r Hessian(w r)``."""
         t, blocks = self.table, self._slopes_squared()
         add_curvature(
             self.unknowns.X, x, t.points, t.coefficients, t.weighted, self.residuals, blocks
         )
-        self.pattern.add(A, self.unknowns)
+        self.pattern.add(A)
 
     def _slopes_squared(self) -> Array:
         """Make the Gauss-Newton stiffness, (n, 4, 4, 3, 3), in the pattern's values."""
-        scaled = self._dr * np.sqrt(2 * self.table.coefficients)[:, None, None]
-        blocks = self.pattern.values.reshape(len(scaled), 4, 4, 3, 3)
-        return np.einsum("kma,knb->kmnab", scaled, scaled, out=blocks)
+        blocks = self.pattern.values.reshape(-1, 4, 4, 3, 3)
+        _square_slopes(self.table.coefficients, self._dr, blocks)
+        return blocks
 
     def elements_on(self, chosen: Booleans) -> FoldAngles | None:
         """Places with chosen points."""

@@ -14,9 +14,8 @@ from functools import cached_property
 
 import numba
 import numpy as np
-from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import ElementPattern, RowSizes, SegmentPattern
+from crms_fenicsx.dofs.block_patterns import BlockSink, ElementPattern, SegmentPattern
 from crms_fenicsx.dofs.layout import ElementTable
 from crms_fenicsx.energies import stress_laws as laws
 from crms_fenicsx.energies.kinematics import Stiffening
@@ -217,6 +216,7 @@ class FoldedMembraneEnergy(EnergyTerm):
         self.links = table.segments
         self.elements = ElementPattern(self._element_pointers, self._element_blocks)
         self.edges = SegmentPattern(table.segments)
+        self.patterns = (self.elements, self.edges)
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the energy; keeps the segments' forces for the gradient."""
@@ -238,21 +238,16 @@ class FoldedMembraneEnergy(EnergyTerm):
         t = self.table
         add_segment_forces(self.unknowns.X, x, t.segments, t.eps, self.forces, g)
 
-    def count_stiffness(self, sizes: RowSizes) -> None:
-        """Count the blocks of the stiffness."""
-        self.elements.count(sizes)
-        self.edges.count(sizes)
-
-    def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+    def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add the material stiffness and the geometric one of the segments in tension."""
         floor, prestress = self.stiffening.floor, self.stiffening.prestress
         self._add(x, A, float(floor.value), float(prestress.value), exact=False)
 
-    def add_hessian(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+    def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add the second derivatives, those of segments in compression too."""
         self._add(x, A, 0.0, 0.0, exact=True)
 
-    def _add(self, x: Array, A: PETSc.Mat, floor: float, prestress: float, exact: bool) -> None:
+    def _add(self, x: Array, A: BlockSink, floor: float, prestress: float, exact: bool) -> None:
         t, X = self.table, self.unknowns.X
         cell_stiffness(
             X, x, t.segments, t.eps, self.lengths, t.side_pointers, t.side_segments, t.sides,
@@ -260,9 +255,9 @@ class FoldedMembraneEnergy(EnergyTerm):
             self._element_pointers, self._element_blocks, self.elements.offsets,
             self.elements.values, self._tension, self._orthotropic,
         )  # fmt: skip
-        self.elements.add(A, self.unknowns)
+        self.elements.add(A)
         segment_stiffness(X, x, t.segments, t.eps, self._tension, self.edges.own_values)
-        self.edges.add(A, self.unknowns)
+        self.edges.add(A)
 
     def elements_on(self, chosen: Booleans) -> FoldedCells | None:
         """Cells with sides through the chosen blocks."""

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 from dolfinx import fem
-from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import ElementPattern, RowSizes, rows_of
+from crms_fenicsx.dofs.block_patterns import BlockSink, ElementPattern, rows_of
 from crms_fenicsx.dofs.layout import ElementTable, Unknowns
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
@@ -105,6 +104,7 @@ class FoldedFollowerPressure(EnergyTerm):
     def __init__(self, table: Facets, pressure: fem.Constant, origin: Array) -> None:
         self.table, self.pressure, self.origin = table, pressure, origin
         self.pattern = ElementPattern(*table.element_blocks)
+        self.patterns = (self.pattern,)
         self._volumes = np.zeros(len(table.corners))
 
     def attach(self, unknowns: Unknowns) -> None:
@@ -132,24 +132,14 @@ class FoldedFollowerPressure(EnergyTerm):
         if factor != 0.0:
             _add_volume_gradient(self.unknowns.X, x, t.corners, t.weights, self.origin, factor, g)
 
-    def count_stiffness(self, sizes: RowSizes) -> None:
-        """Count the blocks of the second derivatives; those of vertices are the membrane's."""
-        self.pattern.count(sizes, known=len(sizes.unknowns.vertex_blocks()))
-
-    def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
-        """Add nothing, as they are not definite, but to where the second derivatives go."""
-        if isinstance(A, PETSc.Mat) and not A.assembled:
-            self.pattern.values[:] = 0.0
-            self.pattern.add(A, self.unknowns)
-
-    def add_hessian(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+    def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add the second derivatives."""
         t, blocks = self.table, self.pattern.values.reshape(-1, 3, 3, 3, 3)
         _volume_hessian(
             self.unknowns.X, x, t.corners, t.weights, self.origin, -float(self.pressure.value),
             blocks,
         )  # fmt: skip
-        self.pattern.add(A, self.unknowns)
+        self.pattern.add(A)
 
     def elements_on(self, chosen: Booleans) -> Facets | None:
         """Facets with chosen corners; volume counts from no stress-free one."""

@@ -16,9 +16,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import ElementPattern, RowSizes
+from crms_fenicsx.dofs.block_patterns import BlockSink, ElementPattern
 from crms_fenicsx.dofs.layout import ElementTable
 from crms_fenicsx.energies.segments import (
     add_slip_curvature,
@@ -69,6 +68,7 @@ class LateralFriction(EnergyTerm):
         self._fractions, self.slips, self._force = np.zeros(n), np.zeros(n), np.zeros(n)
         self._gradients = np.zeros((len(table.blocks), 3))
         self.pattern = ElementPattern(table.pointers, table.blocks)
+        self.patterns = (self.pattern,)
 
     def renew(self, table: Slips) -> None:
         """Take other forces and material curves for the same nodes."""
@@ -89,17 +89,13 @@ class LateralFriction(EnergyTerm):
         t = self.table
         add_slip_forces(t.pointers, t.blocks, self._gradients, self._force, t.slope, g)
 
-    def count_stiffness(self, sizes: RowSizes) -> None:
-        """Count the blocks of the stiffness."""
-        self.pattern.count(sizes)
-
-    def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+    def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add the stiffness ``force / slip`` against the slip; see `secant_stiffness`."""
         t = self.table
         self._stiffen(secant_stiffness(self.slips, t.bound, t.eps))
-        self.pattern.add(A, self.unknowns)
+        self.pattern.add(A)
 
-    def add_hessian(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+    def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add the second derivatives: what slides far has no stiffness against the slip."""
         t = self.table
         self._stiffen(tangent_stiffness(self.slips, t.bound, t.eps))
@@ -107,7 +103,7 @@ class LateralFriction(EnergyTerm):
             self.unknowns.X, x, t.pointers, t.blocks, t.place, self._fractions, self._gradients,
             self._force * t.slope, self.pattern.values,
         )  # fmt: skip
-        self.pattern.add(A, self.unknowns)
+        self.pattern.add(A)
 
     def _stiffen(self, stiffness: Array) -> None:
         """Put a stiffness against the slips, (n,) (force/length), into the pattern's values."""

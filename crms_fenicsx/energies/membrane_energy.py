@@ -10,11 +10,9 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from dolfinx.fem import petsc as fem_petsc
-from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import RowSizes
-from crms_fenicsx.dofs.layout import edge_ends
+from crms_fenicsx.dofs.block_patterns import BlockSink, FormPattern
+from crms_fenicsx.dofs.layout import Unknowns, edge_ends
 from crms_fenicsx.energies.integral import Integral, one_point
 from crms_fenicsx.energies.kinematics import (
     Kinematics,
@@ -92,7 +90,8 @@ class MembraneEnergy(EnergyTerm):
         self.renew_materials()
         v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
         dx = one_point(mesh, subdomain_data=cell_tags)
-        self.stiffness_form = fem.form(self._stiffness(v, du, dx))
+        self._pattern = FormPattern(fem.form(self._stiffness(v, du, dx)), V)
+        self.patterns = (self._pattern,)
         prepare = None if self.tension_field is None else self.tension_field.update
         self.integral = Integral(V, self._variation, prepare, cell_tags)
         self._cell_values: dict[int, fem.Expression] = {}
@@ -161,6 +160,11 @@ class MembraneEnergy(EnergyTerm):
         row = np.searchsorted(wanted, tags[own]).astype(np.int32)
         return TensionField(self.u, cells[own], self.material_axes(cells[own]), parameters, row)
 
+    def attach(self, unknowns: Unknowns) -> None:
+        """Use this layout."""
+        super().attach(unknowns)
+        self._pattern.attach(unknowns)
+
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the energy."""
         out[0] = self.integral.value
@@ -180,18 +184,18 @@ class MembraneEnergy(EnergyTerm):
         force = self._prestress + self._modulus * gradient
         return self._area * (4 * EPSILON * force) ** 2
 
-    def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+    def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add the positive semidefinite stiffness of this rank's cells."""
         if self.tension_field is not None:
             self.tension_field.update_tangents()
-        fem_petsc.assemble_matrix(A, self.stiffness_form)
+        self._pattern.add(A)
 
-    def add_hessian(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+    def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add the second derivatives."""
         with self.stiffening.none():
             self.add_stiffness(x, sums, A)
 
-    def add_stiffness_without_cables(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+    def add_stiffness_without_cables(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add the stiffness of all of this rank's cells, folded ones as if they were plain."""
         plain = self.plain.x.array.copy()
         self.plain.x.array[:] = 1.0
@@ -199,11 +203,6 @@ class MembraneEnergy(EnergyTerm):
             self.add_stiffness(x, sums, A)
         finally:
             self.plain.x.array[:] = plain
-
-    def count_stiffness(self, sizes: RowSizes) -> None:
-        """Count the blocks that an edge of this rank's cells makes, of both its vertices."""
-        a, b = self.edges().T
-        sizes.add(np.concatenate([a, b]), np.concatenate([b, a]))
 
     @property
     def links(self) -> Indices:  # type: ignore[override]

@@ -24,9 +24,8 @@ from collections.abc import Callable, Sequence
 import numba
 import numpy as np
 from mpi4py import MPI
-from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import ElementPattern, RowSizes
+from crms_fenicsx.dofs.block_patterns import BlockSink, ElementPattern
 from crms_fenicsx.energies.folded_pressure import Facets
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.model.pond import Pond
@@ -224,6 +223,7 @@ class Ponding(EnergyTerm):
         # Areas of the plan are positive where the cells lie on the side of them that is up.
         self.table, self._weights = table, pond.side * table.weights
         self._pattern = ElementPattern(*table.element_blocks)
+        self.patterns = (self._pattern,)
 
     @property
     def _weight(self) -> float:
@@ -269,24 +269,14 @@ class Ponding(EnergyTerm):
             g,
         )
 
-    def count_stiffness(self, sizes: RowSizes) -> None:
-        """Count the blocks of the second derivatives; those of vertices are the membrane's."""
-        self._pattern.count(sizes, known=len(sizes.unknowns.vertex_blocks()))
-
-    def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
-        """Add nothing, as they are not definite, but to where the second derivatives go."""
-        if isinstance(A, PETSc.Mat) and not A.assembled:
-            self._pattern.values[:] = 0.0
-            self._pattern.add(A, self.unknowns)
-
-    def add_hessian(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+    def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add the second derivatives at the present level."""
         blocks = self._pattern.values.reshape(-1, 3, 3, 3, 3)
         _hessian(
             self.unknowns.X, x, self.table.corners, self._weights, self.level,
             -self._weight / 2, blocks,
         )  # fmt: skip
-        self._pattern.add(A, self.unknowns)
+        self._pattern.add(A)
 
     def dyads(self, sums: Array) -> Sequence[float]:
         """What a given volume is stiffer than a given level by (force / length^5)."""

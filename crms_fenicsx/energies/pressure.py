@@ -25,10 +25,9 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
-from dolfinx.fem import petsc as fem_petsc
-from petsc4py import PETSc
 
-from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.block_patterns import BlockPattern, BlockSink, FormPattern
+from crms_fenicsx.dofs.layout import Unknowns, edge_ends
 from crms_fenicsx.energies.integral import Integral, one_point
 from crms_fenicsx.energies.kinematics import Kinematics, tangent_basis
 from crms_fenicsx.energies.term import EnergyTerm
@@ -61,7 +60,7 @@ class FollowerPressure(EnergyTerm):
     ) -> None:
         mesh = u.function_space.mesh
         self.u, self.cells, self.pressure = u, cells, pressure
-        self._hessian: fem.Form | None = None
+        self._hessian: FormPattern | None = None
         e1, e2 = tangent_basis(mesh, None)
         F = Kinematics(u, (e1, e2)).F
         self.origin = fem.Constant(mesh, origin)
@@ -91,11 +90,22 @@ class FollowerPressure(EnergyTerm):
         force = ufl.derivative(energy, self.u, ufl.TestFunction(V))
         return fem.form(ufl.derivative(force, self.u, ufl.TrialFunction(V)))
 
-    def add_hessian(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
-        """Add the second derivatives, in places that the membrane's stiffness has filled."""
+    def attach(self, unknowns: Unknowns) -> None:
+        """Use this layout."""
+        super().attach(unknowns)
+        vertices = unknowns.vertex_blocks()
+        a, b = vertices[edge_ends(self.u.function_space)].T
+        places = np.concatenate([a, b, vertices]), np.concatenate([b, a, vertices])
+        self.patterns = (BlockPattern(*places),)
+        if self._hessian is not None:
+            self._hessian.attach(unknowns)
+
+    def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
+        """Add the second derivatives."""
         if self._hessian is None:
-            self._hessian = self._hessian_form()
-        fem_petsc.assemble_matrix(A, self._hessian)  # type: ignore[arg-type]
+            self._hessian = FormPattern(self._hessian_form(), self.u.function_space)
+            self._hessian.attach(self.unknowns)
+        self._hessian.add(A)
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the volume gained, V - V0 (length cubed)."""

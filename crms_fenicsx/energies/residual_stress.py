@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import ufl
 from dolfinx import fem
-from dolfinx.fem import petsc as fem_petsc
-from petsc4py import PETSc
 
+from crms_fenicsx.dofs.block_patterns import BlockSink, FormPattern
+from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.integral import Integral, one_point
 from crms_fenicsx.energies.kinematics import Kinematics, tangent_basis
 from crms_fenicsx.energies.term import EnergyTerm
@@ -46,7 +46,13 @@ class ResidualStress(EnergyTerm):
         dv, dw = ([ufl.dot(ufl.grad(f), e) for e in basis] for f in (v, w))
         pairs = [(i, j) for i in (0, 1) for j in (0, 1)]
         geometric: Any = sum(stress[i, j] * ufl.dot(dv[i], dw[j]) for i, j in pairs)
-        self._hessian = fem.form(geometric * one_point(V.mesh))
+        self._hessian = FormPattern(fem.form(geometric * one_point(V.mesh)), V)
+        self.patterns = (self._hessian,)
+
+    def attach(self, unknowns: Unknowns) -> None:
+        """Use this layout."""
+        super().attach(unknowns)
+        self._hessian.attach(unknowns)
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the energy."""
@@ -56,9 +62,9 @@ class ResidualStress(EnergyTerm):
         """Add the nodal forces of this rank's cells."""
         self.unknowns.add_to_vertices(self.integral.gradient, g)
 
-    def add_hessian(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
-        """Add the second derivatives, in places that the membrane's stiffness has filled."""
-        fem_petsc.assemble_matrix(A, self._hessian)
+    def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
+        """Add the second derivatives."""
+        self._hessian.add(A)
 
 
 def _axes(mesh: Any) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import RowSizes
+from crms_fenicsx.dofs.block_patterns import BlockPattern, BlockSink
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.folded_pressure import Facets, FoldedFollowerPressure
 from crms_fenicsx.energies.pressure import FollowerPressure
@@ -86,24 +86,16 @@ class SealedPressure(EnergyTerm):
         """Add the nodal forces, with the sign of a gradient."""
         self._add_forces(self.pressure(sums), x, sums, g)
 
-    def count_stiffness(self, sizes: RowSizes) -> None:
-        """Count the parts' blocks."""
-        for part in self.parts:
-            part.count_stiffness(sizes)
+    @property
+    def patterns(self) -> Sequence[BlockPattern]:  # type: ignore[override]
+        """Those of the parts."""
+        return tuple(pattern for part in self.parts for pattern in part.patterns)
 
-    def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
-        """Add nothing but the places of the parts' second derivatives, which are not definite."""
-        for k, part in enumerate(self.parts):
-            part.add_stiffness(x, sums[k : k + 1], A)
-
-    def add_stiffness_without_cables(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
-        """Add nothing."""
-
-    def add_hessian(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+    def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add the second derivatives at a given pressure."""
         self._unit.value = self.pressure(sums)
         try:
-            for k, part in reversed(list(enumerate(self.parts))):  # DOLFINx's form is the last
+            for k, part in enumerate(self.parts):
                 part.add_hessian(x, sums[k : k + 1], A)
         finally:
             self._unit.value = 1.0

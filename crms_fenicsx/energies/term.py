@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
-from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import BlockSink, RowSizes
+from crms_fenicsx.dofs.block_patterns import BlockPattern, BlockSink
 from crms_fenicsx.dofs.layout import ElementTable, Unknowns
 from crms_fenicsx.energies.integral import FusedAssembly, Integral
 from crms_fenicsx.energies.kinematics import Stiffening
@@ -79,6 +78,8 @@ class EnergyTerm(ABC):
     section_forces : (n, 3, 3)
         Second Piola-Kirchhoff section forces that it puts in this rank's cells beside those of the
         materials, tensors in space (force per length): results add them. None without any.
+    patterns
+        Where its stiffness has blocks, see `crms_fenicsx.dofs.block_patterns`; from `attach` on.
     twin
         Does what `elements_on` and `of_elements` do in loops over few cells, which DOLFINx's forms
         have not; None if nothing does.
@@ -114,6 +115,7 @@ class EnergyTerm(ABC):
     exact_hessian: bool = False
     links: Indices | None = None
     section_forces: Array | None = None
+    patterns: Sequence[BlockPattern] = ()
     twin: CompiledCells | None = None
     unknowns: Unknowns
 
@@ -133,25 +135,21 @@ class EnergyTerm(ABC):
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         """Add this rank's share of the gradient to `g`; `x` is that of the last `sums`."""
 
-    def count_stiffness(self, sizes: RowSizes) -> None:
-        """Count the blocks that `add_stiffness` fills, those off the diagonal at least."""
-
-    def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+    def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add a positive semidefinite stiffness (force/length) to the matrix of H0.
 
         It sets the speed and not the solution; without it the minimiser learns of the term from
-        gradients. `crms_fenicsx.dofs.block_patterns` adds blocks of three, and counts them.
+        gradients. The matrix takes blocks of three, of `patterns` alone.
         """
 
-    def add_hessian(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+    def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add the energy's second derivatives (force/length), but for the dyads, to the matrix.
 
-        They need not be definite, and go where `add_stiffness` has put something, if only zeros, in
-        its first call. By default they are the stiffness.
+        They need not be definite. By default they are the stiffness.
         """
         self.add_stiffness(x, sums, A)
 
-    def add_stiffness_without_cables(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+    def add_stiffness_without_cables(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add what the stiffness would be without cables to a matrix of the vertices alone.
 
         Multigrid is made of it. By default it is that of `add_stiffness`, of which such a matrix

@@ -11,14 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import TypeVar
 
-import numba
 import numpy as np
 import scipy.sparse as sp
 from mpi4py import MPI
 from scipy.linalg import lapack
 from scipy.sparse.csgraph import connected_components
 
-from crms_fenicsx.dofs.block_patterns import BlockPattern
+from crms_fenicsx.dofs.block_patterns import BlockPattern, scatter_blocks
 from crms_fenicsx.dofs.cluster_layout import ClusterLayout
 from crms_fenicsx.dofs.layout import ElementTable, Unknowns
 from crms_fenicsx.dofs.local_blocks import LocalBlocks
@@ -55,7 +54,7 @@ class ClusterMatrix:
         if pattern not in self._places:
             self._places[pattern] = self._find(pattern)
         sources, weights, starts, strides = self._places[pattern]
-        _scatter(pattern.values, sources, weights, starts, strides, self._values)
+        scatter_blocks(pattern.values, sources, weights, starts, strides, self._values)
 
     def _find(self, pattern: BlockPattern) -> tuple[Indices, Array, Integers, Integers]:
         """Which of a pattern's blocks go where, and what part of them."""
@@ -104,16 +103,6 @@ class ClusterMatrix:
             return None
         y: Array = lapack.dpotrs(factor, b, lower=1)[0]
         return y
-
-
-@numba.njit(cache=True)
-def _scatter(values, sources, weights, starts, strides, out):  # type: ignore[no-untyped-def]
-    """Add blocks (n, 3, 3) times their weights at their starts, rows a stride apart."""
-    for k in range(len(sources)):
-        v, w = values[sources[k]], weights[k]
-        for i in range(3):
-            for j in range(3):
-                out[starts[k] + i * strides[k] + j] += w * v[i, j]
 
 
 LARGEST = 400

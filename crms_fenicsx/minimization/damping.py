@@ -18,9 +18,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import ElementPattern, SegmentPattern, rows_of
+from crms_fenicsx.dofs.block_patterns import BlockSink, ElementPattern, SegmentPattern, rows_of
 from crms_fenicsx.dofs.layout import ElementTable, Unknowns
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 
@@ -53,6 +52,7 @@ class Damping:
         self.springs, fractions = springs, springs.fractions
         self._on_edges = ElementPattern(*springs.element_blocks)
         self._along = SegmentPattern(springs.segments)
+        self.patterns = (self._on_edges, self._along)
         weights = np.stack([np.ones(len(fractions)), fractions - 1, -fractions], axis=1)
         self._shares = weights[:, :, None] * weights[:, None, :]
 
@@ -62,7 +62,7 @@ class Damping:
         own, parts = chosen[s.sliders[:, 0]], chosen[s.segments].any(axis=1)
         return Springs(s.sliders[own], s.fractions[own], s.segments[parts])
 
-    def add_stiffness(self, unknowns: Unknowns, x: Array, g: Array, A: PETSc.Mat) -> None:
+    def add_stiffness(self, unknowns: Unknowns, x: Array, g: Array, A: BlockSink) -> None:
         """Add the springs' stiffness to the matrix. Shapes: x, g (n_local, 3)."""
         X = unknowns.X + x
         force = np.linalg.norm(g, axis=1)
@@ -73,11 +73,11 @@ class Damping:
         stiffness = _ratio(force[point], travel)
         blocks = (stiffness[:, None, None] * self._shares).reshape(-1, 1, 1)
         np.multiply(blocks, np.eye(3), out=self._on_edges.values)
-        self._on_edges.add(A, unknowns)
+        self._on_edges.add(A)
         a, b = self.springs.segments.T
         stiffness = _ratio(np.maximum(force[a], force[b]), np.linalg.norm(X[a] - X[b], axis=1))
         np.multiply(stiffness[:, None, None], np.eye(3), out=self._along.own_values)
-        self._along.add(A, unknowns)
+        self._along.add(A)
 
 
 def _ratio(force: Array, length: Array) -> Array:

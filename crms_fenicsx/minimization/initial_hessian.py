@@ -21,14 +21,13 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from crms_fenicsx.dofs.stiffness_matrix import StiffnessMatrix
 from crms_fenicsx.minimization.membrane_multigrid import (
     EXACT_SHIFT,
     MULTIGRID,
     SHIFT,
     MembraneMultigrid,
-    add_empty_diagonal,
     block_traces,
-    empty_matrix,
     set_defaults,
     shift_diagonal,
     stiffen_across_edge_sliders,
@@ -81,7 +80,8 @@ class InitialHessian:
     def __init__(self, potential: Potential, prefix: str) -> None:
         self.potential = potential
         unknowns = potential.unknowns
-        self.matrix = empty_matrix(potential)
+        self._stiffness = StiffnessMatrix(unknowns, potential.patterns())
+        self.matrix = self._stiffness.petsc
         self.pc = PETSc.PC().create(unknowns.comm)
         self.pc.setOptionsPrefix(prefix)
         self.pc.setOperators(self.matrix)
@@ -107,8 +107,7 @@ class InitialHessian:
             self.pc.setFactorSetUpSolverType()
             self.pc.getFactorMatrix().setMumpsIcntl(14, WORKSPACE)
         self._outer: PETSc.KSP | None = None
-        self._new = True
-        self._stiffness: Array = np.zeros(0)
+        self._dyads: Array = np.zeros(0)
         self.shift: Array = np.zeros(0)
 
     def destroy(self) -> None:
@@ -119,7 +118,7 @@ class InitialHessian:
         if self._membrane is not None:
             self._membrane.destroy()
         self.pc.destroy()
-        self.matrix.destroy()
+        self._stiffness.destroy()
 
     def rebuild(self, exact: bool = False) -> bool:
         """Assemble at the potential's current state. Its sums must be up to date, and `g` the
@@ -160,12 +159,9 @@ class InitialHessian:
         if unknowns.bounds is not None:
             held |= at_bounds(self.potential)
         self._held = held
-        A.zeroEntries()
-        if self._new:
-            add_empty_diagonal(A, unknowns)
-            self._new = False
-        self.potential.add_stiffness(A, exact)
-        A.assemble()
+        self._stiffness.clear()
+        self.potential.add_stiffness(self._stiffness, exact)
+        self._stiffness.assemble()
         traces = block_traces(A, held)
         sizes = np.array([traces.max(initial=0.0), unknowns.n_edge_sliders])
         unknowns.comm.Allreduce(MPI.IN_PLACE, sizes, op=MPI.MAX)
@@ -182,7 +178,7 @@ class InitialHessian:
         """This rank's rows of G and of Z = K^-1 G, and (C^-1 + G^T Z)^-1."""
         potential, dyads = self.potential, list(self.potential.dyads())
         n = potential.unknowns.n_owned
-        self._stiffness = np.array([value for _, _, value in dyads])
+        self._dyads = np.array([value for _, _, value in dyads])
         if not dyads:
             return
         columns = np.empty((3 * n, len(dyads)), order="F")
@@ -193,7 +189,7 @@ class InitialHessian:
         self._columns, self._solved = columns, self._apply_to_all(columns)
         products = columns.T @ self._solved
         potential.comm.Allreduce(MPI.IN_PLACE, products)
-        self._inner = np.linalg.inv(np.diag(1 / self._stiffness) + products)
+        self._inner = np.linalg.inv(np.diag(1 / self._dyads) + products)
         self._shares = np.empty(len(dyads))
 
     def _apply_to_all(self, columns: Array) -> Array:
@@ -248,7 +244,7 @@ class InitialHessian:
         self.pc.apply(b, y)
         if not self._exact:
             self._take_out(y.array)
-        if len(self._stiffness):
+        if len(self._dyads):
             y.array -= self._solved @ (self._inner @ self._sums_over_ranks(self._solved, b))
 
     def _take_out(self, y: Array) -> None:
@@ -266,8 +262,8 @@ class InitialHessian:
     def multiply(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """``y = (K + G C G^T) x``."""
         self.matrix.mult(x, y)
-        if len(self._stiffness):
-            y.array += self._columns @ (self._stiffness * self._sums_over_ranks(self._columns, x))
+        if len(self._dyads):
+            y.array += self._columns @ (self._dyads * self._sums_over_ranks(self._columns, x))
 
     def _conjugate_gradients(self) -> PETSc.KSP:
         ksp = PETSc.KSP().create(self.potential.comm)

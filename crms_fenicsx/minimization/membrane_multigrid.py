@@ -26,30 +26,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.stiffness_matrix import StiffnessMatrix
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.runtime.arrays import Array
-
-
-def empty_matrix(potential: Potential) -> PETSc.Mat:
-    """A matrix with places for the stiffness of all terms, to be destroyed. Collective."""
-    unknowns = potential.unknowns
-    A = PETSc.Mat().create(unknowns.comm)
-    A.setSizes(((3 * unknowns.n_owned, 3 * unknowns.n_global),) * 2)
-    A.setBlockSize(3)
-    A.setType(PETSc.Mat.Type.AIJ)
-    lgmap = unknowns.lgmap()
-    A.setLGMap(lgmap, lgmap)
-    lgmap.destroy()
-    potential.count_stiffness().allocate(A)
-    A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-    return A
-
-
-def add_empty_diagonal(A: PETSc.Mat, unknowns: Unknowns) -> None:
-    """Make places for every diagonal entry, also of points that no term touches."""
-    blocks = unknowns.matrix_numbers[: unknowns.n_owned, None]
-    zeros = np.zeros((unknowns.n_owned, 9))
-    A.setValuesBlockedLocalRCV(blocks, blocks, zeros, PETSc.InsertMode.ADD)
 
 
 def stiffen_across_edge_sliders(A: PETSc.Mat, unknowns: Unknowns, value: float) -> None:
@@ -58,7 +37,7 @@ def stiffen_across_edge_sliders(A: PETSc.Mat, unknowns: Unknowns, value: float) 
     own = unknowns.edge_sliders < unknowns.n_owned
     d = unknowns.directions[own]
     across = value * (np.eye(3) - d[:, :, None] * d[:, None, :])
-    blocks = unknowns.matrix_numbers[unknowns.edge_sliders[own], None]
+    blocks = unknowns.edge_sliders[own, None].astype(PETSc.IntType)
     A.setValuesBlockedLocalRCV(blocks, blocks, across.reshape(-1, 9), PETSc.InsertMode.ADD)
     A.assemble()
 
@@ -70,10 +49,10 @@ def exact_matrix(potential: Potential) -> tuple[PETSc.Mat, PETSc.Mat]:
     points, as a cable's length; the same object where there are none. They are to be destroyed."""
     unknowns = potential.unknowns
     n, held = unknowns.n_owned, unknowns.held[: unknowns.n_owned]
-    A = empty_matrix(potential)
-    add_empty_diagonal(A, unknowns)
-    potential.add_stiffness(A, exact=True)
-    A.assemble()
+    stiffness = StiffnessMatrix(unknowns, potential.patterns())
+    potential.add_stiffness(stiffness, exact=True)
+    stiffness.assemble()
+    A = stiffness.petsc
     if unknowns.comm.allreduce(unknowns.n_edge_sliders):
         stiffen_across_edge_sliders(A, unknowns, 1.0)
     diagonal = A.getDiagonal()
@@ -181,21 +160,14 @@ class MembraneMultigrid:
     def __init__(self, potential: Potential, pc: PETSc.PC) -> None:
         self.potential = potential
         unknowns = potential.unknowns
-        n, vertices = unknowns.n_vertices, unknowns.V.dofmap.index_map.size_global
-        self.matrix = PETSc.Mat().create(unknowns.comm)
-        self.matrix.setSizes(((3 * n, 3 * vertices),) * 2)
-        self.matrix.setBlockSize(3)
-        self.matrix.setType(PETSc.Mat.Type.AIJ)
-        lgmap = _vertex_map(unknowns)
-        self.matrix.setLGMap(lgmap, lgmap)
-        lgmap.destroy()
-        potential.count_stiffness(cables=False).allocate(self.matrix)
-        self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        patterns = potential.patterns(cables=False)
+        self._stiffness = StiffnessMatrix(unknowns, patterns, of_vertices=True)
+        self.matrix = self._stiffness.petsc
         self._split(pc, pc.getOptionsPrefix() or "")
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
-        self.matrix.destroy()
+        self._stiffness.destroy()
 
     def _split(self, pc: PETSc.PC, prefix: str) -> None:
         """Set the preconditioner's fields, and how each is solved by default."""
@@ -227,9 +199,9 @@ class MembraneMultigrid:
     def assemble(self, held: npt.NDArray[np.bool_]) -> None:
         """Assemble M at the potential's current state; `held` are owned components, (n, 3)."""
         M, n = self.matrix, self.potential.unknowns.n_vertices
-        M.zeroEntries()
-        self.potential.add_stiffness_without_cables(M)
-        M.assemble()
+        self._stiffness.clear()
+        self.potential.add_stiffness_without_cables(self._stiffness)
+        self._stiffness.assemble()
         traces = block_traces(M, held[:n])
         largest = self.potential.comm.allreduce(float(traces.max(initial=0.0)), op=MPI.MAX) or 1.0
         shift_diagonal(M, traces)
@@ -237,15 +209,3 @@ class MembraneMultigrid:
         M.zeroRowsColumns(rows.astype(PETSc.IntType), diag=largest)
         M.setOption(PETSc.Mat.Option.SPD, True)
         tell_rigid_motions(M, self.potential)
-
-
-def _vertex_map(unknowns: Unknowns) -> PETSc.LGMap:
-    """Local blocks in matrix order to DOLFINx's global numbers of vertices; points have none."""
-    vector, numbers = unknowns.vector()
-    n = unknowns.n_vertices
-    numbers[:n, 0] = unknowns.V.dofmap.index_map.local_range[0] + np.arange(n)
-    numbers[n : unknowns.n_owned, 0] = -1
-    unknowns.update_ghosts(vector)
-    own = numbers[unknowns.matrix_order(), 0].astype(PETSc.IntType)
-    vector.destroy()
-    return PETSc.LGMap().create(own, bsize=3, comm=unknowns.comm)

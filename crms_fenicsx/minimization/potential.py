@@ -14,7 +14,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import RowSizes
+from crms_fenicsx.dofs.block_patterns import BlockPattern, BlockSink
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.integral import FusedAssembly
 from crms_fenicsx.energies.term import EnergyTerm
@@ -135,30 +135,26 @@ class Potential:
         np.copyto(self.g[:owned], 0.0, where=self.unknowns.held[:owned])
         self.g_vector.copy(G)
 
-    def add_stiffness(self, A: PETSc.Mat, exact: bool = False) -> None:
+    def patterns(self, cables: bool = True) -> list[BlockPattern]:
+        """Where the stiffness has blocks, or that without cables."""
+        springs = [] if self.damping is None or not cables else self.damping.patterns
+        terms = [term for term in self.terms if cables or not term.of_cables]
+        return [*springs, *(pattern for term in terms for pattern in term.patterns)]
+
+    def add_stiffness(self, A: BlockSink, exact: bool = False) -> None:
         """Add stiffness and damping at the current state, the sums and the gradient there. If
-        `exact` it is the second derivatives of the terms, without damping. DOLFINx's forms come
-        last (they are the first terms): they flush the matrix, after which PETSc takes long for
-        each new entry."""
+        `exact` it is the second derivatives of the terms, without damping."""
         if self.damping is not None and not exact:
             self.unknowns.update_ghosts(self.g_vector)
             self.damping.add_stiffness(self.unknowns, self.x, self.g, A)
-        for term, part in reversed(list(zip(self.terms, self._slices, strict=True))):
+        for term, part in zip(self.terms, self._slices, strict=True):
             add = term.add_hessian if exact else term.add_stiffness
             add(self.x, self._sums[part], A)
 
-    def add_stiffness_without_cables(self, A: PETSc.Mat) -> None:
+    def add_stiffness_without_cables(self, A: BlockSink) -> None:
         """Add the stiffness that there would be without cables to a matrix of the vertices."""
-        for term, part in reversed(list(zip(self.terms, self._slices, strict=True))):
+        for term, part in zip(self.terms, self._slices, strict=True):
             term.add_stiffness_without_cables(self.x, self._sums[part], A)
-
-    def count_stiffness(self, cables: bool = True) -> RowSizes:
-        """How many blocks the rows of the stiffness have at most, or of that without cables."""
-        sizes = RowSizes(self.unknowns)
-        for term in self.terms:
-            if cables or not term.of_cables:
-                term.count_stiffness(sizes)
-        return sizes
 
     def dyads(self) -> Iterator[tuple[EnergyTerm, int, float]]:
         """Stiffness dyads of all terms at the sums last computed: term, number, value."""

@@ -16,6 +16,7 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.stiffness_matrix import StiffnessMatrix
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.meshes.triangles import area_vectors
 from crms_fenicsx.minimization.potential import Potential
@@ -73,17 +74,10 @@ class TermsOnLayout:
     def assembled(self, x: Array) -> PETSc.Mat:
         """Stiffness without dyads, distributed; to be destroyed. Collective."""
         self.value(x)
-        unknowns = self.unknowns
-        A = PETSc.Mat().create(unknowns.comm)
-        A.setSizes(((3 * unknowns.n_owned, 3 * unknowns.n_global),) * 2)
-        A.setBlockSize(3)
-        A.setType(PETSc.Mat.Type.AIJ)
-        A.setLGMap(*(unknowns.lgmap(),) * 2)
-        A.setUp()
-        A.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
-        self.potential.add_stiffness(A, self.exact)
-        A.assemble()
-        return A
+        stiffness = StiffnessMatrix(self.unknowns, self.potential.patterns())
+        self.potential.add_stiffness(stiffness, self.exact)
+        stiffness.assemble()
+        return stiffness.petsc
 
     def times(self, x: Array, d: Array) -> Array:
         """Stiffness without dyads times a direction. Collective."""

@@ -68,19 +68,16 @@ def test_numbers_are_rank_by_rank_vertices_first(comm):
     assert unknowns.ghosts[vertices.num_ghosts :].tolist() == twin
 
 
-def test_matrices_count_vertices_first(comm):
-    """As DOLFINx's forms number them; ``matrix_numbers`` undoes ``matrix_order``."""
+def test_vertex_numbers_are_those_of_dolfinx(comm):
+    """Ghosts too; points have none."""
     scene, unknowns, _ = with_points(comm)
-    order = unknowns.matrix_order()
-    n = scene.V.dofmap.index_map.size_local + scene.V.dofmap.index_map.num_ghosts
-    np.testing.assert_array_equal(order[:n], unknowns.vertex_blocks())
-    np.testing.assert_array_equal(unknowns.matrix_numbers[order], np.arange(unknowns.n_local))
-    lgmap = unknowns.lgmap()
-    own = np.arange(unknowns.start, unknowns.start + unknowns.n_owned)
+    numbers, index_map = unknowns.vertex_numbers(), scene.V.dofmap.index_map
+    dofs = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
     np.testing.assert_array_equal(
-        lgmap.getBlockIndices(), np.concatenate([own, unknowns.ghosts])[order]
+        numbers[unknowns.vertex_blocks()], index_map.local_to_global(dofs)
     )
-    lgmap.destroy()
+    points = np.concatenate([unknowns.owned_point_blocks(), unknowns.ghost_point_blocks()])
+    assert (numbers[points] == -1).all()
 
 
 def test_vertices_are_where_the_mesh_has_them(comm):

@@ -43,16 +43,14 @@ class StiffSprings(Springs):
         super().attach(unknowns)
         n = unknowns.n_vertices
         self.pattern = ElementPattern(np.arange(n + 1), np.arange(n))
-
-    def count_stiffness(self, sizes: Any) -> None:
-        self.pattern.count(sizes)
+        self.patterns = (self.pattern,)
 
     def add_stiffness(self, x: Any, sums: Any, A: Any) -> None:
         own = x[: self.unknowns.n_vertices]
         squares = np.einsum("ni,ni->n", own, own)[:, None, None]
         dyads = own[:, :, None] * own[:, None, :]
         self.pattern.values[:] = (self.k + self.c * squares) * np.eye(3) + 2 * self.c * dyads
-        self.pattern.add(A, self.unknowns)
+        self.pattern.add(A)
 
 
 class Foundation(EnergyTerm):
@@ -185,7 +183,7 @@ def test_taylor_test_of_a_wrong_term(comm: MPI.Intracomm) -> None:
             super().add_stiffness(x, sums, A)
             self.pattern.values[:] = (self.twice - 1) * np.eye(3)
             self.pattern.values[:, 0, 1] += self.shear
-            self.pattern.add(A, self.unknowns)
+            self.pattern.add(A)
 
     term = Wrong(c=0.01)
     taylor_test(term, scene.u)

@@ -52,16 +52,17 @@ def test_its_memory_is_there_beforehand_and_not_much_too_much(comm) -> None:
     _, h0 = at_some_state(comm)
     info = h0.matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)
     assert info["mallocs"] == 0
-    # Nearly all cells are folded here: several terms fill the same blocks.
-    assert info["nz_used"] < info["nz_allocated"] < 3 * info["nz_used"]
+    if comm.size == 1:  # its values are those that terms have added up
+        assert info["nz_allocated"] == 0
+    else:  # rows that ranks share are counted on both
+        assert info["nz_used"] <= info["nz_allocated"] < 2 * info["nz_used"]
 
 
 def test_its_memory_is_exact_without_cables() -> None:
     mesh = meshes.rectangle(MPI.COMM_SELF, 3.0, 2.0, 0.5)
     scene = Scene(mesh, IsotropicMembrane(E=1.0, nu=0.3, thickness=1.0))
     scene.fix("boundary")
-    matrix = Solver(scene).system.minimizer.h0.matrix
-    allocated = matrix.getInfo()["nz_allocated"]
+    allocated = len(Solver(scene).system.minimizer.h0.matrix.getValuesCSR()[2])
     edges, vertices = (mesh.mesh.topology.index_map(dim).size_global for dim in (1, 0))
     assert allocated == 9 * (vertices + 2 * edges)
 

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from crms_fenicsx.dofs.block_patterns import BlockPattern
 from crms_fenicsx.minimization.taylor import (
     STEPS,
     TermsOnLayout,
@@ -32,13 +33,18 @@ class Points:
 
     def __init__(self, X: Array) -> None:
         self.X = X
-        self.n_tied_points = self.n_edge_sliders = 0
         self.n_local = len(X)
-        self.matrix_numbers = np.arange(len(X), dtype=PETSc.IntType)
 
-    def spread(self, rows: Array, cols: Array) -> tuple[Array, Array, Array]:
-        """Every block goes where it is."""
-        return np.stack([rows, cols]), np.arange(len(rows)), np.ones(len(rows))
+
+class DenseBlocks:
+    """A stiffness with all its blocks, (n, n, 3, 3)."""
+
+    def __init__(self, n: int) -> None:
+        self.values = np.zeros((n, n, 3, 3))
+
+    def take(self, pattern: BlockPattern) -> None:
+        """Add a pattern's values one by one."""
+        np.add.at(self.values, (pattern.rows, pattern.cols), pattern.values)
 
 
 class TermOnPoints:
@@ -59,16 +65,9 @@ class TermOnPoints:
         """Dense stiffness (3 n, 3 n)."""
         self.term.sums(x, self.sums)
         n = len(self.X)
-        A = PETSc.Mat().createDense(((3 * n, 3 * n),) * 2, comm=MPI.COMM_SELF)
-        A.setBlockSize(3)
-        A.setUp()
-        numbers = np.arange(n, dtype=PETSc.IntType)
-        A.setLGMap(*(PETSc.LGMap().create(numbers, bsize=3, comm=MPI.COMM_SELF),) * 2)
+        A = DenseBlocks(len(self.X))
         self.term.add_stiffness(x, self.sums, A)
-        A.assemble()
-        dense: Array = A.getDenseArray().copy()
-        A.destroy()
-        return dense
+        return A.values.transpose(0, 2, 1, 3).reshape(3 * n, 3 * n)
 
     def times(self, x: Array, d: Array) -> Array:
         return (self.matrix(x) @ d.ravel()).reshape(-1, 3)

@@ -8,8 +8,8 @@ import numba
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
-from petsc4py import PETSc
 
+from crms_fenicsx.dofs.block_patterns import BlockSink
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.energies.folded_membrane import FoldedCells, FoldedMembraneEnergy
 from crms_fenicsx.energies.folded_pressure import Facets
@@ -160,7 +160,7 @@ class StepFoldedMembraneEnergy(FoldedMembraneEnergy):
         """Strain energy over all steps (force x length)."""
         return float(self._energy_n[0]) + float(sums[0])
 
-    def add_stiffness(self, x: Array, sums: Array, A: PETSc.Mat) -> None:
+    def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add the stiffness of the total formulation."""
         super().sums(x, np.zeros(1))
         super().add_stiffness(x, sums, A)
