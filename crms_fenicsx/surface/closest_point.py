@@ -95,26 +95,19 @@ class TargetSurface:
         return set.intersection(*(self.around[vertex] for vertex in point.support))
 
     def in_one_cell(self, points: Iterable[SurfacePoint]) -> bool:
-        """Say whether a cell holds all the points."""
+        """Whether a cell holds all the points."""
         return bool(set.intersection(*(self.cells_at(point) for point in points)))
-
-    @cached_property
-    def boxes(self) -> tuple[Array, Array]:
-        """Least and greatest coordinates of the cells in plan, (m, 2) each."""
-        corners = self.points[self.cells][:, :, :2]
-        return corners.min(axis=1), corners.max(axis=1)
 
 
 @dataclass(frozen=True)
 class Place:
-    """A route point: on the surface, or an anchor (then `point` is None), over it or beyond it.
-    Anchors have a foot, the nearest place of the surface."""
+    """A route point on the surface, or an anchor over or beyond it."""
 
-    point: SurfacePoint | None
+    point: SurfacePoint | None  # None for an anchor
     position: Array
     normal: Array
-    foot: Foot | None = None
-    beyond: bool = False
+    foot: Foot | None = None  # nearest place of the surface to an anchor
+    beyond: bool = False  # whether an anchor lies beyond the boundary
 
     @property
     def anchor(self) -> tuple[float, float, float] | None:
@@ -122,16 +115,9 @@ class Place:
         x, y, z = (float(c) for c in self.position)
         return None if self.point is not None else (x, y, z)
 
-    def is_straight_over(self, position: Array, snap: float) -> bool:
-        """Say whether it is an anchor with its foot at a place of the surface."""
-        return self.foot is not None and bool(
-            norm(self.foot.position - position) <= snap * self.foot.size
-        )
-
 
 def places_in_plan(surface: TargetSurface, course: Array, snap: float) -> list[Place]:
-    """Return the places of route points given in plan, on the uppermost sheet there. A point
-    outside by less than `RIM` of the cell there is meant to lie on the rim."""
+    """The places of route points (k, 2) given in plan, on the uppermost sheet or on the rim."""
     found = _held_in_plan(surface, course, snap)
     outside = [i for i, place in enumerate(found) if place is None]
     on_rim = np.array([_on_the_rim(surface, course[i], i) for i in outside]).reshape(-1, 2)
@@ -147,9 +133,9 @@ def places_in_plan(surface: TargetSurface, course: Array, snap: float) -> list[P
 
 
 def _held_in_plan(surface: TargetSurface, course: Array, snap: float) -> list[Place | None]:
-    """Return the places of points in plan; None for those outside of the surface."""
-    least, most = surface.boxes
-    reach = snap * surface.size
+    """The places of points in plan; None for those outside of the surface."""
+    corners = surface.points[surface.cells][:, :, :2]
+    least, most, reach = corners.min(axis=1), corners.max(axis=1), snap * surface.size
     inside = (least <= course[:, None] + reach) & (most >= course[:, None] - reach)
     target, near = np.nonzero(inside.all(axis=2))
     triangles = surface.points[surface.cells[near]]
@@ -200,9 +186,8 @@ def located(
     triangles: Array,
     snap: float,
 ) -> list[tuple[SurfacePoint, Array] | None]:
-    """Return the points of the surface at targets (k, 3), with their positions. Shapes: target,
-    rows (p,), triangles (p, 3, 3). Returns a vertex where one is near, else an edge, else a place
-    in the nearest cell; None for a target without cells."""
+    """Points of the surface at targets (k, 3), with their positions: a vertex where one is near,
+    else an edge, else a place in the nearest of the cells given by pairs `target`, `rows` (p,)."""
     corners, at = surface.cells[rows], targets[target]
     reach = snap * altitudes(triangles)
     to_corner = norm(triangles - at[:, None])
@@ -243,8 +228,7 @@ def located(
 def places_in_space(
     surface: TargetSurface, course: Array, snap: float, known: Mapping[int, SurfacePoint]
 ) -> list[Place]:
-    """Return the places of route points given in space; the first and last may be anchors. Of those
-    that are known only the normal is found."""
+    """The places of route points (k, 3); the first and last may be anchors, `known` ones stay."""
     feet = feet_of(surface.points, surface.cells, course)
     positions = np.array([foot.position for foot in feet])
     target, rows = _touching(surface, positions, snap)
@@ -288,7 +272,7 @@ def places_in_space(
 
 
 def _touching(surface: TargetSurface, positions: Array, snap: float) -> tuple[Integers, Integers]:
-    """Return which cells hold or touch places of the surface (k, 3): places and cells, (p,)."""
+    """Pairs (p,) of places of the surface (k, 3) and the cells that hold or touch them."""
     triangles = surface.points[surface.cells]
     centre, radius = balls(triangles)
     widest = float(radius.max()) * (1.0 + 2.0 * snap)

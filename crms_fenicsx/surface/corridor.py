@@ -17,20 +17,18 @@ Corridor = tuple[Support, ...]
 
 
 def corridor(points: Sequence[SurfacePoint]) -> Corridor:
-    """Return the combinatorial identity of a path: the supports of its points."""
+    """The supports of a path's points."""
     return tuple(point.support for point in points)
 
 
 def cell_between(a: Support, b: Support) -> Support:
-    """Return the vertices of the cell through which a path goes from a to b, ascending. Two
-    vertices where it follows an edge."""
+    """Vertices, ascending, of the cell or edge through which a path goes from a to b."""
     return tuple(sorted({*a, *b}))
 
 
 def without_detours(supports: Sequence[Support]) -> Corridor:
-    """Return a corridor without its detours; both ends stay. What goes: an edge that is crossed to
-    and fro, a visit from which the path turns straight back, and an edge crossed next to a visit to
-    one of its vertices."""
+    """A corridor, with both its ends, without edges crossed to and fro, visits from which the path
+    turns straight back, and edges crossed next to a visit to one of their vertices."""
     kept: list[Support] = []
     for i, new in enumerate(supports):
         _append(kept, new, last=i == len(supports) - 1)
@@ -62,7 +60,7 @@ def _append(kept: list[Support], new: Support, *, last: bool) -> None:
 
 
 def _turns_back(a: Support, b: Support, c: Support) -> bool:
-    """Say whether a path from a to b goes on to c through where it came from."""
+    """Whether a path from a to b goes on to c through where it came from."""
     there, back = cell_between(a, b), cell_between(b, c)
     if _along_edge(a, b):
         return set(there) <= set(back)
@@ -70,14 +68,13 @@ def _turns_back(a: Support, b: Support, c: Support) -> bool:
 
 
 def _along_edge(end: Support, vertex: Support) -> bool:
-    """Say whether the way between two supports is a part of an edge."""
+    """Whether the way between two supports is a part of an edge."""
     return len(end) == 2 and len(vertex) == 1 and vertex[0] in end
 
 
 def snap_ends(supports: Corridor, opposite_vertices: Callable[[Edge], tuple[int, ...]]) -> Corridor:
-    """Return a corridor with each end that lies inside an edge which it then follows in a cell. The
-    cell is one next to the edge: where there is a choice, not the one that the path goes on
-    through."""
+    """A corridor with each end that lies inside an edge which it then follows in a cell beside it,
+    where there is a choice not in the one that the path goes on through."""
     result = list(supports)
     for i, step in ((0, 1), (-1, -1)):
         if _along_edge(supports[i], supports[i + step]):
@@ -93,15 +90,13 @@ def snap_ends(supports: Corridor, opposite_vertices: Callable[[Edge], tuple[int,
 def why_invalid(
     supports: Corridor, opposite_vertices: Callable[[Edge], tuple[int, ...]]
 ) -> str | None:
-    """Say why no cable can follow a corridor; None if one can. Returns what is wrong: two ends on
-    one edge; a vertex visited, an edge crossed or followed, or a cell entered twice; a cell with
-    points on all three edges. Both ends of a hoop, which goes around, may lie on one vertex or
-    edge."""
+    """Why no cable can follow a corridor; None if one can."""
     if len(supports) < 2:
         return "nothing of it is left between its ends"
     links = [cell_between(a, b) for a, b in pairwise(supports)]
     if len(links) == 1 and supports[0] == supports[1] and len(links[0]) < 3:
         return f"both of its ends lie on {links[0]}"
+    # both ends of a hoop, which goes around, may lie on one vertex or edge
     hoop = supports[0] == supports[-1] and len(supports[0]) < 3
     visited = supports[1:] if hoop else supports
     partly = {s for s in (supports[0], supports[-1]) if len(s) == 2}

@@ -28,8 +28,7 @@ class Foot:
 def feet_of(
     points: Array, cells: Integers, targets: Array, comm: MPI.Intracomm | None = None
 ) -> list[Foot]:
-    """Return the nearest places of a surface, the same on all ranks of `comm`. Shapes and units:
-    points (n, 3) (length), cells (m, 3), targets (k, 3)."""
+    """The places of a surface nearest to targets (k, 3), the same on all ranks of `comm`."""
     triangles = points[cells]
     centre, radius = balls(triangles)
     held, position, share, corners = _nearest(triangles, centre, radius, targets)
@@ -80,8 +79,7 @@ def _nearest(
 
 
 def nearest_pairs(centre: Array, radius: Array, targets: Array) -> tuple[Integers, Integers]:
-    """Return pairs of targets and cells that may be the nearest ones, as `pairs_within`. Shapes:
-    centre, radius (m,), targets (k, 3)."""
+    """Pairs of targets (k, 3) and cells that may be the nearest ones, as `pairs_within`."""
     rows, columns = [], []
     widest = radius.max()
     for first, square, rounding in _squares(centre, targets):
@@ -96,8 +94,8 @@ def nearest_pairs(centre: Array, radius: Array, targets: Array) -> tuple[Integer
 
 
 def pairs_within(centre: Array, targets: Array, reach: Array) -> tuple[Integers, Integers]:
-    """Return all pairs of targets (k, 3) and centres (m, 3) nearer than `reach` (k,), or nearly so.
-    As the rows of both, (p,), those of targets ascending and then those of centres."""
+    """Rows (p,) of all pairs of targets (k, 3) and centres (m, 3) nearer than `reach` (k,), or
+    nearly so, ascending by targets and then by centres."""
     rows, columns = [], []
     for first, square, rounding in _squares(centre, targets):
         row, column = marked(
@@ -125,7 +123,7 @@ def nearest_within(centre: Array, targets: Array) -> Array:
 
 
 def _squares(centre: Array, targets: Array) -> Iterator[tuple[int, Array, float]]:
-    """Give squared distances in blocks: the first target, (some, m) squares, and their error."""
+    """Squared distances in blocks: the first target, (some, m) squares, and their error."""
     middle = targets.mean(axis=0)
     c, t = centre - middle, targets - middle
     own, other = (c * c).sum(axis=1), (t * t).sum(axis=1)

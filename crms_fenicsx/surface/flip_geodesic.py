@@ -16,7 +16,6 @@ in triangle meshes by just flipping edges, ACM Trans. Graph. 39, 2020), but the 
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass
 from itertools import pairwise
@@ -34,6 +33,8 @@ from crms_fenicsx.surface.corridor import (
 from crms_fenicsx.surface.funnel import TautString, corner_angle, pull_taut
 from crms_fenicsx.surface.intrinsic import IntrinsicSurface, MissingCells, Ring
 from crms_fenicsx.surface.points import (
+    LEAST,
+    MOST,
     CellPoint,
     EdgePoint,
     Support,
@@ -50,24 +51,18 @@ show; the rounding of angles is far below it (1e-12 where cells are as thin as 1
 """
 LONGER = 1e-12
 """Growth of the length, relative, that rounding may cause: some 1e-16 for each cell unfolded."""
-LEAST, MOST = sys.float_info.min, 1.0 - sys.float_info.epsilon / 2
-"""Fractions of points at an edge's ends, where the string touches a vertex."""
 
 
 @dataclass(frozen=True)
 class FlippedPath:
     """A path that has been pulled taut."""
 
-    # the path: both ends as given, and in between the taut string's own places on every edge that
-    # it crosses, also if they are no more than rounding away from a vertex. An end inside an edge
-    # that the path then follows is given as a place in a cell beside it.
+    # both ends as given, or in a cell beside an edge that the path then follows, and in between the
+    # taut string's own places on edges, also if only rounding is between them and a vertex
     points: tuple[SurfacePoint, ...]
-    # the vertices over which it has slid, in order; empty if and only if its corridor is the one
-    # given
-    flips: tuple[int, ...]
-    # length, before: lengths of the taut strings in its corridor and in the one given (length)
-    length: float
-    before: float
+    flips: tuple[int, ...]  # vertices over which it has slid, in order
+    length: float  # length of the taut string (length)
+    before: float  # that of the string in the corridor given (length)
 
 
 def shorten(
@@ -80,20 +75,11 @@ def shorten(
     held_at: Set[int] | None = None,
     checked: bool = False,
 ) -> FlippedPath:
-    """Pull a path taut, and let it slide over vertices until it is a geodesic.
-
-    The vertex with the smallest angle on its other side comes first. In one sweep it is followed by
-    all others that share no cell with those before. Equal angles are ordered by their places along
-    the path, from its middle to its ends. So neither the vertices' ids nor the handedness of the
-    surface decides. A sweep that is rejected is replaced by its first flip that is not. A flip is
-    rejected if no cable could follow its corridor (see `why_invalid`), if the corridor is refused
-    or was visited before, and if the taut string becomes longer. As no corridor is visited twice,
-    and a surface has a finite number of those that cross no edge twice, it ends. A vertex from
-    which both sides are equally short, as on the ridge of a symmetric shape, is not left. Units:
-    grip (rad). Returns the shortened path. With k = `max_flips` it has slid over the first k
-    vertices that it slides over without a limit, unless a sweep is rejected (see the notes) with
-    the limit or without.
-    """
+    """A path pulled taut that has slid over `max_flips` vertices at most, or to a geodesic."""
+    # The vertex with the smallest angle on its other side comes first, followed in one sweep by all
+    # others that share no cell with those before. Equal angles are ordered from the path's middle
+    # to its ends, so that neither ids nor the handedness of the surface decides. As no corridor is
+    # visited twice, and those that cross no edge twice are finite in number, it ends.
     limit = None if max_flips is None else checks.whole("shorten: max_flips", max_flips, 0)
     if not checked:
         _check(points, surface)
@@ -131,7 +117,7 @@ class _GeodesicPath:
         self._stars: dict[int, tuple[Ring, float]] = {}
 
     def pull(self, new: Corridor) -> bool:
-        """Take a corridor unless its taut string is longer than that of the present one."""
+        """Take a corridor, and return whether: not one with a longer taut string."""
         self.visited.add(new)
         stops = [0, *(i for i in range(1, len(new) - 1) if len(new[i]) == 1), len(new) - 1]
         strings: list[tuple[int, TautString]] = []
@@ -149,7 +135,7 @@ class _GeodesicPath:
         return True
 
     def points(self) -> tuple[SurfacePoint, ...]:
-        """Return the path with the taut string's fractions."""
+        """The path with the taut string's fractions."""
         first, *_, last = snap_ends(self.corridor, self.surface.opposite_vertices)
         points: list[SurfacePoint] = [_in_cell(self.start, first)]
         for i, string in self._strings:
@@ -162,6 +148,7 @@ class _GeodesicPath:
 
     def sweep(self, limit: int | None) -> list[int]:
         """Flip as many vertices as go together, `limit` at most; return them."""
+        # a sweep that is rejected is replaced by its first flip that is not
         flips = self._flips()
         together = compatible(flips)[:limit]
         if not together:
@@ -180,7 +167,7 @@ class _GeodesicPath:
         return new is not None and self.pull(new)
 
     def _corridor_after(self, flips: Sequence[Flip]) -> Corridor | None:
-        """Return the corridor that flips lead to; None if it cannot be taken."""
+        """The corridor that flips lead to; None if it cannot be taken."""
         new = list(self.corridor)
         for flip in sorted(flips, key=lambda flip: flip.first, reverse=True):
             new[flip.first : flip.last + 1] = flip.spokes
@@ -193,7 +180,7 @@ class _GeodesicPath:
         return None if snap_ends(result, self.surface.opposite_vertices) in self.refused else result
 
     def _flips(self) -> list[Flip]:
-        """Return all flips that would shorten the string, in the order of their merits."""
+        """All flips that would shorten the string, the best first."""
         flips: list[Flip] = []
         missing: list[int] = []
         for hold in self._holds():
@@ -210,7 +197,7 @@ class _GeodesicPath:
         return ordered(flips, len(self.corridor) - 1)
 
     def _holds(self) -> Iterator[Hold]:
-        """Return what holds the string, in order."""
+        """What holds the string, in order."""
         previous: TautString | None = None
         for i, string in self._strings:
             if previous is not None:
@@ -222,7 +209,7 @@ class _GeodesicPath:
             previous = string
 
     def _ways_around(self, hold: Hold) -> list[Flip]:
-        """Return the flips over a vertex that would shorten the string."""
+        """The flips over a vertex that would shorten the string."""
         ring, total = self.star(hold.vertex)
         before, after = self.corridor[hold.first - 1], self.corridor[hold.last + 1]
         if not {*before, *after} <= {hold.vertex, *ring.neighbours}:
@@ -241,7 +228,7 @@ class _GeodesicPath:
             )
             angles = sorted(angle for angle, _ in sides)
             if len(sides) == 2 and angles[1] < math.pi - STRAIGHT and angles[1] - angles[0] <= TIE:
-                return []
+                return []  # both sides are equally short, as on the ridge of a symmetric shape
         return [
             Flip(
                 angle,
@@ -256,7 +243,7 @@ class _GeodesicPath:
         ]
 
     def star(self, vertex: int) -> tuple[Ring, float]:
-        """Return the ring of a vertex and its total angle (rad)."""
+        """The ring of a vertex and its total angle (rad)."""
         if vertex not in self._stars:
             ring = self.surface.ring(vertex)
             around = ring.neighbours + ring.neighbours[:1] * ring.closed
@@ -267,7 +254,7 @@ class _GeodesicPath:
 
 
 def _in_cell(end: SurfacePoint, support: Support) -> SurfacePoint:
-    """Return an end as a place in the cell to which it has been tied, if it has been."""
+    """An end as a place in the cell to which it has been tied, if it has been."""
     if not isinstance(end, EdgePoint) or len(support) != 3:
         return end
     weight = dict(zip(end.edge, (1.0 - end.fraction, end.fraction), strict=True))

@@ -31,50 +31,38 @@ class Bend:
     """A vertex of the strip that holds the string."""
 
     vertex: int  # its id
-    # first, last: the edges of the strip at the vertex, as a range of indices, both included
-    first: int
+    first: int  # first and last edge of the strip at the vertex
     last: int
-    # angle (rad) of the string at the vertex on the strip's side, pi or more; NaN where the string
-    # has an end at the vertex
-    angle: float
+    angle: float  # on the strip's side (rad), pi or more; NaN where the string ends there
 
 
 @dataclass(frozen=True)
 class TautString:
     """The shortest way through a strip."""
 
-    length: float  # its length
-    # where it crosses each edge (a, b), from a (0) to b (1), both included
-    fractions: tuple[float, ...] = ()
-    bends: tuple[Bend, ...] = ()  # the vertices that hold it, in order
-    # leaving, arriving: angles (rad) of its first (last) part to the edges at its first (last)
-    # point, by the edges' other ends; only of use where that point is a vertex
+    length: float
+    fractions: tuple[float, ...] = ()  # where it crosses each edge (a, b): 0 at a, 1 at b
+    bends: tuple[Bend, ...] = ()  # in order
+    # angles (rad) of its first and of its last part to the edges at its first and last point, by
+    # the edges' other ends; of use where that point is a vertex
     leaving: dict[int, float] = field(default_factory=dict)
     arriving: dict[int, float] = field(default_factory=dict)
 
 
-def pull_taut(
-    start: SurfacePoint, edges: Sequence[Edge], end: SurfacePoint, lengths: Lengths
-) -> TautString:
-    """Pull a string taut from one place of a surface to another. D. T. Lee and F. P. Preparata,
-    Euclidean shortest paths in the presence of rectilinear barriers, Networks 14 (1984)."""
-    return _through(start, edges, end, lengths) if edges else _direct(start, end, lengths)
-
-
 def corner_angle(at: int, b: int, c: int, lengths: Lengths) -> float:
-    """Return the angle (rad) of cell (at, b, c) at its first vertex."""
+    """Angle (rad) of cell (at, b, c) at its first vertex."""
     p, q, r = lengths[edge_of(at, b)], lengths[edge_of(at, c)], lengths[edge_of(b, c)]
     return math.atan2(_four_areas(p, q, r), p * p + (q - r) * (q + r))
 
 
 def _four_areas(p: float, q: float, r: float) -> float:
-    """Return four times the area of a triangle, by Kahan's formula; flat if the sides fail."""
+    """Four times the area of a triangle by Kahan's formula; 0 if the sides fail."""
     z, y, x = sorted((p, q, r))
     return math.sqrt(max(0.0, (x + (y + z)) * (z - (x - y)) * (z + (x - y)) * (x + (y - z))))
 
 
 def _apex(a: complex, b: complex, ab: float, ac: float, bc: float) -> complex:
-    """Return the third corner of a triangle with corners a, b: to the left from a to b."""
+    """Third corner of a triangle with corners a, b: to the left from a to b."""
     along = (ac - bc) * (ac + bc) / (2 * ab * ab)
     height = _four_areas(ab, ac, bc) / (2 * ab * ab)
     return (a + b) / 2 + (b - a) * complex(along, height)
@@ -85,20 +73,20 @@ def _cross(a: complex, b: complex) -> float:
 
 
 def _turns(a: complex, b: complex, sign: float) -> bool:
-    """Say whether b turns from a to one side (1 left, -1 right), or goes on as a does. It does
-    neither where it goes straight back, nor where one of the two is nothing."""
+    """Whether b turns from a to one side (1 left, -1 right) or goes on as a; not where it goes
+    straight back, nor where one of them is zero."""
     turn = a.conjugate() * b
     return sign * turn.imag > -TOUCHES * turn.real
 
 
 def _angle(a: complex, b: complex) -> float:
-    """Return the angle (rad) between two directions, from 0 to pi."""
+    """Angle (rad) between two directions, from 0 to pi."""
     turn = a.conjugate() * b
     return math.atan2(abs(turn.imag), turn.real)
 
 
 def _at(point: SurfacePoint, places: Mapping[int, complex]) -> complex:
-    """Return where a point is whose cell has been placed."""
+    """Where a point is whose cell has been placed."""
     if isinstance(point, EdgePoint):
         a, b = point.edge
         return (1.0 - point.fraction) * places[a] + point.fraction * places[b]
@@ -108,7 +96,7 @@ def _at(point: SurfacePoint, places: Mapping[int, complex]) -> complex:
 
 
 def _direct(start: SurfacePoint, end: SurfacePoint, lengths: Lengths) -> TautString:
-    """Return the string between two places of one cell or edge."""
+    """The string between two places of one cell or edge."""
     corners = sorted({*start.support, *end.support})
     a, b = corners[:2]
     ab = lengths[a, b]
@@ -124,21 +112,18 @@ def _direct(start: SurfacePoint, end: SurfacePoint, lengths: Lengths) -> TautStr
 
 
 class _Strip:
-    """A strip in the plane. Node 0 is the start, node -1 the end, the rest are its vertices.
-
-    Attributes: `at`: places of the nodes; `vertex`, `first`, `last`: ids of the nodes, and the
-    edges at them; `left`, `right`: nodes of the edges' left and right ends; `start_beyond`,
-    `end_beyond`: place of the vertex before the first (after the last) edge, with its id.
-    """
+    """A strip in the plane. Node 0 is the start, node -1 the end, the rest are its vertices."""
 
     def __init__(
         self, start: SurfacePoint, edges: Sequence[Edge], end: SurfacePoint, lengths: Lengths
     ) -> None:
         a, b = edges[0]
         ab = lengths[a, b]
-        self.at = [0j, complex(0, ab / 2), complex(0, -ab / 2)]
+        self.at = [0j, complex(0, ab / 2), complex(0, -ab / 2)]  # places of the nodes
+        # ids of the nodes, and the first and the last edge at each
         self.vertex, self.first, self.last = [-1, a, b], [-1, 0, 0], [-1, 0, 0]
-        self.left, self.right = [1], [2]
+        self.left, self.right = [1], [2]  # nodes at the ends of the edges
+        # id and place of the vertex before the first edge; `end_beyond`: after the last one
         self.start_beyond = self._beyond(start, 2, 1, lengths)
         self.at[0] = _at(start, dict([self.start_beyond, (a, self.at[1]), (b, self.at[2])]))
         left, right = 1, 2
@@ -170,7 +155,7 @@ class _Strip:
         return new, self._third(a, b, new, lengths)
 
     def nodes_of_string(self) -> list[int]:
-        """Return the nodes through which the string goes, both ends among them."""
+        """The nodes through which the string goes, both ends among them."""
         at = self.at
         parent = [0] * len(at)
         chains: tuple[deque[int], deque[int]] = (deque([1]), deque([2]))
@@ -203,10 +188,13 @@ class _Strip:
         return nodes[::-1]
 
 
-def _through(
+def pull_taut(
     start: SurfacePoint, edges: Sequence[Edge], end: SurfacePoint, lengths: Lengths
 ) -> TautString:
-    """Return the string through a strip of two cells or more."""
+    """The shortest string between two places through edges. D. T. Lee and F. P. Preparata,
+    Euclidean shortest paths in the presence of rectilinear barriers, Networks 14 (1984)."""
+    if not edges:
+        return _direct(start, end, lengths)
     strip = _Strip(start, edges, end, lengths)
     nodes = strip.nodes_of_string()
     touched = _touched(strip, nodes)
@@ -235,8 +223,8 @@ def _through(
 
 
 def _touched(strip: _Strip, nodes: list[int]) -> list[tuple[int, int]]:
-    """Return the first and the last edge that the string crosses at each of its nodes. These are
-    all edges at a bend, unless the string comes or goes along one of them."""
+    """The first and the last edge that the string crosses at each of its nodes: at a bend all edges
+    there, unless the string comes or goes along one of them."""
     touched = [(strip.first[n], strip.last[n]) for n in nodes[:-1]]
     touched.append((len(strip.left), len(strip.left)))
     for i in range(1, len(nodes) - 2):
@@ -250,7 +238,7 @@ def _touched(strip: _Strip, nodes: list[int]) -> list[tuple[int, int]]:
 def _fractions(
     strip: _Strip, edges: Sequence[Edge], nodes: list[int], touched: list[tuple[int, int]]
 ) -> tuple[float, ...]:
-    """Return where the string crosses the edges; in the middle of those that it runs along."""
+    """Where the string crosses the edges; in the middle of those that it runs along."""
     at, left, right = strip.at, strip.left, strip.right
     fractions = [math.nan] * len(edges)  # from left to right
     for (p, q), (before, after) in zip(pairwise(nodes), pairwise(touched), strict=True):
@@ -265,7 +253,7 @@ def _fractions(
 
 
 def _crossing(p: complex, q: complex, a: complex, b: complex) -> float:
-    """Return where a string from p to q crosses an edge, from a (0) to b (1)."""
+    """Where a string from p to q crosses an edge, from a (0) to b (1)."""
     string, edge = q - p, b - a
     across = _cross(string, edge)
     if abs(across) > TOUCHES * abs(string) * abs(edge):
@@ -276,15 +264,15 @@ def _crossing(p: complex, q: complex, a: complex, b: complex) -> float:
 
 
 def _towards(end: SurfacePoint, beyond: tuple[int, complex]) -> dict[int, complex]:
-    """Return, by vertices of an end's edge, a place that lies from there as the end does. However
-    near to the vertex the end is, even no more than rounding away."""
+    """By each vertex of an end's edge a place in the direction of the end, which may be no more
+    than rounding away."""
     if not isinstance(end, EdgePoint):
         return {}
     return {v: beyond[1] for v in end.edge if v != beyond[0]}
 
 
 def _turn(at: complex, places: list[complex]) -> float:
-    """Return the angle at a place from the first of others over all to the last."""
+    """Angle (rad) at a place from the first of other places over all to the last."""
     ways = [place - at for place in places]
     if min(abs(ways[0]), abs(ways[-1])) <= TOUCHES * max(map(abs, ways)):
         return math.nan

@@ -25,10 +25,7 @@ class Ring:
 
 
 class MissingCells(LookupError):  # noqa: N818 - no error: a request for data
-    """Some cells around these vertices are not known here: fetch them and call again.
-
-    Attributes: `vertices`: ids, ascending.
-    """
+    """Some cells around these vertices (ids) are not known here: fetch them and call again."""
 
     def __init__(self, vertices: Iterable[int]) -> None:
         self.vertices = tuple(sorted(set(vertices)))
@@ -39,25 +36,18 @@ class IntrinsicSurface(Protocol):
     """What `shorten` asks of a surface."""
 
     def length(self, edge: Edge) -> float:
-        """Return the length of an edge (a, b), a < b, through all fold points on it."""
+        """Length of an edge (a, b), a < b, through all fold points on it."""
 
     def opposite_vertices(self, edge: Edge) -> tuple[int, ...]:
-        """Return the vertices opposite to an edge (a, b), a < b, in any order. Two, one at the
-        boundary, none where the surface has no such edge. Those of cells that are not known may be
-        left out, except at edges of the path given."""
+        """Vertices opposite to an edge (a, b), a < b, in any order; those of cells that are not
+        known may be left out, except at edges of the path given."""
 
     def ring(self, vertex: int) -> Ring:
-        """Return the neighbours of a vertex in order.
-
-        Raises
-        ------
-        MissingCells
-            Not all cells around it are known.
-        """
+        """The neighbours of a vertex in order; raises `MissingCells` where some are not known."""
 
 
 def ring_of(vertex: int, link: Iterable[Edge]) -> Ring:
-    """Return the ring of a vertex from the sides opposite to it in its cells, in any order."""
+    """The ring of a vertex from the sides opposite to it in its cells, in any order."""
     beside: dict[int, list[int]] = {}
     for a, b in link:
         beside.setdefault(a, []).append(b)

@@ -1,45 +1,28 @@
-"""The path of a cable through typed points of the mesh: which cells and edges it goes through.
+"""The path of a cable over vertices and edges of the mesh; its two ends may lie inside cells.
 
-A cable is a polyline whose points lie on vertices and edges of the mesh, never strictly inside a
-cell, except its two ends. Vertices are named by their global ids, so a path means the same on
-every rank and survives a redistribution of the mesh. Everything here is combinatorics: no
-coordinates, no tolerances.
+Vertices are named by their global ids, so that a path means the same on every rank and survives a
+redistribution of the mesh.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from crms_fenicsx.meshes.triangles import lists
 from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.errors import PathError
-from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint
-
-
-@dataclass(frozen=True)
-class AlongEdge:
-    """A link of a path that follows an edge of the mesh, from vertex to vertex."""
-
-    edge: tuple[int, int]
-
-
-@dataclass(frozen=True)
-class AcrossCell:
-    """A link of a path through one cell's interior; `cell` is its row in the cells given."""
-
-    cell: int
-
-
-Link = AlongEdge | AcrossCell
+from crms_fenicsx.surface.corridor import cell_between
+from crms_fenicsx.surface.points import CellPoint, EdgePoint, Support, SurfacePoint, VertexPoint
 
 
 @dataclass(frozen=True)
 class Path:
-    """The way of a cable over the membrane, from one end to the other. Shapes and units:
-    start_anchor, end_anchor (3,) (length)."""
+    """The way of a cable over the membrane, with the places (length) of anchors off it."""
 
     points: tuple[SurfacePoint, ...]
     start_anchor: tuple[float, float, float] | None = None
@@ -64,8 +47,7 @@ class Path:
             object.__setattr__(self, name, position)
 
     def positions(self, vertices: Integers, points: Array) -> Array:
-        """Return where the path's points are, anchors left out. Shapes and units: vertices (n,),
-        points (n, 3) (length). Returns (len(points), 3) positions (length)."""
+        """Positions (k, 3) of the path's k points, from vertex ids (n,) and positions (n, 3)."""
         vertices, points = np.asarray(vertices), np.asarray(points)
         order = np.argsort(vertices, kind="stable")
         wanted = np.array([v for point in self.points for v in point.support])
@@ -81,13 +63,11 @@ class Path:
             result[i] = np.array(point.weights) @ corners
         return result
 
-    def links(self, cells: Integers) -> tuple[Link, ...]:
-        """Return the way from each point to the next, and check the whole path. Shapes: cells
-        (m, 3). Returns one `AlongEdge` (vertex to vertex) or `AcrossCell`
-        (through one cell's interior) for each pair of consecutive points."""
+    def links(self, cells: Integers) -> tuple[Support, ...]:
+        """Vertices of the edge or of the cell (m, 3) through which each point leads to the next."""
         surroundings = _Surroundings(cells, self.points)
-        links: list[Link] = []
-        for i, (a, b) in enumerate(zip(self.points, self.points[1:], strict=False)):
+        links: list[Support] = []
+        for i, (a, b) in enumerate(pairwise(self.points)):
             link = surroundings.link(a, b)
             if link is None:
                 raise PathError(f"a path cannot go from {a} to {b}: {_why_not(a, b)} (link {i})")
@@ -100,7 +80,7 @@ class Path:
 
 
 def _on_one_edge(a: SurfacePoint, b: SurfacePoint) -> bool:
-    """Say whether two points lie on one edge without both being vertices."""
+    """Whether two points lie on one edge without both being vertices."""
     both_vertices = isinstance(a, VertexPoint) and isinstance(b, VertexPoint)
     return not both_vertices and len({*a.support, *b.support}) == 2
 
@@ -119,44 +99,30 @@ class _Surroundings:
     def __init__(self, cells: ArrayLike, points: Sequence[SurfacePoint]) -> None:
         rows = np.asarray(cells, dtype=np.int64).reshape(-1, 3)
         support = np.array(sorted({v for point in points for v in point.support}), dtype=np.int64)
-        near = np.flatnonzero(np.isin(rows, support).sum(axis=1) >= 2)
-        self.cell: dict[tuple[int, ...], int] = {}
-        self.cells_at: dict[tuple[int, int], list[tuple[int, ...]]] = {}
-        for index in near:
-            a, b, c = sorted(int(v) for v in rows[index])
-            self.cell[a, b, c] = int(index)
-            for edge in ((a, b), (b, c), (a, c)):
-                self.cells_at.setdefault(edge, []).append((a, b, c))
+        near = rows[np.isin(rows, support).sum(axis=1) >= 2]
+        self.cells_at: dict[Support, list[tuple[int, int, int]]] = {}
+        for a, b, c in map(sorted, lists(near)):
+            for simplex in ((a, b), (b, c), (a, c), (a, b, c)):
+                self.cells_at.setdefault(simplex, []).append((a, b, c))
 
-    def link(self, a: SurfacePoint, b: SurfacePoint) -> Link | None:
-        """Return the way from a to b; None where there is none."""
-        both = tuple(sorted({*a.support, *b.support}))
-        if a == b or _on_one_edge(a, b):
-            return None
-        if len(both) == 2:
-            edge = (both[0], both[1])
-            return AlongEdge(edge) if edge in self.cells_at else None
-        return AcrossCell(self.cell[both]) if both in self.cell else None
+    def link(self, a: SurfacePoint, b: SurfacePoint) -> Support | None:
+        """Vertices of the edge or cell that leads from a to b; None where there is none."""
+        both = cell_between(a.support, b.support)
+        return both if both in self.cells_at and a != b and not _on_one_edge(a, b) else None
 
 
 def without_backtracking(
     points: Sequence[SurfacePoint], cells: Integers
 ) -> tuple[SurfacePoint, ...]:
-    """Return the points without the detours that a polyline makes at its corners. A cable that
-    enters a cell and leaves it through the edge it came from does not need that cell: its two
-    points on the edge go, and again where that leaves another such detour. An end inside an edge
-    that the cable then follows becomes a place in a cell next to that edge. Shapes: cells (m, 3).
-    Returns the points that are left, both ends among them; fewer than two where all cancels."""
+    """The points without those by which a polyline enters a cell and leaves it as it came; fewer
+    than two where all cancels."""
     kept = list(points)
     surroundings = _Surroundings(cells, kept)
     _cancel(kept, surroundings)
-    if len(kept) > 1 and _on_one_edge(kept[0], kept[1]):
-        _tie_ends_in_cells(kept, surroundings)
-        _cancel(kept, surroundings)
-    if len(kept) > 1 and _on_one_edge(kept[-2], kept[-1]):
-        kept.reverse()
-        _tie_ends_in_cells(kept, surroundings)
-        _cancel(kept, surroundings)
+    for _ in range(2):  # an end inside an edge that the cable then follows: from both ends
+        if len(kept) > 1 and _on_one_edge(kept[0], kept[1]):
+            _tie_ends_in_cells(kept, surroundings)
+            _cancel(kept, surroundings)
         kept.reverse()
     return tuple(kept)
 
@@ -173,7 +139,7 @@ def _cancel(kept: list[SurfacePoint], surroundings: _Surroundings) -> None:
 
 
 def _superfluous(kept: list[SurfacePoint], i: int, surroundings: _Surroundings) -> int | None:
-    """Return which of the points from i on can go, looking at three of them."""
+    """Number of the point that can go among the three from i on."""
     a, b, last = kept[i], kept[i + 1], len(kept) - 1
     if a == b:
         return i if i + 1 == last else i + 1
@@ -189,12 +155,12 @@ def _superfluous(kept: list[SurfacePoint], i: int, surroundings: _Surroundings) 
 
 
 def _tie_ends_in_cells(kept: list[SurfacePoint], surroundings: _Surroundings) -> None:
-    """Make the first point, in one edge with the second, a place in a cell of that edge."""
+    """Move the first point, in one edge with the second, into a cell of that edge."""
     edges = [point.edge for point in kept[:2] if isinstance(point, EdgePoint)]
     cells = sorted(surroundings.cells_at[edges[0]])
     if len(kept) > 2:  # a cell that the path goes on through would make it turn back
         onward = surroundings.link(kept[1], kept[2])
-        cells.sort(key=lambda cell: onward == AcrossCell(surroundings.cell[cell]))
+        cells.sort(key=lambda cell: onward == cell)
     for i, point in enumerate(kept[:2]):
         if isinstance(point, EdgePoint):
             a, b = point.edge

@@ -20,10 +20,15 @@ from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.runtime.errors import PathError, as_text
 from crms_fenicsx.surface.closest_point import Node, Place, TargetSurface, edge_count
 from crms_fenicsx.surface.feet import PAIRS, marked
-from crms_fenicsx.surface.points import CellPoint, EdgePoint, SurfacePoint, VertexPoint, edge_of
-
-# A fraction that rounding has put on a vertex, where the signs say that it is not, goes here.
-LEAST, MOST = float(np.finfo(float).tiny), float(1.0 - np.finfo(float).epsneg)
+from crms_fenicsx.surface.points import (
+    LEAST,
+    MOST,
+    CellPoint,
+    EdgePoint,
+    SurfacePoint,
+    VertexPoint,
+    edge_of,
+)
 
 FIRST, SECOND = np.array([0, 1, 2]), np.array([1, 2, 0])
 """The corners at the ends of a cell's sides."""
@@ -31,18 +36,16 @@ FIRST, SECOND = np.array([0, 1, 2]), np.array([1, 2, 0])
 
 @dataclass(frozen=True)
 class Plane:
-    """The plane of a leg, through both ends and the mean normal of the surface there. `ahead` and
-    `across`, unit vectors, lie across the mean normal, in the plane and athwart it; `length` is
-    that of the leg seen along the normal."""
+    """The plane of a leg, through both ends and the mean normal of the surface there."""
 
     origin: Array
-    ahead: Array
-    across: Array
-    length: float
+    ahead: Array  # unit vector in the plane, square to the mean normal
+    across: Array  # unit normal of the plane
+    length: float  # that of the leg seen along the mean normal
 
     @classmethod
     def of(cls, a: Array, b: Array, normal_a: Array, normal_b: Array) -> Plane:
-        """Return the plane through two points and the mean of two directions."""
+        """The plane through two points and the mean of two directions."""
         up, leg = normal_a + normal_b, b - a
         across = cross(up, leg / norm(leg))
         size = float(norm(across))
@@ -55,9 +58,15 @@ class Plane:
         ahead = np.asarray(cross(across, up) / norm(up), dtype=np.float64)
         return cls(a, ahead, across, float(dot(leg, ahead)))
 
-    def advances(self, points: Array) -> Array:
-        """Return how far (n,) along the leg (n, 3) points are, seen along its mean normal."""
-        return dot(points - self.origin, self.ahead)
+    @staticmethod
+    def arrays(planes: Sequence[Plane]) -> tuple[Array, Array, Array, Array]:
+        """Origins, directions ahead and across (n, 3), and lengths (n, 1) of n planes."""
+        return (
+            np.array([plane.origin for plane in planes]),
+            np.array([plane.ahead for plane in planes]),
+            np.array([plane.across for plane in planes]),
+            np.array([plane.length for plane in planes])[:, None],
+        )
 
 
 @dataclass(frozen=True)
@@ -76,10 +85,8 @@ class Cut:
 def strips(
     planes: Sequence[Plane], points: Array, cells: Integers, reach: float, margin: float
 ) -> tuple[Integers, Integers]:
-    """Find the cells that planes cross or pass within `reach`: planes and cells, (p,), ascending.
-    `reach` covers what the ends may be moved when they snap, and grows beyond the ends, where that
-    turns the plane farther away. Only cells that come nearer than `margin` to what lies between
-    both ends of the leg count. Rounding may add some cells that are a little farther away."""
+    """Pairs (p,), ascending, of planes and cells that they cross or pass within `reach`, by which
+    ends may be moved, no more than about `margin` beyond both ends of the leg."""
     none: Integers = np.zeros(0, dtype=np.int64)
     legs, rows = [none], [none]
     if not len(points):
@@ -89,12 +96,7 @@ def strips(
     rounding = 1e-12 * float(np.abs(x).max() + np.abs(middle).max())
     step = max(1, PAIRS // len(points))
     for first in range(0, len(planes), step):
-        some = planes[first : first + step]
-        origin, ahead, across = (
-            np.array([getattr(plane, name) for plane in some])
-            for name in ("origin", "ahead", "across")
-        )
-        length = np.array([plane.length for plane in some])[:, None]
+        origin, ahead, across, length = Plane.arrays(planes[first : first + step])
         offset = across @ x.T - dot(origin - middle, across)[:, None]
         advance = ahead @ x.T - dot(origin - middle, ahead)[:, None]
         near = np.abs(offset) <= _width(advance, length, reach) + rounding
@@ -109,13 +111,14 @@ def strips(
 
 
 def _width(advance: Array, length: Array, reach: float) -> Array:
-    """Return how far from the plane of a leg a cell counts as in its strip."""
+    """How far from the plane of a leg a cell counts as in its strip, more beyond the leg's ends,
+    where moving these turns the plane farther away."""
     beyond = np.maximum(np.maximum(-advance, advance - length), 0.0) / length
     return np.asarray(2.0 * reach * (1.0 + 2.0 * beyond))
 
 
 def _any(marks: Booleans, cells: Integers) -> Booleans:
-    """Say which cells have a corner that is marked, for each row of marks."""
+    """Which cells have a corner that is marked, for each row of marks."""
     return np.asarray(marks[:, cells[:, 0]] | marks[:, cells[:, 1]] | marks[:, cells[:, 2]])
 
 
@@ -126,19 +129,16 @@ def cuts(
     snap: float,
     margin: float = np.inf,
 ) -> list[Cut]:
-    """Cut the surface with the planes of legs; of their ends, those on vertices lie in them. Only
-    by as much as `margin` (length) beyond both ends."""
+    """Cut the surface with the planes of legs, which hold their ends on vertices, as far as
+    `margin` (length) beyond both ends."""
     if not planes:
         return []
     points, reach = surface.points, snap * surface.size
     leg, cell = strips(planes, points, surface.cells, reach, margin)
     corners = points[surface.cells[cell]]
-    origin, ahead, across = (
-        np.array([getattr(plane, name) for plane in planes])[leg][:, None]
-        for name in ("origin", "ahead", "across")
-    )
-    length = np.array([plane.length for plane in planes])[leg][:, None]
-    offset, advance = dot(corners - origin, across), dot(corners - origin, ahead)
+    origin, ahead, across, length = (values[leg] for values in Plane.arrays(planes))
+    away = corners - origin[:, None]
+    offset, advance = dot(away, across[:, None]), dot(away, ahead[:, None])
     near = np.abs(offset) <= _width(advance, length, reach) + 1e-14 * np.abs(points).max()
     positive = (offset > 0.0).sum(axis=1)
     within = ((-margin < advance) & (advance < length + margin)).any(axis=1)
@@ -157,7 +157,7 @@ def cuts(
 
 
 def _vertex(place: Place) -> int:
-    """Return the id of the vertex on which a place lies; -1 if it lies on none."""
+    """Id of the vertex on which a place lies; -1 if it lies on none."""
     return place.point.vertex if isinstance(place.point, VertexPoint) else -1
 
 
@@ -184,8 +184,8 @@ def _split(
 
 
 def _altitudes(advance: Array, offset: Array, triangles: Array) -> Array:
-    """Return the smallest altitudes (m,) of the projections of (m, 3, 3) triangles. A wall has
-    none: it counts with its true one, if it is not parallel to the plane."""
+    """Smallest altitudes (m,) of the projections of triangles (m, 3, 3); a wall, whose projection
+    has none, counts with its true one, if it is not parallel to the plane."""
     flat = np.zeros_like(triangles)
     flat[..., 0], flat[..., 1] = advance, offset
     wall = norm(double_areas(flat)) <= WALL * norm(double_areas(triangles))
@@ -206,8 +206,7 @@ FACING = float(np.sqrt(0.5))
 
 @dataclass(frozen=True)
 class Section:
-    """The section of a surface with a plane, as a graph of the points it meets. Units: points,
-    positions (length)."""
+    """The section of a surface with a plane, as a graph of the points it meets."""
 
     points: dict[Node, SurfacePoint]
     positions: dict[Node, Array]
@@ -231,7 +230,7 @@ class Section:
         self.arcs[a][b] = self.arcs[b][a] = length
 
     def put(self, point: SurfacePoint, position: Array, own: Node) -> Node:
-        """Return the node of a point, which is `own`, put in, where there is none yet."""
+        """The node of a point, which is `own`, put in, where there is none yet."""
         known = not isinstance(point, CellPoint) and point.support in self.points
         node = point.support if known else own
         self.points[node], self.positions[node] = point, position
@@ -250,8 +249,8 @@ class Section:
     def nearest(
         self, target: Array, surface: TargetSurface, snap: float
     ) -> tuple[SurfacePoint, Array] | None:
-        """Return the section's place nearest to a point of its plane; None if it is empty. It is a
-        node where it is as near to one as `snap` says."""
+        """The section's place nearest to a point of its plane, a node where one is as near as
+        `snap` says; None if the section is empty."""
         chords = sorted(
             (nodes[0], nodes[1], corners)
             for corners, nodes in self.cells.items()
@@ -279,10 +278,8 @@ class Section:
         return CellPoint((u, v, w), (x, y, z)), places[i]
 
     def gaps(self) -> dict[tuple[Node, Node], float]:
-        """Return the openings in the section, with their widths along the arc over them. An opening
-        is where the section ends at the boundary and would go on at another end of it that faces
-        it. The outside of a dome or of a hall is none: what lies below the ground turns away from
-        the membrane there."""
+        """Widths along the arc over each opening, where the section ends at the boundary and would
+        go on at another end that faces it, which the outside of a dome at the ground does not."""
         ends: list[Node] = []
         looks: list[Array] = []
         for node in sorted(self.rim):
@@ -302,7 +299,7 @@ class Section:
 
 
 def section_of(cut: Cut, name: str) -> Section:
-    """Return the section of a surface with a plane from the cells that this cuts."""
+    """The section of a surface with a plane from the cells that this cuts."""
     section = Section({}, {}, {}, {})
     points, arcs = section.points, section.arcs
     for row, ((u, v, w), meets) in enumerate(zip(cut.ids, cut.meets, strict=True)):
@@ -334,7 +331,7 @@ def section_of(cut: Cut, name: str) -> Section:
 def shortest(
     arcs: dict[Node, dict[Node, float]], start: Node
 ) -> tuple[dict[Node, float], dict[Node, Node]]:
-    """Return lengths from `start` to all that hangs together with it, and the node before."""
+    """Lengths from `start` to all nodes connected with it, and the node before each."""
     reached: dict[Node, float] = {}
     before: dict[Node, Node] = {}
     queue: list[tuple[float, Node, Node]] = [(0.0, start, start)]
@@ -351,7 +348,7 @@ def shortest(
 
 
 def way_back(before: dict[Node, Node], end: Node) -> list[Node]:
-    """Return the nodes from the start of the shortest ways to `end`."""
+    """The nodes from the start of the shortest ways to `end`."""
     nodes = [end]
     while before[nodes[-1]] != nodes[-1]:
         nodes.append(before[nodes[-1]])

@@ -18,7 +18,7 @@ has put there."""
 
 
 def edge_of(a: int, b: int) -> Edge:
-    """Return the edge of two vertices, the smaller one first."""
+    """The edge of two vertices, the smaller one first."""
     return (a, b) if a < b else (b, a)
 
 
@@ -49,7 +49,7 @@ class VertexPoint:
 
 @dataclass(frozen=True)
 class EdgePoint:
-    """A point of a path strictly inside an edge of the mesh. Shapes: edge (a, b)."""
+    """A point of a path strictly inside an edge of the mesh."""
 
     edge: tuple[int, int]
     fraction: float
@@ -82,7 +82,7 @@ class EdgePoint:
 
 @dataclass(frozen=True)
 class CellPoint:
-    """An end of a cable that is tied to the membrane inside a cell. Shapes: weights (3,)."""
+    """An end of a cable that is tied to the membrane inside a cell."""
 
     cell: tuple[int, int, int]
     weights: tuple[float, float, float]

@@ -21,8 +21,8 @@ class Polygons(NamedTuple):
 
 
 def fan_facets(starts: Integers, corners: Integers) -> tuple[Indices, Array]:
-    """Facets (n, 3) of the mean over the fans from every corner of polygons, with weights (n,). The
-    polygons' corners are in CSR form."""
+    """Facets (n, 3) of the mean over the fans from every corner of polygons in CSR form, with
+    weights (n,)."""
     sizes = np.diff(starts)
     numbers: list[Integers] = []
     facets: list[Indices] = [np.zeros((0, 3), dtype=np.int32)]
@@ -59,7 +59,7 @@ def _fans(n: int) -> dict[tuple[int, int, int], float]:
 def split_polygons(
     rims: tuple[Integers, Integers], chords_of: Integers, chords: tuple[Integers, Integers]
 ) -> Polygons:
-    """Cut cells along chords. Shapes: chords_of (n + 1,)."""
+    """Cut cells, by their rims, along chords; cell c has those from `chords_of[c]` on."""
     n, starts, corners, cell = _split_polygons(*rims, chords_of, *chords)
     return Polygons(starts[: n + 1], corners[: starts[n]], cell[:n])
 
@@ -105,9 +105,8 @@ def _place(corners, begin, end, point):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _split(starts, corners, first, n, points, begin, end, part):  # type: ignore[no-untyped-def]
-    """Cut the one of the polygons `first` ... n - 1 that holds both ends of a line along it. The
-    line has the points from `begin` to `end`; `part` is for use in here. Returns whether there is
-    such a polygon, and so one more now."""
+    """Cut the polygon among `first` ... n - 1 that holds both ends of the line of the points from
+    `begin` to `end`, with `part` as workspace; return whether there is one."""
     inner = end - begin - 1
     for m in range(first, n):
         start, stop = starts[m], starts[m + 1]
@@ -147,8 +146,8 @@ def _split(starts, corners, first, n, points, begin, end, part):  # type: ignore
 
 
 def best_fan(points: Array, corners: list[int]) -> Integers:
-    """Triangles of a polygon, all from the corner whose smallest triangle is largest, (n, 3). A fan
-    from a corner whose neighbour lies on a straight side has a triangle without area."""
+    """Triangles (n, 3) of a polygon, all from the corner whose smallest triangle is largest."""
+    # a fan from a corner whose neighbour lies on a straight side has a triangle without area
     rings = [corners[k:] + corners[:k] for k in range(len(corners))]
     fans = np.array(
         [[(r[0], r[i], r[i + 1]) for i in range(1, len(r) - 1)] for r in rings], dtype=np.int64

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from contextlib import suppress
 from itertools import pairwise
 from types import MappingProxyType
-from typing import NoReturn
 
 import numpy as np
 from mpi4py import MPI
@@ -77,10 +76,8 @@ def near_section(
     comm: MPI.Intracomm | None = None,
     along_legs: bool = False,
 ) -> Booleans:
-    """Mark the cells that `trace` needs: it finds the same path on them as on the whole mesh.
-    Shapes and units: points (n, 3) (length), cells (m, 3). Returns (m,) mask. A strip along every
-    leg's plane, across the whole mesh or along the leg, and the cells nearest to each route point.
-    From what may be an anchor it is always the whole mesh."""
+    """Mask (m,) of the cells on which `trace` finds the same path as on the whole mesh, or as on
+    all cells along the legs that have no anchor."""
     course = checked_route(route, snap)
     x = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     rows = np.asarray(cells, dtype=np.int64).reshape(-1, 3)
@@ -131,7 +128,7 @@ def near_section(
 
 
 def _in_reach(centre: Array, radius: Array, targets: Array, reach: Array) -> Integers:
-    """Return the cells, given by balls around them, that may come within reach of some target."""
+    """The cells, given by balls around them, that may come within reach of some target."""
     target, cell = pairs_within(centre, targets, reach + radius.max(initial=0.0))
     near = norm(centre[cell] - targets[target]) - radius[cell] <= reach[target]
     return cell[near]
@@ -151,11 +148,8 @@ def trace(
     known: Mapping[int, SurfacePoint] = MappingProxyType({}),
     along_legs: bool = False,
 ) -> Path:
-    """Return the path that a cable takes over the surface along a route. Shapes and units: vertices
-    (n,), points (n, 3) (length), cells (m, 3), route (k, 3). Returns a valid path, which passes
-    every point of the route on the surface, in order. Corners of the route that lie inside cells
-    are cut off: the points where it enters and leaves such a cell are linked, or cancel where it
-    leaves as it came; by no more than a cell's size."""
+    """The path that a cable takes over a surface along a route (k, 2) or (k, 3), whose corners
+    inside cells are cut off by no more than a cell's size."""
     surface = TargetSurface.checked(vertices, points, cells)
     course = checked_route(route, snap)
     if course.shape[1] == 2:
@@ -180,11 +174,7 @@ def trace(
             f"back on itself until nothing is left (near {as_text(places[0].position)}); "
             "move its points apart"
         )
-    path = Path(
-        kept,
-        start_anchor=places[0].anchor,
-        end_anchor=places[-1].anchor,
-    )
+    path = Path(kept, start_anchor=places[0].anchor, end_anchor=places[-1].anchor)
     path.links(surface.ids[surface.cells])
     _refuse_shortcuts(surface, path, course, places)
     return path
@@ -193,10 +183,9 @@ def trace(
 def _refuse_shortcuts(
     surface: TargetSurface, path: Path, course: Array, places: list[Place]
 ) -> None:
-    """Refuse a path that does not pass the route's places in order, within the size of their cells.
-    A route that comes back through the cells that it went out by cannot be held by their edges:
-    both ways cancel, which is right at a corner inside a cell, but not of a whole part of a
-    route."""
+    """Refuse a path that does not pass the route's places in order, within a cell's size."""
+    # A route that comes back through the cells that it went out by cannot be held by their edges:
+    # both ways cancel, which is right at a corner inside a cell, but not of a part of a route.
     x = path.positions(surface.ids, surface.points)
     start, side = x[:-1], np.diff(x, axis=0)
     square = np.maximum(dot(side, side), 1e-300)
@@ -231,8 +220,9 @@ def _leg_points(
             " move them apart"
         )
     for anchor, other in ((first, last), (last, first)):
-        if other.point is not None and anchor.is_straight_over(other.position, snap):
-            return [other.point]
+        if other.point is not None and anchor.foot is not None:
+            if norm(anchor.foot.position - other.position) <= snap * anchor.foot.size:
+                return [other.point]  # straight below the anchor
     plane = Plane.of(first.position, last.position, first.normal, last.normal)
     section = section_of(cuts(surface, [plane], [(first, last)], snap)[0], name)
     gaps = section.gaps()
@@ -242,7 +232,9 @@ def _leg_points(
         points = [section.points[node] for node in dict.fromkeys((start, end))]
         if surface.in_one_cell(points):
             return points
-    advance = {node: float(plane.advances(x)) for node, x in section.positions.items()}
+    advance = {
+        node: float(dot(x - plane.origin, plane.ahead)) for node, x in section.positions.items()
+    }
     if start is None or end is None:
         # seen from an anchor, only what lies between the leg's ends
         seen = sorted(
@@ -260,7 +252,13 @@ def _leg_points(
         end = seen[-1][1] if end is None else end
     reached, before = shortest(section.arcs, start)
     if end not in reached:
-        _raise_leaves(section, reached, start, advance, name)
+        exits = [node for node in reached if node in section.rim and node != start] or list(reached)
+        node = max(exits, key=lambda node: (advance[node], node))
+        raise PathError(
+            f"{name} leaves the membrane at {as_text(section.positions[node])} "
+            f"({section.points[node]}) before its end; lead the route around, through points on "
+            "the membrane"
+        )
     _refuse_detour(section, gaps, start, end, reached[end], name)
     return [section.points[node] for node in way_back(before, end)]
 
@@ -292,9 +290,9 @@ def _direct_ways(
 def _direct_way(
     surface: TargetSurface, plane: Plane, first: Place, last: Place, cut: Cut
 ) -> list[SurfacePoint] | None:
-    """Return the points of a leg that goes straight on, found in the cells around it alone. None
-    unless it is the shortest way on the whole surface: one that leaves these cells is longer than
-    the leg by twice a cell's size, and one over an opening is no shorter than straight on."""
+    """Points of a leg that is the shortest way on the whole surface, from the cells around it."""
+    # A way that leaves these cells is longer than the leg by twice a cell's size, and one over an
+    # opening is no shorter than straight on.
     assert first.point is not None and last.point is not None
     try:
         section = section_of(cut, "a leg")
@@ -325,21 +323,6 @@ def _end_node(
     # anchor shall hang over the path
     found = section.nearest(place.position, surface, snap)
     return None if found is None else section.put(*found, own)
-
-
-def _raise_leaves(
-    section: Section,
-    reached: dict[Node, float],
-    start: Node,
-    advance: dict[Node, float],
-    name: str,
-) -> NoReturn:
-    exits = [node for node in reached if node in section.rim and node != start] or list(reached)
-    node = max(exits, key=lambda node: (advance[node], node))
-    raise PathError(
-        f"{name} leaves the membrane at {as_text(section.positions[node])} ({section.points[node]})"
-        " before its end; lead the route around, through points on the membrane"
-    )
 
 
 def _refuse_detour(

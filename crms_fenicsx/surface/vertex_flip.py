@@ -27,13 +27,10 @@ class OtherSide:
 def other_side(
     supports: Corridor, surface: IntrinsicSurface, vertex: int, upward: bool | None = None
 ) -> OtherSide | None:
-    """Lead a corridor around the other side of a vertex. Returns None if no cable could follow
-    it."""
+    """Lead a corridor around the other side of a vertex; None if no cable could follow it."""
     run = [i for i, s in enumerate(supports) if vertex in s and len(s) < 3]
     inner = [i for i in run if 0 < i < len(supports) - 1]
-    visits = [i for i in inner if len(supports[i]) == 1]
-    if visits:
-        inner = visits
+    inner = [i for i in inner if len(supports[i]) == 1] or inner  # visits alone, if there are any
     if not inner or inner != list(range(inner[0], inner[-1] + 1)):
         return None
     first, last = inner[0], inner[-1]
@@ -71,11 +68,11 @@ class EdgeLengths(dict[Edge, float]):
 
 
 class Arcs:
-    """The two ways around a vertex from one support next to it to another. Places around the ring
-    are numbered: 2 i at neighbour i, 2 i + 1 in the cell between the neighbours i and i + 1. `up`
-    goes with the numbers, `down` against them; None stands for a way outside the surface."""
+    """The two ways around a vertex from one support next to it to another; None is one outside."""
 
     def __init__(self, vertex: int, ring: Ring, a: Support, b: Support) -> None:
+        # Places around the ring are numbered: 2 i at neighbour i, 2 i + 1 in the cell between the
+        # neighbours i and i + 1. `up` goes with the numbers, `down` against them.
         self.vertex, self.ring = vertex, ring
         p, q = self._place(a), self._place(b)
         self.reversed = not ring.closed and p > q
@@ -107,7 +104,7 @@ class Arcs:
     def angle(
         self, lengths: EdgeLengths, arriving: dict[int, float], leaving: dict[int, float]
     ) -> float:
-        """Return the angle of the one way inside the surface, or of that up (rad)."""
+        """Angle (rad) of the one way inside the surface, or of that up."""
         p, q = self._ends
         neighbours = self.ring.neighbours
         n = len(neighbours)
@@ -165,7 +162,7 @@ class Flip:
 
 
 def ordered(flips: Sequence[Flip], middle: int) -> list[Flip]:
-    """Order by angle; equal ones from the middle of the path to its ends."""
+    """Flips by their angles; equal ones from the middle of the path to its ends."""
     flips = sorted(flips, key=lambda flip: (flip.angle, flip.first))
     rank = dict.fromkeys(range(len(flips)), 0)
     for i in range(1, len(flips)):
@@ -176,8 +173,7 @@ def ordered(flips: Sequence[Flip], middle: int) -> list[Flip]:
 
 
 def compatible(flips: Sequence[Flip]) -> list[Flip]:
-    """Return the first flip and those that turn nearly as sharply and share no cell with it. Nor
-    with each other."""
+    """The first flip and those that turn nearly as sharply, no two of which share a cell."""
     chosen: list[Flip] = []
     least = TOGETHER * (math.pi - flips[0].angle) - TIE if flips else 0.0
     busy: set[int] = set()
