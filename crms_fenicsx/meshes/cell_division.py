@@ -91,19 +91,13 @@ def refine(
         onto = mesh.project if project is None else _checked(project)
     bisected = None if chosen is None else _bisected(mesh, chosen)
     surface, ranks = gathered(mesh)
-    none = np.zeros((0, 3), dtype=np.int64)
-    finer, division = EMPTY, Division(none[:, 0], none)
+    finer, m = EMPTY, len(surface.cells)
+    division = Division(np.repeat(np.arange(m), 4), np.tile(QUARTERS, (m, 1)))
     with raised_together(mesh.comm):
         if mesh.comm.rank == 0:
-            division = _quarters(surface) if bisected is None else _fitted(surface, *bisected)
+            division = division if bisected is None else _fitted(surface, *bisected)
             finer = _divided(surface, division, onto)
     return shared_out(mesh.comm, finer, ranks[division.parents], onto)
-
-
-def _quarters(surface: CheckedSurface) -> Division:
-    """All cells divided into four."""
-    m = len(surface.cells)
-    return Division(np.repeat(np.arange(m), 4), np.tile(QUARTERS, (m, 1)))
 
 
 def _fitted(surface: CheckedSurface, parents: Integers, places: Array) -> Division:
@@ -121,9 +115,10 @@ def _fitted(surface: CheckedSurface, parents: Integers, places: Array) -> Divisi
 
 
 def _bisected(mesh: MembraneMesh, marked: Indices) -> tuple[Integers, Array]:
-    """The finer cells' parents (k,) and the places of their corners (k, 3, 3). Collective. They are
-    all on rank 0, in any order; elsewhere there are none. Of sides that are equally long DOLFINx
-    takes the first in the cell's own order, which is the same on any number of ranks."""
+    """The finer cells' parents (k,) and the places of their corners (k, 3, 3), in any order, all on
+    rank 0. Collective."""
+    # Of sides that are equally long DOLFINx takes the first in the cell's own order, which is the
+    # same on any number of ranks.
     topology, comm = mesh.mesh.topology, mesh.comm
     edges = compute_incident_entities(topology, marked, 2, 1)
     finer, parents, _ = bisect(
@@ -160,7 +155,7 @@ def _checked_cells(mesh: MembraneMesh, cells: ArrayLike) -> Indices:
 
 
 def _checked(project: Callable[[Array], Array]) -> Projection:
-    """The user's function, of which all is checked that can be."""
+    """The user's function, with its values checked."""
     if not callable(project):
         raise InputError(
             f"project = {project!r} is no function; give one of points (3, n) that returns those "
@@ -227,6 +222,6 @@ def _divided(
         {name: parts(keys) for name, keys in surface.edges.items()},
         {name: children(members) for name, members in surface.parts.items()},
         surface.point_groups,
-        np.stack(EdgeTable.of(cells).seam_sides(), axis=1) // 3,
+        EdgeTable.of(cells).seam_links(),
         children(surface.hidden),
     )

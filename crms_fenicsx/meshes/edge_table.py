@@ -41,35 +41,21 @@ class EdgeTable:
         vertices = np.sort(sides[order[start]], axis=1)
         return cls(keys, vertices, counts, sides[:, 0] < sides[:, 1], order)
 
-    def inner_sides(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the two sides of every edge between two cells."""
-        return self._chained(self.counts == 2)
-
-    def joined_sides(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return pairs of sides that link all cells of every edge between two cells or more."""
-        return self._chained(self.counts >= 2)
-
-    def seam_sides(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return pairs of sides that link all cells of every seam, an edge of three or more."""
-        return self._chained(self.counts > 2)
-
-    def _chained(self, edges: Booleans) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return each side on the edges marked but the last one of its edge, and the next side."""
+    def linked_sides(self, edges: Booleans) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Pairs of sides that link all cells at each of the edges marked (e,)."""
         before_last = np.repeat(edges, self.counts)
         before_last[np.cumsum(self.counts) - 1] = False
         at = np.flatnonzero(before_last)
         return self.order[at], self.order[at + 1]
 
-    def boundary(self) -> Integers:
-        """Return the vertex pairs of the edges with one cell, shape (k, 2)."""
-        pairs: Integers = self.vertices[self.counts == 1]
-        return pairs
+    def seam_links(self) -> Integers:
+        """Pairs of cells (k, 2) that link all cells of every seam, an edge of three or more."""
+        return np.stack(self.linked_sides(self.counts > 2), axis=1) // 3
 
 
 def hidden_cells(points: Array, cells: Integers, piece: Integers) -> Integers:
-    """Find the cells of pieces that no cable can reach over a seam. Shapes: points (n, 3), cells
-    (m, 3), piece (m,). Returns indices of the cells, sorted, shape (k,): those of each piece that
-    at some seam bounds no sector which is outside of both cells around it."""
+    """Indices, sorted, of the cells of those of the pieces (m,) that no cable can reach over some
+    seam, as they bound no sector there that is outside of both cells around it."""
     table = EdgeTable.of(cells)
     on_seam = np.repeat(table.counts > 2, table.counts)
     sides = table.order[on_seam]

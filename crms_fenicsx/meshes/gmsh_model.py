@@ -43,16 +43,14 @@ def imported(package: str) -> Any:
 
 @contextmanager
 def own_model(*, quiet_only: bool = False) -> Iterator[Any]:
-    """Enter a new, empty gmsh model and yield the gmsh module. A session that the user has started
-    goes on afterwards with the user's model and options; otherwise gmsh is finalised again."""
+    """Enter a new, empty gmsh model and yield the gmsh module; afterwards a session of the user
+    goes on with its own model and options, and without one gmsh is finalised."""
     gmsh = imported("gmsh")
     started = not gmsh.isInitialized()
     if started:
         # not interruptible: that would replace Python's handler of Ctrl-C
         gmsh.initialize(argv=[], readConfigFiles=False, interruptible=False)
-        previous = ""
-    else:
-        previous = gmsh.model.getCurrent()
+    previous = gmsh.model.getCurrent()
     names = ["General.Terminal"] if quiet_only else list(_OPTIONS)
     saved = {name: gmsh.option.getNumber(name) for name in names}
     try:
@@ -73,7 +71,7 @@ def own_model(*, quiet_only: bool = False) -> Iterator[Any]:
 
 
 def mesh_with_sizes(gmsh: Any, target: Callable[[Array], float]) -> None:
-    """Mesh the surfaces of the current model. Shapes: target (3,)."""
+    """Mesh the surfaces of the current model with the edge lengths `target` at places (3,)."""
 
     def size_at(dim: int, tag: int, x: float, y: float, z: float, lc: float) -> float:
         return target(np.array([x, y, z]))
@@ -83,14 +81,13 @@ def mesh_with_sizes(gmsh: Any, target: Callable[[Array], float]) -> None:
 
 
 def read_model(gmsh: Any) -> SurfaceArrays:
-    """Read the triangles and the physical groups of the current model. Nodes that are the corner of
-    no triangle, such as the centres of circles, are left out. A triangle that is there several
-    times is taken once: .msh files of version 2 repeat it for each of its physical groups."""
+    """The triangles and the physical groups of the current model."""
     return surface_of_model(gmsh_arrays(gmsh))
 
 
 def surface_of_model(model: dict[str, Any]) -> SurfaceArrays:
-    """Take triangles and groups out of what `reader_process.gmsh_arrays` has of a model."""
+    """The triangles and groups among the arrays that `reader_process.gmsh_arrays` gives; nodes of
+    no triangle, such as the centres of circles, are left out."""
     for kind in model["kinds"]:
         if kind != _TRIANGLE:
             raise MeshError(
@@ -109,6 +106,8 @@ def surface_of_model(model: dict[str, Any]) -> SurfaceArrays:
     rows = order[_found(model["nodes"][order].astype(np.int64), used, "there is a triangle with")]
     tag_order = np.argsort(tags)
     sorted_tags = tags[tag_order].astype(np.int64)
+    # .msh files of version 2 repeat a triangle for each of its physical groups
+    # .msh files of version 2 repeat a triangle for each of its physical groups
     cells, cell_of_element = _without_repetitions(cells.reshape(-1, 3))
     groups: tuple[Groups, Groups, Groups] = ({}, {}, {})
     for k, (name, dimension) in enumerate(zip(model["names"], model["dimensions"], strict=True)):
@@ -126,10 +125,8 @@ def surface_of_model(model: dict[str, Any]) -> SurfaceArrays:
     return SurfaceArrays(model["coordinates"].reshape(-1, 3)[rows], cells, edges, parts, points)
 
 
-def _without_repetitions(
-    triangles: Integers,
-) -> tuple[Integers, Integers]:
-    """Return the different triangles, in the order given, and the place of each one there."""
+def _without_repetitions(triangles: Integers) -> tuple[Integers, Integers]:
+    """The different triangles, in the order given, and the place of each one there."""
     corners = np.sort(triangles, axis=1)
     order = np.lexsort(corners.T)
     is_new = np.ones(len(triangles), dtype=bool)

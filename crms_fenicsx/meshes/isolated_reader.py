@@ -31,8 +31,7 @@ SCRUBBED = ("OMPI_", "PMIX_", "PRTE_", "PMI_", "MPI_", "HYDRA_", "SLURM_")
 
 
 def read_isolated(file: Path, reader: Literal["gmsh", "meshio"]) -> dict[str, Any]:
-    """Read a file in a process of its own, with limits of memory and time. Not collective. Returns
-    arrays and lists of numbers and texts; see `reader_process`."""
+    """Arrays and lists of numbers and texts that `reader_process` reads from a file."""
     size = file.stat().st_size
     if size > LARGEST:
         raise MeshError(

@@ -183,11 +183,7 @@ def distributed(
     outside: Outside = UPWARD,
     ranks: Ranks | None = None,
 ) -> MembraneMesh:
-    """Let rank 0 build a surface, check and orient it, then distribute it.
-
-    `build` is called on rank 0 only and must not communicate; what it raises is raised on all
-    ranks.
-    """
+    """Let rank 0 build a surface without communication, check and orient it, then distribute it."""
     surface, given, project = EMPTY, None, None
     with raised_together(comm):
         if comm.rank == 0:
@@ -237,8 +233,7 @@ def mesh_generator(shape: Callable[P, SurfaceArrays]) -> Callable[P, MembraneMes
 
 
 def moved(mesh: MembraneMesh, V: Any, places: Array) -> MembraneMesh:
-    """Return the same cells and groups on the same ranks, with the vertices elsewhere. Collective.
-    Shapes and units: places (n, 3) (length)."""
+    """A mesh with its vertices at other places (n, 3), by the degrees of freedom of `V`."""
     nodes: Array = np.zeros((len(mesh.mesh.geometry.x), 3))
     nodes[geometry_dofmap(mesh.mesh)] = places[V.dofmap.list]
     return dataclasses.replace(mesh, mesh=with_nodes(mesh.mesh, nodes))
@@ -247,9 +242,9 @@ def moved(mesh: MembraneMesh, V: Any, places: Array) -> MembraneMesh:
 def copied(mesh: MembraneMesh, comm: MPI.Intracomm) -> MembraneMesh:
     """The same mesh on a part of its ranks, shared out anew. Collective on all of its ranks."""
     surface, _ = gathered(mesh)
-    links = np.stack(EdgeTable.of(surface.cells).seam_sides(), axis=1) // 3
+    surface = dataclasses.replace(surface, seam_links=EdgeTable.of(surface.cells).seam_links())
     everywhere = mesh.comm.allreduce(mesh.project is not None, op=MPI.LAND)  # a user's function
-    sent = dataclasses.replace(surface, seam_links=links), None if everywhere else mesh.project
+    sent = surface, None if everywhere else mesh.project
     roots = mesh.comm.allgather(comm.rank == 0)
     if mesh.comm.rank == 0:
         for rank in np.flatnonzero(roots[1:]) + 1:
@@ -314,9 +309,9 @@ def gathered(mesh: MembraneMesh) -> tuple[CheckedSurface, Indices]:
 def _local_groups(
     comm: MPI.Intracomm, keys: Integers, groups: Mapping[str, Integers]
 ) -> Mapping[str, Indices]:
-    """Find each rank's members of the groups that rank 0 knows, by the keys of its entities. Rank 0
-    looks up the keys of one rank after the other, so that no other rank ever holds a whole group,
-    and ghosts need no further communication."""
+    """Each rank's members of the groups that rank 0 knows, by the keys of its entities."""
+    # Rank 0 looks up the keys of one rank after the other, so that no other rank ever holds a whole
+    # group, and ghosts need no further communication.
     asked = comm.gather(keys, root=0)
     answers = None
     if asked is not None:
@@ -334,8 +329,8 @@ def _local_groups(
 
 
 def outer_first(mesh: MembraneMesh, call: str, what: str, names: Iterable[object]) -> list[str]:
-    """Order parts so that one inside another comes after it: its cells count to the inner one.
-    Collective when a mesh is first asked, which making its scene does."""
+    """Parts in an order where one inside another, to which its cells count, comes after it.
+    Collective when a mesh is first asked, as in making its scene."""
     given = sorted(names, key=repr)
     for part in given:
         if part not in mesh.parts:

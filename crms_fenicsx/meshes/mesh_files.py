@@ -118,13 +118,16 @@ def from_file(
         if suffix == ".geo":
             return _read_script(file)
         if suffix == ".msh":
-            return _read_msh(file)
+            _refuse_script(file)
+            model = read_isolated(file, "gmsh")
+            return _named(file, lambda: surface_of_model(model))
         if suffix not in SUFFIXES:
             raise MeshError(
                 f"'{file}' has the suffix '{suffix}': convert it to one of .geo, .msh, "
                 f"{', '.join(SUFFIXES)}"
             )
-        return _read_by_meshio(file)
+        content = read_isolated(file, "meshio")
+        return _named(file, lambda: _surface_of(content))
 
     return distributed(comm, build, outside, ranks)
 
@@ -147,21 +150,14 @@ def _read_script(file: Path) -> SurfaceArrays:
         return _named(file, lambda: read_model(gmsh))
 
 
-def _read_msh(file: Path) -> SurfaceArrays:
+def _refuse_script(file: Path) -> None:
+    """Refuse a .msh file that is no mesh: gmsh would take it for a script, and run it."""
     with readable(f"'{file}'", "check the path and your rights"), file.open("rb") as stream:
-        # gmsh would take anything else for a script, and run it
         if not stream.read(64).startswith(b"$MeshFormat"):
             raise MeshError(
                 f"'{file}' is no gmsh mesh, it does not begin with $MeshFormat: save it again "
                 "with gmsh"
             )
-    arrays = read_isolated(file, "gmsh")
-    return _named(file, lambda: surface_of_model(arrays))
-
-
-def _read_by_meshio(file: Path) -> SurfaceArrays:
-    content = read_isolated(file, "meshio")
-    return _named(file, lambda: _surface_of(content))
 
 
 def _named(file: Path, read: Callable[[], SurfaceArrays]) -> SurfaceArrays:
@@ -173,7 +169,7 @@ def _named(file: Path, read: Callable[[], SurfaceArrays]) -> SurfaceArrays:
 
 
 def _surface_of(content: dict[str, Any]) -> SurfaceArrays:
-    """Take the triangles and the groups out of what meshio has read."""
+    """The triangles and the groups among the arrays that meshio has read."""
     types: list[str] = content["types"]
     for kind in types:
         if kind not in ("vertex", "line", "triangle", "tetra"):
@@ -193,13 +189,9 @@ def _surface_of(content: dict[str, Any]) -> SurfaceArrays:
             f"{len(given)} points"
         )
     groups: dict[str, dict[str, list[Integers]]] = {kind: {} for kind in SIZES}
-    first = 0  # number of the block's first triangle
-    entities: dict[int, Integers] = {}
-    for k, rows in blocks.items():
-        entities[k] = rows
-        if types[k] == "triangle":
-            entities[k] = np.arange(first, first + len(rows))
-            first += len(rows)
+    numbers = np.split(np.arange(cells.size // 3), np.cumsum([len(rows) for rows in triangles]))
+    of_triangles = [k for k in blocks if types[k] == "triangle"]
+    entities = blocks | dict(zip(of_triangles, numbers, strict=False))
     for k, (name, block) in enumerate(zip(content["names"], content["blocks"], strict=True)):
         members = content[f"members {k}"].ravel()
         if block < 0:
@@ -225,12 +217,11 @@ def _rows(cells: NDArray[Any], corners: int, kind: str) -> Integers:
 
 
 def _whole(numbers: NDArray[Any], what: str) -> Integers:
-    if numbers.dtype.kind not in "iu" and not np.all(np.abs(numbers) < 2**53):
-        raise MeshError(f"{what}: there are numbers that are no indices")
-    whole = numbers.astype(np.int64)
-    if not np.array_equal(whole, numbers):
-        raise MeshError(f"{what}: there are numbers that are no indices")
-    return whole
+    if numbers.dtype.kind in "iu" or np.all(np.abs(numbers) < 2**53):
+        whole = numbers.astype(np.int64)
+        if np.array_equal(whole, numbers):
+            return whole
+    raise MeshError(f"{what}: there are numbers that are no indices")
 
 
 def _chosen(entities: Integers, members: NDArray[Any], name: str) -> Integers:

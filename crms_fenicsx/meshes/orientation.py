@@ -56,15 +56,11 @@ def oriented(
     outside: Outside,
     parts: Mapping[str, Integers],
 ) -> tuple[Integers, Integers]:
-    """Turn cells so that all normals point outside.
-
-    Each cell is two nodes of a graph, "as given" (index c) and "turned" (index m + c). An inner
-    edge links the nodes of its two cells that agree; a seam of three or more links none. A piece
-    that can be oriented falls into two components, one for each of its sides. Shapes: points (n,
-    3), cells (m, 3). Returns cells: shape (m, 3); the second and third vertex of turned ones are
-    swapped; piece: number of each cell's piece, shape (m,).
-    """
-    first, second = table.inner_sides()
+    """The cells (m, 3), turned so that all normals point outside, and the piece (m,) of each."""
+    # Each cell is two nodes of a graph, "as given" (index c) and "turned" (index m + c). An inner
+    # edge links the nodes of its two cells that agree; a seam of three or more links none. A piece
+    # that can be oriented falls into two components, one for each of its sides.
+    first, second = table.linked_sides(table.counts == 2)
     turned = len(cells) * (table.ascending[first] == table.ascending[second])
     a, b = first // 3, second // 3
     labels = connected_labels(
@@ -90,7 +86,7 @@ def _turned(cells: Integers, turn: Booleans) -> Integers:
 
 
 def _targets(centres: Array, outside: Outside, parts: Mapping[str, Integers]) -> Array:
-    """Return what the normal of each cell shall point along, shape (m, 3), of any length."""
+    """Directions (m, 3) of any length along which the cells' normals shall point."""
     if not isinstance(outside, Mapping):
         return _along(centres, outside)
     targets = _along(centres, UPWARD)
@@ -128,7 +124,7 @@ def _pieces_inside_out(
     targets: Array,
     outside: Outside,
 ) -> Booleans:
-    """Tell for each piece whether its normals point inside on the whole."""
+    """Whether the normals of each piece point inside on the whole."""
     corners = points[cells]
     area = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     flux = np.bincount(piece, weights=np.einsum("ij,ij->i", area, targets))

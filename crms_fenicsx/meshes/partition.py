@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from crms_fenicsx.meshes.orientation import connected_labels
 from crms_fenicsx.meshes.surface import CheckedSurface
-from crms_fenicsx.runtime.arrays import Array, Indices, Integers
+from crms_fenicsx.runtime.arrays import Array, Indices
 from crms_fenicsx.runtime.compat import default_ranks
 from crms_fenicsx.runtime.errors import MeshError
 
@@ -26,32 +26,25 @@ Ranks = ArrayLike | Callable[[Array], ArrayLike]
 def cell_ranks(
     comm: MPI.Intracomm, surface: CheckedSurface, given: Indices | None
 ) -> Indices | None:
-    """Choose the ranks of the cells of a surface that is all on rank 0. Collective. Returns the
-    ranks of this rank's share of the cells; None, on all ranks, to leave it to DOLFINx."""
+    """Ranks of this rank's share of the cells of a surface that is all on rank 0; None, on all
+    ranks, to leave them to DOLFINx. Collective."""
     is_given, has_seams = comm.bcast((given is not None, len(surface.seam_links) > 0))
     if comm.size == 1 or not (is_given or has_seams):
         return None
     if not is_given:
         given = default_ranks(comm, surface.cells)
-    if given is None:
-        given = np.zeros(0, dtype=np.int32)
-    return kept_together(given, surface.seam_links)
-
-
-def kept_together(ranks: Indices, links: Integers) -> Indices:
-    """Move linked cells to one rank: the lowest among those that they had. Shapes: ranks (m,),
-    links (k, 2)."""
+    ranks, links = np.zeros(0, dtype=np.int32) if given is None else given, surface.seam_links
     if not len(links):
         return ranks
     label = connected_labels(len(ranks), links[:, 0], links[:, 1])
     least = np.full(label.max() + 1, np.iinfo(np.int32).max, dtype=np.int32)
     np.minimum.at(least, label, ranks)
-    moved: Indices = least[label]
-    return moved
+    together: Indices = least[label]  # linked cells go to the lowest of their ranks
+    return together
 
 
 def checked_ranks(surface: CheckedSurface, ranks: Ranks, size: int) -> Indices:
-    """Return the rank of each cell as the caller wants it."""
+    """The rank of each cell (m,) as the caller wants it."""
     midpoints = surface.points[surface.cells].mean(axis=1)
     given = np.asarray(ranks(midpoints) if callable(ranks) else ranks)
     count = len(midpoints)

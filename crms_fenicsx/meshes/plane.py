@@ -26,7 +26,7 @@ from crms_fenicsx.runtime.errors import InputError, MeshError
 
 
 def simple_outline(corners: Sequence[Sequence[float]]) -> Array:
-    """Return the corners of a simple polygon, shape (n, 2), in the given order."""
+    """The corners (n, 2) of a simple polygon, in the given order."""
     try:
         outline = np.asarray(corners, dtype=np.float64)
     except (TypeError, ValueError):
@@ -45,12 +45,10 @@ def simple_outline(corners: Sequence[Sequence[float]]) -> Array:
         )
     i, j = np.triu_indices(len(outline), k=1)
     adjacent = (j == i + 1) | ((i == 0) & (j == len(outline) - 1))
-    crossing = np.where(
-        adjacent,
-        _folds_back(along[i], along[j]),
-        _meet(outline[i], following[i], outline[j], following[j]),
-    )
-    bad = np.flatnonzero(crossing)
+    straight = _cross(along[i], along[j]) == 0
+    folds_back = straight & (np.einsum("ij,ij->i", along[i], along[j]) < 0)
+    meet = _meet(outline[i], following[i], outline[j], following[j])
+    bad = np.flatnonzero(np.where(adjacent, folds_back, meet))
     if len(bad):
         raise MeshError(
             f"sides {i[bad[0]] + 1} and {j[bad[0]] + 1} of the polygon intersect or touch: give "
@@ -63,18 +61,8 @@ def _cross(u: Array, v: Array) -> Array:
     return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
 
 
-def _folds_back(u: Array, v: Array) -> Booleans:
-    back = (_cross(u, v) == 0) & (np.einsum("ij,ij->i", u, v) < 0)
-    return np.asarray(back, dtype=np.bool_)
-
-
-def _meet(
-    a: Array,
-    b: Array,
-    c: Array,
-    d: Array,
-) -> Booleans:
-    """Tell which segments a-b and c-d have a point in common."""
+def _meet(a: Array, b: Array, c: Array, d: Array) -> Booleans:
+    """Whether segments a-b and c-d have a point in common."""
     apart = (np.maximum(a, b) < np.minimum(c, d)) | (np.maximum(c, d) < np.minimum(a, b))
     c_d_sides = _cross(b - a, c - a) * _cross(b - a, d - a)
     a_b_sides = _cross(d - c, a - c) * _cross(d - c, b - c)

@@ -49,10 +49,9 @@ def read_by_gmsh(file: Path) -> Arrays:
 
 
 def gmsh_arrays(gmsh: Any) -> Arrays:
-    """Take elements, nodes and physical groups from the current gmsh model. Returns "kinds", the
-    names of the types of surface elements. "triangles" and their "corners", "nodes" and their
-    "coordinates", by gmsh's tags. "names" and "dimensions" of the physical groups with their
-    entities, of which group k has the "members k": triangles, or nodes of its lines or points."""
+    """The current gmsh model: "kinds" of surface elements, "triangles" with "corners", "nodes" with
+    "coordinates", by tags, and "names", "dimensions" and "members k" (triangles or nodes) of the
+    physical groups, by entities."""
     import numpy as np
 
     mesh = gmsh.model.mesh
@@ -79,9 +78,8 @@ def gmsh_arrays(gmsh: Any) -> Arrays:
 
 
 def read_by_meshio(file: Path) -> Arrays:
-    """Read a file of another format. Returns "points"; "types" of the blocks of cells, and "cells
-    k" of block k; the "names" of groups with the "blocks" that they are of, -1 for points, and
-    "members k" of group k."""
+    """A file of another format: "points", "types" and "cells k" of the blocks of cells, and
+    "names", "blocks" (-1 for points) and "members k" of the groups."""
     import numpy as np
 
     said = io.StringIO()

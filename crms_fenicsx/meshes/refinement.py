@@ -28,8 +28,7 @@ def check_positive(what: str, **numbers: float) -> None:
 
 
 def check_size(what: str, size: float, shortest: float, area: float) -> None:
-    """Refuse a mesh size that is too large for a shape, or would need far too many cells. Units:
-    size (length), shortest (length)."""
+    """Refuse a mesh size that is too large for a shape, or would need far too many cells."""
     check_positive(what, size=size)
     if size > shortest:
         raise MeshError(
@@ -96,7 +95,7 @@ class Refinement:
 
 
 class TargetSize:
-    """Wanted edge length anywhere in space. Units: general (length)."""
+    """Wanted edge length anywhere in space."""
 
     def __init__(self, general: float, refinements: Sequence[Refinement]) -> None:
         if not isinstance(refinements, Sequence) or not all(

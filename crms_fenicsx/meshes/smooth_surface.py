@@ -31,9 +31,8 @@ class SmoothSurface:
 
     @classmethod
     def of(cls, points: Array, cells: Integers) -> SmoothSurface:
-        """Estimate the normals from the cells around each vertex, exactly on spheres. N. Max,
-        Weights for computing vertex normals from facet normals, 1999. Shapes and units: points
-        (n, 3) (length), cells (m, 3)."""
+        """Estimate the normals from the cells around each vertex, exactly on spheres (N. Max,
+        Weights for computing vertex normals from facet normals, 1999)."""
         sides = points[cells[:, [1, 2, 0]]] - points[cells]  # side k leaves corner k
         areas = double_areas(points[cells])
         square = dot(sides, sides)
@@ -50,10 +49,8 @@ class SmoothSurface:
         return cls(points, normals)
 
     def raised(self, corners: Integers, weights: Array) -> tuple[Array, Array]:
-        """How far the surface is from places on the facets, and its normals there. Where an edge
-        has a normal at one end only it is taken for an arc of a circle. Shapes: corners, weights
-        (k, 3). Returns offsets, normals (k, 3): vectors from the facets to the surface (length),
-        and unit normals, zero where there are none."""
+        """Vectors (k, 3) from places on the facets, weights (k, 3) of corners, to the surface
+        (length), and unit normals there, zero where it has none."""
         x, n = self.points[corners], self.normals[corners]
         height = np.zeros(len(corners))
         for i, j in PAIRS:
@@ -66,8 +63,7 @@ class SmoothSurface:
 
 
 def curve_length(points: Array, normals: Array, straight: Booleans) -> float:
-    """Length of a curve on a surface, through points with normals. Shapes and units: points,
-    normals (k, 3) (length), straight (k - 1,)."""
+    """Length of a curve on a surface through points with normals (k, 3), with `straight` parts."""
     steps = np.diff(points, axis=0)
     chords = norm(steps)
     turns = _turns(normals[:-1], normals[1:], steps) / np.where(chords > 0, chords, 1.0)
@@ -76,7 +72,8 @@ def curve_length(points: Array, normals: Array, straight: Booleans) -> float:
 
 
 def _turns(start: Array, end: Array, steps: Array) -> Array:
-    """How much normals turn along steps, times these; twice that to the middle if one is zero."""
+    """How much normals turn along steps, times these; of an edge with a normal at one end only as
+    of an arc of a circle."""
     known = [np.any(normals != 0.0, axis=-1) for normals in (start, end)]
     turn = dot(end, steps) - dot(start, steps)
     return np.where(known[0] == known[1], turn, 2 * turn)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,56 +25,35 @@ _DEGENERATE = 1e-10  # area / (longest edge)^2; a sliver of aspect ratio 1e4 has
 
 @dataclass(frozen=True)
 class SurfaceArrays:
-    """What a generator or a reader hands over: arrays as `from_arrays` takes them. `project` knows
-    the surface that the cells stand for, where that is not made of them."""
+    """A surface from a generator or a reader, as `from_arrays` takes it."""
 
     points: ArrayLike
     cells: ArrayLike
     edges: Mapping[str, ArrayLike] = field(default_factory=dict)
     parts: Mapping[str, ArrayLike] = field(default_factory=dict)
     point_groups: Mapping[str, ArrayLike] = field(default_factory=dict)
-    project: Projection | None = None
+    project: Projection | None = None  # to the surface that the cells approximate
 
 
 @dataclass(frozen=True)
 class CheckedSurface:
-    """A checked and oriented surface, all of it on one rank.
+    """A checked and oriented surface, all of it on one rank."""
 
-    Attributes
-    ----------
-    points
-        Coordinates, shape (n, 3).
-    cells
-        Vertices of the cells, shape (m, 3); all normals of a piece on its outer side.
-    edges
-        `edge_keys` of the edges of each group, "boundary" among them.
-    parts, point_groups
-        Cell and vertex indices of each group.
-    seam_links
-        Pairs of cells that link all cells of every seam, shape (k, 2).
-    hidden
-        Indices of the cells of pieces behind seams; see `seams.hidden_cells`.
-    """
-
-    points: Array
-    cells: Integers
-    edges: dict[str, Integers]
-    parts: dict[str, Integers]
-    point_groups: dict[str, Integers]
-    seam_links: Integers
-    hidden: Integers
+    points: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (n, 3) coordinates (length)
+    # (m, 3) vertices of the cells; all normals of a piece on its outer side
+    cells: Integers = field(default_factory=lambda: np.zeros((0, 3), dtype=np.int64))
+    # `edge_keys` of the edges of each group, "boundary" among them
+    edges: dict[str, Integers] = field(default_factory=dict)
+    parts: dict[str, Integers] = field(default_factory=dict)  # cell indices of each group
+    point_groups: dict[str, Integers] = field(default_factory=dict)  # vertex indices
+    # (k, 2) pairs of cells that link all cells of every seam
+    seam_links: Integers = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+    # indices of the cells of pieces behind seams, see `hidden_cells`
+    hidden: Integers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
 
-EMPTY = CheckedSurface(
-    np.empty((0, 3)),
-    np.empty((0, 3), dtype=np.int64),
-    {},
-    {},
-    {},
-    np.empty((0, 2), dtype=np.int64),
-    np.empty(0, dtype=np.int64),
-)
-"""What the other ranks have of a surface."""
+EMPTY = CheckedSurface()
+"""The surface on other ranks than the first."""
 
 
 def checked_surface(arrays: SurfaceArrays, outside: Outside) -> CheckedSurface:
@@ -92,7 +71,7 @@ def checked_surface(arrays: SurfaceArrays, outside: Outside) -> CheckedSurface:
         _edge_groups(arrays.edges, points, table),
         parts,
         _index_groups(arrays.point_groups, "point group", "vertices", len(points)),
-        np.stack(table.seam_sides(), axis=1) // 3,
+        table.seam_links(),
         hidden_cells(points, cells, piece),
     )
 
@@ -182,7 +161,7 @@ def check_shapes(points: Array, cells: Integers) -> None:
 
 def _check_fans(points: Array, cells: Integers, table: EdgeTable) -> None:
     """Refuse vertices where separate fans only touch; one edge with any number of cells joins."""
-    first, second = table.joined_sides()
+    first, second = table.linked_sides(table.counts >= 2)
     next_corner = np.arange(cells.size).reshape(-1, 3)[:, [1, 2, 0]].ravel()
     alike = table.ascending[first] == table.ascending[second]
     starts = np.where(alike, second, next_corner[second])
@@ -203,24 +182,23 @@ def _check_fans(points: Array, cells: Integers, table: EdgeTable) -> None:
         )
 
 
-def _check_name(name: str, kind: str) -> None:
-    if not isinstance(name, str) or not name.strip():
-        raise MeshError(f"the {kind} {name!r} has no name: give a non-empty string")
-
-
-def _members(groups: Mapping[str, ArrayLike], kind: str) -> Iterable[tuple[str, ArrayLike]]:
+def _members(
+    groups: Mapping[str, ArrayLike], kind: str, items: str
+) -> Iterator[tuple[str, Integers]]:
+    """The groups' names with their members, which are integers."""
     if not isinstance(groups, Mapping):
         raise MeshError(f"the {kind}s are {groups!r}: give a mapping of names to members")
-    return groups.items()
+    for name, given in groups.items():
+        if not isinstance(name, str) or not name.strip():
+            raise MeshError(f"the {kind} {name!r} has no name: give a non-empty string")
+        yield name, _integers(given, f"the {items} of {kind} '{name}'")
 
 
 def _edge_groups(
     groups: Mapping[str, ArrayLike], points: Array, table: EdgeTable
 ) -> dict[str, Integers]:
-    checked = {BOUNDARY: edge_keys(table.boundary())}
-    for name, given in _members(groups, "edge group"):
-        _check_name(name, "edge group")
-        pairs = _integers(given, f"the edges of group '{name}'")
+    checked = {BOUNDARY: edge_keys(table.vertices[table.counts == 1])}
+    for name, pairs in _members(groups, "edge group", "edges"):
         if pairs.size == 0:
             raise MeshError(f"edge group '{name}' is empty: leave it out or give it an edge")
         if pairs.ndim != 2 or pairs.shape[1] != 2:
@@ -249,9 +227,7 @@ def _index_groups(
     groups: Mapping[str, ArrayLike], kind: str, items: str, count: int
 ) -> dict[str, Integers]:
     checked = {}
-    for name, given in _members(groups, kind):
-        _check_name(name, kind)
-        indices = _integers(given, f"the {items} of {kind} '{name}'")
+    for name, indices in _members(groups, kind, items):
         if indices.size == 0:
             raise MeshError(f"{kind} '{name}' is empty: leave it out or give it {items}")
         if indices.ndim != 1:

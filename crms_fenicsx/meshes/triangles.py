@@ -56,14 +56,10 @@ def arc_lengths(points: Array) -> Array:
     return np.concatenate([first, np.cumsum(norm(np.diff(points, axis=0)))])
 
 
-def side_lengths(triangles: Array) -> Array:
-    """Return (m, 3) lengths of the sides of (m, 3, 3) triangles."""
-    return norm(triangles[:, [1, 2, 0]] - triangles)
-
-
 def longest_sides(triangles: Array) -> Array:
-    """Return (m,) lengths of the longest sides."""
-    return np.asarray(np.max(side_lengths(triangles), axis=1, initial=0.0))
+    """Return (m,) lengths of the longest sides of (m, 3, 3) triangles."""
+    sides = norm(triangles[:, [1, 2, 0]] - triangles)
+    return np.asarray(np.max(sides, axis=1, initial=0.0))
 
 
 def double_areas(triangles: Array) -> Array:
@@ -85,9 +81,8 @@ def balls(triangles: Array) -> tuple[Array, Array]:
 
 
 def closest(triangles: Array, target: Array) -> tuple[Array, Array, Array]:
-    """Return the places nearest to `target`, (3,) or (m, 3), in each of (m, 3, 3) triangles. As
-    (m, 3) weights of the corners, (m, 3) positions and (m,) distances. In slivers the weights are
-    badly conditioned, the positions and distances are not."""
+    """Return the places nearest to `target`, (3,) or (m, 3), in each of (m, 3, 3) triangles: (m, 3)
+    weights, which are badly conditioned in slivers, (m, 3) positions and (m,) distances."""
     every = np.arange(len(triangles))
     target = np.broadcast_to(target, (len(triangles), 3))
     sides = triangles[:, [1, 2, 0]] - triangles
@@ -158,11 +153,10 @@ class OpenEdges:
 
 
 def open_edges(V: fem.FunctionSpace, pressed: Booleans) -> OpenEdges:
-    """Edges at which the cells under pressure do not cancel each other. Collective. The exact
-    follower pressure has a potential only if these are held or slide in planes: each cell makes a
-    volume with the origin, whose sides over an edge cancel if as many cells pass it in the one
-    sense as in the other. It is not so at the rim of what is under pressure, nor at a seam of
-    three. Shapes: pressed (n,)."""
+    """Edges at which the cells under pressure (m,) do not cancel each other. Collective."""
+    # The exact follower pressure has a potential only if these are held or slide in planes: each
+    # cell makes a volume with the origin, whose sides over an edge cancel if as many cells pass it
+    # in the one sense as in the other; not so at the rim of what is pressed, or at a seam of three.
     mesh = V.mesh
     numbers = mesh.topology.connectivity(2, 1).array.reshape(-1, 3)
     ids = cell_vertex_ids(mesh)

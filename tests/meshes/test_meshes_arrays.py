@@ -264,9 +264,9 @@ def test_edge_table_against_a_dictionary():
     edges = [tuple(pair) for pair in table.vertices.tolist()]
     found = np.split(table.order, np.cumsum(table.counts)[:-1])
     assert dict(zip(edges, map(set, found), strict=True)) == sides
-    inner = {frozenset(pair) for pair in zip(*table.inner_sides(), strict=True)}
+    inner = {frozenset(pair) for pair in zip(*table.linked_sides(table.counts == 2), strict=True)}
     assert inner == {frozenset(pair) for pair in sides.values() if len(pair) == 2}
-    outer = {tuple(pair) for pair in table.boundary().tolist()}
+    outer = {tuple(pair) for pair in table.vertices[table.counts == 1].tolist()}
     assert outer == {edge for edge, pair in sides.items() if len(pair) == 1}
 
 
