@@ -113,8 +113,8 @@ def node_slips(cable: LaidCable, curve: MaterialCurve, shape: StripShape) -> Nod
     slope, offset, moving = np.zeros((3, len(nodes)))
     slope[known] = np.sum(sides[known] * left, axis=1)
     offset[known] = np.sum((ends[known, 0] - feet[known]) * left, axis=1)
-    offset[known] += curve.elastic_at(at, parts)
-    moving[known] = curve.moving_at(at, parts)
+    elastic, moving[known] = curve.history(at, parts)
+    offset[known] += elastic
     slip = slope * fractions + offset
     return NodeSlips(nodes, supports, slope, offset, slip, size, moving)
 

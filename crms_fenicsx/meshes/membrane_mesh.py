@@ -27,7 +27,7 @@ from crms_fenicsx.meshes.surface import (
     checked_surface,
 )
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array, Indices, Integers
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.runtime.compat import create_mesh, geometry_dofmap, with_nodes
 from crms_fenicsx.runtime.errors import InputError, raised_together
 
@@ -326,6 +326,14 @@ def _local_groups(
     for indices in local.values():
         indices.setflags(write=False)
     return MappingProxyType(local)
+
+
+def cells_of(mesh: MembraneMesh, parts: Iterable[str]) -> Booleans:
+    """Whether each local cell belongs to one of some parts, (m,)."""
+    marks = np.zeros(len(geometry_dofmap(mesh.mesh)), dtype=bool)
+    for part in parts:
+        marks[mesh.parts[part]] = True
+    return marks
 
 
 def outer_first(mesh: MembraneMesh, call: str, what: str, names: Iterable[object]) -> list[str]:

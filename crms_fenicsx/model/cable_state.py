@@ -15,20 +15,15 @@ from crms_fenicsx.surface.points import EdgePoint, SurfacePoint
 
 @dataclass(frozen=True, eq=False)
 class Crossing:
-    """A place where two cables cross: one free point that both share. The nodes of the cables refer
-    to it by its number among the scene's crossings."""
+    """A place where two cables cross: one free point that both share, known by its number."""
 
-    lower: int  # lower, upper: numbers of the cables, the upper one on top
-    upper: int
+    lower: int  # number of the cable below
+    upper: int  # number of the cable on top
     support: tuple[int, ...]  # ids of the vertices of the cell (3) or edge (2) that it is in
-    # where it is on the lower and on the upper cable: after which node, crossings not counted
-    links: tuple[int, int]
+    links: tuple[int, int]  # nodes of both before it, crossings not counted
     place: Annotated[Array, 3]  # (3,) where they cross, or would (length)
-    # ids of the vertices on which the ends of these links lie, or between which: first those of the
-    # lower cable's link
-    between: tuple[tuple[int, ...], ...]
-    # whether the upper cable has lifted off the lower one; they share no point then
-    separated: bool = False
+    between: tuple[tuple[int, ...], ...]  # supports of the ends of the links, the lower one first
+    separated: bool = False  # whether the upper cable has lifted off, so that they share no point
 
 
 NodeId = tuple[int, int]
@@ -49,9 +44,7 @@ class CableNode:
     # the membrane. "anchor": held in space. "crossing": free, shared with another cable.
     kind: Literal["vertex", "fold", "edge slider", "tied", "anchor", "crossing"]
     point: SurfacePoint | None = None  # its place on the mesh; None for an anchor
-    # number of the scene's crossing that it belongs to; a fold point on an edge that another cable
-    # follows has one as well
-    crossing: int | None = None
+    crossing: int | None = None  # also of a fold point on an edge that another cable follows
 
     @property
     def slides(self) -> bool:
@@ -73,11 +66,10 @@ class CableNode:
         self, fraction: float | None = None
     ) -> tuple[tuple[int, ...], tuple[float, ...]]:
         """Vertices (ids) and weights that give the place on the unfolded mesh."""
-        point = self.point
-        assert point is not None, "an anchor has no place on the mesh"
-        if fraction is not None and isinstance(point, EdgePoint):
-            return point.edge, (1 - fraction, fraction)
-        return point.support, point.weights
+        assert self.point is not None, "an anchor has no place on the mesh"
+        if fraction is not None and isinstance(self.point, EdgePoint):
+            return self.point.edge, (1 - fraction, fraction)
+        return self.point.support, self.point.weights
 
 
 @dataclass(frozen=True)
@@ -91,9 +83,9 @@ class StepStart:
 
 @dataclass(frozen=True)
 class CableState:
-    """All that is known of a laid cable, as one value; see the attributes of `LaidCable`. A
-    snapshot is a reference to it and a change another one, see `LaidCable.update`. Its arrays are
-    read-only. The shapes in the type hints are those that a checkpoint is checked against."""
+    """All that is known of a laid cable, as one value: see the attributes of `LaidCable`."""
+
+    # Checkpoints are checked against the shapes in the type hints.
 
     cable: Cable
     nodes: Annotated[tuple[CableNode, ...], "n"]

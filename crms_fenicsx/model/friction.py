@@ -120,13 +120,11 @@ class MaterialCurve:
     # (m,) number of the part that lies on the membrane; between parts the cable was off it
     part: Annotated[Integers, "m"]
     elastic: Annotated[Array, "m"]  # (m,) elastic slip left at the points (length)
-    # (m,) in which direction they slid in the last load step: 1 left, -1 right, 0 not
-    moving: Annotated[Array, "m"]
+    moving: Annotated[Array, "m"]  # (m,) how they slid in the last step: 1 left, -1 right, 0 not
 
     def nearest(self, places: Array) -> tuple[Array, Array, Integers]:
-        """Arc lengths (n,), places (n, 3) and parts (n,) of the points nearest to places (n, 3). An
-        arc length lies beyond the ends of its part by what the place does. Where the curve is
-        nowhere, so are they: the parts are -1."""
+        """Arc lengths (n,), which go beyond the ends of a part as places (n, 3) do, points (n, 3)
+        and parts (n,) nearest to places; parts are -1 where there is no curve."""
         joined = np.flatnonzero((self.part[1:] == self.part[:-1]) & (np.diff(self.arc) > 0.0))
         if not len(joined):
             return np.zeros(len(places)), places.copy(), np.full(len(places), -1)
@@ -147,8 +145,8 @@ class MaterialCurve:
         return self.arc[first] + share * length, feet[rows, best], part
 
     def tangents(self, at: Array, parts: Integers, reach: Array) -> Array:
-        """Mean directions between a distance `reach` (n,) before and after places, unit (n, 3).
-        Points that lie close together have none of their own that means anything."""
+        """Mean directions, unit (n, 3), between a distance `reach` (n,) before and after places."""
+        # the direction between two points that lie close together is rounding
         found = np.zeros((len(at), 3))
         for part in np.unique(parts):
             own, rows = self.part == part, parts == part
@@ -160,31 +158,23 @@ class MaterialCurve:
                     found[rows, i] += sign * np.interp(u, arc, points[:, i])
         return np.asarray(found / np.linalg.norm(found, axis=1)[:, None])
 
-    def elastic_at(self, at: Array, parts: Integers) -> Array:
-        """Elastic slips at places, (n,) (length)."""
-        found = np.zeros(len(at))
+    def history(self, at: Array, parts: Integers) -> tuple[Array, Array]:
+        """Elastic slips (n,) (length) at arc lengths, and how the nearest points slid, (n,)."""
+        elastic, moving = np.zeros((2, len(at)))
         for part in np.unique(parts):
             own, rows = self.part == part, parts == part
-            found[rows] = np.interp(at[rows], self.arc[own], self.elastic[own])
-        return found
-
-    def moving_at(self, at: Array, parts: Integers) -> Array:
-        """Directions in which the nearest points slid in the last load step, (n,)."""
-        found = np.zeros(len(at))
-        for part in np.unique(parts):
-            own, rows = self.part == part, parts == part
+            elastic[rows] = np.interp(at[rows], self.arc[own], self.elastic[own])
             nearest = np.argmin(np.abs(at[rows][:, None] - self.arc[own]), axis=1)
-            found[rows] = self.moving[own][nearest]
-        return found
+            moving[rows] = self.moving[own][nearest]
+        return elastic, moving
 
 
 @dataclass(frozen=True)
 class SidewaysLaw:
     """How the cone changes the law sideways of nodes, relative to that of the box, (n,) each."""
 
-    # bound, width: most friction force, and the slip at which it is reached
-    bound: Annotated[Array, "n"]
-    width: Annotated[Array, "n"]
+    bound: Annotated[Array, "n"]  # most friction force
+    width: Annotated[Array, "n"]  # slip at which it is reached
     elastic: Annotated[Array, "n"]  # most elastic slip
 
 
@@ -195,17 +185,13 @@ class LateralFrictionState:
     curve: MaterialCurve  # where the cable lay when the step began
     supports: Annotated[tuple[Support, ...], "n"]  # places of the nodes that the bounds are of
     bounds: Annotated[Array, "n"]  # (n,) most friction force of each (force)
-    # (n,) direction in which each slides in this step: 1 left, -1 right, 0 not
-    moving: Annotated[Array, "n"]
-    # energy that friction has dissipated up to the step's start (force x length)
-    dissipated: float = 0.0
+    moving: Annotated[Array, "n"]  # (n,) how each slides in this step: 1 left, -1 right, 0 not
+    dissipated: float = 0.0  # energy dissipated up to the step's start (force x length)
     known: bool = False  # whether the bounds come from a state, and not from a first guess
-    # what friction along the cable takes of that sideways; None: nothing
-    cone: SidewaysLaw | None = None
+    cone: SidewaysLaw | None = None  # what friction along the cable takes; None: nothing
 
     def law(self, rows: list[int], eps: Array) -> tuple[Array, Array, Array]:
-        """Bounds (force), slips at which they are reached, and most elastic slips (length). Units:
-        eps (length)."""
+        """Bounds (force), slips at which they are reached, and most elastic slips (length)."""
         bounds, own = self.bounds[rows], self.cone
         if own is None:
             return bounds, eps, eps
@@ -228,17 +214,16 @@ class AxialFrictionState:
     curve: MaterialCurve  # where the cable lay when the step began, and
     rest: Annotated[Array, "p"]  # the unstressed arcs that rest at its points (length)
     supports: Annotated[tuple[Support, ...], "n"]  # places of the n nodes that friction holds
-    # bounds, eps: (n,) most friction force of each (force; times the stretch there, so that its
-    # work is that on the unstressed arc), and the slip at which it is reached (length)
+    # (n,) most friction force of each (force), times the stretch there, so that its work is that on
+    # the unstressed arc
     bounds: Annotated[Array, "n"]
-    eps: Annotated[Array, "n"]
+    eps: Annotated[Array, "n"]  # (n,) slip at which it is reached (length)
     elastic: Annotated[Array, "n"]  # (n,) most elastic slip (length): `eps`, with a cone less
-    # (m,) tension between the nodes that the cable touches, in the state last solved (force)
+    # in the state last solved: tensions (m,) between the nodes that the cable touches (force),
+    # lengths (n + 1,) between the nodes held, unstressed arcs and slips (n,) at these (length)
     tensions: Annotated[Array, "m"]
-    # spans (n + 1,), arcs, slips (n,): lengths between the nodes that friction holds, the
-    # unstressed arcs at them, and their slips (length), in that state
     spans: Annotated[Array, "s"]
     arcs: Annotated[Array, "a"]
     slips: Annotated[Array, "n"]
-    loss: float = 0.0  # energy that friction has dissipated in the step so far (force x length)
-    dissipated: float = 0.0  # energy that it has dissipated up to the step's start (force x length)
+    loss: float = 0.0  # energy dissipated in the step so far (force x length)
+    dissipated: float = 0.0  # energy dissipated up to the step's start (force x length)

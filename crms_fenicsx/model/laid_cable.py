@@ -222,21 +222,13 @@ class LaidCable(Handle[CableState]):
         return found
 
     def set_nodes(
-        self,
-        nodes: Sequence[CableNode],
-        positions: Array,
-        fractions: Array,
-        lifted: Booleans,
+        self, nodes: Sequence[CableNode], positions: Array, fractions: Array, lifted: Booleans
     ) -> None:
         """Replace the points of the polyline."""
         self.update(
-            nodes=tuple(nodes),
-            positions=positions,
-            fractions=fractions,
-            lifted=lifted,
-            reference_positions=np.full_like(positions, np.nan),
-            blocked=(),
-        )
+            nodes=tuple(nodes), positions=positions, fractions=fractions, lifted=lifted,
+            reference_positions=np.full_like(positions, np.nan), blocked=(),
+        )  # fmt: skip
 
     @property
     def ends(self) -> tuple[End, End]:
@@ -258,11 +250,8 @@ class LaidCable(Handle[CableState]):
 
     def path_nodes(self) -> list[int]:
         """Nodes of its `path` over the mesh, in order: no anchors, no crossings."""
-        return [
-            k
-            for k, node in enumerate(self.nodes)
-            if node.point is not None and node.kind != "crossing"
-        ]
+        off = ("anchor", "crossing")
+        return [k for k, node in enumerate(self.nodes) if node.kind not in off]
 
     def contacts(self) -> list[int]:
         """Nodes that the cable touches, its ends included, in order."""

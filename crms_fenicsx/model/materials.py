@@ -65,9 +65,10 @@ UNSTRAINED = 1e-12
 membrane, whatever the signs that rounding gives the strain."""
 
 
-def _check_positive(owner: str, **values: float) -> None:
-    for name, value in values.items():
-        checks.positive(f"{owner}: {name}", value)
+def check_warp(owner: str, warp: object) -> None:
+    """Refuse a direction of the warp that is zero."""
+    if not callable(warp) and not np.any(checks.vector(f"{owner}: warp", warp)):
+        raise InputError(f"{owner}: warp = {warp} is no direction; one is not zero.")
 
 
 class MembraneMaterial(ABC):
@@ -108,8 +109,8 @@ class MembraneMaterial(ABC):
 
     @property
     def parameters(self) -> Array:
-        """What the stress law needs, (N_PARAMETERS,): D t by rows, strain and section forces of
-        the prestress, `law_parameters`. Read by `law_terms` and by the compiled kernels."""
+        """Parameters of the stress law, (N_PARAMETERS,), for `law_terms` and compiled kernels: D t
+        by rows, strain and section forces of the prestress, `law_parameters`."""
         elastic = np.linalg.solve(self.stiffness, self.prestress_vector)
         return np.concatenate(
             [self.stiffness.ravel(), elastic, self.prestress_vector, self.law_parameters]
@@ -161,7 +162,8 @@ class IsotropicMembrane(MembraneMaterial):
 
     def __post_init__(self) -> None:
         owner = type(self).__name__
-        _check_positive(owner, E=self.E, thickness=self.thickness)
+        for name in ("E", "thickness"):
+            checks.positive(f"{owner}: {name}", getattr(self, name))
         checks.finite(f"{owner}: nu", self.nu)
         if not -1.0 < self.nu < 1.0:
             raise InputError(f"{owner}: nu = {self.nu} lies outside -1 < nu < 1 (plane stress).")
@@ -231,16 +233,15 @@ class OrthotropicMembrane(MembraneMaterial):
 
     def __post_init__(self) -> None:
         owner = type(self).__name__
-        _check_positive(owner, E1=self.E1, E2=self.E2, G12=self.G12, thickness=self.thickness)
+        for name in ("E1", "E2", "G12", "thickness"):
+            checks.positive(f"{owner}: {name}", getattr(self, name))
         checks.finite(f"{owner}: nu21", self.nu21)
         if self.nu21**2 * self.E1 / self.E2 >= 1:
             raise InputError(
                 f"{owner}: nu21 = {self.nu21} with E1/E2 = {self.E1 / self.E2:g} makes the "
                 "stiffness indefinite; nu21**2 must be smaller than E2/E1 (is it nu12?)."
             )
-        if not callable(self.warp):
-            if not np.any(checks.vector(f"{owner}: warp", self.warp)):
-                raise InputError(f"{owner}: warp = {self.warp} is no direction; one is not zero.")
+        check_warp(owner, self.warp)
         self._check_prestress()
 
     @property
@@ -269,16 +270,12 @@ class OrthotropicMembrane(MembraneMaterial):
 class LawTerms:
     """UFL expressions of a stress law at a strain E; tensors in the material axes."""
 
-    energy: Any
-    """Energy per area of the stress-free surface, zero at zero strain."""
-    stress: Any
-    """Second Piola-Kirchhoff section forces S, (2, 2)."""
-    state: Any
-    """2 taut, 1 wrinkled, 0 slack."""
+    energy: Any  # energy per area of the stress-free surface, zero at zero strain
+    stress: Any  # second Piola-Kirchhoff section forces S, (2, 2)
+    state: Any  # 2 taut, 1 wrinkled, 0 slack
+    # bilinear forms of two strain increments: the consistent tangent, that of the taut membrane
     tangent: Callable[[Any, Any], Any]
-    """Consistent tangent, a bilinear form of two strain increments."""
     taut_tangent: Callable[[Any, Any], Any]
-    """Stiffness of the taut membrane, a bilinear form of two strain increments."""
 
 
 def voigt(E: Any) -> Any:
@@ -291,23 +288,26 @@ def symmetric(s: Any) -> Any:
     return ufl.as_matrix([[s[0], s[2]], [s[2], s[1]]])
 
 
+def taut_stiffness(p: Any) -> tuple[Any, Callable[[Any, Any], Any]]:
+    """Stiffness (3, 3) of the taut membrane, of parameters p, and its bilinear form."""
+    D = ufl.as_matrix([[p[3 * i + j] for j in range(3)] for i in range(3)])
+    return D, lambda a, b: ufl.dot(voigt(a), D * voigt(b))
+
+
 def law_terms(law: int, E: Any, p: Any) -> LawTerms:
-    """The stress law's UFL expressions. Relaxed energy of the isotropic tension field with
-    principal strains E1 >= E2 (A. C. Pipkin, IMA J. Appl. Math. 36, 1986): linear where E2 + nu E1
-    >= 0 (taut); E t/2 E1^2 where that is negative and E1 > 0 (wrinkled); zero elsewhere (slack).
-    The branches that are not selected may divide by zero; the conditionals drop them. Shapes: E
-    (2, 2)."""
+    """UFL expressions of a stress law at a strain (2, 2), with the material's parameters p."""
+    # Relaxed energy of the isotropic tension field with principal strains E1 >= E2 (A. C. Pipkin,
+    # IMA J. Appl. Math. 36, 1986): linear where E2 + nu E1 >= 0 (taut); E t/2 E1^2 where that is
+    # negative and E1 > 0 (wrinkled); zero elsewhere (slack). The branches that are not selected may
+    # divide by zero; the conditionals drop them.
     if law not in (LINEAR, TENSION_FIELD):
         raise ValueError(
             f"law_terms: law {law} has no UFL expressions, only {LINEAR}, {TENSION_FIELD}"
         )
-    D = ufl.as_matrix([[p[3 * i + j] for j in range(3)] for i in range(3)])
+    D, taut_tangent = taut_stiffness(p)
     elastic = ufl.as_vector([p[9], p[10], p[11]])
     prestress = ufl.as_vector([p[12], p[13], p[14]])
     Et, nu = p[15], p[16]
-
-    def taut_tangent(a: Any, b: Any) -> Any:
-        return ufl.dot(voigt(a), D * voigt(b))
 
     # Without the energy at rest, S^2 / E t, in which small changes would be lost.
     s = prestress + D * voigt(E)
@@ -342,10 +342,4 @@ def law_terms(law: int, E: Any, p: Any) -> LawTerms:
         nearly_taut = ufl.ge(smaller + nu * larger, -UNSTRAINED)
         return ufl.conditional(nearly_taut, taut_tangent(a, b), wrinkling)
 
-    return LawTerms(
-        energy,
-        stress,
-        select(2.0, 1.0, 0.0),
-        tangent,
-        taut_tangent,
-    )
+    return LawTerms(energy, stress, select(2.0, 1.0, 0.0), tangent, taut_tangent)

@@ -15,12 +15,12 @@ from mpi4py import MPI
 
 from crms_fenicsx.dofs.layout import vertex_places
 from crms_fenicsx.meshes import MembraneMesh
-from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids, outer_first
+from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids, cells_of, outer_first
 from crms_fenicsx.meshes.triangles import OpenEdges, area_vectors, open_edges
 from crms_fenicsx.model.materials import LINEAR, UFL_LAW, MembraneMaterial, Strengths
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers, Rows
-from crms_fenicsx.runtime.compat import require_real
+from crms_fenicsx.runtime.compat import geometry_dofmap, require_real
 from crms_fenicsx.runtime.errors import (
     InputError,
     PathError,
@@ -67,19 +67,7 @@ class MembraneState:
 
 
 class Membrane:
-    """A membrane and its current shape.
-
-    Attributes: `V`, `u`: space and function of the vertices' displacements from the stress-free
-    shape (length); `held` (n, 3): held components of the vertices, by local degree of freedom;
-    `held_edges` (m,): whether each edge is held over its whole length, by local number; `pressed`
-    (k,): whether pressure acts on each local cell; `materials`, `cell_tags`: materials by number,
-    and the number of each cell's; no tags if there is one for all; `first_materials`: the materials
-    as they were given, before `Scene.set_material`; `parts`: names of the parts with a material of
-    their own, by its number; `strengths`: of the parts in warp and weft (force per length), as
-    `checked_strengths` returns them; none before they are given. They are data for results, and no
-    part of the state;
-    `pressure_on`: as given.
-    """
+    """A membrane and its current shape."""
 
     def __init__(
         self,
@@ -90,18 +78,20 @@ class Membrane:
         require_real()
         self.mesh, self.comm = mesh, mesh.comm
         _ = mesh.overlaps  # known from now on, wherever parts are named
+        # materials by number, and the number of each cell's; no tags if there is one for all
         self.cell_tags, self.materials = _assign_materials(mesh, material)
-        self.first_materials = dict(self.materials)
+        self.first_materials = dict(self.materials)  # before `Scene.set_material`
         named = material if isinstance(material, Mapping) else {}
-        self.parts = dict(enumerate(sorted(named, key=repr)))
-        self.pressed = _pressed_cells(mesh, pressure_on)
+        self.parts = dict(enumerate(sorted(named, key=repr)))  # with a material of their own
+        self.pressed = _pressed_cells(mesh, pressure_on)  # whether pressure acts on each local cell
         self.pressure_on = pressure_on
         self.V = fem.functionspace(mesh.mesh, ("Lagrange", 1, (3,)))
-        self.u = fem.Function(self.V, name="displacement")
+        self.u = fem.Function(self.V, name="displacement")  # from the stress-free shape (length)
+        # (n, 3) held components of the vertices, and whether edges are held over their whole length
         self.held = np.zeros((len(self.u.x.array) // 3, 3), dtype=bool)
         edges = mesh.mesh.topology.index_map(1)
         self.held_edges = np.zeros(edges.size_local + edges.num_ghosts, dtype=bool)
-        self.strengths: dict[str, Strengths] = {}
+        self.strengths: dict[str, Strengths] = {}  # for results, and no part of the state
 
     @property
     def state(self) -> MembraneState:
@@ -124,8 +114,7 @@ class Membrane:
 
     @cached_property
     def stress_free(self) -> Array:
-        """Stress-free positions (length) of the vertices by degree of freedom, (n, 3), read-only.
-        With ghosts, as `positions`."""
+        """Stress-free positions (n, 3) (length) of the vertices, with ghosts; read-only."""
         positions = vertex_places(self.V)
         positions.flags.writeable = False
         return positions
@@ -184,8 +173,7 @@ class Membrane:
 
     @collective
     def vertices(self, where: str | Marker) -> Indices:
-        """Local degrees of freedom of the vertices of a named group or marked by a function.
-        Shapes: where (n,)."""
+        """Local degrees of freedom of the vertices of a named group or marked by a function."""
         checks.same(self.comm, "vertices", where=where)
         mesh = self.mesh
         dofs: Indices = np.zeros(0, dtype=np.int32)
@@ -209,12 +197,9 @@ class Membrane:
                     f"vertices: the mesh has no group of edges or points {where!r}; it has {names}."
                 )
         if not callable(where):
-            dimension, members = (
-                (1, mesh.edges[where]) if where in mesh.edges else (0, mesh.points[where])
-            )
-            dofs = fem.locate_dofs_topological(self.V, dimension, members)
-        found = self.comm.allreduce(len(dofs))
-        if found == 0:
+            dimension, groups = (1, mesh.edges) if where in mesh.edges else (0, mesh.points)
+            dofs = fem.locate_dofs_topological(self.V, dimension, groups[where])
+        if self.comm.allreduce(len(dofs)) == 0:
             what = "the marker function" if callable(where) else f"the group {where!r}"
             raise InputError(f"vertices: {what} marks no vertex of the membrane; mark one or more.")
         return dofs
@@ -244,11 +229,8 @@ class Membrane:
         if not uncompiled:
             return
         with raised_together(self.comm):
-            numbers = (
-                np.zeros(len(cells), int)
-                if self.cell_tags is None
-                else (self.cell_tags.values[cells])
-            )
+            tags = self.cell_tags
+            numbers = np.zeros(len(cells), int) if tags is None else tags.values[cells]
             bad = numbers[np.isin(numbers, uncompiled)]
             if len(bad):
                 raise PathError(
@@ -289,8 +271,7 @@ def _assign_materials(
             f"Scene: material = {material!r} is none; give a membrane such as IsotropicMembrane, "
             "or a mapping from the mesh's parts to membranes."
         )
-    n = mesh.mesh.topology.index_map(2).size_local + mesh.mesh.topology.index_map(2).num_ghosts
-    tags = np.full(n, -1, dtype=np.int32)
+    tags = np.full(len(geometry_dofmap(mesh.mesh)), -1, dtype=np.int32)
     given = [(part, material[part]) for part in outer_first(mesh, "Scene", "material", material)]
     with raised_together(mesh.comm):
         for k, (part, value) in enumerate(given):
@@ -304,41 +285,35 @@ def _assign_materials(
                 f"Scene: {np.count_nonzero(tags < 0)} cells have no material; give one for "
                 "every part of the mesh."
             )
-    cells = np.arange(n, dtype=np.int32)
+    cells = np.arange(len(tags), dtype=np.int32)
     return meshtags(mesh.mesh, 2, cells, tags), {k: value for k, (_, value) in enumerate(given)}
 
 
 def _pressed_cells(mesh: MembraneMesh, pressure_on: Sequence[str] | None) -> Booleans:
     """Whether pressure acts on each local cell, (n,)."""
-    cells = mesh.mesh.topology.index_map(2)
-    n = cells.size_local + cells.num_ghosts
     if pressure_on is None:
-        return np.ones(n, dtype=bool)
+        return np.ones(len(geometry_dofmap(mesh.mesh)), dtype=bool)
     if isinstance(pressure_on, str) or not isinstance(pressure_on, Sequence):
         raise InputError(
             f'Scene: pressure_on = {pressure_on!r} is no list of parts; write pressure_on=["roof"].'
         )
-    pressed = np.zeros(n, dtype=bool)
     for part in pressure_on:
         if part not in mesh.parts:
             raise InputError(
                 f"Scene: pressure_on has {part!r}, but the mesh has the parts "
                 f"{', '.join(sorted(mesh.parts)) or '(none)'}; name some of these."
             )
-        pressed[mesh.parts[part]] = True
-    return pressed
+    return cells_of(mesh, pressure_on)
 
 
 @dataclass(frozen=True)
 class StepHistory:
-    """What the step-wise laws know of the load steps before, this rank's part."""
+    """This rank's history of the step-wise laws."""
 
-    # (n, 6) or None section forces and shapes of this rank's cells, as
-    # `StepMembraneEnergy.history`; None where the strain has the total law
+    # (n, 6) section forces and shapes of cells, as `StepMembraneEnergy.history`; None where the
+    # strain has the total law
     cells: Annotated[Array, Rows.CELLS, 6] | None = None
-    # energy, folded_energy: strain energy so far of plain and folded cells (force x length)
-    energy: float = 0.0
-    folded_energy: float = 0.0
-    # volume, folded_volume: volume gained so far under plain and folded cells (length cubed)
-    volume: float = 0.0
-    folded_volume: float = 0.0
+    energy: float = 0.0  # strain energy so far of plain cells (force x length)
+    folded_energy: float = 0.0  # that of folded cells
+    volume: float = 0.0  # volume gained so far under plain cells (length cubed)
+    folded_volume: float = 0.0  # that under folded cells

@@ -1,10 +1,8 @@
 """Loads on the membrane by their nodal forces, which keep direction and size as the shape changes.
 
-Snow and weight are such loads of fixed direction. Wind is not: its suction stays normal to the
-surface and varies over it, and forces of that kind have no potential. A load step with wind is
-solved with the forces of the shape found before, again and again until they are those of its own
-shape. What it adds where cables fold cells is a term of its own, `folded_pressure.FoldedWind`. (The
-paper's pressure, section 2.4, has a fixed direction in each step.)
+Wind has no potential, as its suction stays normal to the surface and varies over it. A load step
+is solved with the wind's forces on the shape found before until they are those on its own shape;
+what it adds where cables fold cells is a term of its own, `folded_pressure.FoldedWind`.
 """
 
 from __future__ import annotations
@@ -42,12 +40,10 @@ class MembraneLoad:
     """A load on the membrane."""
 
     name: str  # what load steps, history and checkpoints know it by
-    # (n, 3) what this rank's cells give to its vertices at the factor 1 (force), by local degree of
-    # freedom
+    # (n, 3) what this rank's cells give to its vertices at the factor 1 (force)
     forces: Annotated[Array, Rows.SHARES, 3] = field(repr=False)
     intensity: float  # mean size of the force per area at the factor 1, over the whole membrane
-    # (m,) or None force per area along the normals of this rank's cells, if the load follows these;
-    # None for a fixed direction
+    # (m,) force per area along the normals of this rank's cells; None for a fixed direction
     suction: Annotated[Array, Rows.CELLS] | None = field(default=None, repr=False)
     factor: float = 0.0  # what the forces are multiplied by; load steps change it
     # forces (force) on joints of bars, by their names
@@ -55,7 +51,7 @@ class MembraneLoad:
 
     @property
     def blows(self) -> bool:
-        """Whether it follows the normals, and is there."""
+        """Whether it follows the normals, and its factor is not zero."""
         return self.suction is not None and self.factor != 0.0
 
     def turned(self, membrane: Membrane) -> MembraneLoad:
@@ -67,16 +63,13 @@ class MembraneLoad:
 
 
 class _Shape:
-    """This rank's cells in the membrane's current shape.
-
-    Attributes: `vectors` (m, 3): their areas times their unit normals (length squared).
-    """
+    """This rank's cells in the membrane's current shape."""
 
     def __init__(self, membrane: Membrane) -> None:
         count = membrane.mesh.mesh.topology.index_map(2).size_local
         self._cells, self._n = membrane.V.dofmap.list[:count], len(membrane.held)
         self._corners: Array = membrane.positions()[self._cells]
-        self.vectors: Array = double_areas(self._corners) / 2
+        self.vectors: Array = double_areas(self._corners) / 2  # areas (m, 3) times unit normals
 
     @cached_property
     def areas(self) -> Array:
@@ -111,10 +104,9 @@ class _Shape:
 def fixed_direction_load(
     membrane: Membrane, traction: Traction, name: str = "load", per: Area = "surface"
 ) -> MembraneLoad:
-    """A load of fixed direction on the membrane's current shape. Collective. A cell gives a third
-    of its load, taken at its centre, to each of its vertices. That a cable folds it changes
-    nothing: the load goes by the triangle of its corners, and together these triangles cover the
-    same surface up to the depth of the folds. Fold points get no load."""
+    """A load of fixed direction on the membrane's current shape. Collective."""
+    # A cell gives a third of its load, taken at its centre, to each vertex, also where a cable
+    # folds it: the triangles of corners cover the same surface up to the depth of the folds.
     if per not in get_args(Area):
         known = ", ".join(map(repr, get_args(Area)))
         raise InputError(f"put_load: per = {per!r} is not known; use one of {known}.")
@@ -127,9 +119,7 @@ def fixed_direction_load(
         else:
             given = checks.vector("put_load: the force per area", given)[:, None]
         loads[:] = shape.counted(per, membrane)[:, None] * given.T
-    return MembraneLoad(
-        name, shape.nodal(loads), _intensity(membrane, shape, loads),
-    )  # fmt: skip
+    return MembraneLoad(name, shape.nodal(loads), _intensity(membrane, shape, loads))
 
 
 def wind_load(
@@ -142,9 +132,7 @@ def wind_load(
     with raised_together(membrane.comm):
         suction[:] = -pressure * _coefficients(coefficient, membrane, shape)
     loads = suction[:, None] * shape.vectors
-    return MembraneLoad(
-        name, shape.nodal(loads), _intensity(membrane, shape, loads), suction,
-    )  # fmt: skip
+    return MembraneLoad(name, shape.nodal(loads), _intensity(membrane, shape, loads), suction)
 
 
 def nodal_load(membrane: Membrane, forces: fem.Function, name: str = "forces") -> MembraneLoad:
@@ -193,9 +181,8 @@ def joint_load(
 ) -> MembraneLoad:
     """A load of fixed direction by its forces on joints of bars, by their names. Collective."""
     size = float(norm(np.array([*joints.values()])).sum())
-    return MembraneLoad(
-        name, np.zeros(membrane.held.shape), size / membrane.size**2, joints=joints,
-    )  # fmt: skip
+    nodal = np.zeros(membrane.held.shape)
+    return MembraneLoad(name, nodal, size / membrane.size**2, joints=joints)
 
 
 def _coefficients(coefficient: Coefficient, membrane: Membrane, shape: _Shape) -> Array:
@@ -219,13 +206,10 @@ def _coefficients(coefficient: Coefficient, membrane: Membrane, shape: _Shape) -
 
 
 def _values(
-    call: str,
-    what: str,
-    function: Callable[[Array, Array], Array],
-    shape: _Shape,
+    call: str, what: str, function: Callable[[Array, Array], Array], shape: _Shape,
     due: tuple[int, ...],
-) -> Array:
-    """What a function gives at the cells' centres and unit normals."""
+) -> Array:  # fmt: skip
+    """A function's values at the cells' centres and unit normals, of the shape that is due."""
     given = np.asarray(function(shape.centres.T, shape.normals.T))
     if given.shape != due or given.dtype.kind not in "fiu":
         raise InputError(

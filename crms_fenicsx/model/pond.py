@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from mpi4py import MPI
 
+from crms_fenicsx.meshes.membrane_mesh import cells_of
 from crms_fenicsx.meshes.triangles import cell_normals, double_areas
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime.arrays import Booleans
@@ -52,58 +53,44 @@ class Pond:
     factor: float = 0.0
 
     def cells(self, membrane: Membrane) -> Booleans:
-        """Whether this rank's cells, with ghosts, can have water on them: those of its parts, or
-        of the whole mesh those whose outer side, stress-free, faces as its side does."""
-        known = membrane.mesh.mesh.topology.index_map(2)
-        if not self.parts:
-            up: Booleans = self.side * cell_normals(membrane.mesh.mesh)[:, 2] > -UPRIGHT
-            return up
-        cells = np.zeros(known.size_local + known.num_ghosts, dtype=bool)
-        for part in self.parts:
-            cells[membrane.mesh.parts[part]] = True
-        return cells
+        """Whether this rank's cells can have water on them: those of its parts, or of the whole
+        mesh those whose outer side, stress-free, faces as its side does."""
+        if self.parts:
+            return cells_of(membrane.mesh, self.parts)
+        up: Booleans = self.side * cell_normals(membrane.mesh.mesh)[:, 2] > -UPRIGHT
+        return up
 
-    def found_side(self, membrane: Membrane) -> int:
-        """The side of its cells that faces up: of the whole mesh the outer side where that faces
-        up anywhere, of parts the one that faces up in the current shape. Collective.
 
-        Raises
-        ------
-        InputError
-            On all ranks: they stand upright, or some of the parts face up and others down.
-        """
-        own = membrane.mesh.mesh.topology.index_map(2).size_local
-        if not self.parts:
-            heights = cell_normals(membrane.mesh.mesh)[:own, 2]
-            up = membrane.comm.allreduce(float(heights.max(initial=-1.0)), op=MPI.MAX)
-            down = membrane.comm.allreduce(float(-heights.min(initial=1.0)), op=MPI.MAX)
-            if max(up, down) <= UPRIGHT:
-                raise InputError(self._no_side())
-            return 1 if up > UPRIGHT else -1
-        on = np.flatnonzero(self.cells(membrane)[:own])
-        corners = membrane.positions()[membrane.V.dofmap.list[on]]
-        vectors = double_areas(corners)
-        areas = np.linalg.norm(vectors, axis=1)
-        local = np.array([vectors[:, 2].sum(), areas.sum()])
-        plan, area = membrane.comm.allreduce(local, op=MPI.SUM)
-        if abs(plan) <= UPRIGHT * area:
-            raise InputError(self._no_side())
-        side = 1 if plan > 0.0 else -1
-        with raised_together(membrane.comm):
-            turned = np.flatnonzero(side * vectors[:, 2] < -UPRIGHT * areas)
-            if len(turned):
-                part = next(
-                    name for name in self.parts if on[turned[0]] in membrane.mesh.parts[name]
-                )
-                raise InputError(
-                    f"put_pond: some cells of {self.name!r} face the other way than most, as at "
-                    f"{as_text(corners[turned[0]].mean(axis=0))} in the part {part!r}, where water "
-                    'would hang below them; name the parts that face up, as in on=["roof"].'
-                )
-        return side
-
-    def _no_side(self) -> str:
-        return (
-            f"put_pond: the cells of {self.name!r} have no upper side; name the parts of the "
-            'roof, as in on=["roof"].'
-        )
+def upper_side(pond: Pond, membrane: Membrane) -> int:
+    """The side (1 or -1) of a pond's cells that faces up: of the whole mesh the outer side where
+    that faces up anywhere, of parts the one that faces up in the current shape. Collective."""
+    mesh, comm = membrane.mesh, membrane.comm
+    none = InputError(
+        f"put_pond: the cells of {pond.name!r} have no upper side; name the parts of the "
+        'roof, as in on=["roof"].'
+    )
+    if not pond.parts:
+        heights = cell_normals(mesh.mesh)[:, 2]
+        up = comm.allreduce(float(heights.max(initial=-1.0)), op=MPI.MAX)
+        down = comm.allreduce(float(-heights.min(initial=1.0)), op=MPI.MAX)
+        if max(up, down) <= UPRIGHT:
+            raise none
+        return 1 if up > UPRIGHT else -1
+    on = np.flatnonzero(pond.cells(membrane))
+    corners = membrane.positions()[membrane.V.dofmap.list[on]]
+    vectors = double_areas(corners)
+    areas = np.linalg.norm(vectors, axis=1)
+    plan, area = comm.allreduce(np.array([vectors[:, 2].sum(), areas.sum()]), op=MPI.SUM)
+    if abs(plan) <= UPRIGHT * area:
+        raise none
+    side = 1 if plan > 0.0 else -1
+    with raised_together(comm):
+        turned = np.flatnonzero(side * vectors[:, 2] < -UPRIGHT * areas)
+        if len(turned):
+            part = next(name for name in pond.parts if on[turned[0]] in mesh.parts[name])
+            raise InputError(
+                f"put_pond: some cells of {pond.name!r} face the other way than most, as at "
+                f"{as_text(corners[turned[0]].mean(axis=0))} in the part {part!r}, where water "
+                'would hang below them; name the parts that face up, as in on=["roof"].'
+            )
+    return side

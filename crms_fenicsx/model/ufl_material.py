@@ -18,16 +18,18 @@ from crms_fenicsx.model.materials import (
     Direction,
     LawTerms,
     MembraneMaterial,
-    voigt,
+    check_warp,
+    taut_stiffness,
 )
-from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, floats
 from crms_fenicsx.runtime.errors import InputError
 
 ENERGY_AT_REST = 1e-12
 """Largest energy at zero strain, relative to the stiffness."""
 PROBED = 0.01
 """Size of the strains at which a density is compared with its tangent plane at zero strain."""
+PROBES = PROBED * np.array([e for e in product((-1.0, 0.0, 1.0), repeat=3) if any(e)])
+"""These strains (n, 3), (E11, E22, 2 E12)."""
 BELOW = 1e-10
 """How far it may be below that, relative to the stiffness times the square of the strain."""
 
@@ -75,10 +77,8 @@ class UflMembrane(MembraneMaterial):
                 f"UflMembrane: psi = {self.psi!r} is no function; give one of the UFL strain (2, 2)"
                 " that returns the energy per area."
             )
-        warp = self.warp
-        if warp is not None and not callable(warp):
-            if not np.any(checks.vector("UflMembrane: warp", warp)):
-                raise InputError(f"UflMembrane: warp = {warp} is no direction; one is not zero.")
+        if self.warp is not None:
+            check_warp("UflMembrane", self.warp)
         energy, slope, D = self._at_rest
         if not np.all(np.isfinite([energy, *slope, *D.ravel()])):
             raise InputError(
@@ -96,7 +96,7 @@ class UflMembrane(MembraneMaterial):
                 f"UflMembrane: psi is {energy:g} at zero strain, and must be zero there; subtract "
                 "it."
             )
-        for strain, value in zip(list(_probes()), self.samples, strict=True):
+        for strain, value in zip(list(PROBES), self.samples, strict=True):
             if value < slope @ strain - BELOW * D.max() * PROBED**2:
                 raise InputError(
                     f"UflMembrane: psi is not convex: at the strain (E11, E22, 2 E12) = {strain} "
@@ -120,8 +120,8 @@ class UflMembrane(MembraneMaterial):
     def samples(self) -> tuple[float, ...]:
         """Values at some strains (force / length), which tell one density from another."""
         values = []
-        probes: list[list[float]] = [[*map(float, e)] for e in zip(*_probes().T, strict=True)]
-        for x, y, shear in probes:
+        for strain in list(PROBES):
+            x, y, shear = floats(strain)
             E = ufl.as_matrix([[x, shear / 2], [shear / 2, y]])
             try:
                 values.append(float(self._energy(E)))
@@ -173,21 +173,12 @@ class UflMembrane(MembraneMaterial):
         energy = self._energy(strain)
         slope = ufl.diff(energy, strain)
         curvature = ufl.diff(slope, strain)
-        D = ufl.as_matrix([[p[3 * i + j] for j in range(3)] for i in range(3)])
         i, j, k, m = ufl.indices(4)
 
         def tangent(a: Any, b: Any) -> Any:
             return curvature[i, j, k, m] * a[i, j] * b[k, m]
 
-        def taut_tangent(a: Any, b: Any) -> Any:
-            return ufl.dot(voigt(a), D * voigt(b))
-
-        return LawTerms(energy, ufl.sym(slope), ufl.as_ufl(2.0), tangent, taut_tangent)
-
-
-def _probes() -> Array:
-    """Strains (n, 3) around zero, (E11, E22, 2 E12)."""
-    return PROBED * np.array([e for e in product((-1.0, 0.0, 1.0), repeat=3) if any(e)])
+        return LawTerms(energy, ufl.sym(slope), ufl.as_ufl(2.0), tangent, taut_stiffness(p)[1])
 
 
 def _values(tensor: Any, rank: int) -> Array:

@@ -54,9 +54,9 @@ Method = TypeVar("Method", bound=Callable[..., Any])
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """What the last load step has left: versions, digest of displacements, and its checks."""
+    """The equilibrium that the last load step has found, and what its checks said."""
 
-    model_version: int  # model_version, state_version: those of then
+    model_version: int  # of then
     state_version: int
     digest: bytes  # of this rank's displacements, which users may write
     verification: Any  # what the checks said; None if there were none in this run
@@ -74,10 +74,7 @@ class Version:
 
 
 class Versions:
-    """Numbers the models and states of a scene; a number is given once, and restored with them.
-
-    Attributes: `current`: those of now.
-    """
+    """Numbers the models and states of a scene; a number is given once, and restored with them."""
 
     def __init__(self) -> None:
         self.current = Version()
@@ -107,17 +104,17 @@ class Versions:
         self.current = replace(self.current, state_version=self._states)
 
     def settle(self, u: Array, verification: object) -> None:
-        """Take down that displacements are an equilibrium of the present model and state."""
+        """Record that displacements are an equilibrium of the present model and state."""
         found = Equilibrium(self.model_version, self.state_version, _digest(u), verification)
         self.current = replace(self.current, equilibrium=found)
 
     def unsettle(self) -> None:
-        """Take down that the present state, as one that was read from a file, is none."""
+        """Record that the present state, as one that was read from a file, is no equilibrium."""
         self.current = replace(self.current, equilibrium=Equilibrium(-1, -1, b"", None))
 
     @property
     def trouble(self) -> str:
-        """Why the present state, which is not settled, is not."""
+        """Why the present state is no equilibrium."""
         if self.current.equilibrium is None:
             return "no load step has found an equilibrium yet"
         return f"the scene has been changed since its last load step, and is {UNBALANCED}"

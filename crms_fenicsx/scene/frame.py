@@ -31,22 +31,7 @@ class FrameState:
 
 
 class Frame:
-    """Joints and bars beside a membrane, the same on all ranks: ``scene.frame``.
-
-    Parameters
-    ----------
-    membrane
-        The membrane.
-    versions
-        The numbers of the scene's model.
-
-    Attributes
-    ----------
-    joints
-        The joints, those of anchors included, in the order in which they were added.
-    bars
-        The bars, in the order in which they were added.
-    """
+    """Joints, those of anchors included, and bars in the order in which they were added."""
 
     joints: ReadOnly[tuple[Joint, ...]] = ReadOnly("_joints", "call scene.add_joint(...)")
     bars: ReadOnly[tuple[PlacedBar, ...]] = ReadOnly("_bars", "call scene.add_bar(...)")
@@ -119,17 +104,17 @@ class Frame:
         n = membrane.V.dofmap.index_map.size_local
         away = np.linalg.norm(membrane.positions()[:n] - point, axis=1)
         nearest = int(np.argmin(away)) if n else -1
-        mine = (float(away[nearest]), int(membrane.vertex_ids[nearest])) if n else (np.inf, -1)
-        distance, number = min(membrane.comm.allgather(mine))
+        mine = [np.inf, -1]
+        if n:
+            mine = [away[nearest], membrane.vertex_ids[nearest], *membrane.positions()[nearest]]
+        found = min(membrane.comm.allgather(list(map(float, mine))))
+        distance, number, *place = found
         if not distance <= 1e3 * SAME_PLACE * membrane.size:
-            own = mine == (distance, number)
-            places = membrane.comm.allgather(membrane.positions()[nearest] if own else None)
-            place = next(place for place in places if place is not None)
             raise InputError(
                 f"vertex_at: no vertex is at {as_text(point)}; the nearest is {distance:.3g} away, "
                 f"at {as_text(place)}. Give its place."
             )
-        return self._vertex(number, np.array([nearest] if mine == (distance, number) else []))
+        return self._vertex(int(number), np.array([nearest] if mine == found else []))
 
     @collective
     @changes_model
@@ -182,11 +167,30 @@ class Frame:
         self.membrane.check_finite("add_bar")
         if not isinstance(bar, Bar):
             raise InputError(f"add_bar: {bar!r} is no Bar; write Bar(EA=...).")
-        found = self.bar_name(name)
+        name = _checked_name("add_bar", "bar", name, (bar.name for bar in self.bars))
+        if {f"start of {name}", f"end of {name}"} & {joint.name for joint in self.joints}:
+            raise InputError(f"add_bar: there is a joint 'start of {name}'; give another name.")
         if L0 is not None:
-            L0 = checks.positive(f"add_bar: L0 of {found!r}", L0)
-        ends = self._bar_end(found, "start", start), self._bar_end(found, "end", end)
-        return self._add_bar(bar, ends, L0, found)
+            L0 = checks.positive(f"add_bar: L0 of {name!r}", L0)
+        given = {
+            which: self._bar_end(name, which, e) for which, e in (("start", start), ("end", end))
+        }
+        points = np.array(
+            [e if isinstance(e, np.ndarray) else self.place_of(e) for e in given.values()]
+        )
+        length = float(np.linalg.norm(points[1] - points[0]))
+        if length <= SAME_PLACE * self.membrane.size:
+            raise InputError(
+                f"add_bar: both ends of {name!r} are at {as_text(points[0])}, so that it has no "
+                "length; give two places."
+            )
+        ends = [
+            self._add_joint(e, f"{which} of {name}", "xyz") if isinstance(e, np.ndarray) else e
+            for which, e in given.items()
+        ]
+        placed = PlacedBar(name, BarState(bar, ends[0], ends[1], L0 or length, points))
+        self._bars = (*self.bars, placed)
+        return placed
 
     def bar(self, name: str) -> PlacedBar:
         """The bar with a name.
@@ -248,9 +252,8 @@ class Frame:
     def _vertex(self, number: int, dofs: Array) -> MeshVertex:
         """A vertex whose degree of freedom is known on the rank that owns it."""
         place = self.membrane.stress_free[int(dofs[0])] if len(dofs) else None
-        found = next(p for p in self.membrane.comm.allgather(place) if p is not None)
-        x, y, z = map(float, found)
-        return MeshVertex(number, (x, y, z))
+        x, y, z = next(p for p in self.membrane.comm.allgather(place) if p is not None)
+        return MeshVertex(number, (float(x), float(y), float(z)))
 
     def place_of(self, end: BarEnd) -> Array:
         """Where an end of bars is now, (3,). Collective."""
@@ -289,41 +292,12 @@ class Frame:
             return self.vertex_in_group(given)
         return checks.vector(f"add_bar: {which} of {name!r}", given)
 
-    def _add_bar(
-        self, bar: Bar, ends: tuple[BarEnd | Array, BarEnd | Array], L0: float | None, name: str
-    ) -> PlacedBar:
-        """Add a bar with a name that `bar_name` has found free. Collective."""
-        points = np.array([e if isinstance(e, np.ndarray) else self.place_of(e) for e in ends])
-        length = float(np.linalg.norm(points[1] - points[0]))
-        if length <= SAME_PLACE * self.membrane.size:
-            raise InputError(
-                f"add_bar: both ends of {name!r} are at {as_text(points[0])}, so that it has no "
-                "length; give two places."
-            )
-        made = [
-            self._add_joint(end, f"{which} of {name}", "xyz")
-            if isinstance(end, np.ndarray)
-            else end
-            for which, end in zip(("start", "end"), ends, strict=True)
-        ]
-        placed = PlacedBar(name, BarState(bar, made[0], made[1], L0 or length, points))
-        self._bars = (*self.bars, placed)
-        return placed
-
     def remove(self, bar: PlacedBar, needed: Set[str | None]) -> None:
         """Take a bar away, and its anchors unless others end there or they are needed by name."""
         self._bars = tuple(other for other in self.bars if other is not bar)
         used = {end for other in self.bars for end in (other.start, other.end)}
         own = {f"start of {bar.name}", f"end of {bar.name}"} - needed
         self._joints = tuple(j for j in self.joints if j.name not in own or j in used)
-
-    def bar_name(self, name: str | None) -> str:
-        """The name of a new bar, by default "bar 1", "bar 2" ..."""
-        found = _checked_name("add_bar", "bar", name, (bar.name for bar in self.bars))
-        taken = {joint.name for joint in self.joints}
-        if {f"start of {found}", f"end of {found}"} & taken:
-            raise InputError(f"add_bar: there is a joint 'start of {found}'; give another name.")
-        return found
 
     def number(self, joint: object) -> int:
         """The number of a joint of this scene; -1 if it is none."""

@@ -21,7 +21,7 @@ from crms_fenicsx.model.membrane_load import (
     nodal_load,
     wind_load,
 )
-from crms_fenicsx.model.pond import Pond
+from crms_fenicsx.model.pond import Pond, upper_side
 from crms_fenicsx.model.versions import Versions
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
@@ -42,19 +42,7 @@ class LoadsState:
 
 
 class Loads(Stateful[LoadsState]):
-    """The loads that have been put on a scene, each with a name and a factor: ``scene.loads``.
-
-    Iterating gives those on the membrane and on joints; ponds are in `ponds`.
-
-    Parameters
-    ----------
-    membrane
-        The membrane of the scene.
-    versions
-        The numbers of its model.
-    frame
-        Its joints and bars.
-    """
+    """The loads on the membrane and on joints of a scene, by iteration, and its ponds."""
 
     ponds: ReadOnly[tuple[Pond, ...]] = ReadOnly("state.ponds", "call scene.put_pond(...)")
     """The water on the membrane, with its current levels, volumes and factors."""
@@ -324,27 +312,25 @@ class Loads(Stateful[LoadsState]):
             raise InputError(
                 f"put_pond: level = {level!r} and volume = {volume!r}; give one of the two."
             )
-        parts = () if on is None else self._parts(on)
+        parts: tuple[str, ...] = ()
+        if on is not None:
+            known = list(self.membrane.mesh.parts)
+            listed = isinstance(on, Sequence) and not isinstance(on, str) and len(on) > 0
+            if not listed or any(part not in known for part in on):
+                names = ", ".join(map(repr, known)) or "none"
+                raise InputError(
+                    f"put_pond: on = {on!r}; give a list of parts of the mesh, which are {names}."
+                )
+            parts = tuple(on)
         if volume is not None:
             volume = checks.positive("put_pond: volume", volume)
             pond = Pond(name, weight, "volume", float(self.membrane.centre[2]), volume, parts, 1)
         else:
             level = checks.finite("put_pond: level", level)
             pond = Pond(name, weight, "level", level, 0.0, parts, 1)
-        pond = replace(pond, side=pond.found_side(self.membrane))
+        pond = replace(pond, side=upper_side(pond, self.membrane))
         self.update(ponds=(*self.ponds, pond))
         self.versions.change_model(acts=False)
-
-    def _parts(self, on: Any) -> tuple[str, ...]:
-        """The parts of the mesh that a pond's `on` names."""
-        known = list(self.membrane.mesh.parts)
-        listed = isinstance(on, Sequence) and not isinstance(on, str) and len(on) > 0
-        if not listed or any(part not in known for part in on):
-            names = ", ".join(map(repr, known)) or "none"
-            raise InputError(
-                f"put_pond: on = {on!r}; give a list of parts of the mesh, which are {names}."
-            )
-        return tuple(on)
 
     @collective
     def remove_load(self, name: str) -> None:

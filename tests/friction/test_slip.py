@@ -107,10 +107,10 @@ def test_elastic_slip_and_motion_along_the_curve():
     curve = zigzag()
     curve.moving[:] = (0, 1, 1, -1, 0, 0, 1, 0)
     at = curve.arc[0] + 0.25
-    assert curve.elastic_at(np.array([at]), np.array([0]))[0] == pytest.approx(0.25 * 0.1)
+    assert curve.history(np.array([at]), np.array([0]))[0][0] == pytest.approx(0.25 * 0.1)
     # nothing is taken from the other side of a gap
-    assert curve.elastic_at(np.array([curve.arc[5] - 0.1]), np.array([1]))[0] == 0.5
-    moving = curve.moving_at(np.array([0.4, 0.6, curve.arc[6] + 0.1]), np.array([0, 0, 1]))
+    assert curve.history(np.array([curve.arc[5] - 0.1]), np.array([1]))[0][0] == 0.5
+    _, moving = curve.history(np.array([0.4, 0.6, curve.arc[6] + 0.1]), np.array([0, 0, 1]))
     assert moving.tolist() == [0, 1, 1]
 
 
