@@ -29,23 +29,16 @@ class CableNetState:
 
 
 class CableNet:
-    """The laid cables of a membrane, the same on all ranks.
-
-    Attributes: `cables`: in the order of laying; `strip`: cells around the cables' paths; None
-    before the first cable is laid; `crossings`: where cables in tension cross; `arranged`: the
-    cables whose crossings were arranged; `laid`: how many cables have been laid, those that have
-    been removed included; `removed_dissipation`: energy that friction of the cables that have been
-    removed has dissipated (force x length).
-    """
+    """The laid cables of a membrane, the same on all ranks."""
 
     def __init__(self, membrane: Membrane) -> None:
         self.membrane = membrane
-        self.cables: tuple[LaidCable, ...] = ()
-        self.strip: Strip | None = None
-        self.crossings: tuple[Crossing, ...] = ()
-        self.arranged: tuple[LaidCable, ...] = ()
-        self.laid = 0
-        self.removed_dissipation = 0.0
+        self.cables: tuple[LaidCable, ...] = ()  # in the order of laying
+        self.strip: Strip | None = None  # cells around their paths; None before the first is laid
+        self.crossings: tuple[Crossing, ...] = ()  # of cables in tension
+        self.arranged: tuple[LaidCable, ...] = ()  # the cables whose crossings were arranged
+        self.laid = 0  # how many cables have been laid, those since removed included
+        self.removed_dissipation = 0.0  # by friction of removed cables (force x length)
 
     @property
     def state(self) -> CableNetState:
@@ -72,7 +65,7 @@ class CableNet:
 
     @property
     def has_friction(self) -> bool:
-        """Whether friction holds some cable sideways; without it nothing of it is loaded."""
+        """Whether friction holds some cable sideways."""
         return not all(cable.slides_freely for cable in self.cables)
 
     def cable(self, name: str) -> LaidCable:

@@ -20,7 +20,7 @@ from crms_fenicsx.cables.points_on_edges import VERTEX, NodeTable, PointsOnEdges
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.model.cable_state import CableNode, Crossing, NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, runs
+from crms_fenicsx.runtime.arrays import Array, Integers, runs
 from crms_fenicsx.surface.points import CellPoint, EdgePoint
 
 
@@ -52,11 +52,7 @@ class Meetings:
         self._follows = first[follows], both[follows]
         self._inside = first[~follows], simplices.rows[simplices.pointers[both[~follows]]]
 
-    def find(self) -> list[Meeting]:
-        """All meetings."""
-        return self._on_edges() + self._in_cells()
-
-    def _on_edges(self) -> list[Meeting]:
+    def on_edges(self) -> list[Meeting]:
         """Points on an edge that a link of another cable follows."""
         found, nodes, points = [], self.nodes, self.points
         some = points.counts[self._follows[1]] > 0
@@ -73,7 +69,7 @@ class Meetings:
                     found.append(Meeting(first, second, (along, 0.0), place))
         return found
 
-    def _in_cells(self) -> list[Meeting]:
+    def in_cells(self) -> list[Meeting]:
         """Chords of one cell that cross: their ends alternate around it."""
         first, second, row = self._pairs()
         ends = np.stack([first, first + 1, second, second + 1], axis=1)
@@ -82,7 +78,10 @@ class Meetings:
         t = _intersections(flat)
         inside = np.any(rims < 0, axis=1)  # an end of a cable inside the cell
         meet = np.all((0.0 < t) & (t < 1.0), axis=1)
-        crosses = np.where(inside, meet, _alternate(rims))
+        low, high = np.sort(rims[:, :2], axis=1).T
+        between = (low[:, None] < rims[:, 2:]) & (rims[:, 2:] < high[:, None])
+        apart = np.all(np.diff(np.sort(rims, axis=1), axis=1) > 0, axis=1)
+        crosses = np.where(inside, meet, apart & (between[:, 0] != between[:, 1]))
         t = np.clip(t[crosses], 0.0, 1.0)
         start, end = flat[crosses, 0], flat[crosses, 1]
         weights = np.maximum(start + t[:, :1] * (end - start), 0.0)
@@ -131,15 +130,6 @@ class Meetings:
         return flat
 
 
-def _alternate(rims: Integers) -> Booleans:
-    """Whether the ends of two chords, (n, 4) places around a cell, are all apart and alternate."""
-    low, high = np.sort(rims[:, :2], axis=1).T
-    between = (low[:, None] < rims[:, 2:]) & (rims[:, 2:] < high[:, None])
-    apart = np.all(np.diff(np.sort(rims, axis=1), axis=1) > 0, axis=1)
-    alternate: Booleans = apart & (between[:, 0] != between[:, 1])
-    return alternate
-
-
 def _intersections(ends: Array) -> Array:
     """Where lines 01 and 23, in barycentric weights (n, 4, 3), cross: their parameters, (n, 2)."""
     a, b, p, q = (ends[:, k, :2].T for k in range(4))
@@ -160,23 +150,26 @@ cables to lie."""
 def arrange(
     cables: Sequence[LaidCable], strip: Strip, known: Sequence[Crossing]
 ) -> tuple[Crossing, ...]:
-    """Find the crossings of the cables in tension, and insert their points into the cables. What
-    the last solve has found of a cable's points stays where these are as before."""
+    """Find the crossings of the cables in tension, and insert their points into the cables."""
     before = [cable.state for cable in cables]
     for cable in cables:
         known = _remove_crossings(cable, known)
-    meetings = Meetings(cables, strip).find()
+    meetings = Meetings(cables, strip)
+    found = meetings.on_edges() + meetings.in_cells()
     inserted: list[dict[int, list[tuple[float, CableNode, Array]]]]
     inserted = [defaultdict(list) for _ in cables]
     left: dict[tuple[int, int], list[Crossing]] = defaultdict(list)
     for one in known:
         left[one.lower, one.upper].append(one)
     crossings: list[Crossing] = []
-    for first, second, along, point in sorted(meetings, key=lambda m: (m.first, m.along[0])):
-        links = [_link(cables, member) for member in (first, second)]
-        places = [a + t * (b - a) for (a, b), t in zip(links, along, strict=True)]
+    for first, second, along, point in sorted(found, key=lambda m: (m.first, m.along[0])):
+        places = []
+        for (c, k), t in zip((first, second), along, strict=True):
+            a, b = cables[c].positions[[k, min(k + 1, len(cables[c].nodes) - 1)]]
+            places.append(a + t * (b - a))
         (lower, t_lower), (upper, t_upper) = sorted(
-            zip((first, second), along, strict=True), key=lambda side: _order(cables, side[0][0])
+            zip((first, second), along, strict=True),
+            key=lambda side: (cables[side[0][0]].layer, side[0][0]),
         )
         between = tuple(
             () if node.point is None else node.support
@@ -199,6 +192,7 @@ def arrange(
         _insert(cable, inserted[c])
         old = before[c]
         if len(cable.nodes) == len(old.nodes) and all(map(_is_alike, cable.nodes, old.nodes)):
+            # what the last solve has found of the cable's points stays
             cable.update(reference_positions=old.reference_positions, blocked=old.blocked)
     return tuple(crossings)
 
@@ -221,24 +215,14 @@ def tangled(crossings: Sequence[Crossing]) -> set[int]:
     return found
 
 
-def _order(cables: Sequence[LaidCable], c: int) -> tuple[int, int]:
-    return cables[c].layer, c
-
-
-def _link(cables: Sequence[LaidCable], member: NodeId) -> tuple[Array, Array]:
-    c, k = member
-    return cables[c].positions[k], cables[c].positions[min(k + 1, len(cables[c].nodes) - 1)]
-
-
 def _inherited(crossing: Crossing, left: list[Crossing], cables: Sequence[LaidCable]) -> Crossing:
-    """Go on from the nearest one left of these cables' crossings; a new one starts as they lie. It
-    stays where it was if they cross the same edges before and after it: else it would draw them
-    aside."""
+    """Go on from the nearest one left of these cables' crossings; a new one starts as they lie."""
     if not left:
         upper, k = cables[crossing.upper], crossing.links[1]
         return replace(crossing, separated=all(upper.lifted[k : k + 2]))
     away = [float(np.linalg.norm(k.place - crossing.place)) for k in left]
     old = left.pop(away.index(min(away)))
+    # if they cross other edges before and after it, it would draw them aside where it was
     place = old.place if old.between == crossing.between else crossing.place
     return replace(crossing, separated=old.separated, place=place)
 

@@ -17,12 +17,11 @@ from crms_fenicsx.surface.polygons import Polygons, best_fan, fan_facets
 class FoldedShape:
     """This rank's folded cells, cut along their cables."""
 
-    # points, stress_free: (n, 3) current and stress-free places (length): the vertices by local
-    # degree of freedom, then the cable points on edges of folded cells
+    # (n, 3) current and stress-free places (length): of the vertices by local degree of freedom,
+    # then of the cable points on edges of folded cells
     points: Array
     stress_free: Array
-    # polygons, oriented as the membrane, with the local number of the cell they are part of
-    pieces: Polygons
+    pieces: Polygons  # oriented as the membrane, with local numbers of the cells
 
     @property
     def cells(self) -> Integers:
@@ -34,14 +33,11 @@ class FoldedShape:
 class CurrentSurface:
     """This rank's part of the current surface."""
 
-    # points, stress_free: (n, 3) current and stress-free places (length) of vertices and cable
-    # points
-    points: Array
-    stress_free: Array
+    points: Array  # (n, 3) current places of vertices and cable points (length)
+    stress_free: Array  # (n, 3) their stress-free places
     triangles: Integers  # (m, 3) corners as rows of `points`, oriented as the membrane
     parents: Integers  # (m,) local number of the cell that each triangle is, or is a part of
-    # (h, 2) sides of triangles as rows of `points` that are neither edges of the mesh nor folds:
-    # they cut a piece of a folded cell into triangles
+    # (h, 2) sides of triangles that are neither edges of the mesh nor folds, as rows of `points`
     inner: Integers
 
 
@@ -68,18 +64,14 @@ def folded_shape(net: CableNet) -> FoldedShape:
     new, new_free = np.zeros((len(added), 3)), np.zeros((len(added), 3))
     for i, row in enumerate(numbering.first[added - len(places)]):
         cable, k = net.cables[nodes.cable[row]], int(nodes.place[row])
-        vertices, weights = cable.nodes[k].interpolation(_fraction(cable.fractions[k]))
+        share = float(np.clip(cable.fractions[k], 0.0, 1.0))  # one pulled beyond an end is there
+        vertices, weights = cable.nodes[k].interpolation(None if np.isnan(share) else share)
         new[i] = cable.positions[k]
         new_free[i] = np.dot(weights, stress_free[[numbering.dof(v) for v in vertices]])
     pieces = Polygons(cut.starts, cut.corners, net.strip.local[cells.rows[cut.cell]])
     return FoldedShape(
         np.concatenate([places, new]), np.concatenate([stress_free, new_free]), pieces
     )
-
-
-def _fraction(value: float) -> float | None:
-    """A place on an edge; what is pulled beyond its end is there in the stress-free shape."""
-    return None if np.isnan(value) else float(np.clip(value, 0.0, 1.0))
 
 
 def current_surface(net: CableNet) -> CurrentSurface:
@@ -96,20 +88,15 @@ def current_surface(net: CableNet) -> CurrentSurface:
         triangles.append(fan)
         parents.append(np.full(len(fan), cell))
         inner.append(fan[1:, :2])
-    return CurrentSurface(
-        shape.points,
-        shape.stress_free,
-        np.concatenate(triangles),
-        np.concatenate(parents),
-        np.concatenate(inner),
-    )
+    joined = map(np.concatenate, (triangles, parents, inner))
+    return CurrentSurface(shape.points, shape.stress_free, *joined)
 
 
 def gained_volume(net: CableNet) -> float:
-    """Volume between the stress-free and the current cells under pressure (length cubed).
-    Collective. A pressure p does the work p V on it. While their rim is held, or slides in planes,
-    it is that between the two surfaces and the planes; if it moves else, what its way sweeps out as
-    seen from the stress-free membrane's centre counts too."""
+    """Volume between the stress-free and the current cells under pressure (length cubed), on which
+    a pressure p does the work p V. Collective."""
+    # While their rim is held, or slides in planes, it is that between the two surfaces and the
+    # planes; if it moves else, what its way sweeps out as seen from the centre counts too.
     membrane = net.membrane
     V, mesh = membrane.V, membrane.mesh.mesh
     shape = folded_shape(net)
@@ -131,7 +118,7 @@ def gained_volume(net: CableNet) -> float:
 
 
 def _volume_change(X: Array, u: Array, triangles: npt.NDArray[np.integer]) -> Array:
-    """Volume between each triangle and the origin, current less stress-free, (n,). Term by term, so
+    """Volume between each triangle and the origin, current less stress-free, (n,), term by term so
     that a small change is not lost in a large volume."""
     a, h = X[triangles], u[triangles]
     d, s = a[:, 1:] - a[:, :1], h[:, 1:] - h[:, :1]

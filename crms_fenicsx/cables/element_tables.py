@@ -24,18 +24,13 @@ from crms_fenicsx.surface.polygons import Polygons, fan_facets, fan_owners, spli
 
 
 class CutCells:
-    """This rank's folded cells, those with points on a side, and the chords through their inside.
-
-    Attributes: `rows` (n,): rows of the cells in the strip, ascending; `chords_of` (n + 1,): where
-    the chords of each cell begin among the m chords; `chords` (m + 1,), (k,): rows of the nodes on
-    each chord from rim to rim, in CSR form: pointers, rows. Between its two ends a chord has the
-    crossings on it.
-    """
+    """This rank's folded cells, those with points on a side, and the chords through them."""
 
     def __init__(self, numbering: CableNumbering) -> None:
         self.numbering = numbering
         strip, simplices = numbering.strip, numbering.strip.simplices
         rows = np.unique(simplices.around(numbering.points.edges)[1])
+        # (n,) rows of the cells in the strip, ascending
         self.rows = rows[strip.owner[rows] == numbering.rank]
         links, nodes = numbering.links, numbering.nodes
         inside = (links.on >= 0) & nodes.taut[links.first]
@@ -50,17 +45,18 @@ class CutCells:
         first, last, place = first[mine], last[mine], place[mine]
         order = np.argsort(place, kind="stable")
         first, last = first[order], last[order]
+        # (n + 1,) where the chords of each cell begin among all chords
         self.chords_of = np.searchsorted(place[order], np.arange(len(self.rows) + 1))
         starts = pointers(last - first + 2)
         members = np.empty(starts[-1], dtype=np.int64)
         members[runs(starts[:-1], last - first + 1)] = links.first[runs(first, last - first + 1)]
         members[starts[1:] - 1] = links.second[last]
+        # CSR form of the rows of the nodes on each chord: its two ends, and the crossings between
         self.chords = starts, members
 
     def pieces(self, some: Integers, vertices: Integers, nodes: Integers) -> Polygons:
-        """Polygons into which the chords cut some cells. Shapes: some (n,). Returns the polygons in
-        the membrane's orientation, with the place in `some` of the cell of each. Points on sides
-        that no chord leaves are corners too."""
+        """Polygons, oriented as the membrane, into which the chords cut some cells, with the place
+        in `some` of each one's cell; points on sides that no chord leaves are corners too."""
         cut = np.diff(self.chords_of)[some]
         chord = runs(self.chords_of[some], cut)
         starts, members = self.chords
@@ -94,19 +90,17 @@ NEAR_ANCHOR = 1e-3
 class CableTables:
     """What this rank computes for the cables in tension."""
 
-    # segments (n, 2), eps (n,), cable (n,): segments of the cables' polylines, their smoothing, and
-    # the cable's place among the taut
-    segments: Indices
-    eps: Array
-    cable: Indices
+    segments: Indices  # (n, 2) segments of the cables' polylines
+    eps: Array  # (n,) their smoothing (length)
+    cable: Indices  # (n,) the cable's place among the taut
     links: Integers  # (n, 2) rows of the two nodes that the segments join, in the table of nodes
     folded: FoldedCells  # cells with folded sides
-    # kinks (k, 4), kink_cells (k,), kink_nodes (k,): where chords meet sides at fold points that
-    # are free: corner blocks, row of `folded`, row of the fold point in the table of nodes
+    # where chords meet sides at free fold points: corner blocks (k, 4), row of `folded` (k,), row
+    # of the fold point in the table of nodes (k,)
     kinks: Indices
     kink_cells: Integers
     kink_nodes: Integers
-    facets: Facets  # facets of the folded cells under pressure
+    facets: Facets  # of the folded cells under pressure
 
     def penalty(self, factor: float, moduli: Array) -> FoldAngles:
         """Weighted penalty with mu = factor x E t x A; `moduli` (n,) is E t of the folded cells."""
@@ -144,9 +138,8 @@ def facets_of(numbering: CableNumbering, cells: Booleans) -> Facets:
 
 
 def depth_of(numbering: CableNumbering) -> tuple[Facets, Integers]:
-    """Facets around what lies between folded cells and the triangles of their corners. Those of a
-    cell close: its facets, the triangle from below, and along each folded side what lies between it
-    and the straight edge. With them comes the local cell of each."""
+    """Facets around the space between folded cells and the triangles of their corners, and the
+    local cell of each."""
     return _FoldedCellsOf(numbering).depth()
 
 
@@ -231,7 +224,8 @@ class _FoldedCellsOf:
         return Facets(*fan_facets(pieces.starts, pieces.corners), plain)
 
     def depth(self) -> tuple[Facets, Integers]:
-        """Facets around the space between facets and triangles, and their local cells."""
+        """Facets that close around the space between a cell's facets and the triangle of its
+        corners, and their local cells."""
         numbering, simplices, rows = self.numbering, self.strip.simplices, self.cells.rows
         every = np.arange(len(rows))
         pieces = self.cells.pieces(every, numbering.vertex_blocks, numbering.node_blocks)
@@ -250,7 +244,7 @@ class _FoldedCellsOf:
 
 
 def damping(numbering: CableNumbering, segments: Indices) -> Damping:
-    """What holds back the points of the cables in tension, with this rank's segments (m, 2)."""
+    """Damping of the points of the cables in tension, with this rank's segments (m, 2)."""
     rows = numbering.points.nodes
     own = (numbering.node_owners[rows] == numbering.rank) & numbering.nodes.slides[rows]
     rows = rows[own]

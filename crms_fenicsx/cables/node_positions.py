@@ -67,8 +67,8 @@ class NodePositions:
         self._pairs = sides[first[counts == 2][:, None] + np.arange(2)]
 
     def gather(self, x: Array) -> None:
-        """Give the cables the places of their points at the displacements x (n, 3). Collective. The
-        points of slack cables in x are brought up to date."""
+        """Give the cables the places of their points at the displacements x (n, 3), in which points
+        of slack cables are brought up to date. Collective."""
         numbering, unknowns = self.numbering, self.unknowns
         unknowns.place_idle_tied_points(x)
         local = np.zeros((self._starts[-1], 7))  # position, fraction, place when stress-free
@@ -108,10 +108,10 @@ class NodePositions:
             )
 
     def _set_material(self, total: Array) -> None:
-        """Find the nodes' places on the stress-free membrane; none where a cable is off it. A
-        crossing slides in its cell while its cell point stays: between two contacts it goes onto
-        the line from one to the other, where the cable has bent it to. Beside a lifted node the
-        cable does not say where it is, but the other one may."""
+        """Find the nodes' places on the stress-free membrane; NaN where a cable is off it."""
+        # A crossing slides in its cell while its cell point stays: between two contacts it goes
+        # onto the line from one to the other, where the cable has bent it to. Beside a lifted node
+        # the cable does not say where it is, but the other one may.
         position, material = total[:, :3], total[:, 4:]
         material[~self._known] = np.nan
         first, last = material[self._links.first], material[self._links.last]
@@ -123,11 +123,7 @@ class NodePositions:
 
 
 class _Lines:
-    """Polylines of three or more points each, given by rows of a table of places in CSR form.
-
-    Attributes: `inner`, `first`, `last` (n,): the rows of all their inner points, and of the ends
-    of the polylines that these are on.
-    """
+    """Polylines of three or more points each, given by rows of a table of places in CSR form."""
 
     def __init__(self, starts: Integers, members: npt.NDArray[np.integer]) -> None:
         sizes = np.diff(starts)
@@ -135,7 +131,8 @@ class _Lines:
         place = np.minimum(np.arange(longest), sizes[:, None] - 1)  # the last one fills the rest
         self._rows = members[starts[:-1, None] + place].astype(np.int64)
         self._inner = np.arange(1, longest - 1) < sizes[:, None] - 1
-        self.inner = self._rows[:, 1:-1][self._inner]
+        self.inner = self._rows[:, 1:-1][self._inner]  # rows of all inner points
+        # and of the ends of the polylines that these are on
         self.first, self.last = (np.repeat(self._rows[:, k], sizes - 2) for k in (0, -1))
 
     def shares(self, places: Array) -> Array:

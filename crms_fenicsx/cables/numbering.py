@@ -7,10 +7,10 @@ cables' paths and the strip of crossed cells, so they number alike without commu
 
 from __future__ import annotations
 
+from collections import ChainMap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 from dolfinx import fem
@@ -22,6 +22,7 @@ from crms_fenicsx.cables.points_on_edges import (
     VERTEX,
     NodeTable,
     PointsOnEdges,
+    points_by_edge,
 )
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.dofs.layout import FrameBlocks, Unknowns, vertex_places
@@ -32,15 +33,10 @@ from crms_fenicsx.surface.points import Edge
 
 
 class EdgeSliders:
-    """The edge sliders of cables in tension that this rank knows. Shapes: members (n,), blocks
-    (n,), ends (n, 2)."""
+    """The edge sliders of cables in tension that this rank knows, with blocks of edges' ends."""
 
     def __init__(
-        self,
-        cables: Sequence[LaidCable],
-        members: Sequence[NodeId],
-        blocks: Indices,
-        ends: Indices,
+        self, cables: Sequence[LaidCable], members: Sequence[NodeId], blocks: Indices, ends: Indices
     ) -> None:
         self._cables, self.members, self.blocks, self.ends = cables, members, blocks, ends
 
@@ -68,30 +64,23 @@ class EdgeSliders:
 
 @dataclass(frozen=True)
 class Links:
-    """The straight parts of the cables' polylines, from a node that one touches to the next, n."""
+    """The n straight parts of the cables' polylines, from a node that one touches to the next."""
 
-    first: Integers  # first, second: (n,) rows of the two nodes in the table of nodes
+    first: Integers  # (n,) rows of the two nodes in the table of nodes
     second: Integers
-    # (n,) number of the cell or edge of the strip that a link lies on; -1 off the membrane
-    on: Integers
+    on: Integers  # (n,) number of the cell or edge that a link lies on; -1 off the membrane
     around: Integers  # (n,) the same; off the membrane that of what its first node lies on
     owner: Integers  # (n,) the rank that computes it
 
 
 class CableNumbering:
-    """Numbering of the points of all cables of a scene.
-
-    Attributes: `nodes`: the table of all nodes; `on` (nodes,): number of what each node lies on
-    among the strip's simplices; -1 for anchors; `number` (nodes,): number of each node's point,
-    which the two sides of a crossing share. -1 for vertices and lifted nodes; `owners` (points,):
-    owning ranks of the points; `links`: the links between nodes; `blocks`, `node_blocks` (points,),
-    (nodes,): local blocks of points and of nodes, -1 where this rank has none; from `unknowns` on.
-    """
+    """Numbering of the points of all cables of a scene."""
 
     def __init__(self, cables: Sequence[LaidCable], strip: Strip, u: fem.Function) -> None:
         self.cables, self.strip, self.u = tuple(cables), strip, u
         self.rank = u.function_space.mesh.comm.rank
         self.nodes = NodeTable(self.cables)
+        # (nodes,) number of what each lies on among the strip's simplices; -1 for anchors
         self.on = strip.simplices.find(self.nodes.support)
         # The points of a slack cable ride on the membrane, all of them.
         self._used = np.flatnonzero(~(self.nodes.taut & self.nodes.lifted))
@@ -129,10 +118,11 @@ class CableNumbering:
         same = np.arange(len(points))
         same[shared] = shared[first[side]]
         new = same == np.arange(len(points))
+        # (nodes,) number of the point, which the two sides of a crossing share; -1 for vertices and
+        # lifted nodes
         self.number = np.full(len(nodes.kind), -1)
         self.number[points] = (np.cumsum(new) - 1)[same]
-        self.first = points[new]
-        """Row of a node of each point."""
+        self.first = points[new]  # row of a node of each point
         self.owners = self.strip.simplices.owner[self._places(self.first)].astype(np.int64)
         self.node_owners = np.where(self.number >= 0, np.append(self.owners, -1)[self.number], -1)
         at_vertex = nodes.kind == VERTEX  # whoever owns a vertex has the nodes on it
@@ -156,8 +146,8 @@ class CableNumbering:
         """Degrees of freedom of the vertices of this rank's cells of the strip, and its points."""
         strip, links, simplices = self.strip, self.links, self.strip.simplices
         self.own_rows = np.flatnonzero(strip.owner == self.rank)
+        # local degrees of freedom of the strip's vertices; -1 for those of other ranks
         self.dofs = np.full(len(strip.vertices), -1)
-        """Local degrees of freedom of the strip's vertices; -1 for those of other ranks."""
         dofs = self.u.function_space.dofmap.list[strip.local[self.own_rows]]
         self.dofs[simplices.cells[self.own_rows]] = dofs
         # Points that this rank needs: those on its links and on the edges of its cells.
@@ -186,9 +176,8 @@ class CableNumbering:
         self._find_far_vertices([(int(a), int(b)) for a, b in np.unique(far, axis=0) if b >= 0])
 
     def _find_far_vertices(self, far: Sequence[tuple[int, int]]) -> None:
-        """Owner and number there of the vertices at ends of spans that this rank has not. Those
-        that are the ends themselves, and those on which edge sliders and tied points at ends
-        depend."""
+        """Owner, and number there, of the vertices that this rank lacks and on which ends of spans
+        lie or depend."""
         strip = self.strip
         far = [(rank, v) for rank, v in far if not np.any(strip.owner[strip.rows((v,))] == rank)]
         self.far_vertices: dict[int, tuple[int, int]] = {}
@@ -200,11 +189,7 @@ class CableNumbering:
         dofs = {v: self.dof(v) for _, v in far}
         wanted = {v: dof for v, dof in dofs.items() if 0 <= dof < vertices.size_local}
         mine = {v: (self.rank, dof, X[dof]) for v, dof in wanted.items()}
-        known = {
-            v: place
-            for part in self.u.function_space.mesh.comm.allgather(mine)
-            for v, place in part.items()
-        }
+        known = dict(ChainMap(*self.u.function_space.mesh.comm.allgather(mine)))
         for rank, v in far:
             if rank == self.rank:
                 owner, dof, place = known[v]
@@ -220,12 +205,12 @@ class CableNumbering:
         else:
             of_first = int(np.count_nonzero(self.owners == 0))
             unknowns = frame.layout(V, len(self.owned), self.ghosts, far_vertices, of_first)
+        # local blocks of points, of the strip's vertices and of nodes; -1 where this rank has none
         self.blocks = np.full(len(self.owners), -1, dtype=np.int32)
         self.blocks[self.owned] = unknowns.owned_point_blocks()[: len(self.owned)]
         self.blocks[self.foreign] = unknowns.ghost_point_blocks()[: len(self.foreign)]
         # A rank may have no vertex at all.
         self.vertex_blocks = np.append(unknowns.vertex_blocks(), np.int32(-1))[self.dofs]
-        """Local blocks of the strip's vertices, or -1."""
         far = unknowns.far_vertex_blocks()[: len(far_vertices)]
         self.vertex_blocks[[self.strip.row_of[v] for v in self.far_vertices]] = far
         self.node_blocks = np.where(self.number >= 0, np.append(self.blocks, -1)[self.number], -1)
@@ -266,8 +251,8 @@ class CableNumbering:
         return np.where((corners < 0) | (on < 0)[:, None], -1, self.vertex_blocks[corners])
 
     def hold(self, unknowns: Unknowns) -> None:
-        """Hold the anchors; let tied points and the sliding points of slack cables ride. Ends that
-        are fixed to joints ride on these. Collective."""
+        """Hold the anchors; let tied points, the sliding points of slack cables and ends that are
+        fixed to joints ride. Collective."""
         nodes, rows, joints = self.nodes, self._own_points, self._joint_blocks()
         unknowns.held[self.node_blocks[rows[nodes.kind[rows] == ANCHOR]]] = True
         rides = (nodes.kind == TIED) | (nodes.slides & ~nodes.taut) | (joints >= 0)
@@ -317,27 +302,24 @@ class CableNumbering:
     @cached_property
     def points(self) -> PointsOnEdges:
         """Points of the cables in tension on each edge, in the order that they keep."""
+        return self.points_now()
+
+    def points_now(self) -> PointsOnEdges:
+        """The same in their present order: edge sliders may have passed others."""
         size = len(self.strip.simplices.owner)
         return PointsOnEdges(self.nodes, ~self.nodes.lifted, self.on, self.fractions(), size)
 
     @property
     def on_edge(self) -> dict[Edge, list[tuple[float, int, int]]]:
-        """The same by the edges' vertices; see `points_by_edge`."""
-        points, corners = self.points, self.strip.simplices.corners
-        edges = self.strip.vertices[corners[points.edges, :2]]
-        fractions = map(float, self.fractions()[points.nodes])
-        ids = self.nodes.ids(points.nodes)
-        members = [(s, c, k) for s, (c, k) in zip(fractions, ids, strict=True)]
-        starts = pairwise([*points.starts[points.edges], len(members)])
-        return {
-            (int(a), int(b)): members[i:j] for (a, b), (i, j) in zip(edges, starts, strict=True)
-        }
+        """Points by the edges' vertices."""
+        return points_by_edge(self.cables)
 
-    def lines(self, edges: Integers) -> tuple[Integers, Indices]:
-        """Local blocks along edges, given by number, in CSR form: pointers, blocks. Each begins
-        with the edge's first vertex, which the points of the cables in tension follow and its last
-        vertex."""
-        points = self.points
+    def lines(
+        self, edges: Integers, points: PointsOnEdges | None = None
+    ) -> tuple[Integers, Indices]:
+        """Local blocks along edges, given by number, in CSR form: the edge's first vertex, the
+        points of the cables in tension, its last vertex."""
+        points = self.points if points is None else points
         counts = points.counts[edges]
         starts = pointers(counts + 2)
         blocks = np.empty(starts[-1], dtype=np.int32)
@@ -346,8 +328,3 @@ class CableNumbering:
         inner = points.nodes[runs(points.starts[edges], counts)]
         blocks[runs(starts[:-1] + 1, counts)] = self.node_blocks[inner]
         return starts, blocks
-
-    def line(self, edge: Edge, points: Sequence[tuple[float, int, int]]) -> list[int]:
-        """Local blocks along an edge: its first vertex, points in order, its last vertex."""
-        inner = (self.block(c, k) for _, c, k in points)
-        return [self.vertex(edge[0]), *inner, self.vertex(edge[1])]

@@ -21,28 +21,22 @@ NUMBERS = dict(
 
 
 class NodeTable:
-    """The nodes of some cables, n in all; what they are, not where they are in space.
-
-    Attributes: `starts`: rows at which the cables begin; `cable`, `place` (n,): numbers of the
-    cable and of the node in it; `kind`, `crossing` (n,): as of `CableNode`; -1 without a crossing;
-    `support`, `weights` (n, 3): vertices (ids) on which a node lies or between which, -1 after the
-    last one, and their weights on the unfolded mesh, 0 there; `size` (n,): how many these are; 0
-    for anchors; `taut`, `lifted`, `slides` (n,): whether the node is one of a cable in tension, is
-    lifted, slides on an edge.
-    """
+    """The nodes of some cables, n in all; what they are, not where they are in space."""
 
     def __init__(self, cables: Sequence[LaidCable]) -> None:
         nodes = [node for cable in cables for node in cable.nodes]
         counts = np.array([len(cable.nodes) for cable in cables], dtype=np.int64)
         n = len(nodes)
-        self.starts = pointers(counts)
-        self.cable = np.repeat(np.arange(len(cables)), counts)
-        self.place = np.arange(n) - self.starts[self.cable]
+        self.starts = pointers(counts)  # rows at which the cables begin
+        self.cable = np.repeat(np.arange(len(cables)), counts)  # (n,) number of the cable
+        self.place = np.arange(n) - self.starts[self.cable]  # (n,) number of the node in it
         self.kind = np.fromiter((NUMBERS[node.kind] for node in nodes), np.int64, n)
         shared = (-1 if node.crossing is None else node.crossing for node in nodes)
         self.crossing = np.fromiter(shared, np.int64, n)
         points = [node.point for node in nodes]
         supports = [() if point is None else point.support for point in points]
+        # (n, 3) vertices (ids) on which a node lies or between which, -1 after the last one, their
+        # weights on the unfolded mesh, and (n,) how many these are; 0 for anchors
         self.size = np.fromiter(map(len, supports), np.int64, n)
         there = np.arange(3) < self.size[:, None]
         self.support = np.full((n, 3), -1)
@@ -61,14 +55,7 @@ class NodeTable:
 
 
 class PointsOnEdges:
-    """Chosen points of cables on each edge, as arrays.
-
-    Attributes: `edges` (n,): numbers of the edges with points; `nodes` (m,): rows of the points,
-    edge after edge, each from its first vertex to its last; `starts`, `counts` (size,): where those
-    of each edge begin there, and how many there are; 0 points on all else; `place` (nodes,): place
-    of each along its edge, from 0; -1 for all other nodes. Shapes: chosen (nodes,), on, fractions
-    (nodes,).
-    """
+    """Chosen points of cables in tension on each edge, as arrays."""
 
     def __init__(
         self, table: NodeTable, chosen: Booleans, on: Integers, fractions: Array, size: int
@@ -77,11 +64,14 @@ class PointsOnEdges:
         edges, first, inverse = np.unique(on[nodes], return_index=True, return_inverse=True)
         nodes, edge = nodes[chosen[nodes]], inverse[chosen[nodes]]
         order = np.lexsort((nodes, fractions[nodes], first[edge]))
+        # rows of the points, edge after edge, each from its first vertex to its last
         self.nodes, edge = nodes[order], edges[edge[order]]
         begins = np.flatnonzero(np.diff(edge, prepend=-1))
-        self.edges = edge[begins]
+        self.edges = edge[begins]  # numbers of the edges with points
+        # (size,) where the points of each simplex begin, and how many there are
         self.starts, self.counts = np.zeros(size, dtype=np.int64), np.bincount(edge, minlength=size)
         self.starts[self.edges] = begins
+        # (nodes,) place of each along its edge, from 0; -1 for all other nodes
         self.place = np.full(len(on), -1)
         self.place[self.nodes] = np.arange(len(self.nodes)) - self.starts[edge]
 
@@ -108,8 +98,8 @@ def nodes_on_edges(
 def points_by_edge(
     cables: Sequence[LaidCable], nodes: Mapping[Edge, Sequence[tuple[int, int]]] | None = None
 ) -> dict[Edge, list[tuple[float, int, int]]]:
-    """Points of cables in tension on each edge, sorted from its first vertex to its last. Returns
-    places on the edge (fractions) and numbers of cables and nodes; without lifted ones."""
+    """Points, none lifted, of cables in tension on each edge, sorted from its first vertex to its
+    last: places on the edge (fractions), and numbers of cables and nodes."""
     found = {
         edge: sorted(
             (float(cables[c].fractions[k]), c, k) for c, k in members if not cables[c].lifted[k]

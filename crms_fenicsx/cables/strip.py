@@ -10,13 +10,13 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain, pairwise
+from itertools import chain
 
 import numpy as np
 import numpy.typing as npt
 
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
-from crms_fenicsx.meshes.triangles import cross, norm
+from crms_fenicsx.meshes.triangles import double_areas, norm
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, runs
 from crms_fenicsx.runtime.compat import geometry_dofmap
@@ -28,33 +28,28 @@ _CORNERS = np.array([[1, 0, 0], [2, 0, 0], [3, 0, 0], [1, 2, 0], [1, 3, 0], [2, 
 
 
 class Simplices:
-    """The m vertices, edges and cells of n cells, with the cells around each.
-
-    Attributes: `vertices` (k,): ids of all vertices, ascending; `cells` (n, 3): the cells as rows
-    of `vertices`, each in its own order; `corners` (m, 3): rows of `vertices` on which a simplex
-    lies, ascending; -1 after the last one; `pointers` (m + 1,), rows: the cells around the
-    simplices, ascending for each; `owner` (m,): the rank that owns what lies on a simplex: the
-    lowest one with a cell there; `sides`, `forward` (n, 3): the edge from each corner of a cell to
-    the next, and whether it leads there. Shapes: cells (n, 3), owner (n,).
-    """
+    """The m vertices, edges and cells of n cells, with the cells around each."""
 
     def __init__(self, cells: Integers, owner: Integers) -> None:
-        self.vertices = np.unique(cells)
-        self.cells = np.searchsorted(self.vertices, cells)
+        self.vertices = np.unique(cells)  # ids of all vertices, ascending
+        self.cells = np.searchsorted(self.vertices, cells)  # (n, 3) rows of `vertices`
         corners = np.sort(self.cells, axis=1) + 1
         corners = np.concatenate([np.zeros((len(cells), 1), dtype=np.int64), corners], axis=1)
         keys: Integers = self._keys(corners[:, _CORNERS] - 1).ravel()
         order = np.argsort(keys, kind="stable")
-        self.rows = order // len(_CORNERS)
+        self.rows = order // len(_CORNERS)  # cells around the simplices, ascending for each
         keys = keys[order]
         first = np.flatnonzero(np.diff(keys, prepend=-1))
         self.pointers = np.append(first, len(keys))
         self.keys = keys[first]
         base = len(self.vertices) + 1
         rest, c = np.divmod(self.keys, base)
+        # (m, 3) rows of `vertices` on which a simplex lies, ascending; -1 after the last one
         self.corners = np.stack([*np.divmod(rest, base), c], axis=1) - 1
         owners = owner[self.rows]
+        # (m,) the rank that owns what lies on a simplex: the lowest one with a cell there
         self.owner = np.minimum.reduceat(owners, first) if len(first) else owners
+        # (n, 3) the edge from each corner of a cell to the next, and whether it leads there
         ends = np.stack([self.cells, np.roll(self.cells, -1, axis=1)], axis=2)
         self.forward: Booleans = ends[..., 0] < ends[..., 1]
         none = np.full((*ends.shape[:2], 1), -1)
@@ -68,7 +63,7 @@ class Simplices:
         return keys
 
     def find(self, supports: Integers) -> Integers:
-        """Numbers of simplices given by vertex ids (k, 3), ascending and then -1; -1: not here."""
+        """Numbers of simplices given by vertex ids (k, 3), ascending and then -1; -1 for others."""
         if len(self.keys) == 0:
             return np.full(len(supports), -1)
         corners = np.minimum(np.searchsorted(self.vertices, supports), len(self.vertices) - 1)
@@ -105,13 +100,11 @@ class Strip:
     # (n, 3) vertex ids (numbers in the mesh as it was given), each cell's in its own order; the
     # cells as `ascending` orders them, so that sums over cells round alike on any number of ranks
     cells: Integers
-    owner: Integers  # owner, local: (n,) owning rank and the cell's local number on it
-    local: Integers
+    owner: Integers  # (n,) owning rank
+    local: Integers  # (n,) the cell's local number on it
     complete: frozenset[int] = frozenset()  # ids of the vertices all of whose cells are here
-    # edges (a, b), a < b, of these cells that are held over their whole length
-    held_edges: frozenset[tuple[int, int]] = frozenset()
-    # cells (a, b, c), a < b < c, behind a seam: cables fold them at the seam, but do not lie on
-    # them
+    held_edges: frozenset[Edge] = frozenset()  # held over their whole length
+    # cells (a, b, c), a < b < c, behind a seam, where cables fold them but do not lie on them
     hidden: frozenset[tuple[int, int, int]] = frozenset()
 
     @cached_property
@@ -147,14 +140,6 @@ class Strip:
         return [int(rank) for rank in self.owner]
 
     @cached_property
-    def sides(self) -> list[list[tuple[Edge, bool]]]:
-        """Sides of each cell: the ids ascending, and whether that is the cell's own direction."""
-        return [
-            [((a, b), True) if a < b else ((b, a), False) for a, b in pairwise((*cell, cell[0]))]
-            for cell in self.corners
-        ]
-
-    @cached_property
     def vertices(self) -> Integers:
         """Ids of all vertices, ascending, (k,)."""
         return np.unique(self.cells)
@@ -178,17 +163,6 @@ class Strip:
     def outer_rows(self, vertices: tuple[int, ...]) -> list[int]:
         """Rows of the cells that hold all these vertices and that cables can lie on."""
         return _rows(self.outer_around, vertices)
-
-    def owner_of(self, vertices: tuple[int, ...]) -> int:
-        """The rank that owns what lies on these vertices: the lowest one with a cell there."""
-        if vertices not in self._owner_of:
-            self._owner_of[vertices] = min(self.owners[row] for row in self.rows(vertices))
-        return self._owner_of[vertices]
-
-    @cached_property
-    def _owner_of(self) -> dict[tuple[int, ...], int]:
-        """What `owner_of` has found."""
-        return {}
 
     def merged(self, other: Strip) -> Strip:
         """Cells of both."""
@@ -226,7 +200,7 @@ def _around(
 
 
 def _rows(around: dict[tuple[int, ...], list[int]], vertices: tuple[int, ...]) -> list[int]:
-    """What is at vertices in any order, also repeated; most often they are in order."""
+    """Rows of the cells at vertices in any order, also repeated; most often they are in order."""
     found = around.get(vertices)
     return around.get(tuple(sorted(set(vertices))), []) if found is None else found
 
@@ -237,19 +211,17 @@ EMPTY = Strip(np.zeros((0, 3), dtype=np.int64), *(np.zeros(0, dtype=np.int64),) 
 def cells_at(
     membrane: Membrane, vertices: npt.ArrayLike, held_edges: Booleans | None = None
 ) -> Strip:
-    """Gather the cells around some vertices, given by id and alike on all ranks. Collective.
-    `held_edges` are those of a state that the membrane is not in yet."""
+    """The cells around some vertices (ids, the same on all ranks), with the held edges of the
+    membrane or of a state that it is not in yet. Collective."""
     wanted = np.unique(np.asarray(vertices, dtype=np.int64))
     ids = _own_cells(membrane)
     chosen = np.flatnonzero(np.isin(ids, wanted).any(axis=1))
     strip = _gathered(membrane, ids, chosen, held_edges)
-    complete = frozenset(int(vertex) for vertex in wanted)
-    return replace(strip, complete=complete)
+    return replace(strip, complete=frozenset(int(vertex) for vertex in wanted))
 
 
 def grown(membrane: Membrane, strip: Strip, vertices: npt.ArrayLike, rings: int = 1) -> Strip:
-    """A strip and the cells around some vertices, given by id and alike on all ranks. Collective.
-    `rings` tells how many rings of cells around them are added."""
+    """A strip with rings of cells around some vertices (ids, the same on all ranks). Collective."""
     wanted = np.unique(np.asarray(vertices, dtype=np.int64))
     for _ in range(rings):
         lacking = [int(v) for v in wanted if int(v) not in strip.complete]
@@ -260,8 +232,8 @@ def grown(membrane: Membrane, strip: Strip, vertices: npt.ArrayLike, rings: int 
 
 
 def cells_near(membrane: Membrane, route: Array, along_legs: bool) -> Strip:
-    """Gather the cells that tracing a route on the current shape needs. Collective. None behind a
-    seam is among them. Those along the legs are enough for most routes, see `near_section`."""
+    """The cells, none behind a seam, that tracing a route on the current shape needs, or those
+    along its legs, which are enough for most routes. Collective."""
     positions, nodes = own_surface(membrane)
     outer = np.setdiff1d(np.arange(len(nodes)), membrane.mesh.hidden)
     near = near_section(positions, nodes[outer], route, comm=membrane.comm, along_legs=along_legs)
@@ -306,11 +278,7 @@ def _gathered(
 
 
 class StripShape:
-    """Positions of a strip's vertices, on all ranks.
-
-    Attributes: `strip`: the cells; `current`, `stress_free` (k, 3): positions (length) of
-    `strip.vertices`.
-    """
+    """Positions (k, 3), current and stress-free (length), of a strip's vertices, on all ranks."""
 
     def __init__(self, strip: Strip, current: Array, stress_free: Array) -> None:
         self.strip, self.current, self.stress_free = strip, current, stress_free
@@ -345,14 +313,12 @@ class StripShape:
     @cached_property
     def normals(self) -> Array:
         """Current normals of the cells, twice as long as their areas, (n, 3)."""
-        x = self.current[np.searchsorted(self.strip.vertices, self.strip.cells)]
-        return cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+        return double_areas(self.current[self.strip.simplices.cells])
 
     @cached_property
     def stress_free_normals(self) -> Array:
         """Stress-free normals of the cells, twice as long as their areas, (n, 3)."""
-        x = self.stress_free[np.searchsorted(self.strip.vertices, self.strip.cells)]
-        return cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+        return double_areas(self.stress_free[self.strip.simplices.cells])
 
     def stress_free_size(self, support: tuple[int, ...]) -> float:
         """Size of the stress-free cells around a vertex or an edge (length)."""
@@ -364,9 +330,8 @@ class StripShape:
         return self.stress_free[self.strip.row_of[vertex]]
 
     def normals_and_sizes(self, supports: Sequence[tuple[int, ...]]) -> tuple[Array, Array]:
-        """Normals and sizes of the membrane at vertices, edges or cells: of the cells around.
-        Shapes: supports (m,). Returns normals (m, 3): current unit normals; sizes (m,): square
-        roots of twice the cells' mean areas (length)."""
+        """Current unit normals (m, 3) at vertices, edges or cells, and sizes (m,): square roots of
+        twice the mean areas of the cells around (length)."""
         around = [self.strip.outer_rows(support) for support in supports]
         counts = np.array([len(rows) for rows in around], dtype=np.int64)
         normals = self.normals[np.fromiter(chain.from_iterable(around), np.int64)]
@@ -375,5 +340,5 @@ class StripShape:
         return totals / norm(totals)[:, None], np.sqrt(areas / counts)
 
     def normal(self, support: tuple[int, ...]) -> Array:
-        """Current unit normal at a vertex, an edge or a cell: that of the cells around, (3,)."""
+        """Current unit normal (3,) of the cells around a vertex, an edge or a cell."""
         return self.normals_and_sizes([support])[0][0]

@@ -43,14 +43,14 @@ class RestPlaces:
     """Arc at rest where friction holds the cables: ``slope * s + offset``, s places on edges."""
 
     nodes: list[int]  # their numbers
-    slope: Array  # slope, offset, rest: (n,) the rest is that at their current places (length)
-    offset: Array
-    rest: Array
+    slope: Array  # (n,) and
+    offset: Array  # (n,) (length)
+    rest: Array  # (n,) arcs at their current places (length)
     size: Array  # (n,) size of the stress-free cells around (length)
 
 
 def initial_state(cable: LaidCable, shape: StripShape) -> AxialFrictionState:
-    """Grip of a cable that has the same strain everywhere, as one that has just been laid."""
+    """State of a cable that has the same strain everywhere, as one that has just been laid."""
     supports = _supports(cable)
     curve, rest = _curve(cable, shape, [], np.zeros(0))
     none, zero = np.zeros(0), np.zeros(len(supports))
@@ -58,7 +58,7 @@ def initial_state(cable: LaidCable, shape: StripShape) -> AxialFrictionState:
 
 
 def _supports(cable: LaidCable) -> tuple[Support, ...]:
-    """Places of the nodes that friction can hold along the cable. Not the held vertex that an
+    """Places of the nodes that friction can hold along the cable, without a held vertex that an
     anchor lies on: between the two there is no cable."""
     last = len(cable.nodes) - 1
     supports = []
@@ -115,11 +115,11 @@ def remap_axial(cable: LaidCable) -> None:
 
 
 def reference_arcs(cable: LaidCable, shape: StripShape) -> RestPlaces:
-    """What rests at a cable's nodes, and how that changes along their edges. A fold point that is
-    moved along its edge by v takes the cable's material along by v . t, with t the mean of the
-    cable's directions before and after: divided by the stretch, this is the slope. With it the
-    forces of the tensions T1 and T2 and of friction on the fold point sum up to
-    ``(T1 + T2)/2 (t2 - t1)`` along the edge, which vanishes on a geodesic as without friction."""
+    """Arcs at rest at a cable's nodes, and how they change along their edges."""
+    # A fold point that is moved along its edge by v takes the cable's material along by v . t, with
+    # t the mean of the cable's directions before and after: divided by the stretch, this is the
+    # slope. With it the forces of the tensions T1, T2 and of friction on the fold point sum up to
+    # (T1 + T2)/2 (t2 - t1) along the edge, which vanishes on a geodesic as without friction.
     grip = cable.axial
     assert grip is not None
     nodes, contacts, direction = gripped_nodes(cable), cable.contacts(), turns(cable)
@@ -132,18 +132,12 @@ def reference_arcs(cable: LaidCable, shape: StripShape) -> RestPlaces:
         if cable.nodes[k].slides and k in direction:
             at = contacts.index(k)
             stretch = 1 + cable.part_tensions[at - 1 : at + 1].mean() / cable.cable.EA
-            edge = edge_directions(cable, [k], shape)[0] * _edge_length(cable, k, shape)
+            parts = (np.linalg.norm(shape.at(v) - cable.positions[k]) for v in point.support)
+            edge = edge_directions(cable, [k], shape)[0] * float(sum(parts))
             slope[i] = edge @ np.add(*direction[k]) / (2 * stretch)
     rest = _rest_at(grip, places)
     fractions = np.where(np.isnan(cable.fractions[nodes]), 0.0, cable.fractions[nodes])
     return RestPlaces(nodes, slope, rest - slope * fractions, rest, size)
-
-
-def _edge_length(cable: LaidCable, k: int, shape: StripShape) -> float:
-    """Length of the edge of a node, through the node."""
-    point = cable.nodes[k].point
-    assert point is not None
-    return float(sum(np.linalg.norm(shape.at(v) - cable.positions[k]) for v in point.support))
 
 
 def _rest_at(grip: AxialFrictionState, places: Array) -> Array:
@@ -161,18 +155,13 @@ def _rest_at(grip: AxialFrictionState, places: Array) -> Array:
 def store_solution(
     cable: LaidCable, spans: Array, unstressed: Array, tensions: Array, slips: Array, loss: float
 ) -> None:
-    """Take the state of a solve. Shapes and units: spans, unstressed, tensions (n + 1,)
-    (length)."""
+    """Store lengths and tensions (n + 1,) of a solve's spans, and slips (n,) between them."""
     grip = cable.axial
     assert grip is not None
     axial = replace(
-        grip,
-        tensions=between_contacts(cable, tensions),
-        spans=spans.copy(),
-        arcs=np.cumsum(unstressed)[:-1],
-        slips=slips.copy(),
-        loss=loss,
-    )
+        grip, tensions=between_contacts(cable, tensions), spans=spans.copy(),
+        arcs=np.cumsum(unstressed)[:-1], slips=slips.copy(), loss=loss,
+    )  # fmt: skip
     tension = cable.cable.EA / cable.L0 * max(cable.length - cable.L0, 0.0)
     cable.update(tension=tension, axial=axial)
 
@@ -184,7 +173,7 @@ def between_contacts(cable: LaidCable, of_spans: Array) -> Array:
 
 
 def end_axial_step(cable: LaidCable, shape: StripShape) -> None:
-    """End a load step: what rests now at the cable's place is where the next step begins."""
+    """End a load step: the next one begins with what rests now at the cable's place."""
     grip = cable.axial
     if grip is None:
         return
@@ -206,8 +195,8 @@ def end_axial_step(cable: LaidCable, shape: StripShape) -> None:
 def _curve(
     cable: LaidCable, shape: StripShape, nodes: list[int], arcs: Array
 ) -> tuple[MaterialCurve, Array]:
-    """Where a cable is over the stress-free membrane, and the arcs that rest at its points. Places
-    under the cable where it is off the membrane count as well: there it may touch down."""
+    """A cable's curve over the stress-free membrane, and the arcs that rest at its points."""
+    # places under the cable where it is off the membrane count as well: there it may touch down
     last = len(cable.nodes) - 1
     on = [k for k in cable.path_nodes() if not (0 < k < last and is_foot(cable, k))]
     points = np.array([material_place(cable, k, shape) for k in on]).reshape(-1, 3)
@@ -236,30 +225,21 @@ def chain_table(numbering: CableNumbering, tables: CableTables) -> Chains:
     span = [
         first[c] + np.searchsorted(held[c], k, side="right") for c, k in (begins[s] for s in own)
     ]
-    strip, pointers, places = numbering.strip, [0], []
-    blocks: list[int] = []
-    nodes: list[int] = []
-    owned: list[bool] = []
-    on_edge = numbering.on_edge
-    for n, c, i, edge in _fold_points(numbering):
-        line = numbering.line(edge, on_edge[edge])
-        blocks += line
-        pointers.append(len(blocks))
-        places.append(line.index(numbering.block(c, held[c][i])))
-        nodes.append(int(first[c]) - n + i)
-        owned.append(strip.owner_of(edge) == numbering.rank)
+    points = _fold_points(numbering)
+    rows = np.array([numbering.row(c, held[c][i]) for _, c, i in points], dtype=np.int64)
+    edges = numbering.on[rows]
+    pointers, blocks = numbering.lines(edges)
     return Chains(
-        np.array([numbering.cables[c].cable.EA for c in cables]),
-        starts.astype(np.int64),
+        np.array([numbering.cables[c].cable.EA for c in cables]), starts.astype(np.int64),
         tables.segments[own], tables.eps[own], np.array(span, dtype=np.int32),
-        np.array(pointers, dtype=np.int32), np.array(blocks, dtype=np.int32),
-        np.array(places, dtype=np.int32), np.array(nodes, dtype=np.int32),
-        np.array(owned, dtype=bool),
+        pointers.astype(np.int32), blocks, (numbering.points.place[rows] + 1).astype(np.int32),
+        np.array([first[c] - n + i for n, c, i in points], dtype=np.int32),
+        numbering.strip.simplices.owner[edges] == numbering.rank,
     )  # fmt: skip
 
 
 def grip_table(numbering: CableNumbering, shape: StripShape) -> Grips:
-    """What holds these cables now."""
+    """The present bounds and places of rest of these cables."""
     places = {c: reference_arcs(k, shape) for c, k in enumerate(numbering.cables) if held_along(k)}
     grips = [axial for c in places if (axial := numbering.cables[c].axial) is not None]
 
@@ -273,22 +253,18 @@ def grip_table(numbering: CableNumbering, shape: StripShape) -> Grips:
         np.where(bound > 0.0, joined([grip.eps for grip in grips]), 1.0),
         np.where(bound > 0.0, joined([grip.elastic for grip in grips]), 1.0),
         joined([grip.slips for grip in grips]),
-        np.array([places[c].slope[i] for _, c, i, _ in _fold_points(numbering)]),
+        np.array([places[c].slope[i] for _, c, i in _fold_points(numbering)]),
     )
 
 
-def _fold_points(numbering: CableNumbering) -> list[tuple[int, int, int, tuple[int, int]]]:
-    """Fold points and edge sliders on the edges of this rank's cells that friction holds. The
-    number of the cable among those held, its number, that of the node among its held ones, and the
-    edge."""
-    strip = numbering.strip
-    found = []
+def _fold_points(numbering: CableNumbering) -> list[tuple[int, int, int]]:
+    """Sliding nodes on the edges of this rank's cells that friction holds: number of the cable
+    among those held, its number, and that of the node among its held ones."""
+    near = numbering.strip.simplices.touch(numbering.strip.owner == numbering.rank)
     cables = [c for c, cable in enumerate(numbering.cables) if held_along(cable)]
-    for n, c in enumerate(cables):
-        for i, k in enumerate(gripped_nodes(numbering.cables[c])):
-            node = numbering.cables[c].nodes[k]
-            if node.slides and node.point is not None:
-                a, b = node.point.support
-                if np.any(strip.owner[strip.rows((a, b))] == numbering.rank):
-                    found.append((n, c, i, (a, b)))
-    return found
+    return [
+        (n, c, i)
+        for n, c in enumerate(cables)
+        for i, k in enumerate(gripped_nodes(numbering.cables[c]))
+        if numbering.cables[c].nodes[k].slides and near[numbering.on[numbering.row(c, k)]]
+    ]

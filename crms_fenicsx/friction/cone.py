@@ -52,10 +52,10 @@ class Slip:
         return np.asarray(np.maximum(self.work - self.eps * elastic_part(share), 0.0))
 
     def law(self, share: Array, other: Array) -> tuple[Array, Array, Array]:
-        """The law of these slips while the other ones are held, relative to the law on its own.
-        Where this slip is small beside the other one, the force is ``share = work/other``: the
-        width is that with which the law has this slope. Shapes and units: share (n,), other (n,)
-        (length). Returns as in `SidewaysLaw`."""
+        """The law of these slips while the other ones are held, relative to the law on its own, as
+        in `SidewaysLaw`."""
+        # Where this slip is small beside the other one, the force is share = work/other: the width
+        # is that with which the law has this slope.
         slides = (other > 0.0) | (self.plastic(share) > 0.0)
         width = 1 + 2 * other / self.eps
         y = np.minimum(self.work / self.eps / width, 1.0)
@@ -85,10 +85,9 @@ def shares(a: Slip, b: Slip) -> tuple[Array, Array]:
 
 
 def full_slips(cable: LaidCable, size: Array, wrap: Array) -> Array:
-    """Slips along the cable at which friction is mobilised on its own, (n,) (length). It is
-    relative to what the force of a node that just holds stretches one cell by: so sticking is much
-    stiffer than the cable on every mesh, however stiff the cable is. Shapes and units: size, wrap
-    (n,) (length)."""
+    """Slips along the cable at which friction is mobilised on its own, (n,) (length)."""
+    # relative to what the force of a node that just holds stretches one cell by, so that sticking
+    # is much stiffer than the cable on every mesh, however stiff the cable is
     friction = cable.cable.friction
     assert isinstance(friction, Friction)
     strain = cable.length / cable.L0 - 1
@@ -111,7 +110,7 @@ def slips_sideways(
 def law_sideways(
     cable: LaidCable, grip: LateralFrictionState, shape: StripShape
 ) -> SidewaysLaw | None:
-    """What friction along the cable takes of that sideways at the grip's nodes; None: nothing."""
+    """The law sideways that friction along the cable leaves at the held nodes; None: unchanged."""
     friction, axial = cable.cable.sideways, cable.axial
     assert friction is not None
     if not cable.cable.cone or axial is None or not len(axial.spans):
@@ -134,6 +133,6 @@ def law_sideways(
 
 
 def law_along(sideways: Slip, along: Slip) -> tuple[Array, Array, Array]:
-    """What friction sideways takes of that along the cable, as in `SidewaysLaw`."""
+    """The law along the cable that friction sideways leaves, as in `SidewaysLaw`."""
     u, v = shares(sideways, along)
     return along.law(v, sideways.plastic(u))

@@ -16,7 +16,6 @@ from dataclasses import replace
 import numpy as np
 
 from crms_fenicsx.cables.numbering import CableNumbering
-from crms_fenicsx.cables.points_on_edges import points_by_edge
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.contact_force import (
     contact_forces,
@@ -53,11 +52,11 @@ the smoothing of lengths."""
 
 
 def start_step(cable: LaidCable, shape: StripShape) -> None:
-    """Prepare a cable for a load step, if it has friction. Of one that has not been in tension yet
-    no bound is known: it is taken to stick first. So that one that is tightened does as well,
-    bounds grow in advance with the tension that it has where it lies: with those of the last step's
-    tension it could slide until it is slack, a state that no friction holds and that keeps
-    itself."""
+    """Prepare a cable for a load step, if it has friction."""
+    # A cable that has not been in tension yet is taken to stick first, as no bound is known. So
+    # that one that is tightened does as well, bounds grow in advance with the tension that it has
+    # where it lies: with those of the last step's tension it could slide until it is slack, a state
+    # that no friction holds and that keeps itself.
     if cable.cable.sideways is None:
         return
     if cable.lateral is None:
@@ -82,8 +81,8 @@ def start_step(cable: LaidCable, shape: StripShape) -> None:
 
 
 def _tension_in_place(cable: LaidCable) -> float:
-    """Tension of a cable where the last step has left it, between ends that may have moved (force).
-    By its length of then: a crossing that it has got since is not in equilibrium yet."""
+    """Tension (force) of a cable where the last step has left it, with its ends where they are."""
+    # by its length of then: a crossing that it has got since is not in equilibrium yet
     length, places = cable.length, cable.positions[cable.contacts()]
     if cable.ends_before is not None:
         beside = places[[1, -2]]
@@ -93,8 +92,8 @@ def _tension_in_place(cable: LaidCable) -> float:
 
 
 def _ways(cable: LaidCable, grip: LateralFrictionState, shape: StripShape) -> Array:
-    """Directions in which nodes will slide in a step, for the law that has to know before. They go
-    where the cable pulls them, or else as in the last step."""
+    """Directions in which nodes will slide in a step: where the cable pulls them, or else as in the
+    last one."""
     numbers = held_nodes(cable)
     pull = contact_forces(cable, shape).lateral[numbers]
     ways: Array = np.sign(pull) * (np.abs(pull) > NOISE * cable.tension)
@@ -136,10 +135,7 @@ def remap(cable: LaidCable) -> None:
 
 
 def energies(cable: LaidCable, shape: StripShape) -> tuple[float, float]:
-    """Energy that a cable's friction stores, and that it dissipates in the step so far.
-
-    Of the slip the part up to eps (see `lateral_friction`) is elastic, with a cone less.
-    """
+    """Energy that a cable's friction stores, and that it dissipates in the step so far."""
     friction, grip = cable.cable.sideways, cable.lateral
     if friction is None or grip is None or not cable.taut:
         return 0.0, 0.0
@@ -152,11 +148,10 @@ def energies(cable: LaidCable, shape: StripShape) -> tuple[float, float]:
 
 
 def friction_forces(cable: LaidCable, shape: StripShape) -> Array:
-    """Friction force at each of the grip's nodes, (n,), positive if it holds a cable that goes left
-    (force). A node on a vertex cannot slip: it is given what it takes to hold it, up to its bound.
-    """
+    """Friction force (n,) at each held node, positive against a cable that goes left (force)."""
     friction, grip = cable.cable.sideways, cable.lateral
     assert friction is not None and grip is not None
+    # a node on a vertex cannot slip: it gets what it takes to hold it, up to its bound
     pull = contact_forces(cable, shape).lateral[held_nodes(cable)]
     forces = np.clip(pull, -grip.bounds, grip.bounds)
     slips = node_slips(cable, grip.curve, shape)
@@ -169,7 +164,7 @@ def friction_forces(cable: LaidCable, shape: StripShape) -> Array:
 
 
 def end_step(cable: LaidCable, shape: StripShape) -> None:
-    """End a load step: the cable's place is the curve that the next step's slip counts from."""
+    """End a load step: the next one's slip counts from the cable's place."""
     friction, grip = cable.cable.sideways, cable.lateral
     if friction is None or grip is None:
         return
@@ -197,36 +192,28 @@ def end_step(cable: LaidCable, shape: StripShape) -> None:
 
 def slip_table(numbering: CableNumbering, shape: StripShape) -> Slips:
     """Nodes with stick and slip."""
-    on_edge = points_by_edge(
-        numbering.cables
-    )  # edge sliders may have passed others since the layout
-    pointers, places, rows = [0], [], []
-    blocks: list[int] = []
+    nodes: list[int] = []
+    laws: list[Array] = [np.zeros((4, 0))]
     for c, _, friction, grip, slips in _slips(numbering, shape, "coulomb"):
         held = [grip.row_of[edge] for edge in slips.supports]
         bounds, eps, _ = grip.law(held, friction.tolerance * slips.size)
-        for i, (k, edge) in enumerate(zip(slips.nodes, slips.supports, strict=True)):
-            if numbering.strip.owner_of(edge) != numbering.rank:
-                continue
-            line = numbering.line((edge[0], edge[1]), on_edge[edge[0], edge[1]])
-            blocks += line
-            pointers.append(len(blocks))
-            places.append(line.index(numbering.block(c, k)))
-            rows.append((slips.slope[i], slips.offset[i], bounds[i], eps[i]))
-    slope, offset, bound, eps_of = np.array(rows, dtype=float).reshape(-1, 4).T.copy()
-    return Slips(
-        np.array(pointers, dtype=np.int32), np.array(blocks, dtype=np.int32),
-        np.array(places, dtype=np.int32), slope, offset, bound, eps_of,
-    )  # fmt: skip
+        nodes += [numbering.row(c, k) for k in slips.nodes]
+        laws.append(np.array([slips.slope, slips.offset, bounds, eps]))
+    rows, law = np.array(nodes, dtype=np.int64), np.concatenate(laws, axis=1)
+    own = numbering.strip.simplices.owner[numbering.on[rows]] == numbering.rank
+    rows, points = rows[own], numbering.points_now()
+    pointers, blocks = numbering.lines(numbering.on[rows], points)
+    places = (points.place[rows] + 1).astype(np.int32)
+    return Slips(pointers.astype(np.int32), blocks, places, *law[:, own].copy())
 
 
 def element_table(numbering: CableNumbering, shape: StripShape) -> FrictionElements:
     """The paper's friction elements."""
-    blocks, forces, offsets = [], [], []
+    blocks, forces, offsets, owner = [], [], [], numbering.strip.simplices.owner
     for c, cable, _, grip, slips in _slips(numbering, shape, "step"):
         direction = turns(cable)
         for k, edge, slip in zip(slips.nodes, slips.supports, slips.slip, strict=True):
-            if numbering.strip.owner_of(edge) != numbering.rank:
+            if owner[numbering.on[numbering.row(c, k)]] != numbering.rank:
                 continue
             vertex = edge[int(cable.fractions[k] > 0.5)]
             work = grip.at(edge) * grip.moving[grip.row_of[edge]]

@@ -62,12 +62,12 @@ AGAINST = 30.0
 
 
 class LateralIteration:
-    """Brings the bounds of one cable in a load step to those of the state that they lead to. The
-    bounds are proportional to the tension, and a stiff cable that slides soon loses it: taking
-    their sum over would converge slowly, so it is found by the secant method. How it is divided
-    among the nodes can go back and forth between two states, so of a change of that a part is
-    taken."""
+    """Brings the bounds of one cable in a load step to those of the state that they lead to."""
 
+    # The bounds are proportional to the tension, and a stiff cable that slides soon loses it:
+    # taking their sum over would converge slowly, so it is found by the secant method. How it is
+    # divided among the nodes can go back and forth between two states, so of a change of that a
+    # part is taken.
     settled = SETTLED
 
     def __init__(self, cable: LaidCable) -> None:
@@ -108,12 +108,12 @@ class LateralIteration:
             shares = grip.bounds / used
             change = found / total - shares
             part = self._pace.factor(grip.supports, change)
-            found = np.asarray(self._add_up(used, total) * (shares + part * change))
+            found = np.asarray(self._fixed_point(used, total) * (shares + part * change))
         cable.update(lateral=replace(coupled, bounds=found, moving=moving, known=True))
         return self.change
 
-    def _add_up(self, used: float, found: float) -> float:
-        """Where the sum that is used and that which is found will be equal, by their logarithms."""
+    def _fixed_point(self, used: float, found: float) -> float:
+        """Secant estimate, in logarithms, of the sum that leads to itself."""
         here, slope = (float(np.log(used)), float(np.log(found))), 0.0
         if self._sums is not None and here[0] != self._sums[0]:
             slope = (here[1] - self._sums[1]) / (here[0] - self._sums[0])
@@ -162,14 +162,11 @@ their change, relative to the largest one, below which it has been found."""
 class _Law:
     """Coulomb's law along a cable, solved."""
 
-    # most, eps, elastic: (n,) most logarithm of the ratio of tensions at nodes, and the slips
-    # (length) at which it is reached and that are elastic at most
-    most: Array
-    eps: Array
-    elastic: Array
-    # slips (n,), unstressed (n + 1,): slips and unstressed lengths of the spans (length)
-    slips: Array
-    unstressed: Array
+    most: Array  # (n,) most logarithm of the ratio of tensions at nodes
+    eps: Array  # (n,) slips at which it is reached (length)
+    elastic: Array  # (n,) most elastic slips (length)
+    slips: Array  # (n,) (length)
+    unstressed: Array  # (n + 1,) unstressed lengths of the spans (length)
 
 
 class AxialIteration:
@@ -182,9 +179,8 @@ class AxialIteration:
         self._pace = AitkenRelaxation(LEAST_PART)
 
     def renew(self, shape: StripShape) -> float:
-        """Take the bounds from the current state. Returns change of the tension that follows from
-        them, relative to their sum."""
-
+        """Take the bounds from the current state; return the change of the tension that follows
+        from them, relative to their sum."""
         cable, grip = self.cable, self.cable.axial
         assert grip is not None
         if not cable.taut or cable.length <= cable.L0 or len(grip.spans) != len(grip.supports) + 1:
@@ -244,11 +240,10 @@ class AxialIteration:
 
 
 def capstan_bounds(mean: Array, wrap: Array, y: Array) -> Array:
-    """Friction bounds with which the potential has the tensions of the law, relative to EA. With
-    the tensions T1 and T2 and ``P = T + T^2/(2 EA)``, the work of the tension per unstressed arc,
-    it is ``(P2 - P1)/f'(y)``; the difference ``T2 - T1 = 2 sqrt(T1 T2) sinh(wrap/2)`` of a node
-    that slides is written so that it stays accurate for small angles. Shapes: mean (n,), wrap (n,),
-    y (n,)."""
+    """Friction bounds (n,), relative to EA, with which the potential has the law's tensions."""
+    # With the tensions T1, T2 and P = T + T^2/(2 EA), the work of the tension per unstressed arc,
+    # it is (P2 - P1)/f'(y); the difference T2 - T1 = 2 sqrt(T1 T2) sinh(wrap/2) of a node that
+    # slides is written so that it stays accurate for small angles.
     share = np.minimum(np.abs(y), 1.0)
     z = wrap * share * (2.0 - share)
     return wrap * (mean * _sinhc(z / 2) + mean**2 * _sinhc(z))

@@ -27,9 +27,8 @@ from crms_fenicsx.surface.points import Support
 def succession(
     old: Sequence[Support], now: Sequence[Support]
 ) -> tuple[list[int], list[int], list[tuple[slice, list[int]]]]:
-    """How the nodes of a changed path follow on those of the old one. Returns stays, rows: nodes
-    that stay, and what they were; heirs: old nodes that go, a stretch at a time, with those that
-    take their place: the new ones there, or the neighbours."""
+    """New nodes that stay, the old nodes they were, and stretches of old nodes that go, each with
+    the new nodes in its place, or the neighbours."""
     was = {support: k for k, support in enumerate(old)}
     stays = [k for k, support in enumerate(now) if support in was]
     rows = [was[now[k]] for k in stays]
@@ -51,9 +50,9 @@ class NodeSlips:
 
     nodes: list[int]  # (n,) their numbers
     supports: list[Support]  # their edges
-    slope: Array  # slope, offset, slip: (n,) the slip is that at their current places (length)
-    offset: Array
-    slip: Array
+    slope: Array  # (n,) and
+    offset: Array  # (n,) (length)
+    slip: Array  # (n,) at their current places (length)
     size: Array  # (n,) size of the stress-free cells around (length)
     moving: Array  # (n,) direction in which the curve slid there in the last load step
 
@@ -64,18 +63,15 @@ def material_curve(
     elastic: dict[int, float] | None = None,
     moving: dict[int, float] | None = None,
 ) -> MaterialCurve:
-    """Where a cable lies now. Units: elastic, moving (length)."""
+    """Where a cable lies now, with elastic slips (length) and directions of sliding by nodes."""
     elastic, moving = elastic or {}, moving or {}
-    nodes: list[int] = []
-    part: list[int] = []
-    for number, run in enumerate(runs(cable)):
-        nodes += run
-        part += [number] * len(run)
+    parts = runs(cable)
+    nodes = [k for run in parts for k in run]
     points = np.array([material_place(cable, k, shape) for k in nodes]).reshape(-1, 3)
     return MaterialCurve(
         points,
         arc_lengths(points),
-        np.array(part, dtype=np.int64),
+        np.repeat(np.arange(len(parts)), [len(run) for run in parts]),
         np.array([elastic.get(k, 0.0) for k in nodes]),
         np.array([moving.get(k, 0.0) for k in nodes]),
     )

@@ -13,6 +13,7 @@ import ufl
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 
+from crms_fenicsx.meshes.triangles import vectors
 from crms_fenicsx.model.materials import (
     UFL_LAW,
     Direction,
@@ -120,8 +121,7 @@ class UflMembrane(MembraneMaterial):
     def samples(self) -> tuple[float, ...]:
         """Values at some strains (force / length), which tell one density from another."""
         values = []
-        for strain in list(PROBES):
-            x, y, shear = floats(strain)
+        for x, y, shear in map(floats, vectors(PROBES)):
             E = ufl.as_matrix([[x, shear / 2], [shear / 2, y]])
             try:
                 values.append(float(self._energy(E)))

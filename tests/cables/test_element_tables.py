@@ -10,7 +10,7 @@ from cable_edits import put
 from mpi4py import MPI
 from polygon_twins import facets_of
 from ridged_square import OBLIQUE, ridged
-from table_twins import SlowTables, meetings
+from table_twins import SlowTables, meetings, sides_of
 from term_scene import ISOTROPIC, cable_square
 
 from crms_fenicsx import Cable, Scene, meshes
@@ -145,15 +145,15 @@ def test_simplices_are_those_around_the_cells(tables) -> None:
         supports[n, : len(support)] = support
     numbers = found.find(supports)
     assert sorted(numbers.tolist()) == list(range(len(supports)))
-    for number, (support, rows) in zip(numbers, strip.around.items(), strict=True):
+    for number, rows in zip(numbers, strip.around.values(), strict=True):
         assert found.around(np.array([number]))[1].tolist() == rows
-        assert found.owner[number] == strip.owner_of(support)
+        assert found.owner[number] == min(strip.owner[rows])
     lacking = np.array([(-1, -1, -1), (10**6, -1, -1), (strip.vertices[0], 10**6, -1)])
     assert found.find(lacking).tolist() == [-1, -1, -1]
-    sides = [[edge for edge, _ in own] for own in strip.sides]
+    sides = [[edge for edge, _ in sides_of(cell)] for cell in strip.corners]
     ends = strip.vertices[found.corners[found.sides, :2]]
     assert [[tuple(edge) for edge in own] for own in ends.tolist()] == sides
-    assert found.forward.tolist() == [[ahead for _, ahead in own] for own in strip.sides]
+    assert found.forward.tolist() == [[ahead for _, ahead in sides_of(c)] for c in strip.corners]
 
 
 @cache
@@ -176,7 +176,8 @@ def test_meetings_are_where_chords_alternate(seed: int) -> None:
         lifted = rng.random(len(nodes)) < 0.1
         cable.set_nodes(nodes, cable.positions[keep], fractions, lifted)
         cable.update(taut=bool(rng.random() < 0.9))
-    found = Meetings(system.scene.cables, strip).find()
+    meetings_found = Meetings(system.scene.cables, strip)
+    found = meetings_found.on_edges() + meetings_found.in_cells()
     expected = meetings(system.scene.cables, strip)
     assert len(expected) > 10
     assert {(m.first, m.second) for m in found} == {pair[:2] for pair in expected}

@@ -55,7 +55,8 @@ class SlowTables:
 
     def own_links(self) -> list[Link]:
         """Those that this rank computes."""
-        return [k for k in self.links if self.strip.owner_of(self.around(k)) == self.rank]
+        rows = {link: self.strip.rows(self.around(link)) for link in self.links}
+        return [link for link in self.links if min(self.strip.owner[rows[link]]) == self.rank]
 
     def smoothing(self, link: Link, sizes: Array) -> float:
         """Smoothing of a link, with the sizes of the strip's cells."""
@@ -81,7 +82,8 @@ class SlowTables:
 
     def line(self, edge: Edge) -> list[int]:
         """Blocks along an edge."""
-        return self.numbering.line(edge, self.on_edge.get(edge, []))
+        inner = [self.numbering.block(c, k) for _, c, k in self.on_edge.get(edge, [])]
+        return [self.numbering.vertex(edge[0]), *inner, self.numbering.vertex(edge[1])]
 
     def sides(self) -> tuple[list[list[int]], list[tuple[int, int]]]:
         """Numbers of the folded cells' sides as they first occur, and their segments."""
@@ -89,7 +91,7 @@ class SlowTables:
         segments: list[tuple[int, int]] = []
         sides = []
         for row in self.rows:
-            edges = [edge for edge, _ in self.strip.sides[row]]
+            edges = [edge for edge, _ in sides_of(self.strip.corners[row])]
             for edge in edges:
                 if edge not in numbers:
                     numbers[edge] = len(numbers)
@@ -114,7 +116,7 @@ class SlowTables:
     def polygons(self, row: int) -> list[list[int]]:
         """Blocks around the pieces of a cell."""
         around: list[int] = []
-        for edge, forward in self.strip.sides[row]:
+        for edge, forward in sides_of(self.strip.corners[row]):
             around += self.line(edge)[:-1] if forward else self.line(edge)[:0:-1]
         chords = [[self.numbering.block(*node) for node in chord] for chord in self.chords[row]]
         return split_slowly(around, chords)
@@ -127,6 +129,11 @@ class SlowTables:
             for fraction, c, k in points
             if self.cables[c].nodes[k].slides and self.numbering.is_mine(c, k)
         ]
+
+
+def sides_of(cell: Sequence[int]) -> list[tuple[Edge, bool]]:
+    """Sides of a cell: the ids ascending, and whether that is the cell's own direction."""
+    return [((min(a, b), max(a, b)), a < b) for a, b in pairwise((*cell, cell[0]))]
 
 
 def meetings(cables: Sequence[LaidCable], strip: Strip) -> list[tuple[NodeId, NodeId, Array]]:
@@ -145,7 +152,7 @@ def meetings(cables: Sequence[LaidCable], strip: Strip) -> list[tuple[NodeId, No
     found = []
     for row, members in chords.items():
         around: dict[Any, int] = {}  # places on the rim, of corners and of points
-        for (a, b), forward in strip.sides[row]:
+        for (a, b), forward in sides_of(strip.corners[row]):
             around[a if forward else b] = len(around)
             line = sorted(on_edge[a, b])
             for _, c, k in line if forward else line[::-1]:
