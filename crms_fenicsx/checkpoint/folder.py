@@ -40,7 +40,8 @@ def replaced_folder(folder: Path, comm: MPI.Intracomm, mark: str) -> Iterator[Pa
             make_writable(folder.parent)
             if aside.exists() and not folder.exists():
                 os.replace(aside, folder)
-            if folder.exists() and not (folder / mark).exists() and _holds_something(folder):
+            holds = not folder.is_dir() or any(folder.iterdir())
+            if folder.exists() and not (folder / mark).exists() and holds:
                 raise InputError(f"{folder} is no checkpoint, but is there; give another folder")
             for rest in (partial, aside):
                 if rest.exists():
@@ -55,10 +56,6 @@ def replaced_folder(folder: Path, comm: MPI.Intracomm, mark: str) -> Iterator[Pa
         if comm.rank == 0:
             shutil.rmtree(partial, ignore_errors=True)
         raise
-
-
-def _holds_something(folder: Path) -> bool:
-    return not folder.is_dir() or any(folder.iterdir())
 
 
 def _put_in_place(partial: Path, folder: Path, mark: str) -> None:

@@ -22,9 +22,8 @@ from mpi4py import MPI
 
 from crms_fenicsx.checkpoint.codec import Plain, decode, encode
 from crms_fenicsx.checkpoint.contents import Run, described, fingerprint, mixed, refuse_history
-from crms_fenicsx.checkpoint.fields import edge_vertices
 from crms_fenicsx.checkpoint.folder import ASIDE, complete
-from crms_fenicsx.checkpoint.saving import STATE, Saved, read, reading, restore, save
+from crms_fenicsx.checkpoint.saving import STATE, Saved, edge_vertices, read, reading, restore, save
 from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
 from crms_fenicsx.model.sealed_air import FanControl

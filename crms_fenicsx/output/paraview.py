@@ -98,7 +98,11 @@ def write_vtu(
     own |= {("CellData", name): _plain(values) for name, values in cell_data.items()}
     if not len(points) + len(cells) and n_points + n_cells:
         own = {}
-    columns = _agreed([_column(*key, values) for key, values in own.items()], comm)
+    columns = [
+        Column(*key, values.dtype.str, int(np.prod(values.shape[1:])))
+        for key, values in own.items()
+    ]
+    columns = _agreed(columns, comm)
 
     rows = [n_points if column.on_points else n_cells for column in columns]
     sizes = [column.row_size * n for column, n in zip(columns, rows, strict=True)]
@@ -131,10 +135,6 @@ def _plain(values: NDArray[Any]) -> NDArray[Any]:
 
 def _bytes(text: bytes) -> NDArray[np.uint8]:
     return np.frombuffer(text, dtype=np.uint8)
-
-
-def _column(section: str, name: str, values: NDArray[Any]) -> Column:
-    return Column(section, name, values.dtype.str, int(np.prod(values.shape[1:])))
 
 
 def _agreed(own: list[Column], comm: MPI.Intracomm) -> list[Column]:

@@ -172,7 +172,9 @@ def reactions(system: System, where: str | Marker) -> Reactions:
     forces = every[owned]
     ends = ends_at(scene, dofs, held_ends(scene), joints)
     hung = bars_at_vertices(scene, owned)
-    membrane = _sum_over_ranks(scene, forces) - sum((end.force for end in hung), np.zeros(3))
+    membrane = scene.comm.allreduce(forces.sum(axis=0)) - sum(
+        (end.force for end in hung), np.zeros(3)
+    )
     parts = added([*ends, *hung])
     lengths = held_lengths(scene.membrane)[owned]
     per_length = np.where(lengths > 0.0, forces / np.where(lengths > 0.0, lengths, 1.0), np.nan)
@@ -220,7 +222,8 @@ def nodal_forces(system: System) -> Array:
         if not (potential_only and term.name == "pressure") and term.name != "pond":
             term.add_gradient(potential.x, potential.sums_of(term), g)
     if potential_only and system.scene.pressure != 0.0:
-        _subtract_pressure(system, g)
+        corners, vectors = pressed_facets(system)
+        np.subtract.at(g, corners, system.scene.pressure / 3 * vectors[:, None, :])
     if system.ponds is not None:
         system.ponds.add_pressure(potential, g, -1.0)
     _leave_ends_to_anchors(system, g)
@@ -248,12 +251,6 @@ def held_lengths(membrane: Membrane, group: str | None = None) -> Array:
     found.x.scatter_reverse(la.InsertMode.add)
     found.x.scatter_forward()
     return lengths.copy()
-
-
-def _subtract_pressure(system: System, g: Array) -> None:
-    """Subtract a third of the pressure on each facet at its corners."""
-    corners, vectors = pressed_facets(system)
-    np.subtract.at(g, corners, system.scene.pressure / 3 * vectors[:, None, :])
 
 
 def pressed_facets(system: System) -> tuple[Integers, Array]:
@@ -306,10 +303,3 @@ def _hand_on_edge_sliders(system: System, g: Array) -> None:
         share = np.stack([1 - s, s], axis=1)
         np.add.at(g, ends, share[:, :, None] * g[blocks][:, None, :])
         g[blocks] = 0.0
-
-
-def _sum_over_ranks(scene: Scene, vectors: Array) -> Array:
-    """Sum of all ranks' vectors (n, 3), (3,)."""
-    total = np.zeros(3)
-    scene.comm.Allreduce(np.asarray(vectors.sum(axis=0)), total)
-    return total

@@ -75,7 +75,8 @@ def with_pictures(
     options = {"box": common[0], "line_limits": common[1], **look}
     if common[1] is not None and common[1][0] < 0.0:
         options.setdefault("line_colours", SIGNED)
-    dpi = sharpness(len(every) * len(colours))
+    count = max(len(every) * len(colours), 1)
+    dpi = int(np.clip(SHARPEST * math.sqrt(MANY / count), COARSEST, SHARPEST))
     pictures = []
     for colour in colours:  # one colour bar each, or the shape would be small beside them
         fabric = None if colour == TENSION else colour
@@ -84,11 +85,6 @@ def with_pictures(
         if png:
             pictures.append(Picture(colour, png))
     return replace(case, pictures=tuple(pictures))
-
-
-def sharpness(count: int) -> int:
-    """Pixels per inch of pictures, for so many of them to keep within the budget."""
-    return int(np.clip(SHARPEST * math.sqrt(MANY / max(count, 1)), COARSEST, SHARPEST))
 
 
 def draw_png(solver: HasSystem, **options: Any) -> bytes:

@@ -45,7 +45,8 @@ class Model:
 def model_of_scene(scene: Scene, units: Units) -> Model:
     """Describe a scene. Collective."""
     m, kN, line = units["length"], units["force"], units["stress"]
-    areas = np.linalg.norm(area_vectors(scene.mesh.mesh)[: _owned_cells(scene)], axis=1)
+    owned = scene.mesh.mesh.topology.index_map(2).size_local
+    areas = np.linalg.norm(area_vectors(scene.mesh.mesh)[:owned], axis=1)
     low, high = box(scene.comm, scene.membrane.stress_free)
     extents = [b - a for a, b in zip(low, high, strict=True)]
     strengths = [(part_name(part), *pair) for part, pair in scene.membrane.strengths.items()]
@@ -132,10 +133,6 @@ def in_families(bars: Table) -> Table:
         for label, own in families(list(by_name)).items()
     ]
     return replace(bars, rows=rows)
-
-
-def _owned_cells(scene: Scene) -> int:
-    return int(scene.mesh.mesh.topology.index_map(2).size_local)
 
 
 def _mesh(scene: Scene, areas: Array, extents: list[float], units: Units) -> list[Row]:

@@ -91,7 +91,14 @@ class Report:
                 "Summary", [self._verdict(), key_figures(self._cards()), self._utilisation()]
             ),
             *self._model(),
-            PageSection("Combinations", self._combinations()),
+            PageSection(
+                "Combinations",
+                [
+                    paragraph("Pressure, and what each load at the factor 1 is multiplied by."),
+                    tabulate.factors(self.cases, units),
+                    tabulate.overview(self.cases, units),
+                ],
+            ),
             *self._results(),
             *self._forces(),
             PageSection(
@@ -220,14 +227,6 @@ class Report:
             PageSection(
                 "Supports, cables, bars and loads", [tables[x] for x in held if x in tables], 3
             ),
-        ]
-
-    def _combinations(self) -> list[str | Table]:
-        text = "Pressure, and what each load at the factor 1 is multiplied by."
-        return [
-            paragraph(text),
-            tabulate.factors(self.cases, self.units),
-            tabulate.overview(self.cases, self.units),
         ]
 
     def _results(self) -> list[PageSection]:
