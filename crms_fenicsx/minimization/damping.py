@@ -11,6 +11,10 @@ line search then holds back everything else as well. So springs hold
 as stiff as the unbalanced force on a point needs to move it, alone, by a part of the edge or by the
 length of the part. With the forces the springs vanish: a regularised Newton method, with
 Levenberg's damping in proportion to the residual.
+
+Steps by the exact second derivatives have no springs. Sideways a point has next to no stiffness of
+its own: vertices that move by a thousandth of a cell send it over several, where it would stop at
+the next vertex. So each point is stopped short of the ends of its edge (`stop_short`).
 """
 
 from __future__ import annotations
@@ -26,6 +30,9 @@ from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
 SLIDE = 0.1
 """Part of its edge by which the unbalanced force on a sliding point alone moves it. Between 0.02
 and 0.2 it matters little."""
+
+REACH = 0.9
+"""Part of the way to the end of its edge that a sliding point goes in a step of Newton's method."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +86,28 @@ class Damping:
         np.multiply(stiffness[:, None, None], np.eye(3), out=self._along.own_values)
         self._along.add(A)
 
+    def stop_short(self, unknowns: Unknowns, x0: Array, x: Array) -> tuple[Indices, Array]:
+        """Move sliding points in `x` back that go too near to, or beyond, an end of their edge on
+        the way from `x0`. Shapes: x0, x (n_local, 3). Returns the blocks of those points, all this
+        rank's own, (m,), and by how much they were moved, (m, 3) (length)."""
+        before, _ = self._places(unknowns.X + x0)
+        after, side = self._places(unknowns.X + x)
+        # A point that is beyond an end already goes no farther.
+        to_start, to_end = (np.minimum((1.0 - REACH) * s, s) for s in (before, 1.0 - before))
+        back = np.clip(after, to_start, 1.0 - to_end) - after
+        moved = back != 0.0
+        points, change = self.springs.sliders[moved, 0], back[moved, None] * side[moved]
+        x[points] += change
+        return points, change
 
-def _ratio(force: Array, length: Array) -> Array:
-    """Force by length; none where two points coincide, which says nothing of where they may go."""
-    return np.divide(force, length, out=np.zeros_like(force), where=length > 0)
+    def _places(self, X: Array) -> tuple[Array, Array]:
+        """Fractions of the sliding points on their edges, (n,), and the edges, (n, 3)."""
+        point, start, end = self.springs.sliders.T
+        side = X[end] - X[start]
+        along = np.einsum("ni,ni->n", X[point] - X[start], side)
+        return _ratio(along, np.einsum("ni,ni->n", side, side)), side
+
+
+def _ratio(a: Array, b: Array) -> Array:
+    """Quotients; none where two points coincide, which says nothing of where they may go."""
+    return np.divide(a, b, out=np.zeros_like(a), where=b > 0)

@@ -15,11 +15,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
 from petsc4py import PETSc
 
 from crms_fenicsx.energies.kinematics import FLOOR
 from crms_fenicsx.minimization.initial_hessian import InitialHessian
 from crms_fenicsx.minimization.potential import Potential
+from crms_fenicsx.runtime.arrays import Array, Indices
 
 if TYPE_CHECKING:
     from crms_fenicsx.minimization.relaxation import LocalRelaxation
@@ -45,6 +47,9 @@ method, and rise up to which: that much is rounding."""
 
 DESCENT, SHORTEST = 1e-4, 1e-3
 """Least part of the descent promised that a Newton step must keep, and the shortest one tried."""
+
+Stopped = tuple[Indices, Array]
+"""Blocks of points that were stopped on their way (m,), and by how much, (m, 3) (length)."""
 
 
 class NewtonMethod:
@@ -105,22 +110,25 @@ class NewtonMethod:
     def step(
         self, x0: PETSc.Vec, g0: PETSc.Vec, energy0: float, x: PETSc.Vec, g: PETSc.Vec, d: PETSc.Vec
     ) -> bool:
-        """Step by H0 alone, as far as the energy falls. Returns whether the energy has fallen; the
-        potential is then in the new state."""
+        """Step by H0 alone, as far as the energy falls, cable points no farther than near the ends
+        of their edges. Returns whether the energy has fallen; the potential is then in the new
+        state."""
         part, kept, fallen = 2.0, 0.0, False
         self.h0.solve(g0, d)
         slope = -g0.dot(d)
         while not fallen and part >= SHORTEST:
             part *= 0.5
             x.waxpy(-part, d, x0)
+            stopped = self._stop_points(x0, x)
+            work = part * slope + self._work(g0, stopped)
             energy = self.potential.objective_gradient(None, x, g)
             change = energy - energy0
             if -STEADY * abs(energy) <= change <= RISE * abs(energy):
-                change = 0.5 * part * (slope - g.dot(d))
-            fallen = change <= DESCENT * part * slope
+                change = 0.5 * (work - part * g.dot(d) + self._work(g, stopped))
+            fallen = change <= DESCENT * work < 0.0
             if not fallen and self.relaxation is not None and self.relaxation.relax_points(0.0):
                 change = self.potential.energy() - energy0
-                fallen = change <= DESCENT * part * slope
+                fallen = change <= DESCENT * work < 0.0
             kept = change / (part * (1 - part / 2) * slope)  # of what H0 promises
         if not fallen:
             factor = 10.0
@@ -134,3 +142,23 @@ class NewtonMethod:
         self.restraint = min(factor * self.restraint, 1.0)
         self._failed = 0 if fallen else self._failed + 1
         return fallen
+
+    def _stop_points(self, x0: PETSc.Vec, x: PETSc.Vec) -> Stopped | None:
+        """Stop cable points in `x` short of the ends of their edges; None without such points."""
+        damping, unknowns = self.potential.damping, self.potential.unknowns
+        if damping is None:
+            return None
+        unknowns.update_ghosts(x0)
+        unknowns.update_ghosts(x)
+        with x0.localForm() as start, x.localForm() as end:
+            return damping.stop_short(
+                unknowns, start.array.reshape(-1, 3), end.array.reshape(-1, 3)
+            )
+
+    def _work(self, g: PETSc.Vec, stopped: Stopped | None) -> float:
+        """Work of forces on the way that points were moved back by (force x length)."""
+        if stopped is None:
+            return 0.0
+        points, change = stopped
+        own = float(np.sum(g.array_r.reshape(-1, 3)[points] * change))
+        return float(self.potential.comm.allreduce(own))
