@@ -107,7 +107,6 @@ def surface_of_model(model: dict[str, Any]) -> SurfaceArrays:
     tag_order = np.argsort(tags)
     sorted_tags = tags[tag_order].astype(np.int64)
     # .msh files of version 2 repeat a triangle for each of its physical groups
-    # .msh files of version 2 repeat a triangle for each of its physical groups
     cells, cell_of_element = _without_repetitions(cells.reshape(-1, 3))
     groups: tuple[Groups, Groups, Groups] = ({}, {}, {})
     for k, (name, dimension) in enumerate(zip(model["names"], model["dimensions"], strict=True)):
