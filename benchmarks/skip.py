@@ -17,8 +17,9 @@ start
 
     ./run python benchmarks/skip.py [evaluation] [features] [start] [--quick]
 
-Times are the processor's, so that other work on the machine hardly counts; those of `start`, which
-load files, are a clock's.
+Times are the processor's, so that other work on the machine hardly counts; those of first load
+steps in `start`, which load files, are a clock's. Modules are compiled to bytecode before imports
+are timed, as they are once for all where a package is installed.
 """
 
 from __future__ import annotations
@@ -216,6 +217,7 @@ def again(solver: Any, feature: dict[str, Any], rounds: int) -> tuple[float, Any
 def fresh(arguments: list[str], caches: Path | None = None, folder: str | None = None) -> Any:
     """What a process of its own says; where it keeps what it compiles, and runs."""
     environment = dict(os.environ)
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     if caches is not None:
         environment |= {"XDG_CACHE_HOME": str(caches), "NUMBA_CACHE_DIR": str(caches / "numba")}
     command = [sys.executable, *arguments]
@@ -234,10 +236,12 @@ def start(n: int, runs: int, names: Iterable[str]) -> None:
     """Imports, compilations and memory of fresh processes."""
     imports = ["dolfinx", "dolfinx.fem.petsc", "crms_fenicsx"]
     spent: dict[str, list[float]] = {name: [] for name in imports}
-    for _ in range(runs):
-        for name in imports:
-            code = "import time; t = time.perf_counter(); import {}; print(time.perf_counter() - t)"
-            spent[name].append(fresh(["-c", code.format(name)]))
+    code = "import time, {}; print(time.process_time())"
+    with tempfile.TemporaryDirectory() as bytecode:
+        for run in range(runs + 1):
+            for name in imports:
+                where = ["-X", f"pycache_prefix={bytecode}", "-c"]
+                spent[name] += [fresh([*where, code.format(name)])][run == 0 :]
     seconds = {name: statistics.median(own) for name, own in spent.items()}
     print()
     for name in imports:
