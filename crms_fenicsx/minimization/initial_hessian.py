@@ -7,6 +7,9 @@ solved by the formula of Sherman, Morrison and Woodbury,
 
     H0^-1 = K^-1 - Z (C^-1 + G^T Z)^-1 Z^T,   Z = K^-1 G.
 
+On several processes these columns take longer than all else: there H0 is factorised with the
+tensions as unknowns (`augmented_stiffness.py`), and on one process where K alone is not definite.
+
 With very many unknowns, or if PETSc's options say so, a preconditioner B takes the place of K^-1 in
 that formula, and the formula's result preconditions conjugate gradients on K + G C G^T: a cycle of
 algebraic multigrid, under cables with their points eliminated first (`membrane_multigrid.py`).
@@ -22,6 +25,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.dofs.stiffness_matrix import StiffnessMatrix
+from crms_fenicsx.minimization.augmented_stiffness import AugmentedStiffness
 from crms_fenicsx.minimization.membrane_multigrid import (
     EXACT_SHIFT,
     MULTIGRID,
@@ -106,6 +110,10 @@ class InitialHessian:
             # is in the options database still comes first.
             self.pc.setFactorSetUpSolverType()
             self.pc.getFactorMatrix().setMumpsIcntl(14, WORKSPACE)
+        self._augmented: AugmentedStiffness | None = None
+        if self.pc.getType() == PETSc.PC.Type.CHOLESKY and PETSc.Sys.hasExternalPackage("mumps"):
+            self._augmented = AugmentedStiffness(self.matrix, prefix)
+        self._is_augmented = False
         self._outer: PETSc.KSP | None = None
         self._dyads: Array = np.zeros(0)
         self.shift: Array = np.zeros(0)
@@ -117,6 +125,8 @@ class InitialHessian:
             self._outer.destroy()
         if self._membrane is not None:
             self._membrane.destroy()
+        if self._augmented is not None:
+            self._augmented.destroy()
         self.pc.destroy()
         self._stiffness.destroy()
 
@@ -129,10 +139,16 @@ class InitialHessian:
             self._membrane.assemble(held)
         elif not self._exact:
             tell_rigid_motions(self.matrix, self.potential)
-        if not self._set_up():
+        columns = self._dyad_columns(held)
+        augmentable = self._augmented is not None and len(self._dyads) > 0
+        self._is_augmented = augmentable and self.pc.getFactorSolverType() == "mumps"
+        if not self._is_augmented and self._set_up():
+            self._add_dyads(columns)
+            return True
+        self._is_augmented = augmentable
+        if self._augmented is None or not augmentable:
             return False
-        self._add_dyads(held)
-        return True
+        return self._augmented.factorize(columns * np.sqrt(self._dyads))
 
     def _set_up(self) -> bool:
         """Factorise K, or set up multigrid; say whether K is definite."""
@@ -174,23 +190,27 @@ class InitialHessian:
         A.setOption(PETSc.Mat.Option.SPD, True)
         return held
 
-    def _add_dyads(self, held: npt.NDArray[np.bool_]) -> None:
-        """This rank's rows of G and of Z = K^-1 G, and (C^-1 + G^T Z)^-1."""
+    def _dyad_columns(self, held: npt.NDArray[np.bool_]) -> Array:
+        """This rank's rows of G, (3 n_owned, n_dyads)."""
         potential, dyads = self.potential, list(self.potential.dyads())
         n = potential.unknowns.n_owned
         self._dyads = np.array([value for _, _, value in dyads])
-        if not dyads:
-            return
         columns = np.empty((3 * n, len(dyads)), order="F")
         for column, (term, k, _) in zip(columns.T, dyads, strict=True):
             potential.dyad_column(term, k)
             potential.g[:n][held] = 0.0
             column[:] = potential.g[:n].ravel()
-        self._columns, self._solved = columns, self._apply_to_all(columns)
+        return columns
+
+    def _add_dyads(self, columns: Array) -> None:
+        """This rank's rows of Z = K^-1 G, and (C^-1 + G^T Z)^-1."""
+        self._columns, self._shares = columns, np.empty(len(self._dyads))
+        if not len(self._dyads):
+            return
+        self._solved = self._apply_to_all(columns)
         products = columns.T @ self._solved
-        potential.comm.Allreduce(MPI.IN_PLACE, products)
+        self.potential.comm.Allreduce(MPI.IN_PLACE, products)
         self._inner = np.linalg.inv(np.diag(1 / self._dyads) + products)
-        self._shares = np.empty(len(dyads))
 
     def _apply_to_all(self, columns: Array) -> Array:
         """K's preconditioner on many columns: at once if factorised, which is much faster.
@@ -232,6 +252,9 @@ class InitialHessian:
 
     def solve(self, b: PETSc.Vec, y: PETSc.Vec) -> None:
         """Solve ``H0 y = b``."""
+        if self._augmented is not None and self._is_augmented:
+            self._augmented.solve(b, y)
+            return
         if self._exact:
             self.precondition(b, y)
             return
