@@ -139,8 +139,7 @@ class Solver:
         estimate: bool = False,
         stability: Literal["warn", "refuse", "ignore"] = "warn",
     ) -> None:
-        if not isinstance(scene, Scene):
-            raise InputError(f"Solver: scene is of type {type(scene).__name__}; give a Scene.")
+        checks.of_type("Solver: scene", scene, Scene)
         self._options = options = checked_options(
             scene.comm, results=results, resume=resume, prefix=prefix, rtol=rtol,
             max_halvings=max_halvings, slide=slide, verify=verify, estimate=estimate,
@@ -405,8 +404,7 @@ class Solver:
         ...     tensions = [cable.tension for cable in scene.cables]
         """
         checks.same(self.scene.comm, "branch", name=name)
-        if not isinstance(name, str) or not name:
-            raise InputError(f"branch: name = {name!r} is no text; give one, as in 'snow'.")
+        checks.text("branch: name", name)
         if self.case:
             raise InputError(
                 f"branch: {name!r} is within the branch {self.case!r}; let that one end first."

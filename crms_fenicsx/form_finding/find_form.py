@@ -149,8 +149,7 @@ def find_form(
 
 def _checked(mesh: MembraneMesh, inflations: Mapping[str, float | None], **given: Any) -> bool:
     """Check arguments by themselves; return whether there is pressure. Collective."""
-    if not isinstance(mesh, MembraneMesh):
-        raise InputError(f"find_form: mesh is of type {type(mesh).__name__}; give a MembraneMesh.")
+    checks.of_type("find_form: mesh", mesh, MembraneMesh)
     checks.same(mesh.comm, "find_form", **inflations, **given)
     named = {name: value for name, value in inflations.items() if value is not None}
     if len(named) > 1:
@@ -159,19 +158,11 @@ def _checked(mesh: MembraneMesh, inflations: Mapping[str, float | None], **given
         )
     for name, value in named.items():
         (checks.finite if name == "pressure" else checks.positive)(f"find_form: {name}", value)
-    if not isinstance(given["lifted"], Mapping | None):
-        raise InputError(
-            f"find_form: lifted = {given['lifted']!r}; give displacements by group, as in "
-            '{"mast": (0.0, 0.0, 5.0)}.'
-        )
-    if isinstance(given["cables"], str) or not isinstance(given["cables"], Sequence):
-        raise InputError(f"find_form: cables = {given['cables']!r}; give a list of FormCables.")
-    prefix = given["prefix"]
-    if not isinstance(prefix, str) or prefix.startswith("-"):
-        raise InputError(
-            f"find_form: prefix = {prefix!r} is no options prefix; give a text without the "
-            "leading '-', as 'crms_form_'."
-        )
+    if given["lifted"] is not None:
+        example = '{"mast": (0.0, 0.0, 5.0)}'
+        checks.collection("find_form: lifted", given["lifted"], Mapping, example)
+    checks.collection("find_form: cables", given["cables"], Sequence, "[FormCable(...)]")
+    checks.options_prefix("find_form: prefix", given["prefix"])
     return bool(named)
 
 

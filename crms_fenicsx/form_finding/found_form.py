@@ -183,8 +183,7 @@ class FoundForm:
 
     def _released(self, bars: Sequence[FormBar]) -> set[str]:
         """The supports that bars replace."""
-        if not isinstance(bars, list | tuple):
-            raise InputError(f"FoundForm.scene: bars = {bars!r}; give a list of FormBars.")
+        checks.collection("FoundForm.scene: bars", bars, Sequence, "[FormBar(...)]")
         for bar in bars:
             if not isinstance(bar, FormBar):
                 raise InputError(

@@ -114,14 +114,8 @@ def lifts(membrane: Membrane, lifted: Mapping[str, Lift]) -> Array:
         with raised_together(membrane.comm):
             places = membrane.stress_free[dofs]
             if callable(by):
-                ways = np.asarray(by(places.T), dtype=float)
-                if ways.shape != places.T.shape or not np.isfinite(ways).all():
-                    raise InputError(
-                        f"find_form: the function that lifts {group!r} returned an array of shape "
-                        f"{ways.shape} or with values that are not finite; it must return "
-                        f"displacements of shape {places.T.shape}."
-                    )
-                ways = ways.T
+                what = f"find_form: the function that lifts {group!r}"
+                ways = checks.returned(what, by(places.T), places.T, places.T.shape).T
             else:
                 ways = np.tile(checks.vector(f"find_form: lifted[{group!r}]", by), (len(dofs), 1))
             for bad, what in (

@@ -163,20 +163,7 @@ def _checked(project: Callable[[Array], Array]) -> Projection:
         )
 
     def onto(points: Array, on_rim: Booleans) -> Array:
-        found = np.asarray(project(points.copy()))
-        if found.shape != points.shape or found.dtype.kind not in "fiu":
-            raise InputError(
-                f"project returned an array of shape {found.shape} and type {found.dtype}; it must "
-                f"return real numbers of shape {points.shape}."
-            )
-        bad = ~np.isfinite(found).all(axis=0)
-        if bad.any():
-            first = int(np.argmax(bad))
-            raise InputError(
-                f"project returned {found[:, first]} at {points[:, first]}; it must return finite "
-                "coordinates."
-            )
-        return np.asarray(found, dtype=np.float64)
+        return checks.returned("project", project(points.copy()), points, points.shape)
 
     return onto
 

@@ -74,8 +74,7 @@ class Friction:
                 f"Friction: static = {self.static} is smaller than mu = {self.mu}, the coefficient "
                 "of a cable that slides; give at least that."
             )
-        if self.law not in ("coulomb", "step"):
-            raise InputError(f"Friction: law = {self.law!r} is not known; use 'coulomb' or 'step'.")
+        checks.one_of("Friction: law", self.law, ("coulomb", "step"))
         if self.law == "step" and (self.static not in (None, self.mu) or self.along):
             raise InputError(
                 'Friction: law = "step" knows neither a static coefficient nor friction along the '

@@ -141,8 +141,7 @@ class FanControl:
     pressures: Sequence[float]
 
     def __post_init__(self) -> None:
-        if not isinstance(self.load, str) or not self.load:
-            raise InputError(f"FanControl: load = {self.load!r} is no text; name a load.")
+        checks.text("FanControl: load", self.load)
         for name in ("factors", "pressures"):
             given = getattr(self, name)
             if isinstance(given, str) or np.ndim(given) != 1 or not len(given):

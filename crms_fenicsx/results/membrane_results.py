@@ -286,8 +286,7 @@ class MembraneResults:
             size there, in space by more than 10 %.
         """
         checks.same(self.comm, "at", points=points, on=on, smooth=smooth)
-        if on not in ("current", "stress-free"):
-            raise InputError(f"at: on = {on!r} is not known; use 'current' or 'stress-free'.")
+        checks.one_of("at: on", on, ("current", "stress-free"))
         places = find_places(self.comm, self.surface, points, on)
         values = {}
         for name in self.names:

@@ -7,10 +7,10 @@ import operator
 import os
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from mpi4py import MPI
@@ -76,6 +76,60 @@ def vector(what: str, value: object) -> Array:
     if numbers.shape != (3,) or not np.all(np.isfinite(numbers)):
         raise InputError(f"{what} = {value!r} must be three finite numbers (x, y, z).")
     return numbers
+
+
+def text(what: str, value: object) -> str:
+    """Return a text that is not empty; `what` and errors as for `finite`."""
+    if not isinstance(value, str) or not value:
+        raise InputError(f"{what} = {value!r} is no text; give one.")
+    return value
+
+
+def options_prefix(what: str, value: object) -> str:
+    """Return a prefix of options in PETSc's database; `what` and errors as for `finite`."""
+    if not isinstance(value, str) or value.startswith("-"):
+        raise InputError(
+            f"{what} = {value!r} is no options prefix; give a text without the leading '-'."
+        )
+    return value
+
+
+def one_of(what: str, value: object, known: Iterable[object]) -> None:
+    """Refuse a value that is not among those known."""
+    if value not in (known := list(known)):
+        *others, last = map(repr, known)
+        raise InputError(f"{what} = {value!r} is not known; use {', '.join(others)} or {last}.")
+
+
+def of_type(what: str, value: object, kind: type) -> None:
+    """Refuse a value of another type."""
+    if not isinstance(value, kind):
+        raise InputError(f"{what} is of type {type(value).__name__}; give a {kind.__name__}.")
+
+
+def collection(what: str, value: Any, kind: Any, example: str, least: int = 0) -> None:
+    """Refuse what is no `Mapping` or `Sequence` of members, or has fewer of them than `least`."""
+    if isinstance(value, str) or not isinstance(value, kind) or len(value) < least:
+        name = "list" if kind is Sequence else "mapping"
+        raise InputError(f"{what} = {value!r} is no {name} to use; write {example}.")
+
+
+def returned(function: str, values: object, places: Array, shape: tuple[int, ...]) -> Array:
+    """Return what a user's function has made of `places` (3, n): finite numbers of a shape."""
+    found = np.asarray(values)
+    if found.shape != shape or found.dtype.kind not in "fiu":
+        raise InputError(
+            f"{function} returned an array of shape {found.shape} and type {found.dtype}; it must "
+            f"return real numbers of shape {shape}."
+        )
+    bad = ~np.isfinite(np.atleast_2d(found)).all(axis=0)
+    if bad.any():
+        first = int(np.argmax(bad))
+        raise InputError(
+            f"{function} returned {found[..., first]} at {places[:, first]}; it must return finite "
+            "numbers."
+        )
+    return np.asarray(found, dtype=np.float64)
 
 
 def file(what: str, value: object) -> Path:

@@ -238,13 +238,10 @@ class Loads(Stateful[LoadsState]):
         """
         checks.same(self.comm, "put_joint_load", forces=forces, name=name)
         self._check_new_load("put_joint_load", name)
-        if not isinstance(forces, Mapping) or not forces:
-            raise InputError(
-                f"put_joint_load: forces = {forces!r}; write {{joint: (Fx, Fy, Fz), ...}}."
-            )
+        checks.collection("put_joint_load: forces", forces, Mapping, "{joint: (Fx, Fy, Fz)}", 1)
         found: dict[str, tuple[float, float, float]] = {}
         for joint, force in forces.items():
-            if not isinstance(joint, Joint) or self._frame.number(joint) < 0:
+            if not self._frame.owns(joint):
                 raise InputError(
                     f"put_joint_load: {joint!r} is no joint of this scene; give what "
                     "scene.add_joint(...) has returned."
@@ -312,16 +309,11 @@ class Loads(Stateful[LoadsState]):
             raise InputError(
                 f"put_pond: level = {level!r} and volume = {volume!r}; give one of the two."
             )
-        parts: tuple[str, ...] = ()
         if on is not None:
-            known = list(self.membrane.mesh.parts)
-            listed = isinstance(on, Sequence) and not isinstance(on, str) and len(on) > 0
-            if not listed or any(part not in known for part in on):
-                names = ", ".join(map(repr, known)) or "none"
-                raise InputError(
-                    f"put_pond: on = {on!r}; give a list of parts of the mesh, which are {names}."
-                )
-            parts = tuple(on)
+            checks.collection("put_pond: on", on, Sequence, 'on=["roof"]', 1)
+            for part in on:
+                checks.named("part", self.membrane.mesh.parts, part)
+        parts = tuple(on or ())
         if volume is not None:
             volume = checks.positive("put_pond: volume", volume)
             pond = Pond(name, weight, "volume", float(self.membrane.centre[2]), volume, parts, 1)
@@ -356,8 +348,7 @@ class Loads(Stateful[LoadsState]):
 
     def _check_new_load(self, call: str, name: str) -> None:
         self.membrane.check_finite(call)
-        if not isinstance(name, str) or not name:
-            raise InputError(f"{call}: name = {name!r} is no text; give one, as in 'snow'.")
+        checks.text(f"{call}: name", name)
         if name in AIR:
             raise InputError(
                 f"{call}: name = {name!r} is one of the air's; give another one, as in 'snow'."

@@ -184,18 +184,13 @@ class Scene:
         penalty: float = 0.1,
         literal_penalty: float | None = None,
     ) -> None:
-        if not isinstance(mesh, MembraneMesh):
-            raise InputError(
-                f"Scene: mesh is of type {type(mesh).__name__}; give a MembraneMesh, as the "
-                "functions of crms_fenicsx.meshes return."
-            )
+        checks.of_type("Scene: mesh", mesh, MembraneMesh)
         checks.same(
             mesh.comm, "Scene", material=material, strain=strain, pressure=pressure,
             penalty=penalty, literal_penalty=literal_penalty,
         )  # fmt: skip
         for name, value in (("strain", strain), ("pressure", pressure)):
-            if value not in ("total", "step"):
-                raise InputError(f"Scene: {name} = {value!r} is not known; use 'total' or 'step'.")
+            checks.one_of(f"Scene: {name}", value, ("total", "step"))
         self._strain_law, self._pressure_law = strain, pressure
         self._penalty = checks.positive("Scene: penalty", penalty)
         if literal_penalty is not None:
@@ -534,8 +529,7 @@ class Scene:
         >>> solver.advance()
         """
         checks.same(self.comm, "set_stiffness", EA=EA)
-        if not isinstance(EA, Mapping) or not EA:
-            raise InputError(f"set_stiffness: EA = {EA!r}; write {{cable: EA, ...}}.")
+        checks.collection("set_stiffness: EA", EA, Mapping, "{cable: EA}", 1)
         for one, stiffness in EA.items():
             if not any(one is own for own in (*self.cables, *self.bars)):
                 raise InputError(

@@ -115,15 +115,12 @@ class Quantities:
     ) -> Quantities:
         """Check what a user gives. Collective."""
         for name, given in (("points", points), ("quantities", others)):
-            if given is not None and not isinstance(given, Mapping):
-                raise InputError(
-                    f'convergence: {name} = {given!r} has no names; write {name}={{"middle": ...}}.'
-                )
+            example = f'{name}={{"middle": ...}}'
+            checks.collection(
+                f"convergence: {name}", {} if given is None else given, Mapping, example
+            )
         for name, groups in (("reactions", reactions), ("stresses", stresses)):
-            if isinstance(groups, str) or not isinstance(groups, Sequence):
-                raise InputError(
-                    f"convergence: {name} = {groups!r} is no list; write {name}=[{groups!r}]."
-                )
+            checks.collection(f"convergence: {name}", groups, Sequence, f'{name}=["..."]')
         places = {
             name: checks.vector(f"convergence: the point {name!r}", place)
             for name, place in (points or {}).items()

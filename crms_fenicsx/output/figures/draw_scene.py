@@ -143,10 +143,7 @@ def draw(
         tensions=tensions, **options,
     )  # fmt: skip
     filename = given_file("draw", filename)
-    if colour is not None and colour not in list(COLOURS):
-        raise InputError(
-            f"draw: colour = {colour!r} is not known; use one of {list(COLOURS)} or None."
-        )
+    checks.one_of("draw: colour", colour, (None, *COLOURS))
     taken = sorted({"points", "triangles", "lines", "values", "line_values"} & set(options))
     if taken:
         raise InputError(f"draw: {taken} come from the scene; use draw_shape to draw arrays.")
@@ -233,8 +230,7 @@ def draw_paths(
     PictureWarning
         The mesh has more than `MOST_CELLS` cells, and is left out.
     """
-    if not isinstance(scene, Scene):
-        raise InputError(f"draw_paths: scene is of type {type(scene).__name__}; give a Scene.")
+    checks.of_type("draw_paths: scene", scene, Scene)
     checks.same(scene.comm, "draw_paths", filename=filename, **options)
     filename = given_file("draw_paths", filename)
     taken = sorted({"points", "triangles"} & set(options))

@@ -142,10 +142,7 @@ def draw_history(
         On all ranks: an empty history, a column that does not exist or holds text, or a file that
         cannot be written.
     """
-    if not isinstance(history, History):
-        raise InputError(
-            f"draw_history: history is of type {type(history).__name__}; give a History."
-        )
+    checks.of_type("draw_history: history", history, History)
     checks.same(history.comm, "draw_history", filename=filename, x=x, panels=panels, **options)
     how = HistoryOptions(**options)
     filename = given_file("draw_history", filename)

@@ -82,15 +82,10 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
     plan = Plan(Path(), **options)
     plan = replace(plan, about=plan.about or {}, cable_strengths=plan.cable_strengths or {})
     for name in ("title", "unit", "force"):
-        if not isinstance(value := getattr(plan, name), str):
-            raise InputError(f"report: {name} = {value!r} is no text; give one, or ''.")
-    if not isinstance(plan.about, Mapping) or not all(
-        isinstance(text, str) for pair in plan.about.items() for text in pair
-    ):
-        raise InputError(
-            f"report: about = {plan.about!r}; write texts by names, as in "
-            '{"Project": "Tent", "Author": "..."}.'
-        )
+        checks.of_type(f"report: {name}", getattr(plan, name), str)
+    checks.collection("report: about", plan.about, Mapping, '{"Project": "Tent"}')
+    for text in (text for pair in plan.about.items() for text in pair):
+        checks.of_type(f"report: {text!r} in about", text, str)
     strengths = _checked_strengths(scene, plan.cable_strengths)
     pictures = _checked_pictures(scene, plan.pictures)
     check_view(plan.view)
@@ -107,11 +102,7 @@ def checked_states(
     """Combinations of a scene; none for its current state."""
     if combinations is None:
         return {}
-    if not isinstance(combinations, Mapping) or not combinations:
-        raise InputError(
-            f"report: combinations = {combinations!r}; give what solver.combine(...) returned, or "
-            "leave it out for the current state."
-        )
+    checks.collection("report: combinations", combinations, Mapping, "solver.combine(...)", 1)
     for name, one in combinations.items():
         if not isinstance(one, Combination):
             raise InputError(
@@ -127,11 +118,7 @@ def checked_states(
 
 def _checked_strengths(scene: Scene, strengths: Mapping[str, float]) -> dict[str, float]:
     """Strengths of cables by their names (force)."""
-    if not isinstance(strengths, Mapping):
-        raise InputError(
-            f"report: cable_strengths = {strengths!r}; write forces by the cables' names, as in "
-            '{"ridge": 120.0}.'
-        )
+    checks.collection("report: cable_strengths", strengths, Mapping, '{"ridge": 120.0}')
     for name in strengths:
         scene.cable(name)
     return {
@@ -148,14 +135,9 @@ def _checked_pictures(scene: Scene, pictures: Sequence[str] | None) -> tuple[str
         forces = ("warp", "weft") if woven else ("stress",)
         lines = (TENSION,) if scene.cables or scene.bars else ()
         return (*lines, "displacement", *forces, *(("utilisation",) if has else ()))
-    if isinstance(pictures, str) or not isinstance(pictures, Sequence):
-        raise InputError(f'report: pictures = {pictures!r}; write a list, as in ["stress"].')
+    checks.collection("report: pictures", pictures, Sequence, 'pictures=["stress"]')
     for colour in pictures:
-        if colour not in (TENSION, *COLOURS):
-            raise InputError(
-                f"report: pictures has {colour!r}, which is not known; use some of "
-                f"{[TENSION, *COLOURS]}."
-            )
+        checks.one_of("report: one of pictures", colour, (TENSION, *COLOURS))
         if colour == "utilisation" and not has:
             raise InputError(
                 "report: pictures has 'utilisation', but there are no strengths; call "
