@@ -108,12 +108,19 @@ def ends_at(
     return [end for end, there in zip(ends, near, strict=True) if there]
 
 
-def added(ends: Sequence[HeldEnd]) -> dict[str, Array]:
-    """Their forces by names; of one name together."""
-    found = dict[str, Array]()
-    for end in ends:
-        found[end.name] = found.get(end.name, np.zeros(3)) + end.force
-    return found
+def held_there(
+    scene: Scene, forces: Array, dofs: Indices | Integers, ends: Sequence[HeldEnd]
+) -> tuple[Array, dict[str, Array]]:
+    """What supports of this rank's owned vertices `dofs`, with `forces` (n, 3), hold. Collective.
+    Returns the force on the membrane, (3,), and those on `ends` and bars at the vertices by name.
+    """
+    hung = bars_at_vertices(scene, dofs)
+    membrane = scene.comm.allreduce(forces.sum(axis=0))
+    membrane -= sum((end.force for end in hung), np.zeros(3))
+    parts = dict[str, Array]()
+    for end in (*ends, *hung):
+        parts[end.name] = parts.get(end.name, np.zeros(3)) + end.force
+    return membrane, parts
 
 
 MOST_NAMED = 4
@@ -171,11 +178,7 @@ def reactions(system: System, where: str | Marker) -> Reactions:
     owned = dofs[dofs < len(every)]
     forces = every[owned]
     ends = ends_at(scene, dofs, held_ends(scene), joints)
-    hung = bars_at_vertices(scene, owned)
-    membrane = scene.comm.allreduce(forces.sum(axis=0)) - sum(
-        (end.force for end in hung), np.zeros(3)
-    )
-    parts = added([*ends, *hung])
+    membrane, parts = held_there(scene, forces, owned, ends)
     lengths = held_lengths(scene.membrane)[owned]
     per_length = np.where(lengths > 0.0, forces / np.where(lengths > 0.0, lengths, 1.0), np.nan)
     total = membrane + sum(parts.values(), np.zeros(3))
