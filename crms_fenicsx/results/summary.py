@@ -268,7 +268,7 @@ def _supports(system: System) -> dict[str, SupportSummary]:
     ) -> None:
         fabric, held = held_there(scene, forces[dofs], dofs, ends)
         parts = {key: triple(force) for key, force in held.items()}
-        total = triple(np.sum([fabric, *parts.values()], axis=0))
+        total = triple(sum(held.values(), fabric))
         sums = np.array([own.sum(), (own * line[dofs]).sum()])
         length, loaded = membrane.comm.allreduce(sums).tolist()
         largest = membrane.comm.allreduce(float(line[dofs].max(initial=0.0)), op=MPI.MAX)

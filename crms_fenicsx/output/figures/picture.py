@@ -33,16 +33,11 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def given_file(call: str, filename: object) -> Path | None:
-    """Return the path of a picture, or None for none; raise `InputError` if it is no path."""
-    return None if filename is None else checks.file(f"{call}: filename", filename)
-
-
 def checked_picture(filename: str | Path | None) -> Path | None:
-    """Return the path of a picture that can be written, None for none, or raise `InputError`."""
+    """Path of a picture that can be written; None for none."""
     if filename is None:
         return None
-    path = Path(filename)
+    path = checks.file("the picture's filename", filename)
     kinds = new_figure(1.0, 1.0).canvas.get_supported_filetypes()
     if path.suffix[1:].lower() not in kinds:
         raise InputError(

@@ -23,7 +23,7 @@ from crms_fenicsx.output.report.case import (
     with_pictures,
 )
 from crms_fenicsx.output.report.model_tables import Model, merged, model_of_scene
-from crms_fenicsx.output.report.results_tables import Units
+from crms_fenicsx.output.report.results_tables import ResultTables, Units
 from crms_fenicsx.output.report.sections import Report
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, raised_together
@@ -92,7 +92,13 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
     path = absolute(checks.file("report: filename", filename), comm)
     with raised_together(comm):  # last, as it makes the folder
         if comm.rank == 0:
-            _check_path(path)
+            if path.suffix.lower() not in (".html", ".htm"):
+                raise InputError(
+                    f"report: filename = {str(path)!r} is no page; give one with .html."
+                )
+            if path.is_dir():
+                raise InputError(f"report: {path} is a folder; give the name of a file in it.")
+            make_writable(path.parent)
     return replace(plan, path=path, cable_strengths=strengths, pictures=pictures)
 
 
@@ -144,15 +150,6 @@ def _checked_pictures(scene: Scene, pictures: Sequence[str] | None) -> tuple[str
                 "scene.set_strengths(...) before."
             )
     return tuple(pictures)
-
-
-def _check_path(path: Path) -> None:
-    """Refuse a path that no report can be written to; not collective."""
-    if path.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"report: filename = {str(path)!r} is no page; give one with .html.")
-    if path.is_dir():
-        raise InputError(f"report: {path} is a folder; give the name of a file in it.")
-    make_writable(path.parent)
 
 
 def results_of(solver: Reported, states: Mapping[str, Combination]) -> list[Case]:
@@ -223,8 +220,8 @@ def write_files(solver: Reported, plan: Plan, model: Model, cases: Sequence[Case
     """Write a report's page and its tables, all at once when they are complete. Collective."""
     with raised_together(solver.comm):
         if solver.comm.rank == 0:
-            about, path = [*plan.about.items()], plan.path
-            report = Report(plan.title, about, plan.units, model, cases, plan.cable_strengths)
+            results = ResultTables(cases, plan.units, model.size, plan.cable_strengths)
+            report, path = Report(plan.title, [*plan.about.items()], model, results), plan.path
             texts = {path: report.html()}
             for table in report.tables():
                 texts[path.with_name(f"{path.stem}_{table.name}.csv")] = table.csv()
