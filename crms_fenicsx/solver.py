@@ -249,7 +249,8 @@ class Solver:
         if target.is_first_load(scene):
             self.base = self.snapshot()
         first = scene.state
-        done, increment = self._resumed(pressure, target.moves, L0, load, steps, air)
+        given = {"pressure": pressure, "load": load, "move": target.movements.samples, "L0": L0}
+        done, increment = self._resumed(given | {"steps": steps} | air)
         search = SnapThroughSearch(self._increments, target, first, steps)
         halvings, began = 0, time.perf_counter()
         spent: Outcome | None = None
@@ -304,12 +305,11 @@ class Solver:
         warn_of_friction(step.number, scene, before, unsettled)
         warn_of_state(step.number, scene, step.warnings)
 
-    def _resumed(self, *call: Any) -> tuple[float, float]:
-        """Bring scene and solver to where a call to `advance` has come to before. Collective.
-        Returns number of increments that are done, and the next one; 0 and 1 for a new call."""
+    def _resumed(self, given: Mapping[str, Any]) -> tuple[float, float]:
+        """Restore the progress of a call: increments done, and the next one. Collective."""
         if self._journal is None:
             return 0.0, 1.0
-        come, run = self._journal.begin(self.scene, self._journal.plain_loads(*call))
+        come, run = self._journal.begin(self.scene, given)
         if run is not None:
             self._go_on_from(run)
         if come.failure is not None:
@@ -317,14 +317,14 @@ class Solver:
         return come.done, come.increment
 
     def _record(self, step: Step, done: float, increment: float) -> None:
-        """Write what is written of a load step; the checkpoint last, as it counts on the others."""
+        """Write history and files, then the checkpoint."""
         if self._journal is not None:
             self._journal.make_way()
         self._recorder.write(step, self.system, self.case)
         self._keep(done, increment)
 
     def _keep(self, done: float, increment: float, failure: str | None = None) -> None:
-        """Write a checkpoint of the state that a call to `advance` has come to, if there are."""
+        """Write a checkpoint, if enabled."""
         if self._journal is not None:
             self._journal.keep(self.scene, self._run, done, increment, failure)
             self._increments.restart_h0()  # a resumed run takes the same way

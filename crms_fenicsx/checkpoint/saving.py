@@ -164,7 +164,7 @@ def edge_vertices(scene: Scene) -> Integers:
 
 
 def signed(data: Plain) -> str:
-    """The text of a file of plain data, in which each accidental change can be told."""
+    """The text of a file of plain data with its digest."""
     content = json.dumps(data, allow_nan=False)
     return f'{{"format": "{FORMAT}", "digest": "{_digest(content)}", "content": {content}}}'
 
@@ -193,15 +193,14 @@ def read(folder: Path, comm: MPI.Intracomm) -> Saved:
 
 
 def load(folder: str | Path, scene: Scene) -> Run:
-    """Bring a scene to the state of a checkpoint; see `Solver.load`. Collective. Returns what its
-    solver must know."""
+    """Restore a scene from a folder, and return the run; see `Solver.load`. Collective."""
     checks.same(scene.comm, "load", folder=folder)
     place = checks.file("load: folder", folder).resolve()
     return restore(read(complete(place), scene.comm), scene)
 
 
 def restore(saved: Saved, scene: Scene) -> Run:
-    """Bring a scene to the state of a checkpoint. Collective. Returns what its solver must know."""
+    """Restore a scene from a checkpoint, and return the run. Collective."""
     contents, storage = saved.contents, SceneStorage(saved.file.parent, scene)
     check_same(contents.scene, scene)
     storage.check_mesh(contents.positions)
@@ -253,7 +252,7 @@ def _finite(text: str) -> float:
 
 @contextmanager
 def reading(file: Path) -> Iterator[None]:
-    """Say of data that are not what they should be which file they are from."""
+    """Name the file in errors of decoding."""
     try:
         yield
     except InputError:  # it names the file

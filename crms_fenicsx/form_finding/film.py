@@ -107,8 +107,7 @@ class Film:
         return self._vector("force")
 
     def growth(self) -> Array:
-        """Forces of a pressure of 1 on this rank's vertices, (n, 3) (length squared). Collective.
-        Inside the rim these are the derivatives of the volume by the vertices' places."""
+        """The volume's derivatives by this rank's vertices, (n, 3) (length squared). Collective."""
         return self._vector("growth")
 
     def _vector(self, name: str) -> Array:
@@ -129,8 +128,7 @@ class Film:
         return self.start + self.u.x.array.reshape(-1, 3)
 
     def assemble(self, exact: bool, pressure: float, modulus: float) -> None:
-        """Assemble the stiffness, to which cables may still be added. Units: pressure
-        (force per area)."""
+        """Assemble the stiffness with a pressure (force per area), to which cables can be added."""
         self._exact.value = float(exact)
         self._pressure.value = pressure
         self._assemble(self.matrix, modulus)
@@ -149,7 +147,7 @@ class Film:
     def section_forces(self, holding: bool) -> Array:
         """True section forces of this rank's cells as tensors in space, (n, 3, 3)."""
         self._holding.value = self.modulus if holding else 0.0
-        cells = np.arange(self.V.mesh.topology.index_map(2).size_local, dtype=np.int32)
+        cells = np.arange(len(self.V.dofmap.list), dtype=np.int32)
         stress, F = (
             np.asarray(value.eval(self.V.mesh, cells)).reshape(len(cells), width)
             for value, width in zip(self._cell_values, (3, 6), strict=True)

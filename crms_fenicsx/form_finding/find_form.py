@@ -7,11 +7,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from mpi4py import MPI
 
 from crms_fenicsx.form_finding.film import Film, Inflation
 from crms_fenicsx.form_finding.form_cables import FormCable, edge_lines, places_of
 from crms_fenicsx.form_finding.form_search import NO_FORM, FormSearch
-from crms_fenicsx.form_finding.found_form import FormCableFound, FoundForm, largest_part
+from crms_fenicsx.form_finding.found_form import FormCableFound, FoundForm
 from crms_fenicsx.form_finding.stresses import Direction, PrescribedStress, Stress
 from crms_fenicsx.form_finding.supports import (
     Lift,
@@ -132,7 +133,8 @@ def find_form(
         search.system.destroy()
     shape = moved(mesh, membrane.V, membrane.positions())
     residual = film.section_forces(search.holding) - prescribed.tensors(shape)
-    deviation = largest_part(residual, film.largest, mesh.comm)
+    largest = mesh.comm.allreduce(float(np.abs(residual).max(initial=0.0)), op=MPI.MAX)
+    deviation = largest / film.largest
     found = tuple(
         FormCableFound(line.cable.group, line.tension, line.length, places_of(membrane, line.ids))
         for line in lines

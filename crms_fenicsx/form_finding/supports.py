@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
-from mpi4py import MPI
 
 from crms_fenicsx.dofs.layout import edge_ends
 from crms_fenicsx.form_finding.film import Film
@@ -86,10 +85,8 @@ def hold(membrane: Membrane, fixed: Sequence[str] | Mapping[str, str]) -> dict[s
         if not isinstance(group, str):
             raise InputError(f"find_form: fixed has {group!r}; give names of groups of the mesh.")
         membrane.hold(group, directions, new_edges=True)
-    free = "xyz"
-    for number, letter in enumerate("xyz"):
-        if membrane.comm.allreduce(bool(membrane.held[:, number].any()), op=MPI.LOR):
-            free = free.replace(letter, "")
+    held = membrane.comm.allreduce(membrane.held.any(axis=0).astype(int))
+    free = "".join(letter for letter, count in zip("xyz", held, strict=True) if not count)
     if free:
         raise InputError(
             f"find_form: fixed = {fixed!r} holds nothing along {free}; hold a group there too."

@@ -92,8 +92,7 @@ def _tension_in_place(cable: LaidCable) -> float:
 
 
 def _ways(cable: LaidCable, grip: LateralFrictionState, shape: StripShape) -> Array:
-    """Directions in which nodes will slide in a step: where the cable pulls them, or else as in the
-    last one."""
+    """Directions in which nodes slide: where the cable pulls them, or as in the last step."""
     numbers = held_nodes(cable)
     pull = contact_forces(cable, shape).lateral[numbers]
     ways: Array = np.sign(pull) * (np.abs(pull) > NOISE * cable.tension)

@@ -179,8 +179,7 @@ class AxialIteration:
         self._pace = AitkenRelaxation(LEAST_PART)
 
     def renew(self, shape: StripShape) -> float:
-        """Take the bounds from the current state; return the change of the tension that follows
-        from them, relative to their sum."""
+        """Update the bounds from the current state; return the relative change of tension."""
         cable, grip = self.cable, self.cable.axial
         assert grip is not None
         if not cable.taut or cable.length <= cable.L0 or len(grip.spans) != len(grip.supports) + 1:

@@ -27,8 +27,7 @@ from crms_fenicsx.surface.points import Support
 def succession(
     old: Sequence[Support], now: Sequence[Support]
 ) -> tuple[list[int], list[int], list[tuple[slice, list[int]]]]:
-    """New nodes that stay, the old nodes they were, and stretches of old nodes that go, each with
-    the new nodes in its place, or the neighbours."""
+    """New nodes that stay, their old numbers, and stretches of old nodes with their heirs."""
     was = {support: k for k, support in enumerate(old)}
     stays = [k for k, support in enumerate(now) if support in was]
     rows = [was[now[k]] for k in stays]

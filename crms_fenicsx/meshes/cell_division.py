@@ -115,8 +115,7 @@ def _fitted(surface: CheckedSurface, parents: Integers, places: Array) -> Divisi
 
 
 def _bisected(mesh: MembraneMesh, marked: Indices) -> tuple[Integers, Array]:
-    """The finer cells' parents (k,) and the places of their corners (k, 3, 3), in any order, all on
-    rank 0. Collective."""
+    """The finer cells' parents (k,) and corners (k, 3, 3), in any order, on rank 0. Collective."""
     # Of sides that are equally long DOLFINx takes the first in the cell's own order, which is the
     # same on any number of ranks.
     topology, comm = mesh.mesh.topology, mesh.comm

@@ -43,8 +43,7 @@ def imported(package: str) -> Any:
 
 @contextmanager
 def own_model(*, quiet_only: bool = False) -> Iterator[Any]:
-    """Enter a new, empty gmsh model and yield the gmsh module; afterwards a session of the user
-    goes on with its own model and options, and without one gmsh is finalised."""
+    """Yield gmsh with a new, empty model; afterwards a user's session goes on as before."""
     gmsh = imported("gmsh")
     started = not gmsh.isInitialized()
     if started:
@@ -86,8 +85,7 @@ def read_model(gmsh: Any) -> SurfaceArrays:
 
 
 def surface_of_model(model: dict[str, Any]) -> SurfaceArrays:
-    """The triangles and groups among the arrays that `reader_process.gmsh_arrays` gives; nodes of
-    no triangle, such as the centres of circles, are left out."""
+    """Triangles and groups among the arrays of `gmsh_arrays`, without unused nodes."""
     for kind in model["kinds"]:
         if kind != _TRIANGLE:
             raise MeshError(

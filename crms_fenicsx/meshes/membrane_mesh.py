@@ -83,12 +83,11 @@ class MembraneMesh:
 
     @cached_property
     def overlaps(self) -> Mapping[tuple[str, str], str | None]:
-        """Of each two parts with common cells the one inside the other, on all ranks; None where
-        neither is, or both are. Collective at first."""
+        """The inner one of two parts with common cells, None if neither is. Collective at first."""
         names, n = sorted(self.parts), self.mesh.topology.index_map(2).size_local
         inside = np.zeros((len(names), n), dtype=np.int64)
         for row, name in zip(inside, names, strict=True):
-            row[self.parts[name][self.parts[name] < n]] = 1
+            row[self.parts[name]] = 1
         common = self.comm.allreduce(inside @ inside.T) if names else inside
         found: dict[tuple[str, str], str | None] = {}
         for j, k in zip(*map(np.ndarray.tolist, np.nonzero(np.tril(common, -1))), strict=True):
@@ -276,14 +275,13 @@ def cell_vertex_ids(mesh: dolfinx.mesh.Mesh) -> Integers:
 def gathered(mesh: MembraneMesh) -> tuple[CheckedSurface, Indices]:
     """The surface of a mesh and the ranks of its cells (m,), all on rank 0. Collective."""
     topology, comm = mesh.mesh.topology, mesh.comm
-    own = topology.index_map(2).size_local
     ids, numbers = vertex_ids(mesh.mesh), np.asarray(topology.original_cell_index, dtype=np.int64)
     pairs = ids[topology.connectivity(1, 0).array.reshape(-1, 2)]
     parts = comm.gather((
         ids,
         mesh.mesh.geometry.x[vertex_nodes(mesh.mesh)],
-        numbers[:own],
-        cell_vertex_ids(mesh.mesh)[:own],
+        numbers,
+        cell_vertex_ids(mesh.mesh),
         {name: edge_keys(pairs[members]) for name, members in mesh.edges.items()},
         {name: numbers[members] for name, members in mesh.parts.items()},
         {name: ids[members] for name, members in mesh.points.items()},
@@ -337,8 +335,7 @@ def cells_of(mesh: MembraneMesh, parts: Iterable[str]) -> Booleans:
 
 
 def outer_first(mesh: MembraneMesh, call: str, what: str, names: Iterable[object]) -> list[str]:
-    """Parts in an order where one inside another, to which its cells count, comes after it.
-    Collective when a mesh is first asked, as in making its scene."""
+    """Parts in an order where one inside another comes after it. Collective at first."""
     given = sorted(names, key=repr)
     for part in given:
         if part not in mesh.parts:

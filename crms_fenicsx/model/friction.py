@@ -122,8 +122,7 @@ class MaterialCurve:
     moving: Annotated[Array, "m"]  # (m,) how they slid in the last step: 1 left, -1 right, 0 not
 
     def nearest(self, places: Array) -> tuple[Array, Array, Integers]:
-        """Arc lengths (n,), which go beyond the ends of a part as places (n, 3) do, points (n, 3)
-        and parts (n,) nearest to places; parts are -1 where there is no curve."""
+        """Arc lengths, points and parts nearest to places (n, 3); part -1 without a curve."""
         joined = np.flatnonzero((self.part[1:] == self.part[:-1]) & (np.diff(self.arc) > 0.0))
         if not len(joined):
             return np.zeros(len(places)), places.copy(), np.full(len(places), -1)

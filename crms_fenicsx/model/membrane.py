@@ -146,8 +146,7 @@ class Membrane:
     @cached_property
     def size(self) -> float:
         """Square root of the stress-free area (length). Collective."""
-        owned = self.mesh.mesh.topology.index_map(2).size_local
-        areas = np.linalg.norm(area_vectors(self.mesh.mesh)[:owned], axis=1)
+        areas = np.linalg.norm(area_vectors(self.mesh.mesh), axis=1)
         return float(np.sqrt(self.comm.allreduce(float(areas.sum()))))
 
     def positions(self) -> Array:

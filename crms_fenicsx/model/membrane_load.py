@@ -66,8 +66,7 @@ class _Shape:
     """This rank's cells in the membrane's current shape."""
 
     def __init__(self, membrane: Membrane) -> None:
-        count = membrane.mesh.mesh.topology.index_map(2).size_local
-        self._cells, self._n = membrane.V.dofmap.list[:count], len(membrane.held)
+        self.membrane, self._cells = membrane, membrane.V.dofmap.list
         self._corners: Array = membrane.positions()[self._cells]
         self.vectors: Array = double_areas(self._corners) / 2  # areas (m, 3) times unit normals
 
@@ -88,19 +87,23 @@ class _Shape:
         normals = self.vectors / self.areas[:, None]
         return checks.returned(what, function(self.centres.T, normals.T), self.centres.T, due)
 
-    def counted(self, by: Area, membrane: Membrane) -> Array:
+    def counted(self, by: Area) -> Array:
         """The areas that a load is counted by, (m,)."""
         if by == "plan":
             return np.abs(self.vectors[:, 2])
-        if by == "material":
-            return norm(area_vectors(membrane.mesh.mesh, slice(len(self._cells))))
-        return self.areas
+        return norm(area_vectors(self.membrane.mesh.mesh)) if by == "material" else self.areas
 
     def nodal(self, loads: Array) -> Array:
-        """Forces of the vertices, (n, 3), of which a cell's gives a third to each of its own."""
-        forces = np.zeros((self._n, 3))
+        """Forces (n, 3) on the vertices, a third of each cell's to each of its corners."""
+        forces = np.zeros(self.membrane.held.shape)
         np.add.at(forces, self._cells, loads[:, None] / 3)
         return forces
+
+    def load(self, name: str, loads: Array, suction: Array | None = None) -> MembraneLoad:
+        """A load by its forces (m, 3) on the cells. Collective."""
+        local = np.array([np.linalg.norm(loads, axis=1).sum(), self.areas.sum()])
+        total, area = self.membrane.comm.allreduce(local, op=MPI.SUM)
+        return MembraneLoad(name, self.nodal(loads), float(total / area), suction)
 
 
 def fixed_direction_load(
@@ -118,8 +121,8 @@ def fixed_direction_load(
             given = shape.values("put_load: the function", given, (3, len(loads)))
         else:
             given = checks.vector("put_load: the force per area", given)[:, None]
-        loads[:] = shape.counted(per, membrane)[:, None] * given.T
-    return MembraneLoad(name, shape.nodal(loads), _intensity(membrane, shape, loads))
+        loads[:] = shape.counted(per)[:, None] * given.T
+    return shape.load(name, loads)
 
 
 def wind_load(
@@ -131,8 +134,7 @@ def wind_load(
     suction = np.zeros(len(shape.areas))
     with raised_together(membrane.comm):
         suction[:] = -pressure * _coefficients(coefficient, membrane, shape)
-    loads = suction[:, None] * shape.vectors
-    return MembraneLoad(name, shape.nodal(loads), _intensity(membrane, shape, loads), suction)
+    return shape.load(name, suction[:, None] * shape.vectors, suction)
 
 
 def nodal_load(membrane: Membrane, forces: fem.Function, name: str = "forces") -> MembraneLoad:
@@ -190,18 +192,10 @@ def _coefficients(coefficient: Coefficient, membrane: Membrane, shape: _Shape) -
     values = np.full(len(shape.areas), np.nan)
     for part in parts:
         number = checks.finite(f"put_wind: coefficient of {part!r}", coefficient[part])
-        cells = membrane.mesh.parts[part]
-        values[cells[cells < len(values)]] = number
+        values[membrane.mesh.parts[part]] = number
     if np.isnan(values).any():
         raise InputError(
             f"put_wind: coefficient names {', '.join(map(repr, coefficient))}, which leaves cells "
             f"without one, as at {shape.centres[np.argmax(np.isnan(values))]}; name all parts."
         )
     return values
-
-
-def _intensity(membrane: Membrane, shape: _Shape, loads: Array) -> float:
-    """Mean size of the force per area of loads (m, 3) of this rank's cells. Collective."""
-    local = np.array([np.linalg.norm(loads, axis=1).sum(), shape.areas.sum()])
-    total, area = membrane.comm.allreduce(local, op=MPI.SUM)
-    return float(total / area)

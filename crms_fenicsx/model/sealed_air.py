@@ -72,8 +72,7 @@ class SealedAir:
         return (gained - self.gained) / self.volume
 
     def pressure(self, gained: float) -> float:
-        """Pressure over that of the atmosphere (force per area), where the membrane has `gained`
-        this volume (length cubed)."""
+        """Pressure over that of the atmosphere (force per area), for a gained volume (length^3)."""
         v, hot = self._change(gained), self.temperature * self.absolute
         known = max(v, LEAST - 1.0)
         p = (hot - self.atmosphere) + hot * math.expm1(-self.exponent * math.log1p(known))

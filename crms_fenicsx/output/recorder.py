@@ -38,9 +38,7 @@ GRACE = 10.0
 
 
 class FolderLock:
-    """Keeps other writers, of this process and of others, out of a folder. Rank 0 holds the lock
-    until this object is gone or its process ends, however it ends. Where the file system knows no
-    locks, nobody is kept out."""
+    """Keeps other writers out of a folder, where locks exist, until it or its process ends."""
 
     def __init__(self, folder: Path, comm: MPI.Intracomm) -> None:
         self.folder, self.comm = folder, comm
@@ -141,8 +139,7 @@ class Recorder:
             self.series.write(step.number, surface, lines)
 
     def resume(self, rows: Sequence[Mapping[str, Value]]) -> None:
-        """Go on after the steps of an earlier run. Collective. If the files in the folder begin
-        with the same steps, these stay and new ones follow; else the next step replaces them."""
+        """Go on after the steps of an earlier run, with its files if they fit. Collective."""
         with raised_together(self.scene.comm):
             self.history.resume(rows)
         path = self.history.path

@@ -301,7 +301,7 @@ def membrane_results(system: System) -> MembraneResults:
     """Evaluate the membrane at the scene's current state. Collective."""
     scene, cells = system.scene, cell_tensors(system)
     E, axes, images = cells.strains, cells.axes, cells.images
-    n, before = len(E), cells.sides
+    before = cells.sides
     S = cells.forces + added_forces(scene, axes)
     normal: Array = np.asarray(np.cross(images[:, 0], images[:, 1]), dtype=np.float64)
     normal /= np.linalg.norm(normal, axis=1)[:, None]
@@ -339,7 +339,7 @@ def membrane_results(system: System) -> MembraneResults:
         areas=J * stress_free,
         folded=cells.folded,
         stress_free_areas=stress_free,
-        parts={name: own[own < n] for name, own in scene.mesh.parts.items()},
+        parts=scene.mesh.parts,
         surface=current_surface(scene.net),
         membrane=scene.membrane,
         in_equilibrium=scene.in_equilibrium(),

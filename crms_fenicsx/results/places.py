@@ -162,10 +162,7 @@ def _checked(points: ArrayLike) -> tuple[Array, bool]:
 def _candidates(
     corners: Array, targets: Array, in_plan: bool
 ) -> tuple[Integers, Array, Array, Array]:
-    """This rank's best facet for each target. Returns rows (k,): the facets; any where this rank
-    has none; weights (k, 3): of their corners; scores (k, 2): distance, and how deep below others
-    the place lies in plan; the least of them is the best; sizes (k,): the facets' longest sides
-    (length)."""
+    """This rank's best facets (k,), weights (k, 3), scores (k, 2) and sizes (k,) by target."""
     k = len(targets)
     rows, weights = np.zeros(k, dtype=np.int64), np.zeros((k, 3))
     scores, sizes = np.full((k, 2), np.inf), np.zeros(k)

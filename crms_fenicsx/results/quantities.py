@@ -62,8 +62,7 @@ def added_forces(scene: Scene, axes: Array) -> Array:
     found = np.zeros((len(axes), 2, 2))
     for term in scene.terms:
         if term.section_forces is not None:
-            own = term.section_forces[: len(axes)]
-            found += np.einsum("nai,nij,nbj->nab", axes, own, axes)
+            found += np.einsum("nai,nij,nbj->nab", axes, term.section_forces, axes)
     return found
 
 
@@ -74,10 +73,8 @@ def _symmetric(a: Array, b: Array, c: Array) -> Array:
 
 def _edge_vectors(scene: Scene) -> tuple[Array, Array]:
     """Two sides of the owned cells, stress-free and current, (n, 2, 3) each."""
-    mesh = scene.mesh.mesh
-    owned = mesh.topology.index_map(2).size_local
-    x = mesh.geometry.x[geometry_dofmap(mesh)[:owned]]
-    u = scene.u.x.array.reshape(-1, 3)[scene.V.dofmap.list[:owned]]
+    x = scene.mesh.mesh.geometry.x[geometry_dofmap(scene.mesh.mesh)]
+    u = scene.u.x.array.reshape(-1, 3)[scene.V.dofmap.list]
     before: Array = np.asarray(x[:, 1:] - x[:, :1], dtype=np.float64)
     return before, before + (u[:, 1:] - u[:, :1])
 

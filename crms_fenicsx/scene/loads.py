@@ -112,8 +112,7 @@ class Loads(Stateful[LoadsState]):
         >>> scene.put_load((0.0, 0.0, -0.01), name="weight", per="material")
         >>> solver.advance(load={"snow": 1.5, "weight": 1.35})
         """
-        checks.same(self.comm, "put_load", force=force, name=name, per=per)
-        self._check_new_load("put_load", name)
+        self._check_new("put_load", name, force=force, per=per)
         self.add(fixed_direction_load(self.membrane, force, name, per))
 
     @collective
@@ -147,8 +146,7 @@ class Loads(Stateful[LoadsState]):
         >>> scene.put_wind(0.8, {"roof": -0.9, "walls": 0.7}, name="wind along x")
         >>> solver.advance(load={"wind along x": 1.5})
         """
-        checks.same(self.comm, "put_wind", pressure=pressure, coefficient=coefficient, name=name)
-        self._check_new_load("put_wind", name)
+        self._check_new("put_wind", name, pressure=pressure, coefficient=coefficient)
         self.add(wind_load(self.membrane, pressure, coefficient, name))
 
     @collective
@@ -178,8 +176,7 @@ class Loads(Stateful[LoadsState]):
         >>> scene.put_forces(forces, name="fluid")
         >>> solver.advance(load={"fluid": 1.0})
         """
-        checks.same(self.comm, "put_forces", name=name)
-        self._check_new_load("put_forces", name)
+        self._check_new("put_forces", name)
         self.add(nodal_load(self.membrane, forces, name))
 
     @collective
@@ -210,8 +207,7 @@ class Loads(Stateful[LoadsState]):
         >>> scene.put_line_load((0.0, 0.0, -0.2), "ridge", name="snow guard")
         >>> solver.advance(load={"snow guard": 1.35})
         """
-        checks.same(self.comm, "put_line_load", force=force, edges=edges, name=name)
-        self._check_new_load("put_line_load", name)
+        self._check_new("put_line_load", name, force=force, edges=edges)
         self.add(line_load(self.membrane, force, edges, name))
 
     @collective
@@ -236,8 +232,7 @@ class Loads(Stateful[LoadsState]):
         >>> scene.put_on_joints({top: (0.0, 0.0, -5.0)}, name="lamp")
         >>> solver.advance(load={"lamp": 1.35})
         """
-        checks.same(self.comm, "put_joint_load", forces=forces, name=name)
-        self._check_new_load("put_joint_load", name)
+        self._check_new("put_joint_load", name, forces=forces)
         checks.collection("put_joint_load: forces", forces, Mapping, "{joint: (Fx, Fy, Fz)}", 1)
         found: dict[str, tuple[float, float, float]] = {}
         for joint, force in forces.items():
@@ -300,10 +295,7 @@ class Loads(Stateful[LoadsState]):
         >>> solver.advance(load={"pond": 1.0}, steps=4)
         >>> scene.ponds[0].volume
         """
-        checks.same(
-            self.comm, "put_pond", weight=weight, level=level, volume=volume, on=on, name=name
-        )
-        self._check_new_load("put_pond", name)
+        self._check_new("put_pond", name, weight=weight, level=level, volume=volume, on=on)
         weight = checks.positive("put_pond: weight", weight)
         if (level is None) == (volume is None):
             raise InputError(
@@ -346,7 +338,9 @@ class Loads(Stateful[LoadsState]):
         self.update(loads=(*self.state.loads, load))
         self.versions.change_model(acts=load.factor != 0.0)
 
-    def _check_new_load(self, call: str, name: str) -> None:
+    def _check_new(self, call: str, name: str, **given: object) -> None:
+        """Check the name of a new load, and that all ranks give the same. Collective."""
+        checks.same(self.comm, call, name=name, **given)
         self.membrane.check_finite(call)
         checks.text(f"{call}: name", name)
         if name in AIR:

@@ -28,8 +28,7 @@ LoadT = TypeVar("LoadT", MembraneLoad, Pond)
 
 
 def between(first: float, last: float, share: float) -> float:
-    """A load at a share of the way; none where only rounding is left of it. A scene without load is
-    another one than one with the least: nothing may be in equilibrium."""
+    """A load at a share of the way; zero where only rounding is left."""
     value = first + share * (last - first)
     rounding = 4 * EPSILON * max(abs(first), abs(last))
     return 0.0 if abs(value) <= rounding else value
@@ -112,11 +111,6 @@ class Target:
     movements: Movements  # how supports and anchors move
     # a cable or bar, its first and last unstressed length (length)
     lengths: list[tuple[LaidCable | PlacedBar, float, float]]
-
-    @property
-    def moves(self) -> dict[object, list[float]]:
-        """What was moved, and numbers that tell how."""
-        return self.movements.samples
 
     def is_first_load(self, scene: Scene) -> bool:
         """Whether loads or ponds are brought on where there are none yet."""

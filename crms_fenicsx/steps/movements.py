@@ -157,8 +157,7 @@ class Movements:
     samples: dict[object, list[float]]
 
     def apply(self, scene: Scene, first: SceneState, before: float, share: float) -> None:
-        """Move to a share of the way from the state `first`; `before` is that reached. Where a
-        vertex or an end is named twice its displacements add up. Collective."""
+        """Move to a share of the way from the state `first`, from `before` on. Collective."""
         with raised_together(scene.comm):  # functions, before anything moves
             of_vertices = [motion.at(share) for _, motion in self.vertices]
             of_ends = [motion.at(share).reshape(3) for *_, motion in self.cable_ends]
@@ -230,8 +229,7 @@ def checked_movements(scene: Scene, move: Mapping[object, Move], steps: int) -> 
 
 
 def _samples(scene: Scene, motions: list[Motion], dofs: Indices | None) -> list[float]:
-    """What tells a movement from others: a displacement, or sums over what a function gives. Of
-    vertices those that this rank owns count, with weights by their numbers. Collective."""
+    """Numbers that tell a movement from others: a displacement, or weighted sums. Collective."""
     if motions[0].displacement is not None:
         return [float(x) for x in motions[0].displacement]
     found: Array = np.zeros(0)

@@ -19,8 +19,7 @@ from crms_fenicsx.verification.report import NO_STRAIN
 
 
 def plain_vertices(system: System) -> Integers:
-    """This rank's free vertices at which neither a cable in tension nor a bar acts. Collective. The
-    potential's gradient is lost."""
+    """This rank's free vertices without cables in tension and bars; spoils `g`. Collective."""
     scene, unknowns, potential = system.scene, system.unknowns, system.potential
     n = unknowns.n_vertices
     plain: Booleans = np.logical_not(np.any(unknowns.held[:n], axis=1))
@@ -70,8 +69,7 @@ def is_tense(cable: LaidCable) -> bool:
 def contacts(
     cable: LaidCable, on_mesh: Booleans, on_edge: Integers, shape: StripShape
 ) -> dict[str, float]:
-    """How hard the cable pulls the membrane outward, and how deep it runs below it. Shapes:
-    on_mesh, on_edge (n,)."""
+    """How hard the cable pulls the membrane outward, and how deep it runs below it."""
     pull = depth = 0.0
     on = [k for k in may_lift(cable) if not cable.lifted[k]]
     supports = [p.support for k in on if (p := cable.nodes[k].point) is not None]
@@ -95,10 +93,7 @@ def contacts(
 
 
 def forces(cable: LaidCable, shape: StripShape, free: float) -> dict[str, float]:
-    """Forces on a cable to those with which it presses on the membrane: see `_held`, `_friction`.
-
-    Units: free (force).
-    """
+    """Forces on a cable relative to those with which it presses on the membrane."""
     ways = np.diff(cable.positions[cable.contacts()], axis=0)
     (long,) = np.nonzero(norm(ways) > SAME_PLACE * cable.length)  # others have no direction
     ways = ways[long] * (cable.part_tensions[long] / norm(ways[long]))[:, None]
@@ -114,9 +109,7 @@ def forces(cable: LaidCable, shape: StripShape, free: float) -> dict[str, float]
 
 
 def _held(cable: LaidCable, shape: StripShape, press: float) -> dict[str, float]:
-    """The forces with which the mesh holds a cable sideways, to those with which the cable presses.
-    A cable that is at rest because it lies on vertices, or has run into them, is not where it would
-    be on another mesh. At single ones that depends on how coarse the mesh is."""
+    """Forces with which vertices hold a cable sideways, relative to its press."""
     runs = held_runs(cable, shape)
     lines = [run.excess / press for run in runs if len(run.vertices) >= IN_LINE]
     return {
@@ -136,16 +129,13 @@ def _folds(cable: LaidCable) -> list[int]:
 
 
 def _beside_edges(cable: LaidCable, shape: StripShape) -> float:
-    """Sum of the forces sideways at points that slide freely along their edges (force). The edge
-    itself carries them where it is much stiffer than the cable is tight; what cells make of them
-    that are not alike is left out."""
+    """Sum of sideways forces at freely sliding points, beyond those of uneven cells (force)."""
     press, pull = forces_at(cable, _folds(cable), shape)
     return float(np.maximum(np.abs(pull) - UNEVEN * np.abs(press), 0.0).sum())
 
 
 def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, float]:
-    """Friction forces, as the cable's way in space says, against contact forces; and heat. What is
-    beyond the bounds is relative to the force with which the cable presses, on the whole."""
+    """Friction forces beyond their bounds, relative to the press, and negative dissipation."""
     values: dict[str, float] = {}
     friction = cable.cable.sideways
     if friction is None and cable.axial is None:

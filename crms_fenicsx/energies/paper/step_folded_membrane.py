@@ -26,9 +26,7 @@ from crms_fenicsx.runtime.arrays import Array, Booleans
 
 @numba.njit(cache=True)
 def step_forces(lengths, pointers, side_segments, sides, base, shape, stress, D, forces, out):  # type: ignore[no-untyped-def]  # fmt: skip
-    """Energy of the step; forces in the segments; new shape and stress (n, 6) into `out`. `base` is
-    the side ik of each cell, `shape` (a, e, f) and `stress` the state at the step's start in the
-    frame of that side."""
+    """Energy of the step; forces of segments, and new stress and shape (n, 6) into `out`."""
     forces[:] = 0.0
     energy = 0.0
     r, s, increment = np.empty(3), np.empty(3), np.empty(3)
@@ -92,9 +90,7 @@ def shape_on(shape: Array, base: npt.NDArray[np.int64]) -> Array:
 
 
 class StepFoldedMembraneEnergy(FoldedMembraneEnergy):
-    """Strain energy of the folded cells over all steps; side ik is a side that does not fold. The
-    state at the step's start lives in the plain cells' term, which also keeps that of folded cells,
-    in the frame of side 0-1."""
+    """Strain energy of folded cells over all steps; side ik is one that does not fold."""
 
     has_history = True
     exact_hessian = False

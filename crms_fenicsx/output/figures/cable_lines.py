@@ -204,8 +204,7 @@ def _interpolated(given: Array, segment: Integers, middle: Array, count: int) ->
 
 
 def _subdivided(nodes: Array, step: float) -> tuple[Array, Integers, Array]:
-    """Cut a projected polyline's segments into pieces no longer than `step`. Returns the nodes
-    (s + 1, 3), each piece's segment (s,) and its middle's place along it (s,)."""
+    """Nodes (s + 1, 3) of pieces of at most `step`, their segments and middles' places (s,)."""
     lengths = np.linalg.norm(np.diff(nodes[:, :2], axis=0), axis=1)
     counts = np.maximum(np.ceil(lengths / step), 1).astype(np.int64)
     segment, k = offsets_within(counts)

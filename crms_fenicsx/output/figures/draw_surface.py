@@ -322,8 +322,7 @@ def _edge_strength(axes3d: Axes3D, flat: Array) -> float:
 
 
 def _outline(points: Array, triangles: Integers) -> Array:
-    """Return the ends (b, 2, 3) of the edges that belong to one triangle only. Vertices at the same
-    place count as one, as the parts of folded triangles may bring their own."""
+    """Ends (b, 2, 3) of edges of one triangle only; vertices at one place count as one."""
     if len(triangles) == 0:
         return np.empty((0, 2, 3))
     step = 1e-9 * float(np.ptp(points, axis=0).max()) or 1.0

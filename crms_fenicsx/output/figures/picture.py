@@ -50,9 +50,7 @@ def checked_picture(filename: str | Path | None) -> Path | None:
 def finished(
     figure: Figure, path: Path | None, dpi: int, region: Bbox | str = "tight"
 ) -> Figure | None:
-    """Write a figure, or a region of it in inches, in place of a picture that was there. Without a
-    path the figure is returned, which then shows itself in a notebook, in the same region; without
-    pyplot nothing else would show it."""
+    """Write a figure or a region of it (inches); without a path return it for a notebook."""
     if path is not None:
         with replaced(path) as partial:
             figure.savefig(partial, dpi=dpi, bbox_inches=region, pad_inches=MARGIN)

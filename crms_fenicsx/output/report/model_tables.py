@@ -136,7 +136,7 @@ def in_families(bars: Table) -> Table:
 
 def _mesh(scene: Scene, areas: Array, extents: list[float], units: Units) -> list[Row]:
     mesh, comm, m = scene.mesh.mesh, scene.comm, units["length"]
-    sides = np.linalg.norm(cell_sides(mesh, np.arange(len(areas), dtype=np.int32)), axis=2)
+    sides = np.linalg.norm(cell_sides(mesh), axis=2)
     cells = mesh.topology.index_map(2).size_global
     lengths = (
         comm.allreduce(float(sides.min(initial=np.inf)), op=MPI.MIN),
