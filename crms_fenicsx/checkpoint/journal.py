@@ -26,6 +26,7 @@ from crms_fenicsx.checkpoint.folder import ASIDE, complete
 from crms_fenicsx.checkpoint.saving import STATE, Saved, edge_vertices, read, reading, restore, save
 from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
+from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import PARTIAL, explained, make_writable, partial_of
@@ -197,9 +198,7 @@ class Journal:
         self._number = 0
         self._outdated = 1
         """Number of the first call whose folder is not of this run; 0 if there are none."""
-        with raised_together(comm):
-            if comm.rank == 0:
-                make_writable(self.folder)
+        checks.from_first(comm, lambda: make_writable(self.folder))
 
     def begin(self, scene: Scene, given: Mapping[str, Any]) -> tuple[CallProgress, Run | None]:
         """Begin a call, and restore its saved progress and run, None without any. Collective."""
@@ -270,11 +269,9 @@ class Journal:
 
     def _saved(self) -> Saved | None:
         """What the call has come to before; None if it has not begun."""
-        place, there = complete(self._place), False
-        with raised_together(self.comm):
-            if self.comm.rank == 0:
-                there = os.path.lexists(place / STATE)
-        return read(place, self.comm) if self.comm.bcast(there) else None
+        place = complete(self._place)
+        there = checks.from_first(self.comm, lambda: os.path.lexists(place / STATE))
+        return read(place, self.comm) if there else None
 
 
 def _remove(path: Path, folder: Path) -> None:

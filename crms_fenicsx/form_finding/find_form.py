@@ -172,10 +172,10 @@ def _disturbance(membrane: Membrane, supports: Iterable[str], search: FormSearch
     """Largest relative change of the form's figures by what holds its vertices. Collective."""
     if not search.holding or search.freely is None:
         return 0.0
-    free, held = search.freely, search.figures()
-    changed = np.abs(held.numbers - free.numbers) / np.maximum(np.abs(held.numbers), 1e-300)
-    changes = group_sums(membrane, supports, held.support_forces - free.support_forces)
-    sizes = np.linalg.norm(held.support_forces, axis=1)[:, None]
+    (before, free), (numbers, held) = search.freely, search.figures()
+    changed = np.abs(numbers - before) / np.maximum(np.abs(numbers), 1e-300)
+    changes = group_sums(membrane, supports, held - free)
+    sizes = np.linalg.norm(held, axis=1)[:, None]
     largest = max(float(size[0]) for size in group_sums(membrane, supports, sizes).values())
     moved_by = max(float(np.linalg.norm(change)) for change in changes.values())
     return max(float(changed.max()), moved_by / largest if largest else 0.0)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from mpi4py import MPI
 
@@ -40,12 +38,8 @@ State = tuple[Array, list[float], float]
 """Displacements, tensions and the pressure."""
 
 
-@dataclass(frozen=True)
-class Figures:
-    """What a form is judged by."""
-
-    numbers: Array  # its area, the lengths and the tensions of its cables, and its pressure
-    support_forces: Array  # forces of the supports on this rank's vertices (force), (n, 3)
+Figures = tuple[Array, Array]
+"""Area, lengths and tensions of cables and pressure of a form, and forces (n, 3) of supports."""
 
 
 class FormSearch:
@@ -200,7 +194,7 @@ class FormSearch:
         lines = self.lines
         numbers = [self.film.area(), *(line.length for line in lines)]
         numbers += [line.tension for line in lines] + [self.inflation.pressure]
-        return Figures(np.array(numbers), self.support_forces)
+        return np.array(numbers), self.support_forces
 
     def _step(self, newton: bool, lift: Array | None) -> None:
         """Move by the solution of the linear equations. Collective."""

@@ -19,18 +19,13 @@ LYING = 0.1
 
 
 class Directions:
-    """Splits the directions in which vertices are free into those across a form and within it.
+    """Splits the free directions of vertices into those across a form and within it.
 
-    A vertex that moves within a smooth surface, or along a cable, leaves the form as it is. Across
-    are the normal of the surface and the two directions square to a cable, or all where cables end
-    or meet.
-
-    Attributes: `free` (n, 3): free components of this rank's vertices; `on_cable` (n,): whether a
-    vertex is free to move along a cable; `guided` (n,): whether supports leave a vertex some of its
-    directions, but no cable holds it. Its own forces within the surface count as well: a ridge may
-    be held vertically only; `across`, `within` (n, 3, 3): projectors on the directions of both
-    kinds; `counted`, `along` (n, 3, 3): on those in which forces are to balance, and on those along
-    cables.
+    Across are the normal of the surface and the two directions square to a cable, or all where
+    cables end or meet; a vertex that moves within leaves the form as it is. Of a `guided` vertex,
+    which supports hold in some directions, forces within the surface count as well. `across`,
+    `within`, `counted` (where forces are to balance) and `along` (cables) are projectors, (n, 3,
+    3).
     """
 
     def __init__(self, membrane: Membrane, film: Film, lines: Sequence[EdgeLine]) -> None:

@@ -138,7 +138,7 @@ def _bounds(
     assert friction is not None
     slips = node_slips(cable, grip.curve, shape)
     moving = grip.moving.copy()
-    rows = [grip.row_of[support] for support in slips.supports]
+    rows = grip.rows(slips.supports)
     if settled:
         starts = (np.abs(slips.slip) > SLIDES * slips.size) & (moving[rows] == 0.0)
         moving[rows] = np.where(starts, np.sign(slips.slip), moving[rows])

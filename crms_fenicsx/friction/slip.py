@@ -116,6 +116,5 @@ def node_slips(cable: LaidCable, curve: MaterialCurve, shape: StripShape) -> Nod
 
 def slip_forces(friction: Friction, grip: LateralFrictionState, slips: NodeSlips) -> Array:
     """Friction forces with stick and slip of sliding nodes, (n,) (force)."""
-    rows = [grip.row_of[support] for support in slips.supports]
-    bounds, eps, _ = grip.law(rows, friction.tolerance * slips.size)
+    bounds, eps, _ = grip.law(slips.supports, friction.tolerance * slips.size)
     return coulomb_forces(slips.slip, bounds, eps)

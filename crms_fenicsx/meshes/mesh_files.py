@@ -118,7 +118,13 @@ def from_file(
         if suffix == ".geo":
             return _read_script(file)
         if suffix == ".msh":
-            _refuse_script(file)
+            with readable(f"'{file}'", "check the path and your rights"), file.open("rb") as stream:
+                is_mesh = stream.read(64).startswith(b"$MeshFormat")
+            if not is_mesh:  # gmsh would take it for a script, and run it
+                raise MeshError(
+                    f"'{file}' is no gmsh mesh, it does not begin with $MeshFormat: save it again "
+                    "with gmsh"
+                )
             model = read_isolated(file, "gmsh")
             return _named(file, lambda: surface_of_model(model))
         if suffix not in SUFFIXES:
@@ -148,16 +154,6 @@ def _read_script(file: Path) -> SurfaceArrays:
         if errors:
             raise MeshError(f"gmsh cannot read '{file}': {'; '.join(errors)}")
         return _named(file, lambda: read_model(gmsh))
-
-
-def _refuse_script(file: Path) -> None:
-    """Refuse a .msh file that is no mesh: gmsh would take it for a script, and run it."""
-    with readable(f"'{file}'", "check the path and your rights"), file.open("rb") as stream:
-        if not stream.read(64).startswith(b"$MeshFormat"):
-            raise MeshError(
-                f"'{file}' is no gmsh mesh, it does not begin with $MeshFormat: save it again "
-                "with gmsh"
-            )
 
 
 def _named(file: Path, read: Callable[[], SurfaceArrays]) -> SurfaceArrays:

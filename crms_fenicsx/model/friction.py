@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Literal
@@ -188,8 +189,13 @@ class LateralFrictionState:
     known: bool = False  # whether the bounds come from a state, and not from a first guess
     cone: SidewaysLaw | None = None  # what friction along the cable takes; None: nothing
 
-    def law(self, rows: list[int], eps: Array) -> tuple[Array, Array, Array]:
+    def rows(self, supports: Iterable[Support]) -> list[int]:
+        """Rows of nodes in the arrays."""
+        return [self.row_of[support] for support in supports]
+
+    def law(self, supports: Iterable[Support], eps: Array) -> tuple[Array, Array, Array]:
         """Bounds (force), slips at which they are reached, and most elastic slips (length)."""
+        rows = self.rows(supports)
         bounds, own = self.bounds[rows], self.cone
         if own is None:
             return bounds, eps, eps

@@ -25,20 +25,12 @@ from crms_fenicsx.runtime.checks import counted, span
 from crms_fenicsx.runtime.errors import InputError, collective
 
 
-def by_cells(membrane: Membrane, name: str, values: Array) -> fem.Function:
-    """A function that is constant in each cell, of values (n,). Collective."""
-    found = fem.Function(membrane.cell_values, name=name)
-    found.x.array[membrane.cell_values.dofmap.list[: len(values), 0]] = values
-    found.x.scatter_forward()
-    return found
-
-
 def nodal_means(membrane: Membrane, name: str, values: Array, areas: Array) -> fem.Function:
     """A linear function: at vertices, means of the values (n,) of the cells around. Collective."""
     V = membrane.nodal_values
     weight, found = fem.Function(V), fem.Function(V, name=name)
     known = np.isfinite(values)
-    corners = V.dofmap.list[: len(values)][known]
+    corners = V.dofmap.list[known]
     for function, amount in ((weight, areas), (found, areas * values)):
         np.add.at(function.x.array, corners, amount[known, None])
         function.x.scatter_reverse(la.InsertMode.add)
@@ -249,7 +241,10 @@ class MembraneResults:
         values = self.values(name)
         if smooth:
             return nodal_means(self.membrane, name, values, self.stress_free_areas)
-        return by_cells(self.membrane, name, values)
+        found = fem.Function(self.membrane.cell_values, name=name)
+        found.x.array[found.function_space.dofmap.list[:, 0]] = values
+        found.x.scatter_forward()
+        return found
 
     @collective
     def at(

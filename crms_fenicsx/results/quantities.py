@@ -49,7 +49,10 @@ def cell_tensors(system: System) -> CellTensors:
     S = _symmetric(values[:, 3], values[:, 4], values[:, 5])
 
     axes = membrane.material_axes(np.arange(n, dtype=np.int32))
-    before, after = _edge_vectors(scene)
+    x = scene.mesh.mesh.geometry.x[geometry_dofmap(scene.mesh.mesh)]
+    u = scene.u.x.array.reshape(-1, 3)[scene.V.dofmap.list]
+    before: Array = np.asarray(x[:, 1:] - x[:, :1], dtype=np.float64)
+    after = before + (u[:, 1:] - u[:, :1])
     # Columns of F are the current images of the material axes: edges = components x images.
     components = np.einsum("nki,nai->nka", before, axes)
     images = np.linalg.solve(components, after)
@@ -69,14 +72,6 @@ def added_forces(scene: Scene, axes: Array) -> Array:
 def _symmetric(a: Array, b: Array, c: Array) -> Array:
     """Matrices (n, 2, 2) with diagonal a, b and c off it."""
     return np.stack([np.stack([a, c], axis=-1), np.stack([c, b], axis=-1)], axis=-2)
-
-
-def _edge_vectors(scene: Scene) -> tuple[Array, Array]:
-    """Two sides of the owned cells, stress-free and current, (n, 2, 3) each."""
-    x = scene.mesh.mesh.geometry.x[geometry_dofmap(scene.mesh.mesh)]
-    u = scene.u.x.array.reshape(-1, 3)[scene.V.dofmap.list]
-    before: Array = np.asarray(x[:, 1:] - x[:, :1], dtype=np.float64)
-    return before, before + (u[:, 1:] - u[:, :1])
 
 
 @dataclass(frozen=True)

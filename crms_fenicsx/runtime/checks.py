@@ -7,22 +7,23 @@ import operator
 import os
 import re
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.runtime.errors import InputError, raised_together
 
 LONGEST = 200
 """Letters of a value that a message quotes."""
 
 
 Named = TypeVar("Named")
+Found = TypeVar("Found")
 
 
 def named(kind: str, ones: Mapping[str, Named], name: str) -> Named:
@@ -159,6 +160,15 @@ def same(comm: MPI.Intracomm, call: str, /, **arguments: object) -> None:
         f"{call}: {name} = {other} on rank 0, but {text} on rank {rank}; "
         "give the same on all ranks, as comm.bcast makes it."
     )
+
+
+def from_first(comm: MPI.Intracomm, function: Callable[[], Found]) -> Found:
+    """What a function returns on the first rank, on all; so are its errors. Collective."""
+    found = None
+    with raised_together(comm):
+        if comm.rank == 0:
+            found = function()
+    return cast(Found, comm.bcast(found))
 
 
 def in_one_order(comm: MPI.Intracomm, given: Mapping[str, Named]) -> dict[str, Named]:

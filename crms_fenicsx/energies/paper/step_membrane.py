@@ -24,10 +24,9 @@ from crms_fenicsx.energies.integral import one_point
 from crms_fenicsx.energies.kinematics import Kinematics, tangent_basis
 from crms_fenicsx.energies.membrane_energy import MembraneEnergy
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.model.materials import LINEAR, MembraneMaterial
+from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.compat import geometry_dofmap, interpolation_points
-from crms_fenicsx.runtime.errors import InputError
 
 
 class StepPressure(EnergyTerm):
@@ -132,12 +131,6 @@ class StepMembraneEnergy(MembraneEnergy):
     def __init__(
         self, u: fem.Function, materials: Mapping[int, MembraneMaterial], cell_tags: Any = None
     ) -> None:
-        for material in materials.values():
-            if material.law != LINEAR:
-                raise InputError(
-                    f'Scene: strain="step" has no wrinkling model, but the material is {material}; '
-                    "give wrinkling=False."
-                )
         super().__init__(u, materials, cell_tags)
         mesh = u.function_space.mesh
         self.history = fem.Function(fem.functionspace(mesh, ("DG", 0, (6,))))

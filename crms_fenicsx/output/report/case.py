@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.output.figures.draw_scene import QUANTITY_OF, SIGNED, HasSystem, draw
+from crms_fenicsx.output.figures.draw_scene import QUANTITY_OF, SIGNED, HasSystem, draw, label_of
 from crms_fenicsx.results.summary import SUMMED_UP, Summary, summary
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.verification.report import Verification
@@ -33,6 +33,12 @@ class Picture:
 
     colour: str
     png: bytes
+
+    @property
+    def label(self) -> str:
+        """The quantity that it shows."""
+        colour = self.colour
+        return "axial forces of cables and bars" if colour == TENSION else label_of(colour)[0]
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from crms_fenicsx.output.figures.draw_scene import label_of
-from crms_fenicsx.output.report.case import TENSION, Case
+from crms_fenicsx.output.report.case import Case
 from crms_fenicsx.output.report.model_tables import Model, in_families, versions
 from crms_fenicsx.output.report.page import (
     LARGEST,
@@ -209,7 +208,7 @@ class Report:
             same += f" {self.left_out} pictures are left out, as the page would be too large."
         found.append(PageSection("Membrane by combination", [paragraph(same)] if same else []))
         for case in self.cases:
-            shown = [figure(one.png, f"{case.name}: {_shows(one.colour)}") for one in case.pictures]
+            shown = [figure(one.png, f"{case.name}: {one.label}") for one in case.pictures]
             found.append(PageSection(case.name, [figures(shown), self.results.of_case(case)], 3))
         return found
 
@@ -226,8 +225,3 @@ class Report:
         held = [table for table in (of.anchors(), of.joints()) if table.rows]
         found.append(PageSection("Supports and anchors", [of.supports(every=False), *held]))
         return found
-
-
-def _shows(colour: str) -> str:
-    """The quantity that a picture shows."""
-    return "axial forces of cables and bars" if colour == TENSION else label_of(colour)[0]
