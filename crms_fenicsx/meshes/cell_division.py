@@ -48,25 +48,24 @@ def refine(
 ) -> MembraneMesh:
     """Divide all cells of a mesh into four, or bisect some of them. Collective.
 
-    Groups of edges, parts and points are kept, and every vertex of the mesh is a vertex of the
-    finer one. DOLFINx bisects cells at their longest sides, and those beside them so that the mesh
-    fits together (A. Plaza and G. F. Carey, Local refinement of simplicial grids based on the
-    skeleton, 2000): no angle becomes less than half the least one of the first mesh, apart from
-    what moving new vertices to the surface changes.
+    Groups are kept, and every vertex of the mesh is one of the finer mesh. DOLFINx bisects cells at
+    their longest sides, and neighbours so that the mesh fits together (A. Plaza and G. F. Carey,
+    Local refinement of simplicial grids based on the skeleton, 2000): no angle becomes less than
+    half the least one of the first mesh, but for moving new vertices to the surface.
 
     Parameters
     ----------
     mesh
         The mesh, which stays as it is.
     cells : (n,)
-        Local numbers of this rank's own cells to bisect, as of `mesh.parts`. None divides all
-        cells of the mesh into four.
+        Local numbers of this rank's own cells to bisect, as of `mesh.parts`; None divides all
+        cells.
     project
         Where new vertices belong: a function of points (3, n) near the stress-free surface that
         returns points (3, n) in it (length). By default they go to the surface that the generator
-        knows (circle, ellipse, spherical cap and air hall) or that was given the last time; on
-        other meshes, of arrays and files, to the smooth surface behind the facets, where boundary
-        edges, seams and ridges stay straight.
+        knows (circle, ellipse, spherical cap and air hall) or that was given before; on meshes of
+        arrays and files to the smooth surface behind the facets, with boundary edges, seams and
+        ridges straight.
 
     Returns
     -------

@@ -115,11 +115,10 @@ def from_arrays(
 ) -> MembraneMesh:
     """Make a membrane from arrays.
 
-    All arguments but `comm` are used on rank 0 only; the others may pass None.
-
-    The surface may have several pieces and holes and may be closed. Pieces may meet at seams, edges
-    of three cells or more, as a wall does with the roof that it hangs from. Vertices at the
-    same place are not merged, so that pieces may lie side by side without being joined.
+    All arguments but `comm` are used on rank 0 only; the others may pass None. The surface may have
+    several pieces and holes and may be closed. Pieces may meet at seams, edges of three cells or
+    more, as a wall and its roof do. Vertices at the same place are not merged, so that pieces may
+    lie side by side without being joined.
 
     Parameters
     ----------
@@ -131,22 +130,21 @@ def from_arrays(
         Vertices of the triangles, shape (m, 3), in any order: the cells are turned so that all
         normals of a piece point to the same side.
     edges
-        Named edges, each group by the vertex pairs of its edges, shape (k, 2).
-        "boundary" is reserved for all edges with one cell.
+        Named edges, each group by the vertex pairs of its edges, shape (k, 2). "boundary" is
+        reserved for all edges with one cell.
     parts
         Named parts of the membrane, each by the indices of its cells, shape (k,).
     point_groups
         Named vertices, shape (k,).
     outside
-        The side that pressure acts towards: a direction with which each piece's normals make
-        an acute angle on the whole, or `AwayFrom` a point inside. A mapping gives parts a side of
-        their own, such as a vertical wall, ``{"wall": (1, 0, 0)}``; that of others is upward. The
-        pieces that seams divide the surface into are turned one by one.
+        The side that pressure acts towards: a direction with which each piece's normals make an
+        acute angle on the whole, or `AwayFrom` a point inside. A mapping gives parts a side of
+        their own, such as ``{"wall": (1, 0, 0)}``; that of others is upward. Pieces between seams
+        are turned one by one.
     ranks
-        The rank that shall own each cell, shape (m,), or a function that gives them from the
-        cells' midpoints, (m, 3); a rank may be left without any cell. Cells that meet at a seam
-        are kept together, on the lowest of their ranks. By default DOLFINx shares out the cells
-        evenly.
+        The rank that shall own each cell, shape (m,), or a function that gives them from the cells'
+        midpoints, (m, 3); a rank may have no cell. Cells that meet at a seam go to the lowest of
+        their ranks. By default DOLFINx shares out the cells evenly.
 
     Returns
     -------
@@ -156,12 +154,11 @@ def from_arrays(
     Raises
     ------
     MeshError
-        On all ranks, if an array has a wrong shape or type, a coordinate is not finite, a
-        cell is degenerate (area below 1e-10 times its longest edge squared) or there twice,
-        a vertex is the corner of no cell, separate parts touch in
-        nothing but a vertex, a piece has only one side, `outside` does not tell its
-        sides apart, a group is empty or names what is not there, or `ranks` does not name a rank
-        for each cell.
+        On all ranks: an array of a wrong shape or type, a coordinate that is not finite, a
+        degenerate cell (area below 1e-10 times its longest edge squared) or one that is there
+        twice, a vertex of no cell, parts that touch in a vertex only, a piece with one side only,
+        `outside` that does not tell its sides apart, a group that is empty or names what is not
+        there, or wrong `ranks`.
     """
 
     def arrays() -> SurfaceArrays:

@@ -48,19 +48,16 @@ FLAT = 1e-12
 class MembraneResults:
     """Values in this rank's owned cells, by local cell number.
 
-    Principal values are (n, 2), the larger first, and their directions unit vectors in space,
-    (n, 2, 3). Where both values are equal, as in a slack cell, the directions are any. A folded
-    cell has the values of the triangle that it unfolds to; its directions and its normal are those
-    of the triangle of its three corners.
-
-    Section forces are all that the fabric bears: the material's, and those that terms of the energy
-    put in the cells beside them, as the residual ones of a form that was found. Strains and states
-    are the material's.
+    Principal values are (n, 2), the larger first, and their directions unit vectors in space, (n,
+    2, 3), arbitrary where both values are equal. A folded cell has the values of the triangle that
+    it unfolds to; its directions and normal are those of the triangle of its corners. Section
+    forces are the material's with those that terms of the energy add, such as the residual ones of
+    a found form.
 
     Attributes
     ----------
     strains
-        Principal Green-Lagrange strains.
+        Principal Green-Lagrange strains of the material.
     second_piola, second_piola_directions
         Second Piola-Kirchhoff section forces (force per length); directions in the stress-free
         surface.
@@ -69,21 +66,17 @@ class MembraneResults:
         areas (force per length); directions in the current surface.
     warp : (n, 3)
         Current unit directions of the warp, of isotropic membranes of their first material axis.
-    warp_weft : (n, 3)
-        True section forces along the warp and across it, and their shear (force per length).
-    second_piola_warp_weft : (n, 3)
-        Second Piola-Kirchhoff section forces in the material axes: warp, weft and shear (force per
-        length).
+    warp_weft, second_piola_warp_weft : (n, 3)
+        True section forces along the warp, across it, and their shear (force per length), and
+        second Piola-Kirchhoff ones in the material axes.
     state : (n,) int
         2 taut, 1 wrinkled, 0 slack.
     normals : (n, 3)
         Current unit normals.
-    areas : (n,)
-        Current areas (length squared).
+    areas, stress_free_areas : (n,)
+        Current and stress-free areas (length squared).
     folded : (n,) bool
         Whether a cable in tension folds the cell.
-    stress_free_areas : (n,)
-        Areas of the stress-free cells (length squared).
     parts
         This rank's owned cells of the mesh's parts, by their names.
     surface

@@ -97,27 +97,22 @@ class Summary:
         Of the loads and ponds, by their names.
     energy
         Total potential energy (force x length).
-    displacement
-        The largest one, from the stress-free shape (length).
-    lowest, highest
-        The largest displacements downward (negative) and upward (length).
+    displacement, lowest, highest
+        The largest displacement from the stress-free shape, and the largest ones downward
+        (negative) and upward (length).
     parts
         By the names of the mesh's parts; under "" the whole membrane.
-    cables
-        By their names.
+    cables, bars, ponds
+        By their names; ponds with their levels and volumes.
     supports
         By the names of the groups, which may share vertices; under `ALL_SUPPORTS` all of them with
-        all anchors and held joints, and under `OTHER_SUPPORTS` those in no group that is held as a
+        all anchors and held joints, under `OTHER_SUPPORTS` those in no group that is held as a
         whole.
-    bars
-        By their names.
     joints
         Forces with which held joints, anchors of bars among them, are held (force), by their names.
-    ponds
-        By their names, with their levels and volumes.
     in_equilibrium
-        Whether the scene had not been changed since its last load step; if it had, forces of cables
-        and bars and the energy may be those of before, and nothing is in balance.
+        Whether the scene had not been changed since its last load step; if it had, forces and
+        energy may be those of before, and nothing is in balance.
     warnings
         What load steps have warned of in this state, and of snap-throughs before it.
     """

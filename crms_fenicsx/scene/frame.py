@@ -136,9 +136,9 @@ class Frame:
         bar
             Its data.
         start, end
-            Where it ends: a point in space, which becomes an anchor of its own (a held joint,
-            ``bar.start``); a joint; a vertex of the membrane from `vertex_at`; or the name of a
-            group of one vertex.
+            Where it ends: a point in space, which becomes an anchor (a held joint, ``bar.start``);
+            a joint; a vertex of the membrane from `vertex_at`; or the name of a group of one
+            vertex.
         L0
             Unstressed length (length); by default the distance of its ends now.
         name

@@ -258,9 +258,9 @@ class Loads(Stateful[LoadsState]):
         """Let water stand on the membrane; `Solver.advance` brings it on by its factor. Collective.
 
         It lies over all that is below its level, where the membrane's outer side faces up (of a
-        cushion on the upper foil), and presses on it the more the further it sinks. Water over a
-        rim below the level does not run off. Give either the level, as where water comes and goes,
-        or the volume.
+        cushion on the upper foil), and presses the more the further that sinks. Water over a rim
+        below the level does not run off. Give either the level, as where water comes and goes, or
+        the volume.
 
         Parameters
         ----------
@@ -271,7 +271,7 @@ class Loads(Stateful[LoadsState]):
         volume
             Amount of water (length cubed); its level follows.
         on
-            Parts of the mesh that it stands on, on the side that faces up; without it all cells
+            Parts of the mesh that it stands on, on the side that faces up; by default all cells
             whose outer side faces up when stress-free.
         name
             What load steps and results know it by.
@@ -279,15 +279,15 @@ class Loads(Stateful[LoadsState]):
         Raises
         ------
         InputError
-            On all ranks: a weight or a volume that is not positive, neither level nor volume or
-            both, a part that does not exist, cells without an upper side or of which some face up
-            and some down, or a name that is taken.
+            On all ranks: a weight or volume that is not positive, neither level nor volume or both,
+            a part that does not exist, cells without an upper side or that face both ways, or a
+            taken name.
 
         Notes
         -----
-        A load step that ends in an equilibrium that is not stable raises a `PondWarning`, one
-        without equilibrium a `ConvergenceError`. The rim of what is under water must be held, or
-        slide in planes of symmetry: elsewhere a dam would have to stand on it.
+        A load step that ends in an unstable equilibrium raises a `PondWarning`, one without
+        equilibrium a `ConvergenceError`. The rim of what is under water must be held, or slide in
+        planes of symmetry.
 
         Examples
         --------
