@@ -273,11 +273,10 @@ class Solver:
                         raise failure
                     logger.info("halving the increment: %s", outcome.reason)
                     continue
-                if outcome.bent:
-                    found = search.complete(found, before, done, goal, balanced)
+                jump = search.find(before, done, goal, balanced) if outcome.bent else None
                 step = Step(
                     number, spent, dict(scene.energies), time.perf_counter() - began, halvings,
-                    found.verification, found.warnings,
+                    found.verification, found.warnings if jump is None else (jump, *found.warnings),
                 )  # fmt: skip
                 self._accept(step, before, outcome.unsettled)
                 if abs(goal - round(goal)) < 1e-9:

@@ -173,15 +173,6 @@ def line_load(
     return MembraneLoad(name, nodal, total * float(norm(vector)) / membrane.size**2)
 
 
-def joint_load(
-    membrane: Membrane, joints: Mapping[str, tuple[float, float, float]], name: str = "joint load"
-) -> MembraneLoad:
-    """A load of fixed direction by its forces on joints of bars, by their names. Collective."""
-    size = float(norm(np.array([*joints.values()])).sum())
-    nodal = np.zeros(membrane.held.shape)
-    return MembraneLoad(name, nodal, size / membrane.size**2, joints=joints)
-
-
 def _coefficients(coefficient: Coefficient, membrane: Membrane, shape: _Shape) -> Array:
     """Pressure coefficients of this rank's cells, (m,), or one for all."""
     if callable(coefficient):

@@ -156,11 +156,6 @@ class MembraneResults:
         return found
 
     @property
-    def utilised(self) -> Array:
-        """`utilisation` of the strengths that the scene has, (n,)."""
-        return self.utilisation()
-
-    @property
     def names(self) -> list[str]:
         """Names of the values that cells have, for `function` and ``at(...)[name]``."""
         has = bool(self.membrane.strengths)

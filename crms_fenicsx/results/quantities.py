@@ -85,7 +85,8 @@ class CellQuantity:
 
     def of(self, results: Any) -> Array:
         """Its values in some membrane results, (n,)."""
-        values = np.asarray(getattr(results, self.attribute), dtype=np.float64)
+        found = getattr(results, self.attribute)
+        values = np.asarray(found() if callable(found) else found, dtype=np.float64)
         return values if self.column < 0 else values[:, self.column]
 
 
@@ -107,7 +108,7 @@ QUANTITIES = {
     "strain 1": CellQuantity("larger principal strain", "strains", 0),
     "strain 2": CellQuantity("smaller principal strain", "strains", 1),
     "state": CellQuantity("0 slack, 1 wrinkled, 2 taut", "state"),
-    "utilisation": CellQuantity("utilisation", "utilised"),
+    "utilisation": CellQuantity("utilisation", "utilisation"),
 }
 """All of them; "utilisation" needs the strengths of `Scene.set_strengths`."""
 

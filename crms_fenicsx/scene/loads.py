@@ -6,8 +6,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 from dolfinx import fem
 
+from crms_fenicsx.meshes.triangles import norm
 from crms_fenicsx.model.bar import Joint
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.membrane_load import (
@@ -16,7 +18,6 @@ from crms_fenicsx.model.membrane_load import (
     MembraneLoad,
     Traction,
     fixed_direction_load,
-    joint_load,
     line_load,
     nodal_load,
     wind_load,
@@ -243,7 +244,9 @@ class Loads(Stateful[LoadsState]):
                 )
             x, y, z = map(float, checks.vector(f"put_joint_load: force on {joint!r}", force))
             found[joint.name] = (x, y, z)
-        self.add(joint_load(self.membrane, found, name))
+        intensity = float(norm(np.array([*found.values()])).sum()) / self.membrane.size**2
+        nodal = np.zeros(self.membrane.held.shape)
+        self.add(MembraneLoad(name, nodal, intensity, joints=found))
 
     @collective
     def put_pond(

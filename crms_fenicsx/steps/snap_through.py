@@ -18,7 +18,7 @@ from crms_fenicsx.model.versions import StateWarning
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import as_text
 from crms_fenicsx.scene.state import SceneState
-from crms_fenicsx.steps.increment_solver import Increment, IncrementSolver
+from crms_fenicsx.steps.increment_solver import IncrementSolver
 from crms_fenicsx.steps.loading import Target, between
 
 FINE, LEAST, MOST = 0.005, 3, 12
@@ -52,13 +52,6 @@ class SnapThroughSearch:
     ) -> None:
         self.increments, self.scene = increments, increments.scene
         self.target, self.first, self.steps = target, first, steps
-
-    def complete(
-        self, found: Increment, before: SceneState, low: float, high: float, balanced: bool
-    ) -> Increment:  # fmt: skip
-        """Add the jump of an increment, if there is one, to what else was found; see `find`."""
-        jump = self.find(before, low, high, balanced)
-        return found if jump is None else replace(found, warnings=(jump, *found.warnings))
 
     def find(
         self, before: SceneState, low: float, high: float, balanced: bool
