@@ -70,37 +70,32 @@ class Solver:
     scene
         The scene; its state is advanced.
     results
-        Folder for the history table and the ParaView files; without it none are written. Write
-        access is checked now. The first load step (or `load`) reserves the folder for this solver,
-        until the solver is deleted or its process ends.
+        Folder for the history and the ParaView files; without it none are written. The first load
+        step (or `load`) reserves it until the solver is deleted or its process ends.
     resume
         Whether to continue a run of this script that was killed or stopped. With True or False each
-        load step writes a checkpoint into the folder `results`, which keeps the last one of each
-        call to `advance`. With True completed calls take their results from the checkpoints, and
-        the interrupted call continues from its last load step; the script repeats everything else,
-        such as laying cables and drawing. A script that has changed is refused. With False the
-        first load step replaces existing checkpoints. With None, the default, no checkpoints are
-        written.
+        load step writes a checkpoint into `results`, of which the last one of each call to
+        `advance` is kept. With True completed calls take their results from there, and the
+        interrupted one continues from its last load step; the script repeats everything else, such
+        as laying cables. A script that has changed is refused. With False the first load step
+        replaces old checkpoints. None, the default, writes none.
     prefix
         Prefix of this solver's options in PETSc's options database.
     rtol
-        Tolerance of the unbalanced force, relative to the largest norm of one kind of nodal
-        forces.
+        Tolerance of the unbalanced force, relative to the largest norm of one kind of nodal forces.
     max_halvings
         How often an increment is halved before the solver gives up.
     slide
-        Whether cables may slide sideways into other cells. Otherwise they slide only inside the
-        cells that they cross, and a `PathWarning` says when they reach a vertex.
+        Whether cables may slide sideways into other cells. Otherwise they stay inside the cells
+        that they cross, and a `PathWarning` says when they reach a vertex.
     verify
         Whether to check each solved step independently of the gradient and the forms:
-        ``step.verification``. A state that fails is treated like a step that did not converge.
+        ``step.verification``. A state that fails counts as a step that did not converge.
     estimate
-        Whether the history has columns with the estimated error of each step's energy, see
-        `estimate_error`.
+        Whether the history has columns of each step's estimated error, see `estimate_error`.
     stability
-        What to do about an equilibrium that bars, joints or ponds make one that is not stable:
-        "warn", by an `InstabilityWarning`; "refuse" it, like a step that did not converge; or
-        "ignore" it, without looking.
+        What to do about an equilibrium that bars, joints or ponds make unstable: "warn" by an
+        `InstabilityWarning`, "refuse" it as a step that did not converge, or "ignore" it unseen.
 
     Attributes
     ----------
@@ -139,8 +134,7 @@ class Solver:
         estimate: bool = False,
         stability: Literal["warn", "refuse", "ignore"] = "warn",
     ) -> None:
-        if not isinstance(scene, Scene):
-            raise InputError(f"Solver: scene is of type {type(scene).__name__}; give a Scene.")
+        checks.of_type("Solver: scene", scene, Scene)
         self._options = options = checked_options(
             scene.comm, results=results, resume=resume, prefix=prefix, rtol=rtol,
             max_halvings=max_halvings, slide=slide, verify=verify, estimate=estimate,
@@ -195,9 +189,9 @@ class Solver:
         """Go to new loads in equal increments, and write each state.
 
         An increment without equilibrium is halved, from the last good state; later increments grow
-        again. With the paper's pressure, ``pressure="step"``, an increment of a membrane with free
-        edges is solved until the pressure is normal to the state found: an equilibrium of the
-        follower pressure, whatever the number of steps.
+        again. With ``pressure="step"`` and free edges an increment is solved until the pressure is
+        normal to the state found, an equilibrium of the follower pressure whatever the number of
+        steps.
 
         Parameters
         ----------
@@ -207,14 +201,14 @@ class Solver:
         move
             Displacements (length) during this call of cables (both ends), cable ends
             (``cable.start``), held joints (``bar.start``) or held groups, or functions that give
-            them: `Rotation`, `Way`. A vertex of two groups, such as a corner, moves by the sum.
-            Groups need to be held only in the directions in which they move. Cable ends on a moved
-            group stay where they are unless they are moved as well.
+            them: `Rotation`, `Way`. A vertex of two groups moves by the sum. Groups need to be held
+            only in the directions in which they move. Cable ends on a moved group stay unless they
+            are moved as well.
         L0
             Unstressed lengths of cables and bars to reach (length).
         load
-            Factors to reach of loads and ponds, by their names; the other factors stay. If there is
-            only one load, a number is its factor.
+            Factors to reach of loads and ponds, by their names; the others stay. A number is the
+            factor of the only load.
         temperature, atmosphere
             For sealed air: the absolute temperature to reach, relative to that at sealing, and the
             pressure of the atmosphere (force per area); see `Scene.seal`.
@@ -233,9 +227,9 @@ class Solver:
         ConvergenceError
             No equilibrium was found; the scene is at the last good state.
         KeyboardInterrupt, SystemExit
-            On all ranks, after Ctrl-C or SIGTERM on one of them, which wait for the next evaluation
-            of the energy; a second signal ends the process at once. The scene is at the last good
-            state, which with `resume` is in a checkpoint.
+            On all ranks, after Ctrl-C or SIGTERM on one of them, at the next evaluation of the
+            energy; a second signal ends the process at once. The scene is at the last good state,
+            which with `resume` is in a checkpoint.
         """
         scene = self.scene
         air = {"temperature": temperature, "atmosphere": atmosphere}
@@ -250,7 +244,8 @@ class Solver:
         if target.is_first_load(scene):
             self.base = self.snapshot()
         first = scene.state
-        done, increment = self._resumed(pressure, target.moves, L0, load, steps, air)
+        given = {"pressure": pressure, "load": load, "move": target.movements.samples, "L0": L0}
+        done, increment = self._resumed(given | {"steps": steps} | air)
         search = SnapThroughSearch(self._increments, target, first, steps)
         halvings, began = 0, time.perf_counter()
         spent: Outcome | None = None
@@ -278,11 +273,10 @@ class Solver:
                         raise failure
                     logger.info("halving the increment: %s", outcome.reason)
                     continue
-                if outcome.bent:
-                    found = search.complete(found, before, done, goal, balanced)
+                jump = search.find(before, done, goal, balanced) if outcome.bent else None
                 step = Step(
                     number, spent, dict(scene.energies), time.perf_counter() - began, halvings,
-                    found.verification, found.warnings,
+                    found.verification, found.warnings if jump is None else (jump, *found.warnings),
                 )  # fmt: skip
                 self._accept(step, before, outcome.unsettled)
                 if abs(goal - round(goal)) < 1e-9:
@@ -305,12 +299,11 @@ class Solver:
         warn_of_friction(step.number, scene, before, unsettled)
         warn_of_state(step.number, scene, step.warnings)
 
-    def _resumed(self, *call: Any) -> tuple[float, float]:
-        """Bring scene and solver to where a call to `advance` has come to before. Collective.
-        Returns number of increments that are done, and the next one; 0 and 1 for a new call."""
+    def _resumed(self, given: Mapping[str, Any]) -> tuple[float, float]:
+        """Restore the progress of a call: increments done, and the next one. Collective."""
         if self._journal is None:
             return 0.0, 1.0
-        come, run = self._journal.begin(self.scene, self._journal.plain_loads(*call))
+        come, run = self._journal.begin(self.scene, given)
         if run is not None:
             self._go_on_from(run)
         if come.failure is not None:
@@ -318,14 +311,14 @@ class Solver:
         return come.done, come.increment
 
     def _record(self, step: Step, done: float, increment: float) -> None:
-        """Write what is written of a load step; the checkpoint last, as it counts on the others."""
+        """Write history and files, then the checkpoint."""
         if self._journal is not None:
             self._journal.make_way()
         self._recorder.write(step, self.system, self.case)
         self._keep(done, increment)
 
     def _keep(self, done: float, increment: float, failure: str | None = None) -> None:
-        """Write a checkpoint of the state that a call to `advance` has come to, if there are."""
+        """Write a checkpoint, if enabled."""
         if self._journal is not None:
             self._journal.keep(self.scene, self._run, done, increment, failure)
             self._increments.restart_h0()  # a resumed run takes the same way
@@ -405,8 +398,7 @@ class Solver:
         ...     tensions = [cable.tension for cable in scene.cables]
         """
         checks.same(self.scene.comm, "branch", name=name)
-        if not isinstance(name, str) or not name:
-            raise InputError(f"branch: name = {name!r} is no text; give one, as in 'snow'.")
+        checks.text("branch: name", name)
         if self.case:
             raise InputError(
                 f"branch: {name!r} is within the branch {self.case!r}; let that one end first."
@@ -421,29 +413,28 @@ class Solver:
     def combine(
         self, combinations: Mapping[str, Mapping[str, Any]], *, steps: int = 1
     ) -> dict[str, Combination]:
-        """Bring on combinations of loads, each from the current state. Collective.
-
-        Afterwards the scene is as before.
+        """Bring on combinations of loads, each from the current state, which is restored.
+        Collective.
 
         Parameters
         ----------
         combinations
-            By its name the factors of each combination's loads, by theirs, and what else of
-            "pressure", "temperature" and "atmosphere" is another one, as in `Solver.advance`. What
-            is not named stays: a combination that names nothing is the base state.
+            By its name the factors of each combination's loads, by theirs, and "pressure",
+            "temperature" and "atmosphere" where they change, as in `Solver.advance`. What is not
+            named stays: a combination that names nothing is the base state.
         steps
             Number of increments of each.
 
         Returns
         -------
         dict
-            What came of each combination, by its name, in the order that rank 0 gives.
+            The `Combination` of each name, in the order that rank 0 gives.
 
         Raises
         ------
         InputError
             On all ranks and before anything is computed: a load that does not exist, a factor that
-            is not finite, or steps that are no number of such.
+            is not finite, or a number of steps that is none.
         ConvergenceError
             A combination has no equilibrium; it says which.
 
@@ -670,31 +661,28 @@ class Solver:
         """Write a report to attach to a calculation: one page of HTML, and CSV tables. Collective.
 
         The page has the model, combinations, pictures, membrane forces, utilisation and envelopes,
-        cables, bars, ponds, reactions and the verification's verdicts; it loads nothing from
-        elsewhere, is smaller than 5 MB, and prints on A4. The tables lie beside it: ``tent.html``
-        has ``tent_membrane.csv``, ``tent_cables.csv`` and so on, with all digits. Results are those
-        of the states that the combinations led to, with the model and the base state that these
-        were brought on with, whatever the scene is now; strengths are the present ones. The scene's
-        own state is as before. Without combinations the page says in red if the scene has been
-        changed since its last load step. Bars whose names differ in a number at their end, as those
-        of a belt, share rows on the page if they are ten or more.
+        cables, bars, ponds, reactions and verdicts. It loads nothing from elsewhere, is smaller
+        than 5 MB, and prints on A4. The tables lie beside ``tent.html``, as ``tent_membrane.csv``,
+        with all digits. Results are those of the combinations' states, with the model and base
+        state that these were brought on with; strengths are the present ones. The scene's own state
+        is restored. Without combinations the page says in red if the scene has changed since its
+        last load step. Ten or more bars whose names differ in a number at their end share rows on
+        the page.
 
         Parameters
         ----------
         filename
-            Of the page, ending in .html. Files that are there are replaced when all are complete.
+            Of the page, ending in .html. Older files are replaced when all new ones are complete.
         combinations
             What `combine` returned; by default the current state alone.
         **options
             ``title``: heading. ``about``: names and texts below it, as ``{"Project": "..."}``.
-            ``unit``, ``force``: names of the units of length and force, for headings.
-            ``cable_strengths``: strengths of cables by their names, divided by the partial factors
-            (force); those that are named get a utilisation. Those of the fabric are
-            `Scene.set_strengths`'s. ``pictures``: what colours the membrane in a picture of each
-            combination, as for `draw`, or "tension", that of cables and bars; by default these,
-            displacement, membrane forces (of fabrics with a warp along warp and weft) and, with
-            strengths, utilisation. Where the page would be too large, the last ones are left out.
-            ``view``: where the viewer stands, as for `draw`.
+            ``unit``, ``force``: names of the units of length and force. ``cable_strengths``:
+            strengths of cables by their names, divided by the partial factors (force), for their
+            utilisation; those of the fabric are `Scene.set_strengths`'s. ``pictures``: colours of
+            the membrane in pictures of each combination, as for `draw`, or "tension" of cables and
+            bars; by default tension, displacement, membrane forces and utilisation. The last ones
+            are left out of too large a page. ``view``: where the viewer stands, as for `draw`.
 
         Raises
         ------
@@ -713,25 +701,23 @@ class Solver:
 
     @collective
     def to_pyvista(self, *, radius: float | None = None) -> Any:
-        """The current state as meshes of pyvista, on the first rank. Collective.
-
-        They have the arrays of the ParaView files. pyvista is imported only here.
+        """The current state as meshes of pyvista, with the arrays of the ParaView files.
+        Collective.
 
         Parameters
         ----------
         radius
-            Of the tubes that cables and bars become (length), 0.3 % of the membrane's size by
-            default; 0: they stay lines.
+            Of the tubes of cables and bars (length), by default 0.3 % of the membrane's size; 0:
+            lines.
 
         Returns
         -------
         pyvista.MultiBlock
-            With the blocks "membrane" (the deformed surface with the facets of folded cells; its
-            "displacement" at points, section forces and state of the cells), "cables" and "bars"
-            ("tension" of each segment, "lifted", "contact force", the number of the "line"),
-            "supports" (held vertices, with the "held" directions) and "joints"; those that have
-            nothing are left out. The names of cables, bars and joints are in
-            ``field_data["names"]``. None on the other ranks.
+            On the first rank, else None. The blocks are "membrane" (the deformed surface with the
+            facets of folded cells, "displacement" at points, section forces and state of cells),
+            "cables" and "bars" ("tension" of segments, "lifted", "contact force", number of the
+            "line"), "supports" (held vertices, with the "held" directions) and "joints", without
+            empty ones. Names of cables, bars and joints are in ``field_data["names"]``.
 
         Raises
         ------
@@ -785,9 +771,9 @@ class Solver:
         """Go on from a state that `save` has saved, on any number of processes. Collective.
 
         The script builds mesh, scene and solver as before. Held vertices, floor, loads, cables and
-        bars come from the checkpoint and replace those given so far; cables and bars of the same
-        name stay the objects. What follows is as if the run had not ended. Results go on, too,
-        where the solver's folder has those of the steps before.
+        bars of the checkpoint replace those given so far; cables and bars of the same name stay the
+        objects. What follows is as if the run had not ended; results go on too, if the solver's
+        folder has them.
 
         Parameters
         ----------

@@ -103,14 +103,13 @@ def _supports(net: CableNetState) -> Iterator[Support]:
 
 
 def fingerprint(scene: Scene) -> dict[str, Any]:
-    """Describe what a script must build alike, but for where the vertices are. Collective. Returns
-    by name, in the order in which differences are worth telling; made of numbers and texts."""
+    """What a script must build alike, as numbers and texts by name. Collective."""
     refuse_history(scene)
     mesh = scene.mesh.mesh
-    cells = cell_vertex_ids(mesh)[: mesh.topology.index_map(2).size_local]
+    cells = cell_vertex_ids(mesh)
     tags = np.zeros((len(cells), 1), dtype=np.int64)
     if scene.membrane.cell_tags is not None:
-        tags[:, 0] = scene.membrane.cell_tags.values[: len(cells)]
+        tags[:, 0] = scene.membrane.cell_tags.values
     return {
         "number of vertices": mesh.topology.index_map(0).size_global,
         "number of cells": mesh.topology.index_map(2).size_global,

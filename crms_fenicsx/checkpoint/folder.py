@@ -32,8 +32,7 @@ def complete(folder: Path) -> Path:
 
 @contextmanager
 def replaced_folder(folder: Path, comm: MPI.Intracomm, mark: str) -> Iterator[Path]:
-    """Fill a folder beside `folder` in the block; then it takes its place. Collective. Yields what
-    to fill with files; all but that one are on the disk when the block ends."""
+    """Yield a folder to fill, which then takes the place of `folder`, `mark` last. Collective."""
     partial, aside = partial_of(folder), _aside(folder)
     with raised_together(comm), explained(folder):
         if comm.rank == 0:
@@ -51,25 +50,19 @@ def replaced_folder(folder: Path, comm: MPI.Intracomm, mark: str) -> Iterator[Pa
         yield partial
         with raised_together(comm), explained(folder):
             if comm.rank == 0:
-                _put_in_place(partial, folder, mark)
+                flush(partial / mark)
+                flush(partial)
+                if folder.exists():
+                    os.replace(folder, aside)
+                try:
+                    os.replace(partial, folder)
+                except OSError:
+                    if aside.exists():
+                        os.replace(aside, folder)
+                    raise
+                flush(folder.parent)
+                shutil.rmtree(aside, ignore_errors=True)  # else the next one does
     except BaseException:
         if comm.rank == 0:
             shutil.rmtree(partial, ignore_errors=True)
         raise
-
-
-def _put_in_place(partial: Path, folder: Path, mark: str) -> None:
-    aside = _aside(folder)
-    flush(partial / mark)
-    flush(partial)
-    if folder.exists():
-        os.replace(folder, aside)
-    try:
-        os.replace(partial, folder)
-    except OSError:
-        if aside.exists():
-            os.replace(aside, folder)
-        raise
-    flush(folder.parent)
-    if aside.exists():
-        shutil.rmtree(aside, ignore_errors=True)  # else the next one does

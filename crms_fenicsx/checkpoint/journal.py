@@ -12,7 +12,7 @@ import logging
 import os
 import re
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,13 +26,11 @@ from crms_fenicsx.checkpoint.folder import ASIDE, complete
 from crms_fenicsx.checkpoint.saving import STATE, Saved, edge_vertices, read, reading, restore, save
 from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
-from crms_fenicsx.model.sealed_air import FanControl
+from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import PARTIAL, explained, make_writable, partial_of
 from crms_fenicsx.scene import Scene
-
-Vector = Sequence[float]
 
 ROUNDING = 1e-7
 """Difference of numbers, relative to the largest beside them, that other numbers of processes and
@@ -48,16 +46,13 @@ def _name(key: object) -> str:
 
 
 def scene_record(scene: Scene) -> Plain:
-    """Describe a scene by numbers and texts that hardly any change leaves alone. Collective. Of
-    fields they are sums with weights, so that they are the same on any number of processes up to
-    rounding."""
+    """A scene as numbers and texts, the same on any number of ranks up to rounding. Collective."""
     mesh = scene.mesh.mesh
     own = scene.V.dofmap.index_map.size_local
     ids = scene.membrane.vertex_ids
-    cells = mesh.topology.index_map(2).size_local
     pairs = np.sort(edge_vertices(scene)[: mesh.topology.index_map(1).size_local], axis=1)
-    pressed = scene.membrane.pressed[:cells, None].astype(np.int64)
-    numbers = np.asarray(mesh.topology.original_cell_index[:cells], dtype=np.int64)[:, None]
+    pressed = scene.membrane.pressed[:, None].astype(np.int64)
+    numbers = np.asarray(mesh.topology.original_cell_index, dtype=np.int64)[:, None]
     held = np.column_stack([ids[:own], scene.held[:own].astype(np.int64)])
     u = scene.u.x.array.reshape(-1, 3)
     largest = scene.comm.allreduce(float(np.abs(u).max(initial=0.0)), op=MPI.MAX)
@@ -203,35 +198,15 @@ class Journal:
         self._number = 0
         self._outdated = 1
         """Number of the first call whose folder is not of this run; 0 if there are none."""
-        with raised_together(comm):
-            if comm.rank == 0:
-                make_writable(self.folder)
+        checks.from_first(comm, lambda: make_writable(self.folder))
 
-    @staticmethod
-    def plain_loads(
-        pressure: float | FanControl | None,
-        move: Mapping[object, Vector],
-        L0: Mapping[object, float],
-        load: float | Mapping[str, float] | None,
-        steps: int,
-        air: Mapping[str, float | None],
-    ) -> Plain:
-        """The arguments of `Solver.advance` as plain data, by names; `air`: those of sealed air."""
-        return {
-            "pressure": encode(pressure),
-            "load": encode(load),
-            "move": {_name(key): [float(x) for x in vector] for key, vector in move.items()},
-            "L0": {_name(key): float(length) for key, length in L0.items()},
-            "steps": int(steps),
-            **{name: encode(value) for name, value in air.items()},
-        }
-
-    def begin(self, scene: Scene, loads: Plain) -> tuple[CallProgress, Run | None]:
-        """Begin a call, and bring the scene to where it has come to before. Collective. Returns how
-        far the call has come, and the load steps so far; none where it is computed from its
-        beginning."""
+    def begin(self, scene: Scene, given: Mapping[str, Any]) -> tuple[CallProgress, Run | None]:
+        """Begin a call, and restore its saved progress and run, None without any. Collective."""
         refuse_history(scene)
-        steps = loads["steps"]
+        steps, move, L0 = given["steps"], given["move"], given["L0"]
+        loads = {name: encode(one) for name, one in given.items() if name not in ("move", "L0")}
+        loads["move"] = {_name(key): [float(x) for x in vector] for key, vector in move.items()}
+        loads["L0"] = {_name(key): float(length) for key, length in L0.items()}
         self._number += 1
         call: Plain = {"solver": self.options, "advance": loads, "scene": scene_record(scene)}
         saved = self._saved() if self._replaying else None
@@ -265,8 +240,8 @@ class Journal:
         return progress, run
 
     def make_way(self) -> None:
-        """Remove the folders of calls that will be computed anew. Collective. The last one goes
-        first, each at once: whenever the run is killed, what is left is one that can go on."""
+        """Remove the folders of calls to be computed anew, the last one first. Collective."""
+        # Each at once, the last one first: a run killed meanwhile leaves folders it can go on from.
         first, self._outdated = self._outdated, 0
         if first == 0:
             return
@@ -286,18 +261,17 @@ class Journal:
         """Write the checkpoint of a load step of the call; see `CallProgress`. Collective."""
         self.make_way()
         progress = CallProgress(done, increment, failure)
-        save(self._place(), scene, run, self._call | {"progress": encode(progress)})
+        save(self._place, scene, run, self._call | {"progress": encode(progress)})
 
+    @property
     def _place(self) -> Path:
         return self.folder / f"{self._number:04d}"
 
     def _saved(self) -> Saved | None:
         """What the call has come to before; None if it has not begun."""
-        place, there = complete(self._place()), False
-        with raised_together(self.comm):
-            if self.comm.rank == 0:
-                there = os.path.lexists(place / STATE)
-        return read(place, self.comm) if self.comm.bcast(there) else None
+        place = complete(self._place)
+        there = checks.from_first(self.comm, lambda: os.path.lexists(place / STATE))
+        return read(place, self.comm) if there else None
 
 
 def _remove(path: Path, folder: Path) -> None:

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.cables.cable_net import CableNetState
 from crms_fenicsx.cables.strip import Strip, cells_at
 from crms_fenicsx.checkpoint.codec import Plain, decode, encode
 from crms_fenicsx.checkpoint.contents import Contents, Run, check, check_same, fingerprint
@@ -164,7 +163,7 @@ def edge_vertices(scene: Scene) -> Integers:
 
 
 def signed(data: Plain) -> str:
-    """The text of a file of plain data, in which each accidental change can be told."""
+    """The text of a file of plain data with its digest."""
     content = json.dumps(data, allow_nan=False)
     return f'{{"format": "{FORMAT}", "digest": "{_digest(content)}", "content": {content}}}'
 
@@ -183,32 +182,30 @@ class Saved:
 
 def read(folder: Path, comm: MPI.Intracomm) -> Saved:
     """Read a checkpoint, but for its fields. Collective."""
-    data: Plain = {}
-    with raised_together(comm):
-        if comm.rank == 0:
-            data = _read(folder / STATE)
-    data = comm.bcast(data)
+    data = checks.from_first(comm, lambda: _read(folder / STATE))
     with reading(folder / STATE):
         return Saved(folder / STATE, decode(Contents, data))
 
 
 def load(folder: str | Path, scene: Scene) -> Run:
-    """Bring a scene to the state of a checkpoint; see `Solver.load`. Collective. Returns what its
-    solver must know."""
+    """Restore a scene from a folder, and return the run; see `Solver.load`. Collective."""
     checks.same(scene.comm, "load", folder=folder)
     place = checks.file("load: folder", folder).resolve()
     return restore(read(complete(place), scene.comm), scene)
 
 
 def restore(saved: Saved, scene: Scene) -> Run:
-    """Bring a scene to the state of a checkpoint. Collective. Returns what its solver must know."""
+    """Restore a scene from a checkpoint, and return the run. Collective."""
     contents, storage = saved.contents, SceneStorage(saved.file.parent, scene)
     check_same(contents.scene, scene)
     storage.check_mesh(contents.positions)
     with reading(saved.file):
         state = decode(SceneState, contents.state, storage)
         check(state, scene.mesh.parts, scene.V.dofmap.index_map.size_global)
-    if not _lie_on_cells(state.net):
+    net = state.net
+    points = (node.point for one in net.cables.values() for node in one.nodes)
+    known = [point.support for point in points if point is not None]
+    if known and (net.strip is None or not all(net.strip.rows(one) for one in known)):
         raise InputError(
             f"{saved.file} is damaged: a cable does not lie on cells of the mesh; take another "
             "checkpoint"
@@ -221,13 +218,6 @@ def restore(saved: Saved, scene: Scene) -> Run:
     else:
         scene.versions.unsettle()
     return contents.run
-
-
-def _lie_on_cells(net: CableNetState) -> bool:
-    """Whether all points of the cables lie on cells of the strip."""
-    points = (node.point for state in net.cables.values() for node in state.nodes)
-    known = [point.support for point in points if point is not None]
-    return not known or (net.strip is not None and all(net.strip.rows(one) for one in known))
 
 
 def _read(file: Path) -> Plain:
@@ -253,7 +243,7 @@ def _finite(text: str) -> float:
 
 @contextmanager
 def reading(file: Path) -> Iterator[None]:
-    """Say of data that are not what they should be which file they are from."""
+    """Name the file in errors of decoding."""
     try:
         yield
     except InputError:  # it names the file

@@ -28,22 +28,14 @@ class Film:
 
         R(v) = int_a (s2 I + (s1 - s2) w w) : grad(v) da,   w = P d / |P d|,
 
-    over the current surface, where w is the projection of a direction d in space. With s1 = s2 it
-    is the variation of s2 times the area, as of a soap film. The stiffness is either its exact
-    derivative or that of the updated reference strategy, int S : grad(v)^T grad(w) da with the
-    stress S held (K.-U. Bletzinger and E. Ramm, Int. J. Space Structures 14, 1999; for soap films
-    U. Pinkall and K. Polthier, Experimental Math. 2, 1993), which is positive definite.
+    over the current surface, with the projection w of a direction d in space. The stiffness is its
+    exact derivative, or that of the updated reference strategy, int S : grad(v)^T grad(w) da with
+    the stress S held, which is positive definite (K.-U. Bletzinger and E. Ramm, Int. J. Space
+    Structures 14, 1999; for soap films U. Pinkall and K. Polthier, Experimental Math. 2, 1993).
 
-    A film does not tell where in the surface its vertices are. On demand an elasticity holds them:
-    stress by the Green-Lagrange strain from a reference shape.
-
-    Attributes: `start`: places of the start mesh's vertices from `origin`, (n, 3), with ghosts
-    (length); `u`: displacements from the start mesh (length); `reference`: displacements of the
-    reference shape from it; `modulus`: modulus times thickness of that elasticity, relative to the
-    section forces; `matrix`, `elastic`: the stiffness, and that of the elasticity alone; `largest`:
-    largest of the section forces (force per length); `isotropic`: whether s1 = s2 everywhere: then
-    the stiffness is symmetric. Shapes and units: forces (n, 2) (force per length), directions (n,
-    3), origin (3,) (length).
+    A film does not tell where in the surface its vertices are. On demand an elasticity holds them,
+    by the Green-Lagrange strain from a `reference` shape; `modulus`: its modulus times thickness
+    over the section forces. Places `start` (n, 3) (length) count from `origin`.
     """
 
     def __init__(self, membrane: Membrane, forces: Array, directions: Array, origin: Array) -> None:
@@ -107,8 +99,7 @@ class Film:
         return self._vector("force")
 
     def growth(self) -> Array:
-        """Forces of a pressure of 1 on this rank's vertices, (n, 3) (length squared). Collective.
-        Inside the rim these are the derivatives of the volume by the vertices' places."""
+        """The volume's derivatives by this rank's vertices, (n, 3) (length squared). Collective."""
         return self._vector("growth")
 
     def _vector(self, name: str) -> Array:
@@ -129,8 +120,7 @@ class Film:
         return self.start + self.u.x.array.reshape(-1, 3)
 
     def assemble(self, exact: bool, pressure: float, modulus: float) -> None:
-        """Assemble the stiffness, to which cables may still be added. Units: pressure
-        (force per area)."""
+        """Assemble the stiffness with a pressure (force per area), to which cables can be added."""
         self._exact.value = float(exact)
         self._pressure.value = pressure
         self._assemble(self.matrix, modulus)
@@ -149,7 +139,7 @@ class Film:
     def section_forces(self, holding: bool) -> Array:
         """True section forces of this rank's cells as tensors in space, (n, 3, 3)."""
         self._holding.value = self.modulus if holding else 0.0
-        cells = np.arange(self.V.mesh.topology.index_map(2).size_local, dtype=np.int32)
+        cells = np.arange(len(self.V.dofmap.list), dtype=np.int32)
         stress, F = (
             np.asarray(value.eval(self.V.mesh, cells)).reshape(len(cells), width)
             for value, width in zip(self._cell_values, (3, 6), strict=True)
@@ -163,13 +153,10 @@ MIDDLE = 1e-6
 
 
 class Inflation:
-    """The inner pressure.
+    """The inner pressure (force per area), given or found for a volume or a rise.
 
-    Attributes: `pressure`: current pressure (force per area) to the outer side; `acts`, `is_found`:
-    whether there is one, and whether it is found for a volume or a rise; `growth` (n, 3):
-    derivatives of the volume by the places of this rank's vertices (length squared); `gap`,
-    `gap_slope`, `size`: how far volume or rise are from what is wanted, the derivatives of that by
-    the places of this rank's vertices, (n, 3), and what it is relative to. Shapes: free (n,).
+    `gap`, `gap_slope`, `size`: error of volume or rise, its derivatives by this rank's vertices (n,
+    3), and what it is relative to.
     """
 
     def __init__(

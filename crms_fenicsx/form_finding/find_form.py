@@ -7,11 +7,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from mpi4py import MPI
 
 from crms_fenicsx.form_finding.film import Film, Inflation
 from crms_fenicsx.form_finding.form_cables import FormCable, edge_lines, places_of
 from crms_fenicsx.form_finding.form_search import NO_FORM, FormSearch
-from crms_fenicsx.form_finding.found_form import FormCableFound, FoundForm, largest_part
+from crms_fenicsx.form_finding.found_form import FormCableFound, FoundForm
 from crms_fenicsx.form_finding.stresses import Direction, PrescribedStress, Stress
 from crms_fenicsx.form_finding.supports import (
     Lift,
@@ -132,7 +133,8 @@ def find_form(
         search.system.destroy()
     shape = moved(mesh, membrane.V, membrane.positions())
     residual = film.section_forces(search.holding) - prescribed.tensors(shape)
-    deviation = largest_part(residual, film.largest, mesh.comm)
+    largest = mesh.comm.allreduce(float(np.abs(residual).max(initial=0.0)), op=MPI.MAX)
+    deviation = largest / film.largest
     found = tuple(
         FormCableFound(line.cable.group, line.tension, line.length, places_of(membrane, line.ids))
         for line in lines
@@ -149,8 +151,7 @@ def find_form(
 
 def _checked(mesh: MembraneMesh, inflations: Mapping[str, float | None], **given: Any) -> bool:
     """Check arguments by themselves; return whether there is pressure. Collective."""
-    if not isinstance(mesh, MembraneMesh):
-        raise InputError(f"find_form: mesh is of type {type(mesh).__name__}; give a MembraneMesh.")
+    checks.of_type("find_form: mesh", mesh, MembraneMesh)
     checks.same(mesh.comm, "find_form", **inflations, **given)
     named = {name: value for name, value in inflations.items() if value is not None}
     if len(named) > 1:
@@ -159,19 +160,11 @@ def _checked(mesh: MembraneMesh, inflations: Mapping[str, float | None], **given
         )
     for name, value in named.items():
         (checks.finite if name == "pressure" else checks.positive)(f"find_form: {name}", value)
-    if not isinstance(given["lifted"], Mapping | None):
-        raise InputError(
-            f"find_form: lifted = {given['lifted']!r}; give displacements by group, as in "
-            '{"mast": (0.0, 0.0, 5.0)}.'
-        )
-    if isinstance(given["cables"], str) or not isinstance(given["cables"], Sequence):
-        raise InputError(f"find_form: cables = {given['cables']!r}; give a list of FormCables.")
-    prefix = given["prefix"]
-    if not isinstance(prefix, str) or prefix.startswith("-"):
-        raise InputError(
-            f"find_form: prefix = {prefix!r} is no options prefix; give a text without the "
-            "leading '-', as 'crms_form_'."
-        )
+    if given["lifted"] is not None:
+        example = '{"mast": (0.0, 0.0, 5.0)}'
+        checks.collection("find_form: lifted", given["lifted"], Mapping, example)
+    checks.collection("find_form: cables", given["cables"], Sequence, "[FormCable(...)]")
+    checks.options_prefix("find_form: prefix", given["prefix"])
     return bool(named)
 
 
@@ -179,10 +172,10 @@ def _disturbance(membrane: Membrane, supports: Iterable[str], search: FormSearch
     """Largest relative change of the form's figures by what holds its vertices. Collective."""
     if not search.holding or search.freely is None:
         return 0.0
-    free, held = search.freely, search.figures()
-    changed = np.abs(held.numbers - free.numbers) / np.maximum(np.abs(held.numbers), 1e-300)
-    changes = group_sums(membrane, supports, held.support_forces - free.support_forces)
-    sizes = np.linalg.norm(held.support_forces, axis=1)[:, None]
+    (before, free), (numbers, held) = search.freely, search.figures()
+    changed = np.abs(numbers - before) / np.maximum(np.abs(numbers), 1e-300)
+    changes = group_sums(membrane, supports, held - free)
+    sizes = np.linalg.norm(held, axis=1)[:, None]
     largest = max(float(size[0]) for size in group_sums(membrane, supports, sizes).values())
     moved_by = max(float(np.linalg.norm(change)) for change in changes.values())
     return max(float(changed.max()), moved_by / largest if largest else 0.0)

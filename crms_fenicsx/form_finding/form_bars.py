@@ -109,8 +109,7 @@ def add_bars(scene: Scene, reactions: Mapping[str, Array], bars: Sequence[FormBa
 
 
 def bar_forces(reaction: Array, ways: Array, bars: Sequence[FormBar]) -> Array:
-    """Forces of the bars at a point, (n,), that together are its reaction (force). Shapes: reaction
-    (3,), ways (n, 3)."""
+    """Forces (n,) of the bars along `ways` (n, 3) that sum up to a reaction (force)."""
     group = bars[0].group
     found = np.array([np.nan if bar.force is None else bar.force for bar in bars])
     asked = np.isnan(found)

@@ -61,9 +61,7 @@ class FormCable:
 
 @dataclass
 class EdgeLine:
-    """The edges of a cable. A film pulls at the vertices of a cable across the cable only, so that
-    its places along the cable are free. They are laid out evenly: each edge keeps its share of the
-    length."""
+    """The edges of a cable; along the cable each edge keeps its share of the length."""
 
     cable: FormCable  # what is prescribed of it
     ids: Integers  # (k,) its vertices from end to end, by their numbers in the mesh as it was given
@@ -79,13 +77,20 @@ class EdgeLine:
         self._sides = x[self.edges[:, 1]] - x[self.edges[:, 0]]
         self.length = comm.allreduce(float(np.linalg.norm(self._sides, axis=1).sum()))
 
+    @property
+    def equation(self) -> tuple[float, float]:
+        """Error of what is prescribed instead of a tension, and what it is relative to."""
+        if self.cable.length is not None:
+            return self.length - self.cable.length, self.cable.length
+        force = (self.cable.force_density or 0.0) * self.length
+        return force - self.tension, force
+
     def slope(self, n: int) -> Array:
         """This rank's share of the length's gradient at its n vertices, (n, 3)."""
         return self._pulled(self._sides / np.linalg.norm(self._sides, axis=1)[:, None], n)
 
     def even_slope(self, n: int) -> Array:
-        """The same if each edge were to pull by how much longer it is than its share, (n, 3). Where
-        it is the gradient of the length, the edges have their shares."""
+        """As `slope`, with each edge pulling in proportion to its length over its share, (n, 3)."""
         return self._pulled(self._sides / (self.shares * self.length)[:, None], n)
 
     def tangents(self, n: int) -> Array:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from mpi4py import MPI
 
@@ -40,18 +38,12 @@ State = tuple[Array, list[float], float]
 """Displacements, tensions and the pressure."""
 
 
-@dataclass(frozen=True)
-class Figures:
-    """What a form is judged by."""
-
-    numbers: Array  # its area, the lengths and the tensions of its cables, and its pressure
-    support_forces: Array  # forces of the supports on this rank's vertices (force), (n, 3)
+Figures = tuple[Array, Array]
+"""Area, lengths and tensions of cables and pressure of a form, and forces (n, 3) of supports."""
 
 
 class FormSearch:
-    """Moves a film and its cables to equilibrium. The unknown tensions and the pressure are found
-    with the shape: each has an equation, and a column of forces. The linear systems with them are
-    solved by block elimination."""
+    """Moves a film and its cables to equilibrium, with the unknown tensions and pressure."""
 
     def __init__(
         self,
@@ -68,8 +60,10 @@ class FormSearch:
         self._found = [line for line in lines if line.cable.tension is None]
         self._force = film.largest * membrane.size
         self._thickness = self._shapes()
-        for line in lines:
-            self._begin(line)
+        for line in lines:  # what is not known as for an arc of its length
+            line.measure(film.positions(), self.comm)
+            density = line.cable.force_density or film.largest
+            line.tension = line.cable.tension or line.length * density
         self.iterations = 0
         self.holding = False
         """Whether the elasticity that holds vertices is part of the equilibrium found."""
@@ -80,15 +74,6 @@ class FormSearch:
         self._damping = 0.0
         self._held_at = self._state()
         self._share = np.inf
-
-    def _begin(self, line: EdgeLine) -> None:
-        """Give a cable a tension to begin with: what is not known for an arc of its length."""
-        line.measure(self.film.positions(), self.comm)
-        cable = line.cable
-        if cable.tension is not None:
-            line.tension = cable.tension
-        else:
-            line.tension = line.length * (cable.force_density or self.film.largest)
 
     def run(self, lift: Array) -> None:
         """Find the form. Collective. Shapes and units: lift (n, 3) (length)."""
@@ -116,19 +101,21 @@ class FormSearch:
                 if self.holding and found <= TOLERANCE and self._may_move_on():
                     self.holding, self.film.modulus = False, SOFTEST
                     found = self._measure()
-                error = self._hold() if self._may_hold(newton and updates == 0) else found
+                within = newton and updates == 0 and not self.holding  # all else is found
+                within = within and self._across < max(BALANCED, SMALL * self._within)
+                error = self._hold() if within else found
                 if error < best:
                     bar.advance(np.log10(best / max(error, TOLERANCE)), f"residual {error:.1e}")
                     best = max(error, TOLERANCE)
-        self._check_tensions()
-
-    def _may_hold(self, newton: bool) -> bool:
-        """Whether the form is found but for the places of vertices within it."""
-        return newton and not self.holding and self._across < max(BALANCED, SMALL * self._within)
+        for line in self._found:
+            if line.tension <= 1e-9 * self._force:
+                group = line.cable.group
+                raise ConvergenceError(
+                    f"find_form: the cable {group!r} would be slack; give it less length."
+                )
 
     def _may_move_on(self) -> bool:
-        """Whether vertices that were held moved to where less of what holds them is needed.
-        Collective."""
+        """Whether vertices that were held can be let go once more. Collective."""
         film = self.film
         share = film.section_forces(True) - film.section_forces(False)
         own = float(np.abs(share).max(initial=0.0)) / film.largest
@@ -168,8 +155,8 @@ class FormSearch:
             line.tension = tension
 
     def _measure(self) -> float:
-        """Take forces and the errors of equations; return the residual that is to fall. It is that
-        across the form until vertices are held. Collective."""
+        """Update forces and errors of equations; return the residual to reduce. Collective."""
+        # The residual is that across the form until vertices are held.
         film, x = self.film, self.film.positions()
         self._slopes: list[Array] = []
         forces = film.forces(self.holding)
@@ -183,20 +170,11 @@ class FormSearch:
         free = self.directions.free
         self.support_forces = np.where(free, 0.0, forces)
         self._forces = np.where(free, forces, 0.0)
-        gaps, sizes = [], []
-        for line in self.lines:
-            cable = line.cable
-            if cable.length is not None:
-                gaps.append(line.length - cable.length)
-                sizes.append(cable.length)
-            elif cable.force_density is not None:
-                gaps.append(cable.force_density * line.length - line.tension)
-                sizes.append(cable.force_density * line.length)
+        equations = [line.equation for line in self._found]
         if self.inflation.is_found:
-            gaps.append(self.inflation.gap)
-            sizes.append(self.inflation.size)
-        self._gaps = np.array(gaps)
-        error = float(np.max(np.abs(gaps) / np.array(sizes), initial=0.0))
+            equations.append((self.inflation.gap, self.inflation.size))
+        self._gaps, sizes = np.array(equations).reshape(-1, 2).T
+        error = float(np.max(np.abs(self._gaps) / sizes, initial=0.0))
         self._unbalanced = max(self._size(self._forces), error)
         if self.holding:
             return self._unbalanced
@@ -216,7 +194,7 @@ class FormSearch:
         lines = self.lines
         numbers = [self.film.area(), *(line.length for line in lines)]
         numbers += [line.tension for line in lines] + [self.inflation.pressure]
-        return Figures(np.array(numbers), self.support_forces)
+        return np.array(numbers), self.support_forces
 
     def _step(self, newton: bool, lift: Array | None) -> None:
         """Move by the solution of the linear equations. Collective."""
@@ -297,14 +275,6 @@ class FormSearch:
             place = self.membrane.positions()[self.membrane.V.dofmap.list[cell]].mean(axis=0)
         place = self.comm.bcast(place, root=rank)
         raise ConvergenceError(f"find_form: cells collapse near {as_text(place)}; {NO_FORM}")
-
-    def _check_tensions(self) -> None:
-        for line in self._found:
-            if line.tension <= 1e-9 * self._force:
-                raise ConvergenceError(
-                    f"find_form: the cable {line.cable.group!r} would be slack; give it less "
-                    "length."
-                )
 
 
 def _projected(directions: Array, forces: Array) -> Array:

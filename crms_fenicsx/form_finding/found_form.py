@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.energies.residual_stress import ResidualStress
@@ -183,8 +182,7 @@ class FoundForm:
 
     def _released(self, bars: Sequence[FormBar]) -> set[str]:
         """The supports that bars replace."""
-        if not isinstance(bars, list | tuple):
-            raise InputError(f"FoundForm.scene: bars = {bars!r}; give a list of FormBars.")
+        checks.collection("FoundForm.scene: bars", bars, Sequence, "[FormBar(...)]")
         for bar in bars:
             if not isinstance(bar, FormBar):
                 raise InputError(
@@ -216,9 +214,3 @@ class FoundForm:
         if missing:
             raise InputError(f"FoundForm.scene: the cable {missing[0]!r} has no Cable; give one.")
         return kinds  # type: ignore[return-value]
-
-
-def largest_part(forces: Array, largest: float, comm: MPI.Intracomm) -> float:
-    """Largest entry of tensors (n, 3, 3) on any rank, relative to `largest`. Collective."""
-    own = float(np.abs(forces).max(initial=0.0))
-    return comm.allreduce(own, op=MPI.MAX) / largest

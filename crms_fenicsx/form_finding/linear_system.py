@@ -69,8 +69,7 @@ class LinearSystem:
         self.film.matrix.assemble()
 
     def balance_across(self, pressure: float, damping: float) -> None:
-        """Take the derivatives of forces across the form; within it those of the elasticity, and
-        along cables of lengths over their shares. Units: pressure (force per area)."""
+        """Assemble derivatives of forces across the form, and of an elasticity within it."""
         film, directions = self.film, self.directions
         self.balance(pressure, damping)
         film.assemble_elastic(SOFTEST)
@@ -118,9 +117,7 @@ class LinearSystem:
         self, forces: Array, start: Array, columns: list[Array], rows: list[Array],
         diagonal: list[float], gaps: Array,
     ) -> tuple[Array, list[Array], Array]:  # fmt: skip
-        """Solve with unknowns that have an equation each, by block elimination. Collective. Shapes:
-        forces (n, 3), start (n, 3), columns, rows, diagonal (n, 3). Returns displacements (n, 3) at
-        constant other unknowns, those by each of them, and their changes."""
+        """Displacements alone and by each other unknown, and the changes of these. Collective."""
         way = start + self.solved(forces)
         ways = [self.solved(column) for column in columns]
         change = np.zeros(len(gaps))

@@ -138,8 +138,7 @@ class PrescribedStress:
 
 
 def _named_alike(own: object, form: tuple[float, float, float]) -> bool:
-    """Whether a material names no warp (that along x is what it has if none is given), or the
-    form's."""
+    """Whether a material's warp is the default or the form's."""
     if callable(own):
         return False
     a, b = np.asarray(own, dtype=float), np.asarray(form)
@@ -166,8 +165,7 @@ def _pair(part: str, value: object) -> tuple[float, float]:
 
 def _part_numbers(mesh: MembraneMesh, parts: list[str]) -> Integers:
     """Which of the parts each local cell belongs to, (n,). Collective."""
-    cells = mesh.mesh.topology.index_map(2)
-    n = cells.size_local + cells.num_ghosts
+    n = mesh.mesh.topology.index_map(2).size_local
     if parts == [WHOLE]:
         return np.zeros(n, dtype=np.int64)
     inner_last = outer_first(mesh, "find_form", "stress", parts)

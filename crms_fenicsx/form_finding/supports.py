@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
-from mpi4py import MPI
 
 from crms_fenicsx.dofs.layout import edge_ends
 from crms_fenicsx.form_finding.film import Film
@@ -20,18 +19,13 @@ LYING = 0.1
 
 
 class Directions:
-    """Splits the directions in which vertices are free into those across a form and within it.
+    """Splits the free directions of vertices into those across a form and within it.
 
-    A vertex that moves within a smooth surface, or along a cable, leaves the form as it is. Across
-    are the normal of the surface and the two directions square to a cable, or all where cables end
-    or meet.
-
-    Attributes: `free` (n, 3): free components of this rank's vertices; `on_cable` (n,): whether a
-    vertex is free to move along a cable; `guided` (n,): whether supports leave a vertex some of its
-    directions, but no cable holds it. Its own forces within the surface count as well: a ridge may
-    be held vertically only; `across`, `within` (n, 3, 3): projectors on the directions of both
-    kinds; `counted`, `along` (n, 3, 3): on those in which forces are to balance, and on those along
-    cables.
+    Across are the normal of the surface and the two directions square to a cable, or all where
+    cables end or meet; a vertex that moves within leaves the form as it is. Of a `guided` vertex,
+    which supports hold in some directions, forces within the surface count as well. `across`,
+    `within`, `counted` (where forces are to balance) and `along` (cables) are projectors, (n, 3,
+    3).
     """
 
     def __init__(self, membrane: Membrane, film: Film, lines: Sequence[EdgeLine]) -> None:
@@ -86,10 +80,8 @@ def hold(membrane: Membrane, fixed: Sequence[str] | Mapping[str, str]) -> dict[s
         if not isinstance(group, str):
             raise InputError(f"find_form: fixed has {group!r}; give names of groups of the mesh.")
         membrane.hold(group, directions, new_edges=True)
-    free = "xyz"
-    for number, letter in enumerate("xyz"):
-        if membrane.comm.allreduce(bool(membrane.held[:, number].any()), op=MPI.LOR):
-            free = free.replace(letter, "")
+    held = membrane.comm.allreduce(membrane.held.any(axis=0).astype(int))
+    free = "".join(letter for letter, count in zip("xyz", held, strict=True) if not count)
     if free:
         raise InputError(
             f"find_form: fixed = {fixed!r} holds nothing along {free}; hold a group there too."
@@ -114,14 +106,8 @@ def lifts(membrane: Membrane, lifted: Mapping[str, Lift]) -> Array:
         with raised_together(membrane.comm):
             places = membrane.stress_free[dofs]
             if callable(by):
-                ways = np.asarray(by(places.T), dtype=float)
-                if ways.shape != places.T.shape or not np.isfinite(ways).all():
-                    raise InputError(
-                        f"find_form: the function that lifts {group!r} returned an array of shape "
-                        f"{ways.shape} or with values that are not finite; it must return "
-                        f"displacements of shape {places.T.shape}."
-                    )
-                ways = ways.T
+                what = f"find_form: the function that lifts {group!r}"
+                ways = checks.returned(what, by(places.T), places.T, places.T.shape).T
             else:
                 ways = np.tile(checks.vector(f"find_form: lifted[{group!r}]", by), (len(dofs), 1))
             for bad, what in (

@@ -58,8 +58,7 @@ def initial_state(cable: LaidCable, shape: StripShape) -> AxialFrictionState:
 
 
 def _supports(cable: LaidCable) -> tuple[Support, ...]:
-    """Places of the nodes that friction can hold along the cable, without a held vertex that an
-    anchor lies on: between the two there is no cable."""
+    """Supports of the nodes that friction can hold along the cable."""
     last = len(cable.nodes) - 1
     supports = []
     for k in held_nodes(cable):
@@ -258,8 +257,7 @@ def grip_table(numbering: CableNumbering, shape: StripShape) -> Grips:
 
 
 def _fold_points(numbering: CableNumbering) -> list[tuple[int, int, int]]:
-    """Sliding nodes on the edges of this rank's cells that friction holds: number of the cable
-    among those held, its number, and that of the node among its held ones."""
+    """Sliding nodes that friction holds on edges of this rank: place in `held`, cable, node."""
     near = numbering.strip.simplices.touch(numbering.strip.owner == numbering.rank)
     cables = [c for c, cable in enumerate(numbering.cables) if held_along(cable)]
     return [

@@ -52,8 +52,7 @@ class Slip:
         return np.asarray(np.maximum(self.work - self.eps * elastic_part(share), 0.0))
 
     def law(self, share: Array, other: Array) -> tuple[Array, Array, Array]:
-        """The law of these slips while the other ones are held, relative to the law on its own, as
-        in `SidewaysLaw`."""
+        """Law of these slips while the other ones are held, as in `SidewaysLaw`."""
         # Where this slip is small beside the other one, the force is share = work/other: the width
         # is that with which the law has this slope.
         slides = (other > 0.0) | (self.plastic(share) > 0.0)

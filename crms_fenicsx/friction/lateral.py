@@ -92,13 +92,12 @@ def _tension_in_place(cable: LaidCable) -> float:
 
 
 def _ways(cable: LaidCable, grip: LateralFrictionState, shape: StripShape) -> Array:
-    """Directions in which nodes will slide in a step: where the cable pulls them, or else as in the
-    last one."""
+    """Directions in which nodes slide: where the cable pulls them, or as in the last step."""
     numbers = held_nodes(cable)
     pull = contact_forces(cable, shape).lateral[numbers]
     ways: Array = np.sign(pull) * (np.abs(pull) > NOISE * cable.tension)
     slips = node_slips(cable, grip.curve, shape)
-    rows = [grip.row_of[support] for support in slips.supports]
+    rows = grip.rows(slips.supports)
     ways[rows] = np.where(ways[rows] != 0.0, ways[rows], slips.moving)
     return ways
 
@@ -140,11 +139,11 @@ def energies(cable: LaidCable, shape: StripShape) -> tuple[float, float]:
     if friction is None or grip is None or not cable.taut:
         return 0.0, 0.0
     slips = node_slips(cable, grip.curve, shape)
-    rows = [grip.row_of[support] for support in slips.supports]
     if friction.law == "step":
+        rows = grip.rows(slips.supports)
         return 0.0, float(np.sum(grip.bounds[rows] * grip.moving[rows] * slips.slip))
-    bounds, eps, elastic = grip.law(rows, friction.tolerance * slips.size)
-    return stored_and_lost(slips.slip, bounds, eps, elastic)
+    law = grip.law(slips.supports, friction.tolerance * slips.size)
+    return stored_and_lost(slips.slip, *law)
 
 
 def friction_forces(cable: LaidCable, shape: StripShape) -> Array:
@@ -155,7 +154,7 @@ def friction_forces(cable: LaidCable, shape: StripShape) -> Array:
     pull = contact_forces(cable, shape).lateral[held_nodes(cable)]
     forces = np.clip(pull, -grip.bounds, grip.bounds)
     slips = node_slips(cable, grip.curve, shape)
-    rows = [grip.row_of[support] for support in slips.supports]
+    rows = grip.rows(slips.supports)
     if friction.law == "step":
         forces[rows] = grip.bounds[rows] * grip.moving[rows]
     else:
@@ -173,8 +172,7 @@ def end_step(cable: LaidCable, shape: StripShape) -> None:
     moving: dict[int, float] = {}
     if cable.taut:
         slips = node_slips(cable, grip.curve, shape)
-        rows = [grip.row_of[support] for support in slips.supports]
-        most = grip.law(rows, friction.tolerance * slips.size)[2]
+        most = grip.law(slips.supports, friction.tolerance * slips.size)[2]
         elastic = dict(zip(slips.nodes, np.clip(slips.slip, -most, most), strict=True))
         slid = np.sign(slips.slip) * (np.abs(slips.slip) > SLIDES * slips.size)
         moving = dict(zip(slips.nodes, slid, strict=True))
@@ -195,8 +193,7 @@ def slip_table(numbering: CableNumbering, shape: StripShape) -> Slips:
     nodes: list[int] = []
     laws: list[Array] = [np.zeros((4, 0))]
     for c, _, friction, grip, slips in _slips(numbering, shape, "coulomb"):
-        held = [grip.row_of[edge] for edge in slips.supports]
-        bounds, eps, _ = grip.law(held, friction.tolerance * slips.size)
+        bounds, eps, _ = grip.law(slips.supports, friction.tolerance * slips.size)
         nodes += [numbering.row(c, k) for k in slips.nodes]
         laws.append(np.array([slips.slope, slips.offset, bounds, eps]))
     rows, law = np.array(nodes, dtype=np.int64), np.concatenate(laws, axis=1)

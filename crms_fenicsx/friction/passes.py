@@ -138,7 +138,7 @@ def _bounds(
     assert friction is not None
     slips = node_slips(cable, grip.curve, shape)
     moving = grip.moving.copy()
-    rows = [grip.row_of[support] for support in slips.supports]
+    rows = grip.rows(slips.supports)
     if settled:
         starts = (np.abs(slips.slip) > SLIDES * slips.size) & (moving[rows] == 0.0)
         moving[rows] = np.where(starts, np.sign(slips.slip), moving[rows])
@@ -179,8 +179,7 @@ class AxialIteration:
         self._pace = AitkenRelaxation(LEAST_PART)
 
     def renew(self, shape: StripShape) -> float:
-        """Take the bounds from the current state; return the change of the tension that follows
-        from them, relative to their sum."""
+        """Update the bounds from the current state; return the relative change of tension."""
         cable, grip = self.cable, self.cable.axial
         assert grip is not None
         if not cable.taut or cable.length <= cable.L0 or len(grip.spans) != len(grip.supports) + 1:

@@ -27,8 +27,7 @@ from crms_fenicsx.surface.points import Support
 def succession(
     old: Sequence[Support], now: Sequence[Support]
 ) -> tuple[list[int], list[int], list[tuple[slice, list[int]]]]:
-    """New nodes that stay, the old nodes they were, and stretches of old nodes that go, each with
-    the new nodes in its place, or the neighbours."""
+    """New nodes that stay, their old numbers, and stretches of old nodes with their heirs."""
     was = {support: k for k, support in enumerate(old)}
     stays = [k for k, support in enumerate(now) if support in was]
     rows = [was[now[k]] for k in stays]
@@ -117,6 +116,5 @@ def node_slips(cable: LaidCable, curve: MaterialCurve, shape: StripShape) -> Nod
 
 def slip_forces(friction: Friction, grip: LateralFrictionState, slips: NodeSlips) -> Array:
     """Friction forces with stick and slip of sliding nodes, (n,) (force)."""
-    rows = [grip.row_of[support] for support in slips.supports]
-    bounds, eps, _ = grip.law(rows, friction.tolerance * slips.size)
+    bounds, eps, _ = grip.law(slips.supports, friction.tolerance * slips.size)
     return coulomb_forces(slips.slip, bounds, eps)

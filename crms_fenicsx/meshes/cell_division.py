@@ -48,25 +48,24 @@ def refine(
 ) -> MembraneMesh:
     """Divide all cells of a mesh into four, or bisect some of them. Collective.
 
-    Groups of edges, parts and points are kept, and every vertex of the mesh is a vertex of the
-    finer one. DOLFINx bisects cells at their longest sides, and those beside them so that the mesh
-    fits together (A. Plaza and G. F. Carey, Local refinement of simplicial grids based on the
-    skeleton, 2000): no angle becomes less than half the least one of the first mesh, apart from
-    what moving new vertices to the surface changes.
+    Groups are kept, and every vertex of the mesh is one of the finer mesh. DOLFINx bisects cells at
+    their longest sides, and neighbours so that the mesh fits together (A. Plaza and G. F. Carey,
+    Local refinement of simplicial grids based on the skeleton, 2000): no angle becomes less than
+    half the least one of the first mesh, but for moving new vertices to the surface.
 
     Parameters
     ----------
     mesh
         The mesh, which stays as it is.
     cells : (n,)
-        Local numbers of this rank's own cells to bisect, as of `mesh.parts`. None divides all
-        cells of the mesh into four.
+        Local numbers of this rank's own cells to bisect, as of `mesh.parts`; None divides all
+        cells.
     project
         Where new vertices belong: a function of points (3, n) near the stress-free surface that
         returns points (3, n) in it (length). By default they go to the surface that the generator
-        knows (circle, ellipse, spherical cap and air hall) or that was given the last time; on
-        other meshes, of arrays and files, to the smooth surface behind the facets, where boundary
-        edges, seams and ridges stay straight.
+        knows (circle, ellipse, spherical cap and air hall) or that was given before; on meshes of
+        arrays and files to the smooth surface behind the facets, with boundary edges, seams and
+        ridges straight.
 
     Returns
     -------
@@ -115,8 +114,7 @@ def _fitted(surface: CheckedSurface, parents: Integers, places: Array) -> Divisi
 
 
 def _bisected(mesh: MembraneMesh, marked: Indices) -> tuple[Integers, Array]:
-    """The finer cells' parents (k,) and the places of their corners (k, 3, 3), in any order, all on
-    rank 0. Collective."""
+    """The finer cells' parents (k,) and corners (k, 3, 3), in any order, on rank 0. Collective."""
     # Of sides that are equally long DOLFINx takes the first in the cell's own order, which is the
     # same on any number of ranks.
     topology, comm = mesh.mesh.topology, mesh.comm
@@ -163,20 +161,7 @@ def _checked(project: Callable[[Array], Array]) -> Projection:
         )
 
     def onto(points: Array, on_rim: Booleans) -> Array:
-        found = np.asarray(project(points.copy()))
-        if found.shape != points.shape or found.dtype.kind not in "fiu":
-            raise InputError(
-                f"project returned an array of shape {found.shape} and type {found.dtype}; it must "
-                f"return real numbers of shape {points.shape}."
-            )
-        bad = ~np.isfinite(found).all(axis=0)
-        if bad.any():
-            first = int(np.argmax(bad))
-            raise InputError(
-                f"project returned {found[:, first]} at {points[:, first]}; it must return finite "
-                "coordinates."
-            )
-        return np.asarray(found, dtype=np.float64)
+        return checks.returned("project", project(points.copy()), points, points.shape)
 
     return onto
 

@@ -233,9 +233,7 @@ def _onto_hall(
 
 
 def _add_hall(gmsh: Any, x: float, y: float, width: float, depth: float, height: float) -> None:
-    """Add the hall as one rational B-spline surface, which is exact, with its groups. The surface
-    is a product of two profiles of quarter ellipses and straight lines, so its control points and
-    weights are products of theirs."""
+    """Add the hall as one rational B-spline surface, which is exact, with its groups."""
     end = min(width, depth) / 2
     along_x, rise_x, weight_x, knots_x, multiplicity_x = _profile(width, end)
     along_y, rise_y, weight_y, knots_y, multiplicity_y = _profile(depth, end)
@@ -265,8 +263,7 @@ def _add_hall(gmsh: Any, x: float, y: float, width: float, depth: float, height:
 def _profile(
     length: float, end: float
 ) -> tuple[list[float], list[float], list[float], list[int], list[int]]:
-    """Return a profile of height 1: places, heights, weights, knots and their multiplicities.
-    Quarter ellipses at both ends, with a straight line between them if `length` > 2 `end`."""
+    """Places, heights, weights, knots and multiplicities of a profile of height 1."""
     w = math.sqrt(0.5)
     if length - 2 * end <= 1e-9 * length:
         middle = length / 2

@@ -54,8 +54,7 @@ class EdgeTable:
 
 
 def hidden_cells(points: Array, cells: Integers, piece: Integers) -> Integers:
-    """Indices, sorted, of the cells of those of the pieces (m,) that no cable can reach over some
-    seam, as they bound no sector there that is outside of both cells around it."""
+    """Sorted indices of the cells of pieces (m,) that no cable can reach over some seam."""
     table = EdgeTable.of(cells)
     on_seam = np.repeat(table.counts > 2, table.counts)
     sides = table.order[on_seam]

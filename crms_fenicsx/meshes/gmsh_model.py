@@ -17,6 +17,8 @@ from crms_fenicsx.runtime.errors import MeshError
 _TRIANGLE = "Triangle 3"  # gmsh's name
 _FRONTAL_DELAUNAY = 6
 
+AGAIN = "which is not there: mesh the model again"
+
 Groups = dict[str, list[Integers]]
 _OPTIONS = {
     "General.Terminal": 0,
@@ -43,8 +45,7 @@ def imported(package: str) -> Any:
 
 @contextmanager
 def own_model(*, quiet_only: bool = False) -> Iterator[Any]:
-    """Enter a new, empty gmsh model and yield the gmsh module; afterwards a session of the user
-    goes on with its own model and options, and without one gmsh is finalised."""
+    """Yield gmsh with a new, empty model; afterwards a user's session goes on as before."""
     gmsh = imported("gmsh")
     started = not gmsh.isInitialized()
     if started:
@@ -86,8 +87,7 @@ def read_model(gmsh: Any) -> SurfaceArrays:
 
 
 def surface_of_model(model: dict[str, Any]) -> SurfaceArrays:
-    """The triangles and groups among the arrays that `reader_process.gmsh_arrays` gives; nodes of
-    no triangle, such as the centres of circles, are left out."""
+    """Triangles and groups among the arrays of `gmsh_arrays`, without unused nodes."""
     for kind in model["kinds"]:
         if kind != _TRIANGLE:
             raise MeshError(
@@ -103,7 +103,8 @@ def surface_of_model(model: dict[str, Any]) -> SurfaceArrays:
         )
     used, cells = np.unique(model["corners"].astype(np.int64), return_inverse=True)
     order = np.argsort(model["nodes"])
-    rows = order[_found(model["nodes"][order].astype(np.int64), used, "there is a triangle with")]
+    nodes = model["nodes"][order].astype(np.int64)
+    rows = order[_found(nodes, used, "there is a triangle with")]
     tag_order = np.argsort(tags)
     sorted_tags = tags[tag_order].astype(np.int64)
     # .msh files of version 2 repeat a triangle for each of its physical groups
@@ -140,20 +141,14 @@ def _without_repetitions(triangles: Integers) -> tuple[Integers, Integers]:
 
 def renumbered(used: Integers, nodes: Integers, group: str) -> Integers:
     """Rows of the used nodes, sorted, that are those of a group."""
-    found = np.searchsorted(used, nodes).clip(max=len(used) - 1)
-    missing = nodes[used[found] != nodes]
-    if len(missing):
-        raise MeshError(
-            f"the group '{group}' has node {missing[0]}, which is the corner of no triangle: take "
-            "it out of the group or embed it in a surface"
-        )
-    return found.astype(np.int64)
+    remedy = "which is the corner of no triangle: take it out of the group or embed it in a surface"
+    return _found(used, nodes, f"the group '{group}' has node", remedy)
 
 
-def _found(known: Integers, wanted: Integers, what: str) -> Integers:
-    """Where numbers are among sorted ones."""
+def _found(known: Integers, wanted: Integers, what: str, remedy: str = AGAIN) -> Integers:
+    """Rows of numbers among sorted ones."""
     found = np.searchsorted(known, wanted).clip(max=max(len(known) - 1, 0))
     missing = wanted[known[found] != wanted] if len(known) else wanted
     if len(missing):
-        raise MeshError(f"{what} {missing[0]}, which is not there: mesh the model again")
+        raise MeshError(f"{what} {missing[0]}, {remedy}")
     return found.astype(np.int64)

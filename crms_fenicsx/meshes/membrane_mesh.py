@@ -83,12 +83,11 @@ class MembraneMesh:
 
     @cached_property
     def overlaps(self) -> Mapping[tuple[str, str], str | None]:
-        """Of each two parts with common cells the one inside the other, on all ranks; None where
-        neither is, or both are. Collective at first."""
+        """The inner one of two parts with common cells, None if neither is. Collective at first."""
         names, n = sorted(self.parts), self.mesh.topology.index_map(2).size_local
         inside = np.zeros((len(names), n), dtype=np.int64)
         for row, name in zip(inside, names, strict=True):
-            row[self.parts[name][self.parts[name] < n]] = 1
+            row[self.parts[name]] = 1
         common = self.comm.allreduce(inside @ inside.T) if names else inside
         found: dict[tuple[str, str], str | None] = {}
         for j, k in zip(*map(np.ndarray.tolist, np.nonzero(np.tril(common, -1))), strict=True):
@@ -116,11 +115,10 @@ def from_arrays(
 ) -> MembraneMesh:
     """Make a membrane from arrays.
 
-    All arguments but `comm` are used on rank 0 only; the others may pass None.
-
-    The surface may have several pieces and holes and may be closed. Pieces may meet at seams, edges
-    of three cells or more, as a wall does with the roof that it hangs from. Vertices at the
-    same place are not merged, so that pieces may lie side by side without being joined.
+    All arguments but `comm` are used on rank 0 only; the others may pass None. The surface may have
+    several pieces and holes and may be closed. Pieces may meet at seams, edges of three cells or
+    more, as a wall and its roof do. Vertices at the same place are not merged, so that pieces may
+    lie side by side without being joined.
 
     Parameters
     ----------
@@ -132,22 +130,21 @@ def from_arrays(
         Vertices of the triangles, shape (m, 3), in any order: the cells are turned so that all
         normals of a piece point to the same side.
     edges
-        Named edges, each group by the vertex pairs of its edges, shape (k, 2).
-        "boundary" is reserved for all edges with one cell.
+        Named edges, each group by the vertex pairs of its edges, shape (k, 2). "boundary" is
+        reserved for all edges with one cell.
     parts
         Named parts of the membrane, each by the indices of its cells, shape (k,).
     point_groups
         Named vertices, shape (k,).
     outside
-        The side that pressure acts towards: a direction with which each piece's normals make
-        an acute angle on the whole, or `AwayFrom` a point inside. A mapping gives parts a side of
-        their own, such as a vertical wall, ``{"wall": (1, 0, 0)}``; that of others is upward. The
-        pieces that seams divide the surface into are turned one by one.
+        The side that pressure acts towards: a direction with which each piece's normals make an
+        acute angle on the whole, or `AwayFrom` a point inside. A mapping gives parts a side of
+        their own, such as ``{"wall": (1, 0, 0)}``; that of others is upward. Pieces between seams
+        are turned one by one.
     ranks
-        The rank that shall own each cell, shape (m,), or a function that gives them from the
-        cells' midpoints, (m, 3); a rank may be left without any cell. Cells that meet at a seam
-        are kept together, on the lowest of their ranks. By default DOLFINx shares out the cells
-        evenly.
+        The rank that shall own each cell, shape (m,), or a function that gives them from the cells'
+        midpoints, (m, 3); a rank may have no cell. Cells that meet at a seam go to the lowest of
+        their ranks. By default DOLFINx shares out the cells evenly.
 
     Returns
     -------
@@ -157,12 +154,11 @@ def from_arrays(
     Raises
     ------
     MeshError
-        On all ranks, if an array has a wrong shape or type, a coordinate is not finite, a
-        cell is degenerate (area below 1e-10 times its longest edge squared) or there twice,
-        a vertex is the corner of no cell, separate parts touch in
-        nothing but a vertex, a piece has only one side, `outside` does not tell its
-        sides apart, a group is empty or names what is not there, or `ranks` does not name a rank
-        for each cell.
+        On all ranks: an array of a wrong shape or type, a coordinate that is not finite, a
+        degenerate cell (area below 1e-10 times its longest edge squared) or one that is there
+        twice, a vertex of no cell, parts that touch in a vertex only, a piece with one side only,
+        `outside` that does not tell its sides apart, a group that is empty or names what is not
+        there, or wrong `ranks`.
     """
 
     def arrays() -> SurfaceArrays:
@@ -276,14 +272,13 @@ def cell_vertex_ids(mesh: dolfinx.mesh.Mesh) -> Integers:
 def gathered(mesh: MembraneMesh) -> tuple[CheckedSurface, Indices]:
     """The surface of a mesh and the ranks of its cells (m,), all on rank 0. Collective."""
     topology, comm = mesh.mesh.topology, mesh.comm
-    own = topology.index_map(2).size_local
     ids, numbers = vertex_ids(mesh.mesh), np.asarray(topology.original_cell_index, dtype=np.int64)
     pairs = ids[topology.connectivity(1, 0).array.reshape(-1, 2)]
     parts = comm.gather((
         ids,
         mesh.mesh.geometry.x[vertex_nodes(mesh.mesh)],
-        numbers[:own],
-        cell_vertex_ids(mesh.mesh)[:own],
+        numbers,
+        cell_vertex_ids(mesh.mesh),
         {name: edge_keys(pairs[members]) for name, members in mesh.edges.items()},
         {name: numbers[members] for name, members in mesh.parts.items()},
         {name: ids[members] for name, members in mesh.points.items()},
@@ -337,8 +332,7 @@ def cells_of(mesh: MembraneMesh, parts: Iterable[str]) -> Booleans:
 
 
 def outer_first(mesh: MembraneMesh, call: str, what: str, names: Iterable[object]) -> list[str]:
-    """Parts in an order where one inside another, to which its cells count, comes after it.
-    Collective when a mesh is first asked, as in making its scene."""
+    """Parts in an order where one inside another comes after it. Collective at first."""
     given = sorted(names, key=repr)
     for part in given:
         if part not in mesh.parts:

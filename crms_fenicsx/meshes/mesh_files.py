@@ -42,23 +42,21 @@ def from_gmsh(
 ) -> MembraneMesh:
     """Make a membrane from the current gmsh model of rank 0, meshed by the user.
 
-    All its triangles are used. Physical groups become groups: surfaces `parts`, curves
-    `edges`, points `points`, under their names or, where they have none, their tags ("1").
+    All its triangles are used. Physical groups become groups: surfaces `parts`, curves `edges`,
+    points `points`, under their names or, where they have none, their tags ("1").
 
     Parameters
     ----------
     comm
         Communicator of the mesh; the call is collective. Other ranks need no model.
-    outside
-        The side that pressure acts towards, as for `from_arrays`.
-    ranks
-        The rank that shall own each cell, as for `from_arrays`.
+    outside, ranks
+        The side that pressure acts towards and the rank of each cell, as for `from_arrays`.
 
     Raises
     ------
     MeshError
-        On all ranks, if gmsh is not initialised on rank 0, the model has no triangles or
-        other surface elements, or `from_arrays` would refuse it.
+        On all ranks, if gmsh is not initialised on rank 0, the model has no triangles or other
+        surface elements, or `from_arrays` would refuse it.
     """
 
     def build() -> SurfaceArrays:
@@ -82,15 +80,13 @@ def from_file(
     """Read a membrane from a file.
 
     gmsh reads .geo (and meshes its surfaces) and .msh; meshio reads .vtu, .vtk, .stl, .obj, .ply,
-    .off, .xdmf, .med, .inp (Abaqus), .mesh and .meshb (Medit). A .geo file is a program: it can run
-    commands of the operating system. Read only those that you trust. All other files are data, and
-    are read in a process of their own with limits of memory and time: one that is broken, or made
-    to do harm, is refused.
+    .off, .xdmf, .med, .inp (Abaqus), .mesh and .meshb (Medit). A .geo file is a program, which can
+    run commands of the operating system: read only those that you trust. Other files are data, read
+    in a process with limits of memory and time: one that is broken, or made to do harm, is refused.
 
-    Groups are physical groups in gmsh's files (see `from_gmsh`). In the other files they are
-    cell sets of triangles (`parts`), lines (`edges`) and vertices (`points`), point sets
-    (`points`), and the marks called gmsh:physical or medit:ref, 0 meaning none. Points that are
-    the corner of no triangle are left out.
+    Groups are physical groups in gmsh's files (see `from_gmsh`). In other files they are cell sets
+    of triangles (`parts`), lines (`edges`) and vertices (`points`), point sets (`points`), and the
+    marks gmsh:physical or medit:ref, 0 meaning none. Points of no triangle are left out.
 
     Parameters
     ----------
@@ -98,16 +94,14 @@ def from_file(
         Communicator of the mesh; the call is collective. Rank 0 reads.
     path
         The file.
-    outside
-        The side that pressure acts towards, as for `from_arrays`.
-    ranks
-        The rank that shall own each cell, as for `from_arrays`.
+    outside, ranks
+        The side that pressure acts towards and the rank of each cell, as for `from_arrays`.
 
     Raises
     ------
     MeshError
-        On all ranks, if there is no such file, it cannot be read, it has no triangles or
-        other surface elements, or `from_arrays` would refuse it.
+        On all ranks, if there is no such file, it cannot be read, it has no triangles or other
+        surface elements, or `from_arrays` would refuse it.
     """
 
     def build() -> SurfaceArrays:
@@ -118,7 +112,13 @@ def from_file(
         if suffix == ".geo":
             return _read_script(file)
         if suffix == ".msh":
-            _refuse_script(file)
+            with readable(f"'{file}'", "check the path and your rights"), file.open("rb") as stream:
+                is_mesh = stream.read(64).startswith(b"$MeshFormat")
+            if not is_mesh:  # gmsh would take it for a script, and run it
+                raise MeshError(
+                    f"'{file}' is no gmsh mesh, it does not begin with $MeshFormat: save it again "
+                    "with gmsh"
+                )
             model = read_isolated(file, "gmsh")
             return _named(file, lambda: surface_of_model(model))
         if suffix not in SUFFIXES:
@@ -148,16 +148,6 @@ def _read_script(file: Path) -> SurfaceArrays:
         if errors:
             raise MeshError(f"gmsh cannot read '{file}': {'; '.join(errors)}")
         return _named(file, lambda: read_model(gmsh))
-
-
-def _refuse_script(file: Path) -> None:
-    """Refuse a .msh file that is no mesh: gmsh would take it for a script, and run it."""
-    with readable(f"'{file}'", "check the path and your rights"), file.open("rb") as stream:
-        if not stream.read(64).startswith(b"$MeshFormat"):
-            raise MeshError(
-                f"'{file}' is no gmsh mesh, it does not begin with $MeshFormat: save it again "
-                "with gmsh"
-            )
 
 
 def _named(file: Path, read: Callable[[], SurfaceArrays]) -> SurfaceArrays:

@@ -26,8 +26,7 @@ Ranks = ArrayLike | Callable[[Array], ArrayLike]
 def cell_ranks(
     comm: MPI.Intracomm, surface: CheckedSurface, given: Indices | None
 ) -> Indices | None:
-    """Ranks of this rank's share of the cells of a surface that is all on rank 0; None, on all
-    ranks, to leave them to DOLFINx. Collective."""
+    """Ranks of this rank's share of the cells on rank 0; None lets DOLFINx choose. Collective."""
     is_given, has_seams = comm.bcast((given is not None, len(surface.seam_links) > 0))
     if comm.size == 1 or not (is_given or has_seams):
         return None

@@ -49,9 +49,7 @@ def read_by_gmsh(file: Path) -> Arrays:
 
 
 def gmsh_arrays(gmsh: Any) -> Arrays:
-    """The current gmsh model: "kinds" of surface elements, "triangles" with "corners", "nodes" with
-    "coordinates", by tags, and "names", "dimensions" and "members k" (triangles or nodes) of the
-    physical groups, by entities."""
+    """Triangles, nodes and physical groups of the current gmsh model, as named arrays."""
     import numpy as np
 
     mesh = gmsh.model.mesh
@@ -78,8 +76,7 @@ def gmsh_arrays(gmsh: Any) -> Arrays:
 
 
 def read_by_meshio(file: Path) -> Arrays:
-    """A file of another format: "points", "types" and "cells k" of the blocks of cells, and
-    "names", "blocks" (-1 for points) and "members k" of the groups."""
+    """Points, cells and groups of a file, as named arrays; `blocks` -1 means points."""
     import numpy as np
 
     said = io.StringIO()

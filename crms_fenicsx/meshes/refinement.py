@@ -99,40 +99,33 @@ class TargetSize:
 
     def __init__(self, general: float, refinements: Sequence[Refinement]) -> None:
         if not isinstance(refinements, Sequence) or not all(
-            isinstance(refinement, Refinement) for refinement in refinements
+            isinstance(one, Refinement) for one in refinements
         ):
             raise InputError(f"the refinements are {refinements!r}: give a list of Refinement")
-        for refinement in refinements:
-            if refinement.size > general:
+        for one in refinements:
+            if one.size > general:
                 raise InputError(
-                    f"a refinement has size {refinement.size}, more than the mesh's "
-                    f"{general}: refine to a smaller size"
+                    f"a refinement has size {one.size}, more than the mesh's {general}: refine to "
+                    "a smaller size"
                 )
-        starts, ends, weights, sizes, slopes = [], [], [], [], []
-        for refinement in refinements:
-            line = np.asarray(refinement.line, dtype=np.float64)
-            in_space = line.shape[1] == 3
-            if not in_space:
-                line = np.column_stack([line, np.zeros(len(line))])
-            starts.append(line[:-1] if len(line) > 1 else line)
-            ends.append(line[1:] if len(line) > 1 else line)
-            count = len(starts[-1])
-            weights.append(np.tile([1.0, 1.0, float(in_space)], (count, 1)))
-            sizes.append(np.full(count, refinement.size))
-            slopes.append(np.full(count, (general - refinement.size) / refinement.distance))
-        self.general = general
-        self.refined = len(refinements) > 0
-        if self.refined:
-            self._start = np.concatenate(starts)
-            self._along = np.concatenate(ends) - self._start
-            self._weight = np.concatenate(weights)
-            self._size = np.concatenate(sizes)
-            self._slope = np.concatenate(slopes)
-            squared = np.einsum("ij,ij->i", self._along, self._along)
-            self._squared = np.where(squared > 0, squared, 1.0)
+        rows = []
+        for one in refinements:
+            line = np.asarray(one.line, dtype=np.float64)
+            counts = [1.0, 1.0, float(line.shape[1] == 3)]  # of x, y, z in distances
+            line = np.pad(line, ((0, 0), (0, 3 - line.shape[1])))
+            slope = (general - one.size) / one.distance
+            ends = line[1:] if len(line) > 1 else line
+            for start, end in zip(line, ends, strict=False):
+                rows.append(np.concatenate([start, end - start, counts, [one.size, slope]]))
+        self.general, self.refined = general, len(rows) > 0
+        columns = np.array(rows).reshape(-1, 11)
+        self._start, self._along, self._weight = np.split(columns[:, :9], 3, axis=1)
+        self._size, self._slope = columns[:, 9:].T
+        squared = np.einsum("ij,ij->i", self._along, self._along)
+        self._squared = np.where(squared > 0, squared, 1.0)
 
     def __call__(self, point: Array) -> float:
-        """Return the wanted edge length at a point, shape (3,)."""
+        """The wanted edge length at a point (3,)."""
         if not self.refined:
             return self.general
         offset = (point - self._start) * self._weight

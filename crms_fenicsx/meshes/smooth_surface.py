@@ -31,8 +31,7 @@ class SmoothSurface:
 
     @classmethod
     def of(cls, points: Array, cells: Integers) -> SmoothSurface:
-        """Estimate the normals from the cells around each vertex, exactly on spheres (N. Max,
-        Weights for computing vertex normals from facet normals, 1999)."""
+        """Normals by N. Max (1999), exact on spheres, from the cells around each vertex."""
         sides = points[cells[:, [1, 2, 0]]] - points[cells]  # side k leaves corner k
         areas = double_areas(points[cells])
         square = dot(sides, sides)
@@ -49,8 +48,7 @@ class SmoothSurface:
         return cls(points, normals)
 
     def raised(self, corners: Integers, weights: Array) -> tuple[Array, Array]:
-        """Vectors (k, 3) from places on the facets, weights (k, 3) of corners, to the surface
-        (length), and unit normals there, zero where it has none."""
+        """Vectors (k, 3) (length) from places on facets to the surface, and unit normals there."""
         x, n = self.points[corners], self.normals[corners]
         height = np.zeros(len(corners))
         for i, j in PAIRS:
@@ -72,8 +70,7 @@ def curve_length(points: Array, normals: Array, straight: Booleans) -> float:
 
 
 def _turns(start: Array, end: Array, steps: Array) -> Array:
-    """How much normals turn along steps, times these; of an edge with a normal at one end only as
-    of an arc of a circle."""
+    """Turns of normals along steps, times these; twice that where only one normal is known."""
     known = [np.any(normals != 0.0, axis=-1) for normals in (start, end)]
     turn = dot(end, steps) - dot(start, steps)
     return np.where(known[0] == known[1], turn, 2 * turn)

@@ -81,8 +81,7 @@ def balls(triangles: Array) -> tuple[Array, Array]:
 
 
 def closest(triangles: Array, target: Array) -> tuple[Array, Array, Array]:
-    """Return the places nearest to `target`, (3,) or (m, 3), in each of (m, 3, 3) triangles: (m, 3)
-    weights, which are badly conditioned in slivers, (m, 3) positions and (m,) distances."""
+    """Weights (m, 3), positions (m, 3) and distances (m,) of the places nearest to `target`."""
     every = np.arange(len(triangles))
     target = np.broadcast_to(target, (len(triangles), 3))
     sides = triangles[:, [1, 2, 0]] - triangles
@@ -124,12 +123,12 @@ def flattened(triangles: Array) -> Array:
 
 
 def area_vectors(mesh: Any, cells: Any = slice(None)) -> Array:
-    """Normals of the stress-free cells, as long as their areas, (n, 3); of all, with ghosts."""
+    """Normals of stress-free cells, as long as their areas, (n, 3); by default of all."""
     x = mesh.geometry.x[geometry_dofmap(mesh)[cells]]
     return np.asarray(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) / 2, dtype=float)
 
 
-def cell_sides(mesh: Any, cells: Indices) -> Array:
+def cell_sides(mesh: Any, cells: Any = slice(None)) -> Array:
     """Stress-free sides of cells, from each corner to the next one, (n, 3, 3)."""
     x: Array = np.asarray(mesh.geometry.x[geometry_dofmap(mesh)[cells]], dtype=float)
     return np.roll(x, -1, axis=1) - x

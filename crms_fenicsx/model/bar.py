@@ -47,12 +47,11 @@ class Bar:
 
 @dataclass(frozen=True)
 class JointState:
-    """All that is known of a joint."""
+    """All that is known of a joint; see the attributes of `Joint`."""
 
-    first: Annotated[Array, 3]  # (3,) where it was made (length)
-    held: Annotated[Booleans, 3]  # (3,) components of its displacement that are held
-    position: Annotated[Array, 3]  # (3,) where it is (length)
-    # (3,) force with which what holds it acts on it (force); zero in directions in which it is free
+    first: Annotated[Array, 3]
+    held: Annotated[Booleans, 3]
+    position: Annotated[Array, 3]
     reaction: Annotated[Array, 3]
 
     def __post_init__(self) -> None:
@@ -76,7 +75,7 @@ class Joint(Handle[JointState]):
     position : (3,)
         Where it is (length).
     reaction : (3,)
-        Force with which what holds it acts on it (force).
+        Force of what holds it on it (force); zero in directions in which it is free.
     """
 
     first: ReadOnly[Array] = ReadOnly("state.first", ANOTHER_JOINT)
@@ -109,13 +108,13 @@ BarEnd = Joint | MeshVertex
 
 @dataclass(frozen=True)
 class BarState:
-    """All that is known of a bar."""
+    """All that is known of a bar; see the attributes of `PlacedBar`."""
 
     bar: Bar
     start: BarEnd
     end: BarEnd
-    L0: float  # unstressed length (length)
-    points: Annotated[Array, 2, 3]  # (2, 3) where its ends are (length)
+    L0: float
+    points: Annotated[Array, 2, 3]
 
     def __post_init__(self) -> None:
         self.points.flags.writeable = False

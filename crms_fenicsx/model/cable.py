@@ -35,8 +35,7 @@ class Cable:
         checks.positive("Cable: EA", self.EA)
         if not isinstance(self.friction, Friction):
             Friction(checks.finite("Cable: friction", self.friction))
-        if self.law not in ("total", "step"):
-            raise InputError(f"Cable: law = {self.law!r} is not known; use 'total' or 'step'.")
+        checks.one_of("Cable: law", self.law, ("total", "step"))
         if self.law == "step" and self.along:
             raise InputError(
                 f'Cable: law = "step" has one tension for the whole cable, but its friction has '

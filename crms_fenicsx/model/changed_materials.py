@@ -11,6 +11,7 @@ import numpy as np
 from crms_fenicsx.model.materials import Direction, MembraneMaterial
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.ufl_material import UflMembrane
+from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError
 
 BUILT_IN = ("psi", "warp")
@@ -38,21 +39,13 @@ def checked_materials(
     membrane: Membrane, material: MembraneMaterial | Mapping[str, MembraneMaterial]
 ) -> dict[int, MembraneMaterial]:
     """New materials of a membrane, by their numbers."""
-    number = {part: k for k, part in membrane.parts.items()}
-    if not isinstance(material, Mapping):
-        found = dict.fromkeys(membrane.materials, material)
-    elif not material:
-        raise InputError(
-            "set_material: material = {} names no part; give materials by parts, or one for all."
-        )
+    if isinstance(material, Mapping):
+        checks.collection("set_material: material", material, Mapping, '{"roof": ...}', 1)
+        number = {part: k for k, part in membrane.parts.items()}
+        kind = "material of a part"
+        found = {checks.named(kind, number, part): one for part, one in material.items()}
     else:
-        for part in material:
-            if part not in number:
-                known = ", ".join(map(repr, number)) or "one material for all of the mesh"
-                raise InputError(
-                    f"set_material: there is no material of a part {part!r}; the scene has {known}."
-                )
-        found = {number[part]: one for part, one in material.items()}
+        found = dict.fromkeys(membrane.materials, material)
     for k, new in found.items():
         _check_alike(membrane.owner_of_material(k), membrane.materials[k], new)
     return found

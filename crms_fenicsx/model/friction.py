@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Literal
@@ -74,8 +75,7 @@ class Friction:
                 f"Friction: static = {self.static} is smaller than mu = {self.mu}, the coefficient "
                 "of a cable that slides; give at least that."
             )
-        if self.law not in ("coulomb", "step"):
-            raise InputError(f"Friction: law = {self.law!r} is not known; use 'coulomb' or 'step'.")
+        checks.one_of("Friction: law", self.law, ("coulomb", "step"))
         if self.law == "step" and (self.static not in (None, self.mu) or self.along):
             raise InputError(
                 'Friction: law = "step" knows neither a static coefficient nor friction along the '
@@ -123,8 +123,7 @@ class MaterialCurve:
     moving: Annotated[Array, "m"]  # (m,) how they slid in the last step: 1 left, -1 right, 0 not
 
     def nearest(self, places: Array) -> tuple[Array, Array, Integers]:
-        """Arc lengths (n,), which go beyond the ends of a part as places (n, 3) do, points (n, 3)
-        and parts (n,) nearest to places; parts are -1 where there is no curve."""
+        """Arc lengths, points and parts nearest to places (n, 3); part -1 without a curve."""
         joined = np.flatnonzero((self.part[1:] == self.part[:-1]) & (np.diff(self.arc) > 0.0))
         if not len(joined):
             return np.zeros(len(places)), places.copy(), np.full(len(places), -1)
@@ -190,8 +189,13 @@ class LateralFrictionState:
     known: bool = False  # whether the bounds come from a state, and not from a first guess
     cone: SidewaysLaw | None = None  # what friction along the cable takes; None: nothing
 
-    def law(self, rows: list[int], eps: Array) -> tuple[Array, Array, Array]:
+    def rows(self, supports: Iterable[Support]) -> list[int]:
+        """Rows of nodes in the arrays."""
+        return [self.row_of[support] for support in supports]
+
+    def law(self, supports: Iterable[Support], eps: Array) -> tuple[Array, Array, Array]:
         """Bounds (force), slips at which they are reached, and most elastic slips (length)."""
+        rows = self.rows(supports)
         bounds, own = self.bounds[rows], self.cone
         if own is None:
             return bounds, eps, eps

@@ -41,9 +41,10 @@ class CableEnd:
 
     @property
     def reaction(self) -> Array:
-        """Force (3,) with which the anchor holds the cable: its tension, along its end. Where the
-        end lies on the held edge that it was laid to, the anchor carries it, and not the membrane's
-        support."""
+        """Force (3,) with which the anchor holds the cable: its tension, along its end (force).
+
+        At a held edge that the cable was laid to the anchor carries it, not the membrane's support.
+        """
         cable = self.cable
         if cable.nodes[cable.node_of(self.which)].kind != "anchor":
             raise InputError(
@@ -267,23 +268,15 @@ class LaidCable(Handle[CableState]):
         return nodes
 
     def is_tight(self, nearly: bool) -> bool:
-        """Whether it is short enough for the way on which it lies to be in tension.
-
-        Parameters
-        ----------
-        nearly
-            Whether to count it as in tension where it may be once it has folded the membrane: the
-            folds bulge out to a longer way. A new cable is where it is nearly so, too: a membrane
-            that is inflated without its cables goes far beyond the equilibrium with them, and
-            then it is a long way back.
-        """
+        """Internal: whether its length lets it be in tension, or `nearly` once it folds cells."""
         steps = np.diff(self.positions[self.contacts()], axis=0)
         sizes = np.linalg.norm(steps, axis=1)
         too_long = -1e-12
         if nearly:
             apart = sizes > SAME_PLACE * sizes.sum()
             ways = steps[apart] / sizes[apart, None]
-            # Over some nodes: from one to the next small and large turns, left and right alternate.
+            # Folds bulge out to a longer way. Turns over some nodes: from one to the next small and
+            # large ones, left and right alternate.
             some = min(4, len(ways) - 1)
             turns = np.linalg.norm(ways[some:] - ways[:-some], axis=1) / some if some else [0.0]
             bulge = BULGE * float(np.median(turns)) ** 2

@@ -109,8 +109,7 @@ class MembraneMaterial(ABC):
 
     @property
     def parameters(self) -> Array:
-        """Parameters of the stress law, (N_PARAMETERS,), for `law_terms` and compiled kernels: D t
-        by rows, strain and section forces of the prestress, `law_parameters`."""
+        """D t by rows, strain and forces of the prestress, `law_parameters`, (N_PARAMETERS,)."""
         elastic = np.linalg.solve(self.stiffness, self.prestress_vector)
         return np.concatenate(
             [self.stiffness.ravel(), elastic, self.prestress_vector, self.law_parameters]

@@ -146,8 +146,7 @@ class Membrane:
     @cached_property
     def size(self) -> float:
         """Square root of the stress-free area (length). Collective."""
-        owned = self.mesh.mesh.topology.index_map(2).size_local
-        areas = np.linalg.norm(area_vectors(self.mesh.mesh)[:owned], axis=1)
+        areas = np.linalg.norm(area_vectors(self.mesh.mesh), axis=1)
         return float(np.sqrt(self.comm.allreduce(float(areas.sum()))))
 
     def positions(self) -> Array:
@@ -293,16 +292,9 @@ def _pressed_cells(mesh: MembraneMesh, pressure_on: Sequence[str] | None) -> Boo
     """Whether pressure acts on each local cell, (n,)."""
     if pressure_on is None:
         return np.ones(len(geometry_dofmap(mesh.mesh)), dtype=bool)
-    if isinstance(pressure_on, str) or not isinstance(pressure_on, Sequence):
-        raise InputError(
-            f'Scene: pressure_on = {pressure_on!r} is no list of parts; write pressure_on=["roof"].'
-        )
+    checks.collection("Scene: pressure_on", pressure_on, Sequence, 'pressure_on=["roof"]')
     for part in pressure_on:
-        if part not in mesh.parts:
-            raise InputError(
-                f"Scene: pressure_on has {part!r}, but the mesh has the parts "
-                f"{', '.join(sorted(mesh.parts)) or '(none)'}; name some of these."
-            )
+        checks.named("part", mesh.parts, part)
     return cells_of(mesh, pressure_on)
 
 

@@ -66,8 +66,7 @@ class _Shape:
     """This rank's cells in the membrane's current shape."""
 
     def __init__(self, membrane: Membrane) -> None:
-        count = membrane.mesh.mesh.topology.index_map(2).size_local
-        self._cells, self._n = membrane.V.dofmap.list[:count], len(membrane.held)
+        self.membrane, self._cells = membrane, membrane.V.dofmap.list
         self._corners: Array = membrane.positions()[self._cells]
         self.vectors: Array = double_areas(self._corners) / 2  # areas (m, 3) times unit normals
 
@@ -77,28 +76,34 @@ class _Shape:
         return norm(self.vectors)
 
     @cached_property
-    def normals(self) -> Array:
-        """Their unit normals, (m, 3)."""
-        return np.asarray(self.vectors / self.areas[:, None])
-
-    @cached_property
     def centres(self) -> Array:
         """Their centres, (m, 3) (length)."""
         return np.asarray(self._corners.mean(axis=1))
 
-    def counted(self, by: Area, membrane: Membrane) -> Array:
+    def values(
+        self, what: str, function: Callable[[Array, Array], Array], due: tuple[int, ...]
+    ) -> Array:
+        """Values of a user's function at the cells' centres and unit normals."""
+        normals = self.vectors / self.areas[:, None]
+        return checks.returned(what, function(self.centres.T, normals.T), self.centres.T, due)
+
+    def counted(self, by: Area) -> Array:
         """The areas that a load is counted by, (m,)."""
         if by == "plan":
             return np.abs(self.vectors[:, 2])
-        if by == "material":
-            return norm(area_vectors(membrane.mesh.mesh, slice(len(self._cells))))
-        return self.areas
+        return norm(area_vectors(self.membrane.mesh.mesh)) if by == "material" else self.areas
 
     def nodal(self, loads: Array) -> Array:
-        """Forces of the vertices, (n, 3), of which a cell's gives a third to each of its own."""
-        forces = np.zeros((self._n, 3))
+        """Forces (n, 3) on the vertices, a third of each cell's to each of its corners."""
+        forces = np.zeros(self.membrane.held.shape)
         np.add.at(forces, self._cells, loads[:, None] / 3)
         return forces
+
+    def load(self, name: str, loads: Array, suction: Array | None = None) -> MembraneLoad:
+        """A load by its forces (m, 3) on the cells. Collective."""
+        local = np.array([np.linalg.norm(loads, axis=1).sum(), self.areas.sum()])
+        total, area = self.membrane.comm.allreduce(local, op=MPI.SUM)
+        return MembraneLoad(name, self.nodal(loads), float(total / area), suction)
 
 
 def fixed_direction_load(
@@ -107,19 +112,17 @@ def fixed_direction_load(
     """A load of fixed direction on the membrane's current shape. Collective."""
     # A cell gives a third of its load, taken at its centre, to each vertex, also where a cable
     # folds it: the triangles of corners cover the same surface up to the depth of the folds.
-    if per not in get_args(Area):
-        known = ", ".join(map(repr, get_args(Area)))
-        raise InputError(f"put_load: per = {per!r} is not known; use one of {known}.")
+    checks.one_of("put_load: per", per, get_args(Area))
     shape = _Shape(membrane)
     loads = np.zeros_like(shape.vectors)
     with raised_together(membrane.comm):
         given = traction
         if callable(given):
-            given = _values("put_load", "forces per area", given, shape, (3, len(loads)))
+            given = shape.values("put_load: the function", given, (3, len(loads)))
         else:
             given = checks.vector("put_load: the force per area", given)[:, None]
-        loads[:] = shape.counted(per, membrane)[:, None] * given.T
-    return MembraneLoad(name, shape.nodal(loads), _intensity(membrane, shape, loads))
+        loads[:] = shape.counted(per)[:, None] * given.T
+    return shape.load(name, loads)
 
 
 def wind_load(
@@ -131,8 +134,7 @@ def wind_load(
     suction = np.zeros(len(shape.areas))
     with raised_together(membrane.comm):
         suction[:] = -pressure * _coefficients(coefficient, membrane, shape)
-    loads = suction[:, None] * shape.vectors
-    return MembraneLoad(name, shape.nodal(loads), _intensity(membrane, shape, loads), suction)
+    return shape.load(name, suction[:, None] * shape.vectors, suction)
 
 
 def nodal_load(membrane: Membrane, forces: fem.Function, name: str = "forces") -> MembraneLoad:
@@ -162,13 +164,8 @@ def line_load(
 ) -> MembraneLoad:
     """A load of fixed direction along a group of edges in the current shape. Collective."""
     vector = checks.vector("put_line_load: the force per length", force)
-    groups = membrane.mesh.edges
-    if not isinstance(edges, str) or edges not in groups:
-        raise InputError(
-            f"put_line_load: edges = {edges!r} is no group of edges of the mesh, which has "
-            f"{', '.join(map(repr, sorted(groups))) or 'none'}; name one of these."
-        )
-    own = groups[edges][groups[edges] < membrane.mesh.mesh.topology.index_map(1).size_local]
+    group = checks.named("group of edges", membrane.mesh.edges, edges)
+    own = group[group < membrane.mesh.mesh.topology.index_map(1).size_local]
     ends, nodal = edge_ends(membrane.V)[own], np.zeros(membrane.held.shape)
     lengths = norm(np.diff(membrane.positions()[ends], axis=1)[:, 0])
     np.add.at(nodal, ends, (lengths[:, None] / 2 * vector)[:, None])
@@ -176,58 +173,20 @@ def line_load(
     return MembraneLoad(name, nodal, total * float(norm(vector)) / membrane.size**2)
 
 
-def joint_load(
-    membrane: Membrane, joints: Mapping[str, tuple[float, float, float]], name: str = "joint load"
-) -> MembraneLoad:
-    """A load of fixed direction by its forces on joints of bars, by their names. Collective."""
-    size = float(norm(np.array([*joints.values()])).sum())
-    nodal = np.zeros(membrane.held.shape)
-    return MembraneLoad(name, nodal, size / membrane.size**2, joints=joints)
-
-
 def _coefficients(coefficient: Coefficient, membrane: Membrane, shape: _Shape) -> Array:
     """Pressure coefficients of this rank's cells, (m,), or one for all."""
     if callable(coefficient):
-        return _values("put_wind", "coefficients", coefficient, shape, shape.areas.shape)
+        return shape.values("put_wind: the function", coefficient, shape.areas.shape)
     if not isinstance(coefficient, Mapping):
         return np.array(checks.finite("put_wind: coefficient", coefficient))
     parts = outer_first(membrane.mesh, "put_wind", "pressure coefficient", coefficient)
     values = np.full(len(shape.areas), np.nan)
     for part in parts:
         number = checks.finite(f"put_wind: coefficient of {part!r}", coefficient[part])
-        cells = membrane.mesh.parts[part]
-        values[cells[cells < len(values)]] = number
+        values[membrane.mesh.parts[part]] = number
     if np.isnan(values).any():
         raise InputError(
             f"put_wind: coefficient names {', '.join(map(repr, coefficient))}, which leaves cells "
             f"without one, as at {shape.centres[np.argmax(np.isnan(values))]}; name all parts."
         )
     return values
-
-
-def _values(
-    call: str, what: str, function: Callable[[Array, Array], Array], shape: _Shape,
-    due: tuple[int, ...],
-) -> Array:  # fmt: skip
-    """A function's values at the cells' centres and unit normals, of the shape that is due."""
-    given = np.asarray(function(shape.centres.T, shape.normals.T))
-    if given.shape != due or given.dtype.kind not in "fiu":
-        raise InputError(
-            f"{call}: the function returned an array of shape {given.shape} and type "
-            f"{given.dtype}; it must return real numbers of shape {due}."
-        )
-    bad = ~np.isfinite(np.atleast_2d(given)).all(axis=0)
-    if bad.any():
-        first = int(np.argmax(bad))
-        raise InputError(
-            f"{call}: the function returned {given[..., first]} at {shape.centres[first]}; it "
-            f"must return finite {what}."
-        )
-    return np.asarray(given, dtype=np.float64)
-
-
-def _intensity(membrane: Membrane, shape: _Shape, loads: Array) -> float:
-    """Mean size of the force per area of loads (m, 3) of this rank's cells. Collective."""
-    local = np.array([np.linalg.norm(loads, axis=1).sum(), shape.areas.sum()])
-    total, area = membrane.comm.allreduce(local, op=MPI.SUM)
-    return float(total / area)

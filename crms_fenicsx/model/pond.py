@@ -53,8 +53,7 @@ class Pond:
     factor: float = 0.0
 
     def cells(self, membrane: Membrane) -> Booleans:
-        """Whether this rank's cells can have water on them: those of its parts, or of the whole
-        mesh those whose outer side, stress-free, faces as its side does."""
+        """Whether this rank's cells can have water on them, (m,)."""
         if self.parts:
             return cells_of(membrane.mesh, self.parts)
         up: Booleans = self.side * cell_normals(membrane.mesh.mesh)[:, 2] > -UPRIGHT
@@ -62,8 +61,7 @@ class Pond:
 
 
 def upper_side(pond: Pond, membrane: Membrane) -> int:
-    """The side (1 or -1) of a pond's cells that faces up: of the whole mesh the outer side where
-    that faces up anywhere, of parts the one that faces up in the current shape. Collective."""
+    """The side (1 or -1) of a pond's cells that faces up. Collective."""
     mesh, comm = membrane.mesh, membrane.comm
     none = InputError(
         f"put_pond: the cells of {pond.name!r} have no upper side; name the parts of the "

@@ -72,8 +72,7 @@ class SealedAir:
         return (gained - self.gained) / self.volume
 
     def pressure(self, gained: float) -> float:
-        """Pressure over that of the atmosphere (force per area), where the membrane has `gained`
-        this volume (length cubed)."""
+        """Pressure over that of the atmosphere (force per area), for a gained volume (length^3)."""
         v, hot = self._change(gained), self.temperature * self.absolute
         known = max(v, LEAST - 1.0)
         p = (hot - self.atmosphere) + hot * math.expm1(-self.exponent * math.log1p(known))
@@ -141,8 +140,7 @@ class FanControl:
     pressures: Sequence[float]
 
     def __post_init__(self) -> None:
-        if not isinstance(self.load, str) or not self.load:
-            raise InputError(f"FanControl: load = {self.load!r} is no text; name a load.")
+        checks.text("FanControl: load", self.load)
         for name in ("factors", "pressures"):
             given = getattr(self, name)
             if isinstance(given, str) or np.ndim(given) != 1 or not len(given):

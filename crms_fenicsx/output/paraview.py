@@ -18,6 +18,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from crms_fenicsx.output.shared_file import Part, first_row, write_together
+from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Integers
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import PARTIAL, absolute, make_writable, read_text, replaced
@@ -186,9 +187,7 @@ class Series:
         self.times: list[float] = []
         self._entries: dict[str, list[str]] = {"surface": [], "cables": []}
         self._begun = False
-        with raised_together(comm):
-            if comm.rank == 0:
-                make_writable(self.folder)
+        checks.from_first(comm, lambda: make_writable(self.folder))
 
     def write(self, time: float, surface: Surface, lines: Sequence[Line] = ()) -> None:
         """Add a step. Collective.
@@ -223,9 +222,8 @@ class Series:
         own, rows = self._rows(surface)
 
         step, steps = len(self.times), self.folder / "steps"
-        with raised_together(self.comm):
-            if self.comm.rank == 0 and not self._begun:
-                self._begin(steps)
+        if not self._begun:
+            checks.from_first(self.comm, lambda: self._begin(steps))
         self._begun = True
         write_vtu(
             steps / f"surface_{step:06d}.vtu",
@@ -282,11 +280,9 @@ class Series:
         InputError
             On all ranks, when the series cannot be read.
         """
-        kept: dict[str, list[str]] = {name: [] for name in self._entries}
-        with raised_together(self.comm):
-            if self.comm.rank == 0:
-                kept = {name: self._listed(name, times) for name in self._entries}
-        kept = self.comm.bcast(kept)
+        kept = checks.from_first(
+            self.comm, lambda: {name: self._listed(name, times) for name in self._entries}
+        )
         same = len(kept["surface"]) == len(times)
         self.times = [float(time) for time in times] if same else []
         self._entries = kept if same else {name: [] for name in kept}

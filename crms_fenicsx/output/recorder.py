@@ -21,6 +21,7 @@ from crms_fenicsx.output.history import History, Value
 from crms_fenicsx.results.error_estimate import ErrorEstimator
 from crms_fenicsx.results.membrane_results import membrane_results
 from crms_fenicsx.results.quantities import fields_of
+from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import explained, make_writable
 from crms_fenicsx.scene import Scene
@@ -38,9 +39,7 @@ GRACE = 10.0
 
 
 class FolderLock:
-    """Keeps other writers, of this process and of others, out of a folder. Rank 0 holds the lock
-    until this object is gone or its process ends, however it ends. Where the file system knows no
-    locks, nobody is kept out."""
+    """Keeps other writers out of a folder, where locks exist, until it or its process ends."""
 
     def __init__(self, folder: Path, comm: MPI.Intracomm) -> None:
         self.folder, self.comm = folder, comm
@@ -52,12 +51,8 @@ class FolderLock:
         deadline = time.monotonic() + (GRACE if going_on else 0.0)
         collected = False
         while not self._taken:
-            holder: str | None = None
-            with raised_together(self.comm):
-                if self.comm.rank == 0:
-                    holder = self._try()
-            waits = holder != self._own and time.monotonic() < deadline
-            holder, waits = self.comm.bcast((holder, waits))
+            holder = checks.from_first(self.comm, self._try)
+            waits = self.comm.bcast(holder != self._own and time.monotonic() < deadline)
             self._taken = holder is None
             if holder is not None and collected and not waits:
                 raise InputError(
@@ -94,16 +89,13 @@ class FolderLock:
 class Recorder:
     """Records a scene's load steps.
 
-    Attributes: `history`: a row for each step: its number, "halvings" of the increment, "pressure",
-    "load" (factor of the load, once there is one), "energy" and that of each kind of term
-    ("energy membrane"), "dissipated" by friction in all steps and "passes" of friction forces (once
-    a cable has friction), "volume" gained (once there is pressure), "tension", "length" and "L0" of
-    each cable by its name ("tension cable 1"; with friction along it also "tension cable 1 start"
-    and "... end"), "force", "bar length" and "bar L0" of each bar by its name, "warnings" (what a
-    step has warned of, once one has), "blocked points" (fold points that have run into a vertex),
-    and what the solve took: "iterations", "evaluations", "factorizations", "solves", "flips",
-    "residual" (force), "seconds". With `estimate` also "error of energy" (force x length) and
-    "relative error", that in parts of the membrane's strain energy.
+    Columns of the `history`: number, "halvings" of the increment, "pressure", "load" factors,
+    "energy" and that of each kind of term, "dissipated" by friction and "passes" of its forces,
+    "volume" gained; "tension", "length" and "L0" of each cable by its name (with friction along it
+    also "start" and "end"), "force", "bar length" and "bar L0" of each bar; "warnings", "blocked
+    points", and of the solve "iterations", "evaluations", "factorizations", "solves", "flips",
+    "residual" (force) and "seconds". With `estimate` also "error of energy" (force x length) and
+    "relative error".
     """
 
     def __init__(self, scene: Scene, folder: str | Path | None, estimate: bool = False) -> None:
@@ -141,14 +133,13 @@ class Recorder:
             self.series.write(step.number, surface, lines)
 
     def resume(self, rows: Sequence[Mapping[str, Value]]) -> None:
-        """Go on after the steps of an earlier run. Collective. If the files in the folder begin
-        with the same steps, these stay and new ones follow; else the next step replaces them."""
+        """Go on after the steps of an earlier run, with its files if they fit. Collective."""
         with raised_together(self.scene.comm):
             self.history.resume(rows)
         path = self.history.path
         if self.series is not None and path is not None:
-            same = self.scene.comm.rank == 0 and path.exists() and _begins(path, self.history)
-            self.series.resume(range(1, len(rows) + 1) if self.scene.comm.bcast(same) else [])
+            same = checks.from_first(self.scene.comm, lambda: _begins(path, self.history))
+            self.series.resume(range(1, len(rows) + 1) if same else [])
 
     def _row(self, step: Step) -> dict[str, Value]:
         scene, outcome = self.scene, step.outcome
@@ -210,7 +201,7 @@ class Recorder:
 def _begins(path: Path, history: History) -> bool:
     """Whether a table begins with the rows of a history."""
     try:
-        there = History.read(path)
+        there = History.read(path)  # refuses one that is missing
     except InputError:
         return False
     n = len(history)

@@ -37,9 +37,8 @@ Part = tuple[int, NDArray[Any]]
 
 
 def write_together(path: Path, comm: MPI.Intracomm, size: int, parts: Sequence[Part]) -> None:
-    """Write a file of which every rank has some parts. Collective. It takes the place of `path`
-    when it is complete. Ranks write independently of each other, as each has few parts, long ones:
-    MPI's collective writing would gain nothing, and waits forever for a rank whose disk is full."""
+    """Write parts of a file from all ranks, which then takes the place of `path`. Collective."""
+    # Ranks write independently: MPI's collective writing waits forever for one whose disk is full.
     partial = partial_of(path)
     try:
         with raised_together(comm), explained(path):
@@ -149,8 +148,7 @@ def read_rows(
 
 
 def _checked(path: Path, dtype: np.dtype[Any], shape: tuple[int, ...], due: str) -> Rows:
-    """Read an array of the type, shape and `digest` wanted, or raise `InputError`. Nothing that the
-    file says of itself is interpreted: it begins as it was written, or is refused."""
+    """Read an array of a type, shape and digest, or raise `InputError`."""
     wrong, size = "", HEADER + dtype.itemsize * math.prod(shape)
     with readable(path, "give a checkpoint that is complete"):
         found = size_of_file(path)

@@ -16,6 +16,12 @@ from crms_fenicsx.scene import Scene
 Force = tuple[float, float, float]
 
 
+def triple(force: Array) -> Force:
+    """The three numbers of a vector."""
+    x, y, z = floats(force)
+    return x, y, z
+
+
 @dataclass(frozen=True, repr=False)
 class CableResults:
     """A cable in an equilibrium, by plain numbers.
@@ -105,8 +111,7 @@ def _reaction(cable: LaidCable, end: CableEnd) -> Force | None:
     k = cable.node_of(end.which)
     if cable.nodes[k].kind != "anchor" or cable.joints[min(k, 1)] is not None:
         return None
-    x, y, z = floats(end.reaction)
-    return x, y, z
+    return triple(end.reaction)
 
 
 @dataclass(frozen=True)
@@ -130,9 +135,4 @@ def bar_results(scene: Scene) -> dict[str, BarResults]:
 
 def joint_reactions(scene: Scene) -> dict[str, Force]:
     """Forces with which held joints are held (force), by their names."""
-    found = {}
-    for joint in scene.joints:
-        if joint.held.any():
-            x, y, z = floats(joint.reaction)
-            found[joint.name] = (x, y, z)
-    return found
+    return {joint.name: triple(joint.reaction) for joint in scene.joints if joint.held.any()}

@@ -63,13 +63,12 @@ class ErrorEstimator:
     def __init__(self, scene: Scene) -> None:
         self._scene, mesh = scene, scene.mesh.mesh
         self._sums = fem.Function(fem.functionspace(mesh, ("Lagrange", 1, (WIDTH,))))
-        own = mesh.topology.index_map(2).size_local
-        self._dofs: Indices = self._sums.function_space.dofmap.list[:own]
-        vectors = area_vectors(mesh, slice(own))
+        self._dofs: Indices = self._sums.function_space.dofmap.list
+        vectors = area_vectors(mesh)
         self._areas: Array = np.linalg.norm(vectors, axis=1)
         self._normals: Array = vectors / self._areas[:, None]
         tags = scene.membrane.cell_tags
-        self._tags = np.zeros(own) if tags is None else tags.values[:own].astype(float)
+        self._tags = np.zeros(len(vectors)) if tags is None else tags.values.astype(float)
 
     def of(self, system: System) -> ErrorEstimate:
         """The error of the state that a scene is in. Collective."""
@@ -140,7 +139,7 @@ class ErrorEstimator:
             for node, lifted in zip(cable.nodes, cable.lifted, strict=True)
             if cable.taut and not lifted and isinstance(node.point, VertexPoint)
         }
-        ids = cell_vertex_ids(self._scene.mesh.mesh)[: len(self._areas)]
+        ids = cell_vertex_ids(self._scene.mesh.mesh)
         return np.isin(ids, np.array(sorted(points), dtype=np.int64))
 
 

@@ -25,20 +25,12 @@ from crms_fenicsx.runtime.checks import counted, span
 from crms_fenicsx.runtime.errors import InputError, collective
 
 
-def by_cells(membrane: Membrane, name: str, values: Array) -> fem.Function:
-    """A function that is constant in each cell, of values (n,). Collective."""
-    found = fem.Function(membrane.cell_values, name=name)
-    found.x.array[membrane.cell_values.dofmap.list[: len(values), 0]] = values
-    found.x.scatter_forward()
-    return found
-
-
 def nodal_means(membrane: Membrane, name: str, values: Array, areas: Array) -> fem.Function:
     """A linear function: at vertices, means of the values (n,) of the cells around. Collective."""
     V = membrane.nodal_values
     weight, found = fem.Function(V), fem.Function(V, name=name)
     known = np.isfinite(values)
-    corners = V.dofmap.list[: len(values)][known]
+    corners = V.dofmap.list[known]
     for function, amount in ((weight, areas), (found, areas * values)):
         np.add.at(function.x.array, corners, amount[known, None])
         function.x.scatter_reverse(la.InsertMode.add)
@@ -56,19 +48,16 @@ FLAT = 1e-12
 class MembraneResults:
     """Values in this rank's owned cells, by local cell number.
 
-    Principal values are (n, 2), the larger first, and their directions unit vectors in space,
-    (n, 2, 3). Where both values are equal, as in a slack cell, the directions are any. A folded
-    cell has the values of the triangle that it unfolds to; its directions and its normal are those
-    of the triangle of its three corners.
-
-    Section forces are all that the fabric bears: the material's, and those that terms of the energy
-    put in the cells beside them, as the residual ones of a form that was found. Strains and states
-    are the material's.
+    Principal values are (n, 2), the larger first, and their directions unit vectors in space, (n,
+    2, 3), arbitrary where both values are equal. A folded cell has the values of the triangle that
+    it unfolds to; its directions and normal are those of the triangle of its corners. Section
+    forces are the material's with those that terms of the energy add, such as the residual ones of
+    a found form.
 
     Attributes
     ----------
     strains
-        Principal Green-Lagrange strains.
+        Principal Green-Lagrange strains of the material.
     second_piola, second_piola_directions
         Second Piola-Kirchhoff section forces (force per length); directions in the stress-free
         surface.
@@ -77,21 +66,17 @@ class MembraneResults:
         areas (force per length); directions in the current surface.
     warp : (n, 3)
         Current unit directions of the warp, of isotropic membranes of their first material axis.
-    warp_weft : (n, 3)
-        True section forces along the warp and across it, and their shear (force per length).
-    second_piola_warp_weft : (n, 3)
-        Second Piola-Kirchhoff section forces in the material axes: warp, weft and shear (force per
-        length).
+    warp_weft, second_piola_warp_weft : (n, 3)
+        True section forces along the warp, across it, and their shear (force per length), and
+        second Piola-Kirchhoff ones in the material axes.
     state : (n,) int
         2 taut, 1 wrinkled, 0 slack.
     normals : (n, 3)
         Current unit normals.
-    areas : (n,)
-        Current areas (length squared).
+    areas, stress_free_areas : (n,)
+        Current and stress-free areas (length squared).
     folded : (n,) bool
         Whether a cable in tension folds the cell.
-    stress_free_areas : (n,)
-        Areas of the stress-free cells (length squared).
     parts
         This rank's owned cells of the mesh's parts, by their names.
     surface
@@ -171,11 +156,6 @@ class MembraneResults:
         return found
 
     @property
-    def utilised(self) -> Array:
-        """`utilisation` of the strengths that the scene has, (n,)."""
-        return self.utilisation()
-
-    @property
     def names(self) -> list[str]:
         """Names of the values that cells have, for `function` and ``at(...)[name]``."""
         has = bool(self.membrane.strengths)
@@ -249,7 +229,10 @@ class MembraneResults:
         values = self.values(name)
         if smooth:
             return nodal_means(self.membrane, name, values, self.stress_free_areas)
-        return by_cells(self.membrane, name, values)
+        found = fem.Function(self.membrane.cell_values, name=name)
+        found.x.array[found.function_space.dofmap.list[:, 0]] = values
+        found.x.scatter_forward()
+        return found
 
     @collective
     def at(
@@ -286,8 +269,7 @@ class MembraneResults:
             size there, in space by more than 10 %.
         """
         checks.same(self.comm, "at", points=points, on=on, smooth=smooth)
-        if on not in ("current", "stress-free"):
-            raise InputError(f"at: on = {on!r} is not known; use 'current' or 'stress-free'.")
+        checks.one_of("at: on", on, ("current", "stress-free"))
         places = find_places(self.comm, self.surface, points, on)
         values = {}
         for name in self.names:
@@ -302,7 +284,7 @@ def membrane_results(system: System) -> MembraneResults:
     """Evaluate the membrane at the scene's current state. Collective."""
     scene, cells = system.scene, cell_tensors(system)
     E, axes, images = cells.strains, cells.axes, cells.images
-    n, before = len(E), cells.sides
+    before = cells.sides
     S = cells.forces + added_forces(scene, axes)
     normal: Array = np.asarray(np.cross(images[:, 0], images[:, 1]), dtype=np.float64)
     normal /= np.linalg.norm(normal, axis=1)[:, None]
@@ -340,7 +322,7 @@ def membrane_results(system: System) -> MembraneResults:
         areas=J * stress_free,
         folded=cells.folded,
         stress_free_areas=stress_free,
-        parts={name: own[own < n] for name, own in scene.mesh.parts.items()},
+        parts=scene.mesh.parts,
         surface=current_surface(scene.net),
         membrane=scene.membrane,
         in_equilibrium=scene.in_equilibrium(),

@@ -128,7 +128,9 @@ def nearest_places(
     """Find the places nearest to targets (k, 3), however far these are (length). Collective."""
     corners = (surface.points if on == "current" else surface.stress_free)[surface.triangles]
     rows, weights, scores, sizes = _candidates(corners, targets, in_plan)
-    best, rank = _best_rank(comm, scores)
+    every = np.array(comm.allgather(scores))
+    rank = np.array([np.lexsort(every[:, k].T[::-1])[0] for k in range(len(scores))])
+    best = every[rank, np.arange(len(scores))]
     if np.isinf(best).any():
         raise InputError("at: the membrane has no plan, only walls; give places in space, (k, 3).")
     mine = rank == comm.rank
@@ -162,10 +164,7 @@ def _checked(points: ArrayLike) -> tuple[Array, bool]:
 def _candidates(
     corners: Array, targets: Array, in_plan: bool
 ) -> tuple[Integers, Array, Array, Array]:
-    """This rank's best facet for each target. Returns rows (k,): the facets; any where this rank
-    has none; weights (k, 3): of their corners; scores (k, 2): distance, and how deep below others
-    the place lies in plan; the least of them is the best; sizes (k,): the facets' longest sides
-    (length)."""
+    """This rank's best facets (k,), weights (k, 3), scores (k, 2) and sizes (k,) by target."""
     k = len(targets)
     rows, weights = np.zeros(k, dtype=np.int64), np.zeros((k, 3))
     scores, sizes = np.full((k, 2), np.inf), np.zeros(k)
@@ -186,10 +185,3 @@ def _candidates(
     chosen = order[np.unique(target[order], return_index=True)[1]]
     rows, weights, sizes = usable[near[chosen]], share[chosen], size[chosen]
     return rows, weights, np.stack([gaps, depth], axis=1)[chosen], sizes
-
-
-def _best_rank(comm: MPI.Intracomm, scores: Array) -> tuple[Array, Integers]:
-    """The least scores of all ranks, (k, 2), and the lowest rank that has them, (k,)."""
-    every = np.array(comm.allgather(scores))
-    rank = np.array([np.lexsort(every[:, k].T[::-1])[0] for k in range(len(scores))])
-    return every[rank, np.arange(len(scores))], rank

@@ -49,7 +49,10 @@ def cell_tensors(system: System) -> CellTensors:
     S = _symmetric(values[:, 3], values[:, 4], values[:, 5])
 
     axes = membrane.material_axes(np.arange(n, dtype=np.int32))
-    before, after = _edge_vectors(scene)
+    x = scene.mesh.mesh.geometry.x[geometry_dofmap(scene.mesh.mesh)]
+    u = scene.u.x.array.reshape(-1, 3)[scene.V.dofmap.list]
+    before: Array = np.asarray(x[:, 1:] - x[:, :1], dtype=np.float64)
+    after = before + (u[:, 1:] - u[:, :1])
     # Columns of F are the current images of the material axes: edges = components x images.
     components = np.einsum("nki,nai->nka", before, axes)
     images = np.linalg.solve(components, after)
@@ -62,24 +65,13 @@ def added_forces(scene: Scene, axes: Array) -> Array:
     found = np.zeros((len(axes), 2, 2))
     for term in scene.terms:
         if term.section_forces is not None:
-            own = term.section_forces[: len(axes)]
-            found += np.einsum("nai,nij,nbj->nab", axes, own, axes)
+            found += np.einsum("nai,nij,nbj->nab", axes, term.section_forces, axes)
     return found
 
 
 def _symmetric(a: Array, b: Array, c: Array) -> Array:
     """Matrices (n, 2, 2) with diagonal a, b and c off it."""
     return np.stack([np.stack([a, c], axis=-1), np.stack([c, b], axis=-1)], axis=-2)
-
-
-def _edge_vectors(scene: Scene) -> tuple[Array, Array]:
-    """Two sides of the owned cells, stress-free and current, (n, 2, 3) each."""
-    mesh = scene.mesh.mesh
-    owned = mesh.topology.index_map(2).size_local
-    x = mesh.geometry.x[geometry_dofmap(mesh)[:owned]]
-    u = scene.u.x.array.reshape(-1, 3)[scene.V.dofmap.list[:owned]]
-    before: Array = np.asarray(x[:, 1:] - x[:, :1], dtype=np.float64)
-    return before, before + (u[:, 1:] - u[:, :1])
 
 
 @dataclass(frozen=True)
@@ -93,7 +85,8 @@ class CellQuantity:
 
     def of(self, results: Any) -> Array:
         """Its values in some membrane results, (n,)."""
-        values = np.asarray(getattr(results, self.attribute), dtype=np.float64)
+        found = getattr(results, self.attribute)
+        values = np.asarray(found() if callable(found) else found, dtype=np.float64)
         return values if self.column < 0 else values[:, self.column]
 
 
@@ -115,7 +108,7 @@ QUANTITIES = {
     "strain 1": CellQuantity("larger principal strain", "strains", 0),
     "strain 2": CellQuantity("smaller principal strain", "strains", 1),
     "state": CellQuantity("0 slack, 1 wrinkled, 2 taut", "state"),
-    "utilisation": CellQuantity("utilisation", "utilised"),
+    "utilisation": CellQuantity("utilisation", "utilisation"),
 }
 """All of them; "utilisation" needs the strengths of `Scene.set_strengths`."""
 

@@ -108,12 +108,17 @@ def ends_at(
     return [end for end, there in zip(ends, near, strict=True) if there]
 
 
-def added(ends: Sequence[HeldEnd]) -> dict[str, Array]:
-    """Their forces by names; of one name together."""
-    found = dict[str, Array]()
-    for end in ends:
-        found[end.name] = found.get(end.name, np.zeros(3)) + end.force
-    return found
+def held_there(
+    scene: Scene, forces: Array, dofs: Indices | Integers, ends: Sequence[HeldEnd]
+) -> tuple[Array, dict[str, Array]]:
+    """Forces with which supports hold the membrane, (3,), and ends and bars by name. Collective."""
+    hung = bars_at_vertices(scene, dofs)
+    membrane = scene.comm.allreduce(forces.sum(axis=0))
+    membrane -= sum((end.force for end in hung), np.zeros(3))
+    parts = dict[str, Array]()
+    for end in (*ends, *hung):
+        parts[end.name] = parts.get(end.name, np.zeros(3)) + end.force
+    return membrane, parts
 
 
 MOST_NAMED = 4
@@ -171,11 +176,7 @@ def reactions(system: System, where: str | Marker) -> Reactions:
     owned = dofs[dofs < len(every)]
     forces = every[owned]
     ends = ends_at(scene, dofs, held_ends(scene), joints)
-    hung = bars_at_vertices(scene, owned)
-    membrane = scene.comm.allreduce(forces.sum(axis=0)) - sum(
-        (end.force for end in hung), np.zeros(3)
-    )
-    parts = added([*ends, *hung])
+    membrane, parts = held_there(scene, forces, owned, ends)
     lengths = held_lengths(scene.membrane)[owned]
     per_length = np.where(lengths > 0.0, forces / np.where(lengths > 0.0, lengths, 1.0), np.nan)
     total = membrane + sum(parts.values(), np.zeros(3))
@@ -209,9 +210,7 @@ def support_forces(system: System) -> Array:
 
 
 def nodal_forces(system: System) -> Array:
-    """What the structure's own forces and the loads leave at this rank's blocks. Collective.
-    Returns the energy's slope (force): zero in equilibrium but where something else holds the
-    structure, and there the force of that."""
+    """Unbalanced forces at this rank's blocks (force), those of supports included. Collective."""
     system.update()
     potential, unknowns = system.potential, system.unknowns
     potential.sum_up()
@@ -234,8 +233,7 @@ def nodal_forces(system: System) -> Array:
 
 
 def held_lengths(membrane: Membrane, group: str | None = None) -> Array:
-    """Half the length of the edges around each vertex whose ends are held in a direction, (n, 3).
-    With ghosts; current lengths, of all named edges or of one group. Collective."""
+    """Half the length of held edges around each vertex by direction, (n, 3). Collective."""
     own = membrane.mesh.mesh.topology.index_map(1).size_local
     groups = [edges for name, edges in membrane.mesh.edges.items() if group in (None, name)]
     edges = np.unique(np.concatenate(groups))
@@ -254,11 +252,9 @@ def held_lengths(membrane: Membrane, group: str | None = None) -> Array:
 
 
 def pressed_facets(system: System) -> tuple[Integers, Array]:
-    """This rank's current facets under pressure, by plain geometry. Returns corners (n, 3): blocks;
-    facets of folded cells that belong to a mean over fans overlap; vectors (n, 3): area vectors
-    (length squared), outward, times the facets' weights in the mean."""
-    unknowns, owned = system.unknowns, system.scene.mesh.mesh.topology.index_map(2).size_local
-    dofs = system.scene.V.dofmap.list[:owned][system.pressure.cells.x.array[:owned] > 0.5]
+    """Corners (n, 3) and weighted area vectors (n, 3) of this rank's facets under pressure."""
+    unknowns = system.unknowns
+    dofs = system.scene.V.dofmap.list[system.pressure.cells.x.array > 0.5]
     corners = unknowns.vertex_blocks()[dofs]
     weights: Array = np.ones(len(dofs))
     if system.cables is not None and system.cables.tables is not None:
@@ -275,9 +271,8 @@ def pressed_facets(system: System) -> tuple[Integers, Array]:
 
 
 def _leave_ends_to_anchors(system: System, g: Array) -> None:
-    """Take the pull of cable ends off the held places of the membrane that they lie on. Between an
-    anchor and the place of the membrane under it the cable has no length and its force no
-    direction: the gradient splits the end's pull between the two at random."""
+    """Move the pull of cable ends from held places of the membrane to their anchors."""
+    # The cable has no length between the two: the gradient splits the end's pull at random.
     if system.cables is None:
         return
     numbering = system.cables.numbering

@@ -19,25 +19,24 @@ from crms_fenicsx.model.versions import UNBALANCED, StateWarning
 from crms_fenicsx.results.cable_and_bar_results import (
     BarResults,
     CableResults,
+    Force,
     bar_results,
     cable_results,
     joint_reactions,
+    triple,
 )
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.results.reactions import (
     HeldEnd,
-    added,
-    bars_at_vertices,
     ends_at,
     held_ends,
     held_lengths,
+    held_there,
     support_forces,
 )
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers, floats
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.runtime.checks import span
 from crms_fenicsx.runtime.errors import as_text
-
-Vector = tuple[float, float, float]
 
 SUMMED_UP = (
     "true force 1", "true force 2", "warp", "weft", "shear", "strain 1", "utilisation",
@@ -50,7 +49,7 @@ class Extreme:
     """A largest or least value, and where on the surface it is now (length)."""
 
     value: float
-    at: Vector
+    at: Force
 
     def __repr__(self) -> str:
         return f"{self.value:.4g} at ({', '.join(f'{x:.4g}' for x in self.at)})"
@@ -75,10 +74,10 @@ class SupportSummary:
 
     # those in which all of its vertices are held, out of "xyz"; "" of vertices in no such group
     directions: str
-    total: Vector  # sum of the reactions (force) on all that meets there: of `membrane` and `parts`
-    membrane: Vector  # what of it holds the membrane (force)
+    total: Force  # sum of the reactions (force) on all that meets there: of `membrane` and `parts`
+    membrane: Force  # what of it holds the membrane (force)
     # what of it holds ends of cables and bars, and loads on joints, by their names (force)
-    parts: Mapping[str, Vector]
+    parts: Mapping[str, Force]
     length: float  # current length of its edges (length); 0 of points
     # mean, largest: size of the membrane's reaction per length of held edges (force per length),
     # along its edges in the mean and at one vertex
@@ -98,27 +97,22 @@ class Summary:
         Of the loads and ponds, by their names.
     energy
         Total potential energy (force x length).
-    displacement
-        The largest one, from the stress-free shape (length).
-    lowest, highest
-        The largest displacements downward (negative) and upward (length).
+    displacement, lowest, highest
+        The largest displacement from the stress-free shape, and the largest ones downward
+        (negative) and upward (length).
     parts
         By the names of the mesh's parts; under "" the whole membrane.
-    cables
-        By their names.
+    cables, bars, ponds
+        By their names; ponds with their levels and volumes.
     supports
         By the names of the groups, which may share vertices; under `ALL_SUPPORTS` all of them with
-        all anchors and held joints, and under `OTHER_SUPPORTS` those in no group that is held as a
+        all anchors and held joints, under `OTHER_SUPPORTS` those in no group that is held as a
         whole.
-    bars
-        By their names.
     joints
         Forces with which held joints, anchors of bars among them, are held (force), by their names.
-    ponds
-        By their names, with their levels and volumes.
     in_equilibrium
-        Whether the scene had not been changed since its last load step; if it had, forces of cables
-        and bars and the energy may be those of before, and nothing is in balance.
+        Whether the scene had not been changed since its last load step; if it had, forces and
+        energy may be those of before, and nothing is in balance.
     warnings
         What load steps have warned of in this state, and of snap-throughs before it.
     """
@@ -133,7 +127,7 @@ class Summary:
     cables: Mapping[str, CableResults]
     supports: Mapping[str, SupportSummary]
     bars: Mapping[str, BarResults]
-    joints: Mapping[str, Vector]
+    joints: Mapping[str, Force]
     ponds: Mapping[str, Pond]
     in_equilibrium: bool
     warnings: tuple[StateWarning, ...] = ()
@@ -170,7 +164,7 @@ class Summary:
         return self.parts[ALL]
 
     @property
-    def reaction(self) -> Vector:
+    def reaction(self) -> Force:
         """Sum of the forces of all supports, anchors and held joints (force)."""
         return self.supports[ALL_SUPPORTS].total
 
@@ -267,17 +261,15 @@ def _supports(system: System) -> dict[str, SupportSummary]:
     def add(
         name: str, directions: str, dofs: Indices | Integers, own: Array, ends: Sequence[HeldEnd]
     ) -> None:
-        hung = bars_at_vertices(scene, dofs)
-        parts = {key: _vector(force) for key, force in added([*ends, *hung]).items()}
-        fabric = membrane.comm.allreduce(forces[dofs].sum(axis=0))
-        fabric -= sum((end.force for end in hung), np.zeros(3))
-        total = _vector(np.sum([fabric, *parts.values()], axis=0))
+        fabric, held = held_there(scene, forces[dofs], dofs, ends)
+        parts = {key: triple(force) for key, force in held.items()}
+        total = triple(sum(held.values(), fabric))
         sums = np.array([own.sum(), (own * line[dofs]).sum()])
         length, loaded = membrane.comm.allreduce(sums).tolist()
         largest = membrane.comm.allreduce(float(line[dofs].max(initial=0.0)), op=MPI.MAX)
         mean = loaded / length if length > 0.0 else 0.0
         found[name] = SupportSummary(
-            directions, total, _vector(fabric), parts, length, mean, largest
+            directions, total, triple(fabric), parts, length, mean, largest
         )
 
     for name, (directions, dofs) in held_groups(membrane).items():
@@ -293,9 +285,3 @@ def _supports(system: System) -> dict[str, SupportSummary]:
         add(OTHER_SUPPORTS, "", rest, every[others], ends_at(scene, rest, anchored))
     add(ALL_SUPPORTS, "", np.arange(n), every, anchored)
     return found
-
-
-def _vector(force: Array) -> Vector:
-    """A force as plain numbers."""
-    x, y, z = floats(force)
-    return x, y, z

@@ -7,22 +7,23 @@ import operator
 import os
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.runtime.errors import InputError, raised_together
 
 LONGEST = 200
 """Letters of a value that a message quotes."""
 
 
 Named = TypeVar("Named")
+Found = TypeVar("Found")
 
 
 def named(kind: str, ones: Mapping[str, Named], name: str) -> Named:
@@ -78,6 +79,60 @@ def vector(what: str, value: object) -> Array:
     return numbers
 
 
+def text(what: str, value: object) -> str:
+    """Return a text that is not empty; `what` and errors as for `finite`."""
+    if not isinstance(value, str) or not value:
+        raise InputError(f"{what} = {value!r} is no text; give one.")
+    return value
+
+
+def options_prefix(what: str, value: object) -> str:
+    """Return a prefix of options in PETSc's database; `what` and errors as for `finite`."""
+    if not isinstance(value, str) or value.startswith("-"):
+        raise InputError(
+            f"{what} = {value!r} is no options prefix; give a text without the leading '-'."
+        )
+    return value
+
+
+def one_of(what: str, value: object, known: Iterable[object]) -> None:
+    """Refuse a value that is not among those known."""
+    if value not in (known := list(known)):
+        *others, last = map(repr, known)
+        raise InputError(f"{what} = {value!r} is not known; use {', '.join(others)} or {last}.")
+
+
+def of_type(what: str, value: object, kind: type) -> None:
+    """Refuse a value of another type."""
+    if not isinstance(value, kind):
+        raise InputError(f"{what} is of type {type(value).__name__}; give a {kind.__name__}.")
+
+
+def collection(what: str, value: Any, kind: Any, example: str, least: int = 0) -> None:
+    """Refuse what is no `Mapping` or `Sequence` of members, or has fewer of them than `least`."""
+    if isinstance(value, str) or not isinstance(value, kind) or len(value) < least:
+        name = "list" if kind is Sequence else "mapping"
+        raise InputError(f"{what} = {value!r} is no {name} to use; write {example}.")
+
+
+def returned(function: str, values: object, places: Array, shape: tuple[int, ...]) -> Array:
+    """Return what a user's function has made of `places` (3, n): finite numbers of a shape."""
+    found = np.asarray(values)
+    if found.shape != shape or found.dtype.kind not in "fiu":
+        raise InputError(
+            f"{function} returned an array of shape {found.shape} and type {found.dtype}; it must "
+            f"return real numbers of shape {shape}."
+        )
+    bad = ~np.isfinite(np.atleast_2d(found)).all(axis=0)
+    if bad.any():
+        first = int(np.argmax(bad))
+        raise InputError(
+            f"{function} returned {found[..., first]} at {places[:, first]}; it must return finite "
+            "numbers."
+        )
+    return np.asarray(found, dtype=np.float64)
+
+
 def file(what: str, value: object) -> Path:
     """Return the path of a file or folder; `what` and errors as for `finite`."""
     if not isinstance(value, str | os.PathLike):
@@ -105,6 +160,15 @@ def same(comm: MPI.Intracomm, call: str, /, **arguments: object) -> None:
         f"{call}: {name} = {other} on rank 0, but {text} on rank {rank}; "
         "give the same on all ranks, as comm.bcast makes it."
     )
+
+
+def from_first(comm: MPI.Intracomm, function: Callable[[], Found]) -> Found:
+    """What a function returns on the first rank, on all; so are its errors. Collective."""
+    found = None
+    with raised_together(comm):
+        if comm.rank == 0:
+            found = function()
+    return cast(Found, comm.bcast(found))
 
 
 def in_one_order(comm: MPI.Intracomm, given: Mapping[str, Named]) -> dict[str, Named]:

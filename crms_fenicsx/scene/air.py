@@ -23,17 +23,7 @@ class AirState:
 
 
 class Air(Stateful[AirState]):
-    """The air under the membrane: ``scene.sealed``.
-
-    Parameters
-    ----------
-    net
-        The membrane with its cables, under which the air is.
-    versions
-        The numbers of the scene's model.
-    law
-        That of the pressure: "total" or "step".
-    """
+    """The air under the membrane: ``scene.sealed``."""
 
     def __init__(self, net: CableNet, versions: Versions, law: Literal["total", "step"]) -> None:
         self.membrane, self.comm, self.versions = net.membrane, net.membrane.comm, versions

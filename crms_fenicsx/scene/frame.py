@@ -136,9 +136,9 @@ class Frame:
         bar
             Its data.
         start, end
-            Where it ends: a point in space, which becomes an anchor of its own (a held joint,
-            ``bar.start``); a joint; a vertex of the membrane from `vertex_at`; or the name of a
-            group of one vertex.
+            Where it ends: a point in space, which becomes an anchor (a held joint, ``bar.start``);
+            a joint; a vertex of the membrane from `vertex_at`; or the name of a group of one
+            vertex.
         L0
             Unstressed length (length); by default the distance of its ends now.
         name
@@ -279,7 +279,7 @@ class Frame:
     def _bar_end(self, name: str, which: str, given: Place | BarEnd | str) -> BarEnd | Array:
         """A joint, a vertex, or the place of an anchor, (3,). Collective."""
         if isinstance(given, Joint):
-            if self.number(given) < 0:
+            if not self.owns(given):
                 raise InputError(
                     f"add_bar: {which} of {name!r} = {given!r} is a joint of another scene; add "
                     "one to this scene with scene.add_joint(...)."
@@ -299,9 +299,9 @@ class Frame:
         own = {f"start of {bar.name}", f"end of {bar.name}"} - needed
         self._joints = tuple(j for j in self.joints if j.name not in own or j in used)
 
-    def number(self, joint: object) -> int:
-        """The number of a joint of this scene; -1 if it is none."""
-        return next((k for k, own in enumerate(self.joints) if own is joint), -1)
+    def owns(self, joint: object) -> bool:
+        """Whether a joint belongs to this scene."""
+        return any(own is joint for own in self.joints)
 
     def path_of(
         self, path: Sequence[Sequence[float] | Joint] | Array
@@ -313,7 +313,7 @@ class Frame:
         points: list[Any] = list(path)
         for k, point in enumerate(points):
             if isinstance(point, Joint):
-                if k not in (0, len(points) - 1) or self.number(point) < 0:
+                if k not in (0, len(points) - 1) or not self.owns(point):
                     raise InputError(
                         f"lay_cable: path has {point!r} as point {k + 1}; only its first and last "
                         "point may be joints, of this scene."

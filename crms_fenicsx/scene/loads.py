@@ -6,8 +6,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 from dolfinx import fem
 
+from crms_fenicsx.meshes.triangles import norm
 from crms_fenicsx.model.bar import Joint
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.membrane_load import (
@@ -16,7 +18,6 @@ from crms_fenicsx.model.membrane_load import (
     MembraneLoad,
     Traction,
     fixed_direction_load,
-    joint_load,
     line_load,
     nodal_load,
     wind_load,
@@ -112,8 +113,7 @@ class Loads(Stateful[LoadsState]):
         >>> scene.put_load((0.0, 0.0, -0.01), name="weight", per="material")
         >>> solver.advance(load={"snow": 1.5, "weight": 1.35})
         """
-        checks.same(self.comm, "put_load", force=force, name=name, per=per)
-        self._check_new_load("put_load", name)
+        self._check_new("put_load", name, force=force, per=per)
         self.add(fixed_direction_load(self.membrane, force, name, per))
 
     @collective
@@ -147,8 +147,7 @@ class Loads(Stateful[LoadsState]):
         >>> scene.put_wind(0.8, {"roof": -0.9, "walls": 0.7}, name="wind along x")
         >>> solver.advance(load={"wind along x": 1.5})
         """
-        checks.same(self.comm, "put_wind", pressure=pressure, coefficient=coefficient, name=name)
-        self._check_new_load("put_wind", name)
+        self._check_new("put_wind", name, pressure=pressure, coefficient=coefficient)
         self.add(wind_load(self.membrane, pressure, coefficient, name))
 
     @collective
@@ -178,8 +177,7 @@ class Loads(Stateful[LoadsState]):
         >>> scene.put_forces(forces, name="fluid")
         >>> solver.advance(load={"fluid": 1.0})
         """
-        checks.same(self.comm, "put_forces", name=name)
-        self._check_new_load("put_forces", name)
+        self._check_new("put_forces", name)
         self.add(nodal_load(self.membrane, forces, name))
 
     @collective
@@ -210,8 +208,7 @@ class Loads(Stateful[LoadsState]):
         >>> scene.put_line_load((0.0, 0.0, -0.2), "ridge", name="snow guard")
         >>> solver.advance(load={"snow guard": 1.35})
         """
-        checks.same(self.comm, "put_line_load", force=force, edges=edges, name=name)
-        self._check_new_load("put_line_load", name)
+        self._check_new("put_line_load", name, force=force, edges=edges)
         self.add(line_load(self.membrane, force, edges, name))
 
     @collective
@@ -236,22 +233,20 @@ class Loads(Stateful[LoadsState]):
         >>> scene.put_on_joints({top: (0.0, 0.0, -5.0)}, name="lamp")
         >>> solver.advance(load={"lamp": 1.35})
         """
-        checks.same(self.comm, "put_joint_load", forces=forces, name=name)
-        self._check_new_load("put_joint_load", name)
-        if not isinstance(forces, Mapping) or not forces:
-            raise InputError(
-                f"put_joint_load: forces = {forces!r}; write {{joint: (Fx, Fy, Fz), ...}}."
-            )
+        self._check_new("put_joint_load", name, forces=forces)
+        checks.collection("put_joint_load: forces", forces, Mapping, "{joint: (Fx, Fy, Fz)}", 1)
         found: dict[str, tuple[float, float, float]] = {}
         for joint, force in forces.items():
-            if not isinstance(joint, Joint) or self._frame.number(joint) < 0:
+            if not self._frame.owns(joint):
                 raise InputError(
                     f"put_joint_load: {joint!r} is no joint of this scene; give what "
                     "scene.add_joint(...) has returned."
                 )
             x, y, z = map(float, checks.vector(f"put_joint_load: force on {joint!r}", force))
             found[joint.name] = (x, y, z)
-        self.add(joint_load(self.membrane, found, name))
+        intensity = float(norm(np.array([*found.values()])).sum()) / self.membrane.size**2
+        nodal = np.zeros(self.membrane.held.shape)
+        self.add(MembraneLoad(name, nodal, intensity, joints=found))
 
     @collective
     def put_pond(
@@ -266,9 +261,9 @@ class Loads(Stateful[LoadsState]):
         """Let water stand on the membrane; `Solver.advance` brings it on by its factor. Collective.
 
         It lies over all that is below its level, where the membrane's outer side faces up (of a
-        cushion on the upper foil), and presses on it the more the further it sinks. Water over a
-        rim below the level does not run off. Give either the level, as where water comes and goes,
-        or the volume.
+        cushion on the upper foil), and presses the more the further that sinks. Water over a rim
+        below the level does not run off. Give either the level, as where water comes and goes, or
+        the volume.
 
         Parameters
         ----------
@@ -279,7 +274,7 @@ class Loads(Stateful[LoadsState]):
         volume
             Amount of water (length cubed); its level follows.
         on
-            Parts of the mesh that it stands on, on the side that faces up; without it all cells
+            Parts of the mesh that it stands on, on the side that faces up; by default all cells
             whose outer side faces up when stress-free.
         name
             What load steps and results know it by.
@@ -287,15 +282,15 @@ class Loads(Stateful[LoadsState]):
         Raises
         ------
         InputError
-            On all ranks: a weight or a volume that is not positive, neither level nor volume or
-            both, a part that does not exist, cells without an upper side or of which some face up
-            and some down, or a name that is taken.
+            On all ranks: a weight or volume that is not positive, neither level nor volume or both,
+            a part that does not exist, cells without an upper side or that face both ways, or a
+            taken name.
 
         Notes
         -----
-        A load step that ends in an equilibrium that is not stable raises a `PondWarning`, one
-        without equilibrium a `ConvergenceError`. The rim of what is under water must be held, or
-        slide in planes of symmetry: elsewhere a dam would have to stand on it.
+        A load step that ends in an unstable equilibrium raises a `PondWarning`, one without
+        equilibrium a `ConvergenceError`. The rim of what is under water must be held, or slide in
+        planes of symmetry.
 
         Examples
         --------
@@ -303,25 +298,17 @@ class Loads(Stateful[LoadsState]):
         >>> solver.advance(load={"pond": 1.0}, steps=4)
         >>> scene.ponds[0].volume
         """
-        checks.same(
-            self.comm, "put_pond", weight=weight, level=level, volume=volume, on=on, name=name
-        )
-        self._check_new_load("put_pond", name)
+        self._check_new("put_pond", name, weight=weight, level=level, volume=volume, on=on)
         weight = checks.positive("put_pond: weight", weight)
         if (level is None) == (volume is None):
             raise InputError(
                 f"put_pond: level = {level!r} and volume = {volume!r}; give one of the two."
             )
-        parts: tuple[str, ...] = ()
         if on is not None:
-            known = list(self.membrane.mesh.parts)
-            listed = isinstance(on, Sequence) and not isinstance(on, str) and len(on) > 0
-            if not listed or any(part not in known for part in on):
-                names = ", ".join(map(repr, known)) or "none"
-                raise InputError(
-                    f"put_pond: on = {on!r}; give a list of parts of the mesh, which are {names}."
-                )
-            parts = tuple(on)
+            checks.collection("put_pond: on", on, Sequence, 'on=["roof"]', 1)
+            for part in on:
+                checks.named("part", self.membrane.mesh.parts, part)
+        parts = tuple(on or ())
         if volume is not None:
             volume = checks.positive("put_pond: volume", volume)
             pond = Pond(name, weight, "volume", float(self.membrane.centre[2]), volume, parts, 1)
@@ -354,10 +341,11 @@ class Loads(Stateful[LoadsState]):
         self.update(loads=(*self.state.loads, load))
         self.versions.change_model(acts=load.factor != 0.0)
 
-    def _check_new_load(self, call: str, name: str) -> None:
+    def _check_new(self, call: str, name: str, **given: object) -> None:
+        """Check the name of a new load, and that all ranks give the same. Collective."""
+        checks.same(self.comm, call, name=name, **given)
         self.membrane.check_finite(call)
-        if not isinstance(name, str) or not name:
-            raise InputError(f"{call}: name = {name!r} is no text; give one, as in 'snow'.")
+        checks.text(f"{call}: name", name)
         if name in AIR:
             raise InputError(
                 f"{call}: name = {name!r} is one of the air's; give another one, as in 'snow'."

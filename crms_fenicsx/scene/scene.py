@@ -60,9 +60,7 @@ PARTS = ("membrane", "loads", "air", "frame", "net")
 
 
 class Scene:
-    """A cable-reinforced membrane structure and its current state.
-
-    Use any consistent units of length and force.
+    """A cable-reinforced membrane structure and its current state, in any consistent units.
 
     Parameters
     ----------
@@ -75,13 +73,13 @@ class Scene:
         strain, linear in a step and aligned to a side of each cell, (2.3-3 ... 2.3-14).
     pressure
         "total": the exact follower pressure. The rim of the pressurised surface must be held, or
-        slide in planes x, y or z = constant that are held in their normal direction, such as planes
-        of symmetry. "step": the paper's nodal forces, which keep direction and size in a step,
-        (2.4-1, 2). They need no held rim; with a free rim steps are repeated until the forces equal
-        the follower pressure.
+        slide in planes x, y or z = constant that are held in their normal direction, as planes of
+        symmetry. "step": the paper's nodal forces, which keep direction and size in a step, (2.4-1,
+        2). The rim may be free; steps are then repeated until the forces equal the follower
+        pressure.
     pressure_on
-        The parts of the mesh on which pressure acts; all by default. A wall below the roof has the
-        same air on both its sides: leave it out.
+        The parts of the mesh on which pressure acts; all by default. Leave out a wall below the
+        roof, which has the same air on both sides.
     penalty
         Factor c of the penalty mu = c E t A that keeps unfolded cells triangles; stable and not
         locking from 1e-3 to 1.
@@ -91,8 +89,8 @@ class Scene:
     Raises
     ------
     InputError
-        A material for a part that does not exist, cells without a material or with several,
-        pressure on a part that does not exist, or step-wise strain with a material that wrinkles.
+        A part that does not exist, cells without a material or with several, or step-wise strain
+        with a material that wrinkles.
 
     Warns
     -----
@@ -184,18 +182,13 @@ class Scene:
         penalty: float = 0.1,
         literal_penalty: float | None = None,
     ) -> None:
-        if not isinstance(mesh, MembraneMesh):
-            raise InputError(
-                f"Scene: mesh is of type {type(mesh).__name__}; give a MembraneMesh, as the "
-                "functions of crms_fenicsx.meshes return."
-            )
+        checks.of_type("Scene: mesh", mesh, MembraneMesh)
         checks.same(
             mesh.comm, "Scene", material=material, strain=strain, pressure=pressure,
             penalty=penalty, literal_penalty=literal_penalty,
         )  # fmt: skip
         for name, value in (("strain", strain), ("pressure", pressure)):
-            if value not in ("total", "step"):
-                raise InputError(f"Scene: {name} = {value!r} is not known; use 'total' or 'step'.")
+            checks.one_of(f"Scene: {name}", value, ("total", "step"))
         self._strain_law, self._pressure_law = strain, pressure
         self._penalty = checks.positive("Scene: penalty", penalty)
         if literal_penalty is not None:
@@ -369,35 +362,34 @@ class Scene:
         """Lay a cable on the membrane's current shape.
 
         The cable lies on the membrane's outer side and spans hollows in a straight line; at a seam
-        of three or more parts it stays on those that bound the outer side, never on a wall below.
-        Its unstressed length makes it just taut, unless `L0` or `tension` is given. An end on a
-        held edge of the membrane is held there; moved along the boundary it goes from edge to edge,
-        moved off the boundary it slides over the edge. An end elsewhere on the membrane is tied to
-        that place. In load steps the cable slides, also sideways, as far as friction permits, lifts
-        off and touches down.
+        of three or more parts it stays on those that bound the outer side. It is just taut, unless
+        `L0` or `tension` is given. An end on a held edge is held there; moved along the boundary it
+        goes from edge to edge, moved off it slides over the edge. Elsewhere on the membrane an end
+        is tied to its place. In load steps the cable slides, also sideways, as far as friction
+        permits, lifts off and touches down.
 
         Parameters
         ----------
         cable
             Its data.
         path
-            Points of its path: in plan, (k, 2), or in space, (k, 3). A first or last point in
-            space that lies off the membrane is an anchor, from which the cable runs straight to
-            the membrane: beyond the boundary to where it first meets it, over the membrane to the
-            place below. A `Joint` as first or last point (the others in space) holds the end.
+            Points of its path: in plan, (k, 2), or in space, (k, 3). A first or last point in space
+            that lies off the membrane is an anchor, from which the cable runs straight to the
+            membrane: beyond the boundary to where it first meets it, over the membrane to the place
+            below. A `Joint` as first or last point (the others in space) holds the end.
         L0
             Unstressed length (length).
         tension
             Tension at laying (force), from which the unstressed length follows.
         shortest
             Whether to lay the cable along the shortest path on the membrane near `path`, where a
-            cable without friction lies, instead of `path` itself.
+            cable without friction lies.
         sleeve
-            Whether a sleeve holds the cable to the membrane: the cable slides, but cannot lift off.
-            A cable along free edges of the membrane always has a sleeve, and stays there.
+            Whether a sleeve holds the cable to the membrane: it slides, but cannot lift off. A
+            cable along free edges always has a sleeve, and stays there.
         layer
-            Of two crossing cables the one with the higher layer lies on top; with equal layers the
-            one laid later.
+            Of two crossing cables the one with the higher layer lies on top, of equal ones the
+            later one.
         name
             Name in results; "cable 1", "cable 2" ... by default.
         measured_on
@@ -412,9 +404,8 @@ class Scene:
         Raises
         ------
         PathError
-            The path cannot be laid: it leaves the membrane, could only go around its back, begins
-            inside of it, goes to a part behind a seam, or returns through the cells that it left
-            by.
+            The path leaves the membrane, could only go around its back, begins inside of it, goes
+            to a part behind a seam, or returns through the cells that it left by.
         InputError
             L0 or tension that is not positive, or both, or a name that is taken.
         """
@@ -534,8 +525,7 @@ class Scene:
         >>> solver.advance()
         """
         checks.same(self.comm, "set_stiffness", EA=EA)
-        if not isinstance(EA, Mapping) or not EA:
-            raise InputError(f"set_stiffness: EA = {EA!r}; write {{cable: EA, ...}}.")
+        checks.collection("set_stiffness: EA", EA, Mapping, "{cable: EA}", 1)
         for one, stiffness in EA.items():
             if not any(one is own for own in (*self.cables, *self.bars)):
                 raise InputError(

@@ -29,10 +29,8 @@ if TYPE_CHECKING:
 
 
 def starting_prestress(system: System, target: Target, share: float) -> tuple[float, ...]:
-    """Estimate the extra prestress in H0 for each of the first stages of a solve. Collective. A
-    flat sheet has no stiffness against pressure. The stress that it will have is estimated from the
-    load, 0.3 (p^2 L^2 E t)^(1/3), and from the movement; a stressed sheet gets none. Returns
-    prestress of each stage (force per length), the last 0."""
+    """Estimates of extra prestress in H0 by stage, the last 0 (force per length). Collective."""
+    # A flat sheet has no stiffness against pressure: its stress will be 0.3 (p^2 L^2 E t)^(1/3).
     scene, size = system.scene, system.scene.membrane.size
     modulus = max(m.reference_modulus for m in scene.materials.values())
     travel = share * target.movements.travel
@@ -150,9 +148,7 @@ class IncrementSolver:
         self, target: Target, first: SceneState, before: SceneState, done: float, goal: float,
         steps: int,
     ) -> Increment:  # fmt: skip
-        """Go on with the loads, and find and check the equilibrium there. Collective. Where there
-        is none, where a check fails and after an error, also an interrupt, the scene is in its
-        state before."""
+        """Solve and check an increment; without equilibrium the scene is as before. Collective."""
         try:
             target.apply(self.scene, first, done / steps, goal / steps)
             prestress = starting_prestress(self.system, target, (goal - done) / steps)
@@ -200,8 +196,7 @@ class IncrementSolver:
         return tuple(found)
 
     def _turn_pressure(self, outcome: Outcome) -> Outcome:
-        """Repeat a step with the paper's pressure until its forces are normal to the end state.
-        Each solve is a step of its own for what counts by steps."""
+        """Repeat a step of the paper's pressure until its forces are normal to the end state."""
         for _ in range(MOST_TURNS):
             self.system.commit()
             more = self.search.find((0.0,))
@@ -212,8 +207,7 @@ class IncrementSolver:
         return replace(outcome, converged=False, reason=reason)
 
     def _turn_wind(self, outcome: Outcome) -> Outcome:
-        """Repeat a solve until the wind's forces are those of the shape that they lead to. As for
-        the pressure, each solve is a step of its own."""
+        """Repeat a solve until the wind's forces are those of the shape found."""
         scene, comm = self.scene, self.scene.comm
         for _ in range(MOST_TURNS):
             turned = tuple(load.turned(scene.membrane) for load in scene.loads)

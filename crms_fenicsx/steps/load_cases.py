@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.scene.loads import AIR
@@ -38,19 +39,11 @@ class Combination:
 
 def check_combinations(scene: Scene, combinations: Mapping[str, Mapping[str, Any]]) -> None:
     """Refuse combinations that cannot be brought on; see `Solver.combine`."""
-    if not isinstance(combinations, Mapping) or not combinations:
-        raise InputError(
-            f"combine: combinations = {combinations!r}; write them as "
-            '{"snow": {"weight": 1.35, "snow": 1.5}, ...}.'
-        )
+    example = '{"weight": 1.35, "snow": 1.5}'
+    checks.collection("combine: combinations", combinations, Mapping, f'{{"snow": {example}}}', 1)
     for name, given in combinations.items():
-        if not isinstance(name, str) or not name:
-            raise InputError(f"combine: the name {name!r} is no text; give one, as in 'snow'.")
-        if not isinstance(given, Mapping):
-            raise InputError(
-                f"combine: {name!r} is {given!r}; write factors by the loads' names, as in "
-                '{"weight": 1.35, "snow": 1.5}.'
-            )
+        checks.text("combine: a name", name)
+        checks.collection(f"combine: {name!r}", given, Mapping, example)
         air, factors = split(given)
         try:
             checked_target(scene, load=factors, **air)

@@ -84,8 +84,7 @@ CATEGORIES: dict[str, type[UserWarning]] = {
 
 
 def warn_of_friction(number: int, scene: Scene, before: SceneState, unsettled: float) -> None:
-    """Warn of friction forces that have not settled, or that have done work on a cable. The paper's
-    friction element pushes a cable back that should stick."""
+    """Warn of friction forces that have not settled, or that have done work on a cable."""
     if scene.comm.rank > 0:
         return
     if unsettled > 0.0:

@@ -22,14 +22,13 @@ from crms_fenicsx.runtime.arrays import EPSILON
 from crms_fenicsx.runtime.errors import InputError, as_text, raised_together
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.scene.state import SceneState
-from crms_fenicsx.steps.movements import Move, Movements, cable_number, checked_movements
+from crms_fenicsx.steps.movements import Move, Movements, check_own, checked_movements
 
 LoadT = TypeVar("LoadT", MembraneLoad, Pond)
 
 
 def between(first: float, last: float, share: float) -> float:
-    """A load at a share of the way; none where only rounding is left of it. A scene without load is
-    another one than one with the least: nothing may be in equilibrium."""
+    """A load at a share of the way; zero where only rounding is left."""
     value = first + share * (last - first)
     rounding = 4 * EPSILON * max(abs(first), abs(last))
     return 0.0 if abs(value) <= rounding else value
@@ -110,14 +109,8 @@ class Target:
     # first and last factor of each load that changes, by its name
     factors: dict[str, tuple[float, float]]
     movements: Movements  # how supports and anchors move
-    # number of the cable, its first and last unstressed length (length)
-    lengths: list[tuple[int, float, float]]
-    bar_lengths: list[tuple[int, float, float]]  # the same of bars
-
-    @property
-    def moves(self) -> dict[object, list[float]]:
-        """What was moved, and numbers that tell how."""
-        return self.movements.samples
+    # a cable or bar, its first and last unstressed length (length)
+    lengths: list[tuple[LaidCable | PlacedBar, float, float]]
 
     def is_first_load(self, scene: Scene) -> bool:
         """Whether loads or ponds are brought on where there are none yet."""
@@ -129,10 +122,8 @@ class Target:
         scene.loads.replace_each(partial(self._at, share))
         self.pressure.apply(scene, share)
         self.movements.apply(scene, first, before, share)
-        for c, start, end in self.lengths:
-            scene.cables[c].update(L0=start + share * (end - start))
-        for b, start, end in self.bar_lengths:
-            scene.bars[b].update(L0=start + share * (end - start))
+        for one, start, end in self.lengths:
+            one.update(L0=start + share * (end - start))
 
     def ponds(self, scene: Scene, share: float) -> tuple[Pond, ...]:
         """A scene's ponds at a share of the way."""
@@ -167,24 +158,19 @@ def checked_target(
     factors = {} if load is None else _factors(scene, load)
     _check_wind(scene, factors)
     for name, given in (("move", move), ("L0", L0)):
-        if not isinstance(given, Mapping):
-            raise InputError(
-                f"advance: {name} = {given!r} is no mapping; write {name}={{what: value}}."
-            )
+        checks.collection(f"advance: {name}", given, Mapping, f"{name}={{what: value}}")
     scene.frame.check_held(name for cable in scene.cables for name in cable.joints)
     movements = checked_movements(scene, move, steps)
     if inner.acts:
         _check_rim(scene)
-    cables, bars = _lengths(scene, L0)
-    return Target(inner, factors, movements, cables, bars)
+    return Target(inner, factors, movements, _lengths(scene, L0))
 
 
-Lengths = list[tuple[int, float, float]]
-
-
-def _lengths(scene: Scene, L0: Mapping[object, float]) -> tuple[Lengths, Lengths]:
-    """Numbers of cables and of bars, and their first and last unstressed lengths."""
-    cables, bars = list[tuple[int, float, float]](), list[tuple[int, float, float]]()
+def _lengths(
+    scene: Scene, L0: Mapping[object, float]
+) -> list[tuple[LaidCable | PlacedBar, float, float]]:
+    """First and last unstressed lengths of cables and bars."""
+    found = []
     for key, length in sorted(L0.items(), key=lambda item: repr(item[0])):  # alike on all ranks
         if not isinstance(key, LaidCable | PlacedBar):
             raise InputError(f"advance: L0 of {key!r}; give a laid cable or a bar.")
@@ -194,13 +180,9 @@ def _lengths(scene: Scene, L0: Mapping[object, float]) -> tuple[Lengths, Lengths
                 'length; use Cable(law="total").'
             )
         length = checks.positive(f"advance: L0 of {key.name!r}", length)
-        if isinstance(key, LaidCable):
-            cables.append((cable_number(scene, key), key.L0, length))
-        elif not any(key is bar for bar in scene.bars):
-            raise InputError(f"advance: {key!r} is not a bar of this scene.")
-        else:
-            bars.append((scene.bars.index(key), key.L0, length))
-    return cables, bars
+        check_own("cable" if isinstance(key, LaidCable) else "bar", key, scene)
+        found.append((key, key.L0, length))
+    return found
 
 
 def _factors(scene: Scene, load: float | Mapping[str, float]) -> dict[str, tuple[float, float]]:

@@ -97,21 +97,8 @@ class Motion:
         """Displacements (n, 3) at a part of the call, or (3,) for all (length)."""
         if not callable(self.move):
             return share * self.move
-        given = np.asarray(self.move(self.places.T.copy(), share))
-        due = (3, len(self.places))
-        if given.shape != due or given.dtype.kind not in "fiu":
-            raise InputError(
-                f"{self.what}: the function returned an array of shape {given.shape} and type "
-                f"{given.dtype}; it must return displacements, real numbers of shape {due}."
-            )
-        bad = ~np.isfinite(given).all(axis=0)
-        if bad.any():
-            first = int(np.argmax(bad))
-            raise InputError(
-                f"{self.what}: the function returned {given[:, first]} for the place "
-                f"{self.places[first]} at t = {share:g}; it must return finite displacements."
-            )
-        return np.asarray(given.T, dtype=np.float64)
+        places, what = self.places.T, f"{self.what}: the function at t = {share:g}"
+        return checks.returned(what, self.move(places.copy(), share), places, places.shape).T
 
     @cached_property
     def sampled(self) -> Array:
@@ -158,9 +145,9 @@ class Movements:
 
     # local degrees of freedom and the movement of each group
     vertices: list[tuple[Indices, Motion]]
-    # number of the cable, its first (0) or last (-1) node, and that end's movement
-    cable_ends: list[tuple[int, int, Motion]]
-    joints: list[tuple[int, Motion]]  # number of the joint, and its movement
+    # a cable, its first (0) or last (-1) node, and that end's movement
+    cable_ends: list[tuple[LaidCable, int, Motion]]
+    joints: list[tuple[Joint, Motion]]
     # (3,) displacement that all supports have in common, and zero if there is none (length): the
     # whole structure begins each increment displaced by it
     rigid_translation: Array
@@ -170,8 +157,7 @@ class Movements:
     samples: dict[object, list[float]]
 
     def apply(self, scene: Scene, first: SceneState, before: float, share: float) -> None:
-        """Move to a share of the way from the state `first`; `before` is that reached. Where a
-        vertex or an end is named twice its displacements add up. Collective."""
+        """Move to a share of the way from the state `first`, from `before` on. Collective."""
         with raised_together(scene.comm):  # functions, before anything moves
             of_vertices = [motion.at(share) for _, motion in self.vertices]
             of_ends = [motion.at(share).reshape(3) for *_, motion in self.cable_ends]
@@ -189,25 +175,22 @@ class Movements:
             moved_by[dofs] += displacement
         some &= scene.held
         u[some] = first.u.reshape(-1, 3)[some] + moved_by[some]
-        moved = {c: scene.cables[c].positions.copy() for c, _, _ in self.cable_ends}
-        for c, k, _ in self.cable_ends:
-            moved[c][k] = first.net.cables[scene.cables[c]].positions[k]
-        for (c, k, _), displacement in zip(self.cable_ends, of_ends, strict=True):
-            moved[c][k] += displacement
-        for c, positions in moved.items():
-            scene.cables[c].update(positions=positions)
-        places = {j: first.frame.joints[scene.joints[j]].position.copy() for j, _ in self.joints}
-        for (j, _), displacement in zip(self.joints, of_joints, strict=True):
-            places[j] += displacement
-        for j, place in places.items():
-            scene.joints[j].update(position=place)
+        moved = {cable: cable.positions.copy() for cable, _, _ in self.cable_ends}
+        for cable, k, _ in self.cable_ends:
+            moved[cable][k] = first.net.cables[cable].positions[k]
+        for (cable, k, _), displacement in zip(self.cable_ends, of_ends, strict=True):
+            moved[cable][k] += displacement
+        for cable, positions in moved.items():
+            cable.update(positions=positions)
+        for (joint, _), displacement in zip(self.joints, of_joints, strict=True):
+            joint.update(position=first.frame.joints[joint].position + displacement)
 
 
 def checked_movements(scene: Scene, move: Mapping[object, Move], steps: int) -> Movements:
     """Check movements and say what they change; see `Solver.advance`. Collective."""
     places = scene.positions()
-    ends: list[tuple[int, int, Motion]] = []
-    joints: list[tuple[int, Motion]] = []
+    ends: list[tuple[LaidCable, int, Motion]] = []
+    joints: list[tuple[Joint, Motion]] = []
     vertices: list[tuple[Indices, Motion]] = []
     samples: dict[object, list[float]] = {}
     travel = 0.0
@@ -216,17 +199,21 @@ def checked_movements(scene: Scene, move: Mapping[object, Move], steps: int) -> 
         own: list[Motion] = []
         if isinstance(key, LaidCable | CableEnd):
             for end in (key.start, key.end) if isinstance(key, LaidCable) else (key,):
-                c, k = _anchor(scene, end)
-                place = end.cable.positions[k]
-                own.append(Motion.of(what, given, place[None], steps))
-                ends.append((c, k, own[-1]))
+                k = _anchor(scene, end)
+                own.append(Motion.of(what, given, end.cable.positions[k][None], steps))
+                ends.append((end.cable, k, own[-1]))
         elif isinstance(key, Joint):
+            check_own("joint", key, scene)
             own.append(Motion.of(what, given, key.position[None], steps))
-            joints.append((_held_joint(scene, key, own[0]), own[0]))
+            remedy = "make it with held={!r}"
+            _check_held(scene, key, key.held[None], own[0], remedy)
+            joints.append((key, own[0]))
         elif isinstance(key, str):
             dofs = scene.vertices(key)
             own.append(Motion.of(what, given, places[dofs], steps))
-            _check_group(scene, key, dofs, own[0])
+            _check_held(
+                scene, key, scene.held[dofs], own[0], f"call scene.fix({key!r}, {{!r}}) first"
+            )
             vertices.append((dofs, own[0]))
         else:
             raise InputError(f"advance: cannot move {key!r}; give {TYPE_OF_MOVE}.")
@@ -242,8 +229,7 @@ def checked_movements(scene: Scene, move: Mapping[object, Move], steps: int) -> 
 
 
 def _samples(scene: Scene, motions: list[Motion], dofs: Indices | None) -> list[float]:
-    """What tells a movement from others: a displacement, or sums over what a function gives. Of
-    vertices those that this rank owns count, with weights by their numbers. Collective."""
+    """Numbers that tell a movement from others: a displacement, or weighted sums. Collective."""
     if motions[0].displacement is not None:
         return [float(x) for x in motions[0].displacement]
     found: Array = np.zeros(0)
@@ -259,9 +245,16 @@ def _samples(scene: Scene, motions: list[Motion], dofs: Indices | None) -> list[
     return [float(x) for x in scene.comm.allreduce(found)]
 
 
-def _anchor(scene: Scene, end: CableEnd) -> tuple[int, int]:
-    """Number of the cable of an end and its node, 0 or -1, if it is an anchor."""
-    c, k = cable_number(scene, end.cable), 0 if end.which == "start" else -1
+def check_own(kind: str, one: object, scene: Scene) -> None:
+    """Refuse a cable, bar or joint (`kind`) of another scene."""
+    if not any(one is own for own in (*scene.cables, *scene.bars, *scene.joints)):
+        raise InputError(f"advance: {one!r} is not a {kind} of this scene.")
+
+
+def _anchor(scene: Scene, end: CableEnd) -> int:
+    """The node of a cable's end, 0 or -1, if it is an anchor."""
+    check_own("cable", end.cable, scene)
+    k = 0 if end.which == "start" else -1
     if end.cable.nodes[k].kind != "anchor":
         raise InputError(
             f"advance: the {end.which} of {end.cable.name!r} is tied to the membrane, "
@@ -273,43 +266,18 @@ def _anchor(scene: Scene, end: CableEnd) -> tuple[int, int]:
             f"advance: the {end.which} of {end.cable.name!r} is fixed to the joint "
             f"{end.cable.joints[k]!r}, which moves by its balance; move what holds that."
         )
-    return c, k  # the last node's number changes with the path
+    return k  # the last node's number changes with the path
 
 
-def cable_number(scene: Scene, cable: object) -> int:
-    """The number of a cable of this scene."""
-    for c, other in enumerate(scene.cables):
-        if other is cable:
-            return c
-    raise InputError(f"advance: {cable!r} is not a cable of this scene.")
-
-
-def _held_joint(scene: Scene, joint: Joint, motion: Motion) -> int:
-    """The number of a joint that is held where it moves."""
-    number = scene.frame.number(joint)
-    if number < 0:
-        raise InputError(f"advance: {joint!r} is not a joint of this scene.")
-    free = motion.moving()[0] & ~joint.held
-    if free.any():
-        letters = "".join(np.array(list("xyz"))[free])
-        raise InputError(
-            f"advance: {joint!r} is not held in {letters}, so that it cannot be moved by "
-            f"{motion.sampled[-1, 0]}; make it with held={letters!r}."
-        )
-    return number
-
-
-def _check_group(scene: Scene, name: str, dofs: Indices, motion: Motion) -> None:
-    """Refuse movements in directions that are not held. Collective."""
+def _check_held(scene: Scene, what: object, held: Booleans, motion: Motion, remedy: str) -> None:
+    """Refuse a movement in directions in which its places, (n, 3), are not held. Collective."""
     with raised_together(scene.comm):
-        moving = motion.moving()
-        free = moving & ~scene.held[dofs]
+        free = motion.moving() & ~held
         if free.any():
-            row = int(np.argmax(free.any(axis=1)))
-            letters = "".join(np.array(list("xyz"))[moving.any(axis=0)])
+            letters = "".join(np.array(list("xyz"))[free.any(axis=0)])
             raise InputError(
-                f"advance: {name!r} is not held in {letters}, so that it cannot be moved by "
-                f"{motion.sampled[-1, row]}; call scene.fix({name!r}, {letters!r}) first."
+                f"advance: {what!r} is not held in {letters}, so that it cannot be moved by "
+                f"{motion.sampled[-1, np.argmax(free.any(axis=1))]}; {remedy.format(letters)}."
             )
 
 
@@ -336,8 +304,8 @@ def _check_above_floor(scene: Scene, vertices: list[tuple[Indices, Motion]], ste
 def _carried(
     scene: Scene,
     vertices: list[tuple[Indices, Motion]],
-    ends: list[tuple[int, int, Motion]],
-    joints: list[tuple[int, Motion]],
+    ends: list[tuple[LaidCable, int, Motion]],
+    joints: list[tuple[Joint, Motion]],
 ) -> Array:
     """The displacement that supports, anchors and held joints have in common, (3,); else zero."""
     motions = (
@@ -355,19 +323,17 @@ def _carried(
     # A direction in which nothing is held stays as it is.
     common: Array = np.where(np.isinf(least), 0.0, least)
     travels: dict[object, Array] = {
-        (c, k): np.zeros(3)
-        for c, cable in enumerate(scene.cables)
+        (cable, k): np.zeros(3)
+        for cable in scene.cables
         for k in (0, -1)
         if cable.nodes[k].kind == "anchor" and cable.joints[k] is None
     }
-    travels |= {j: np.zeros(3) for j, joint in enumerate(scene.joints) if joint.held.any()}
-    for c, k, motion in ends:
-        travels[c, k] = travels[c, k] + motion.at(1.0)
-    for j, motion in joints:
-        travels[j] = travels[j] + motion.at(1.0)
-    for j, joint in enumerate(scene.joints):
-        if j in travels:  # where it is free it is carried
-            travels[j] = np.where(joint.held, travels[j], common)
+    for cable, k, motion in ends:
+        travels[cable, k] = travels[cable, k] + motion.at(1.0)
+    moved_by = {joint: motion.at(1.0) for joint, motion in joints}
+    for joint in scene.joints:
+        if joint.held.any():  # where it is free it is carried
+            travels[joint] = np.where(joint.held, moved_by.get(joint, 0.0), common)
     alike = np.all((least == -negative) | np.isinf(least))
     alike &= all(np.array_equal(travel, common) for travel in travels.values())
     return common if alike and scene.floor_level is None else np.zeros(3)

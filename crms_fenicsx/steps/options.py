@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from mpi4py import MPI
 
@@ -27,33 +27,14 @@ class Options:
     stability: Literal["warn", "refuse", "ignore"] = "warn"
 
 
-def checked_options(
-    comm: MPI.Intracomm,
-    *,
-    results: str | Path | None,
-    resume: bool | None,
-    prefix: str,
-    rtol: float,
-    max_halvings: int,
-    slide: bool,
-    verify: bool,
-    estimate: bool,
-    stability: Literal["warn", "refuse", "ignore"],
-) -> Options:
-    """Check options that a user gives to a solver. Collective."""
-    checks.same(
-        comm, "Solver", results=results, resume=resume, prefix=prefix, rtol=rtol,
-        max_halvings=max_halvings, slide=slide, verify=verify, estimate=estimate,
-        stability=stability,
-    )  # fmt: skip
+def checked_options(comm: MPI.Intracomm, **given: Any) -> Options:
+    """Check the options of a solver. Collective."""
+    checks.same(comm, "Solver", **given)
+    options = Options(**given)
+    results, resume, rtol = options.results, options.resume, options.rtol
     if not 0 < checks.finite("Solver: rtol", rtol) < 1:
         raise InputError(f"Solver: rtol = {rtol} must lie between 0 and 1, as 1e-9 does.")
-    if not isinstance(prefix, str) or prefix.startswith("-"):
-        raise InputError(
-            f"Solver: prefix = {prefix!r} is no options prefix; give a text without the "
-            'leading hyphen, as in "crms_".'
-        )
-    folder = None if results is None else checks.file("Solver: results", results)
+    checks.options_prefix("Solver: prefix", options.prefix)
     if resume is not None and not isinstance(resume, bool):
         raise InputError(f"Solver: resume = {resume!r}; give True, False or None.")
     if resume is not None and results is None:
@@ -61,10 +42,7 @@ def checked_options(
             f"Solver: resume = {resume}, but no results: give a folder, where checkpoints go, "
             'as in results="results/dome".'
         )
-    if stability not in ("warn", "refuse", "ignore"):
-        raise InputError(
-            f"Solver: stability = {stability!r} is not known; use 'warn', 'refuse' or 'ignore'."
-        )
-    halvings = checks.whole("Solver: max_halvings", max_halvings, 0)
-    flags = bool(slide), bool(verify), bool(estimate)
-    return Options(folder, resume, prefix, float(rtol), halvings, *flags, stability)
+    checks.one_of("Solver: stability", options.stability, ("warn", "refuse", "ignore"))
+    halvings = checks.whole("Solver: max_halvings", options.max_halvings, 0)
+    folder = None if results is None else checks.file("Solver: results", results)
+    return replace(options, results=folder, rtol=float(rtol), max_halvings=halvings)

@@ -18,7 +18,7 @@ from crms_fenicsx.model.versions import StateWarning
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import as_text
 from crms_fenicsx.scene.state import SceneState
-from crms_fenicsx.steps.increment_solver import Increment, IncrementSolver
+from crms_fenicsx.steps.increment_solver import IncrementSolver
 from crms_fenicsx.steps.loading import Target, between
 
 FINE, LEAST, MOST = 0.005, 3, 12
@@ -35,8 +35,7 @@ but steep for a short while, as next to a bifurcation, they leave half."""
 
 @dataclass(frozen=True)
 class _Part:
-    """A part of an increment: the states at its ends, and how many steps are done there. `solved`
-    says whether the end was found from this start, or from an earlier one."""
+    """A part of an increment; `solved`: whether its end was found from this start."""
 
     start: SceneState
     end: SceneState
@@ -54,18 +53,10 @@ class SnapThroughSearch:
         self.increments, self.scene = increments, increments.scene
         self.target, self.first, self.steps = target, first, steps
 
-    def complete(
-        self, found: Increment, before: SceneState, low: float, high: float, balanced: bool
-    ) -> Increment:  # fmt: skip
-        """Add the jump of an increment, if there is one, to what else was found; see `find`."""
-        jump = self.find(before, low, high, balanced)
-        return found if jump is None else replace(found, warnings=(jump, *found.warnings))
-
     def find(
         self, before: SceneState, low: float, high: float, balanced: bool
     ) -> StateWarning | None:
-        """Find the jump of an increment that the scene is at the end of. Collective. The scene is
-        afterwards as before."""
+        """Find the jump of the increment at whose end the scene is. Collective."""
         end, began = self.increments.snapshot(), low
         part = _Part(replace(before, tried=end.tried), end, low, high)
         sizes = [self._way(before, end)[0]]
@@ -88,11 +79,9 @@ class SnapThroughSearch:
         return self._warning(part)
 
     def _bent_halves(self, part: _Part, large: float) -> list[tuple[float, _Part]] | None:
-        """The halves on which the energy is not convex, and how far things move in them. Not the
-        second one where things move far in the first. None where no equilibrium is found in the
-        middle; where none is found from there, the end is the one that was reached before. The
-        second half is not solved as long as the way in it stays large: a jump takes the most
-        iterations of all."""
+        """Halves on which the energy is not convex, with their movements. Collective."""
+        # None without equilibrium in the middle. The second half is not solved while the way in it
+        # stays large: a jump takes the most iterations of all.
         found: list[tuple[float, _Part]] = []
         start, middle = part.start, (part.low + part.high) / 2
         for low, high in ((part.low, middle), (middle, part.high)):

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from mpi4py import MPI
 
 from crms_fenicsx.meshes.membrane_mesh import MembraneMesh
+from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.solver import Solver
 
@@ -16,10 +17,7 @@ Build = Callable[[MembraneMesh], Solver]
 
 def comm_of(study: str, mesh: MembraneMesh) -> MPI.Intracomm:
     """The ranks of a mesh."""
-    if not isinstance(mesh, MembraneMesh):
-        raise InputError(
-            f"{study}: mesh is of type {type(mesh).__name__}; give one of crms_fenicsx.meshes."
-        )
+    checks.of_type(f"{study}: mesh", mesh, MembraneMesh)
     return mesh.comm
 
 

@@ -19,52 +19,10 @@ from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.solver import Solver
 from crms_fenicsx.study.build import Build, built, comm_of
-from crms_fenicsx.study.values import Extrapolated, Quantities, extrapolated
+from crms_fenicsx.study.values import Quantities, Quantity, extrapolated
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """A number on several meshes, and where it goes.
-
-    Attributes
-    ----------
-    values
-        From the coarsest mesh to the finest.
-    limit, bar
-        The value extrapolated to fine meshes, and how far it may be from the truth of the model:
-        the bar held it in 19 of 20 cases with a known limit.
-    order
-        Order of convergence that the last three levels show; NaN where they show none.
-    regular
-        Whether the order is one that the bar counts on; else the bar is as wide as levels scatter.
-    remark
-        What to know of it, in words.
-    size
-        Size of the numbers of its kind, as of the whole vector that it is a component of.
-    """
-
-    values: tuple[float, ...]
-    limit: float
-    bar: float
-    order: float
-    regular: bool
-    remark: str
-    size: float
-
-    @classmethod
-    def of(cls, values: tuple[float, ...], size: float) -> Quantity:
-        """Extrapolate values; `size` as for `extrapolated`."""
-        found: Extrapolated = extrapolated(values, size)
-        size = max(size, abs(found.limit))
-        return cls(values, found.limit, found.bar, found.order, found.regular, found.remark, size)
-
-    @property
-    def error(self) -> float:
-        """How far the value on the first mesh may be from the truth."""
-        return abs(self.values[0] - self.limit) + self.bar
 
 
 @dataclass(frozen=True, repr=False)
@@ -252,7 +210,6 @@ def convergence(
         cells.append(mesh.mesh.topology.index_map(2).size_global)
         seconds.append(comm.bcast(time.perf_counter() - began))
     found = {
-        name: Quantity.of(tuple(row[name][0] for row in rows), rows[-1][name][1])
-        for name in rows[0]
+        name: extrapolated([row[name][0] for row in rows], rows[-1][name][1]) for name in rows[0]
     }
     return Convergence(tuple(cells), tuple(seconds), found, solver, comm)

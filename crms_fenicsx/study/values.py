@@ -45,31 +45,60 @@ SAME = 1e-7
 
 
 @dataclass(frozen=True)
-class Extrapolated:
-    """A value in the limit of fine meshes."""
+class Quantity:
+    """A number on several meshes, and where it goes.
 
-    limit: float  # limit, bar: the value, and how far it may be from the truth, in 19 of 20 cases
+    Attributes
+    ----------
+    values
+        From the coarsest mesh to the finest.
+    limit, bar
+        The value extrapolated to fine meshes, and how far it may be from the truth of the model:
+        the bar held it in 19 of 20 cases with a known limit.
+    order
+        Order of convergence that the last three levels show; NaN where they show none.
+    regular
+        Whether the order is one that the bar counts on; else the bar is as wide as levels scatter.
+    remark
+        What to know of it, in words.
+    size
+        Size of the numbers of its kind, as of the whole vector that it is a component of.
+    """
+
+    values: tuple[float, ...]
+    limit: float
     bar: float
-    order: float  # order of convergence that the last three levels show; NaN where they show none
-    regular: bool  # whether it is one that the bar counts on
-    remark: str  # what to know of it, in words
+    order: float
+    regular: bool
+    remark: str
+    size: float
+
+    @property
+    def error(self) -> float:
+        """How far the value on the first mesh may be from the truth."""
+        return abs(self.values[0] - self.limit) + self.bar
 
 
-def extrapolated(values: Sequence[float], size: float = 0.0) -> Extrapolated:
+def extrapolated(values: Sequence[float], size: float = 0.0) -> Quantity:
     """Extrapolate values on two levels or more, of which each has half the cells' size."""
+
+    def found(limit: float, bar: float, order: float, regular: bool, remark: str) -> Quantity:
+        whole = max(size, abs(limit))
+        return Quantity(tuple(values), limit, bar, order, regular, remark, whole)
+
     differences = [b - a for a, b in pairwise(values)]
     d, finest, scale = differences[-1], values[-1], max(size, *map(abs, values))
     least = SAME * scale
     if max(map(abs, differences)) <= least:
-        return Extrapolated(finest, least, math.nan, True, "the same on all levels")
+        return found(finest, least, math.nan, True, "the same on all levels")
     limit = finest + d / (2**ORDER - 1)
     if len(differences) == 1:
-        return Extrapolated(limit, abs(d), math.nan, False, "two levels show no order: 2 assumed")
+        return found(limit, abs(d), math.nan, False, "two levels show no order: 2 assumed")
     errors = [abs(x) / (2**ORDER - 1) / 2 ** (k * ORDER) for k, x in enumerate(differences[::-1])]
     widest, before = max(SAFER * max(errors), least), differences[-2]
     if before * d <= 0.0:
         remark = "no order: the levels go to and fro"
-        return Extrapolated(finest, widest, math.nan, False, remark)
+        return found(finest, widest, math.nan, False, remark)
     order, remark = math.log2(before / d), ""
     if order <= 0.0:
         remark, widest = "no order: differences grow", max(widest, abs(d) + abs(before))
@@ -82,10 +111,10 @@ def extrapolated(values: Sequence[float], size: float = 0.0) -> Extrapolated:
     elif any(a * b < 0.0 for a, b in pairwise(differences)):
         remark = "no order: coarser levels go to and fro"
     if remark:
-        return Extrapolated(limit, widest, order, False, remark)
+        return found(limit, widest, order, False, remark)
     error = abs(d) / (2 ** min(order, ORDER) - 1)
     bar = (SAFE if abs(order - ORDER) < NEAR else SAFER) * error
-    return Extrapolated(limit, max(bar, least), order, True, "")
+    return found(limit, max(bar, least), order, True, "")
 
 
 ALL = "membrane"
@@ -115,15 +144,12 @@ class Quantities:
     ) -> Quantities:
         """Check what a user gives. Collective."""
         for name, given in (("points", points), ("quantities", others)):
-            if given is not None and not isinstance(given, Mapping):
-                raise InputError(
-                    f'convergence: {name} = {given!r} has no names; write {name}={{"middle": ...}}.'
-                )
+            example = f'{name}={{"middle": ...}}'
+            checks.collection(
+                f"convergence: {name}", {} if given is None else given, Mapping, example
+            )
         for name, groups in (("reactions", reactions), ("stresses", stresses)):
-            if isinstance(groups, str) or not isinstance(groups, Sequence):
-                raise InputError(
-                    f"convergence: {name} = {groups!r} is no list; write {name}=[{groups!r}]."
-                )
+            checks.collection(f"convergence: {name}", groups, Sequence, f'{name}=["..."]')
         places = {
             name: checks.vector(f"convergence: the point {name!r}", place)
             for name, place in (points or {}).items()
@@ -186,15 +212,14 @@ def _components(name: str, vector: Array, size: float = 0.0) -> dict[str, Value]
     return {f"{name} {axis}": (float(x), size) for axis, x in zip("xyz", vector, strict=True)}
 
 
-def displacements(scene: Scene, places: Array) -> Array:
-    """Displacements of the folded surface's stress-free places nearest to points. Collective.
-    Shapes and units: places (k, 3) (length). Returns the same on all ranks (length)."""
-    found = _nearest(scene, places)
+def displacements(scene: Scene, points: Array) -> Array:
+    """Displacements (length) of the stress-free places nearest to points (k, 3). Collective."""
+    found = _nearest(scene, points)
     return found.positions - found.stress_free
 
 
-def _nearest(scene: Scene, places: Array) -> Places:
-    return nearest_places(scene.comm, current_surface(scene.net), places, "stress-free")
+def _nearest(scene: Scene, points: Array) -> Places:
+    return nearest_places(scene.comm, current_surface(scene.net), points, "stress-free")
 
 
 def _refuse_off(scene: Scene, points: Mapping[str, Array]) -> None:

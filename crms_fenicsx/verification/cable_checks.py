@@ -151,10 +151,7 @@ class CableVerifier:
 
 
 def _parts_and_forces(system: System) -> tuple[list[Array], list[float], list[float]]:
-    """For each cable the lengths of its parts between contacts, and errors of its forces. Lengths
-    are the smoothed ones that the potential has, of the positions that the cables have. Errors are
-    that of the tension along the end, as its anchor carries it, relative to it, and the norm of the
-    forces on its points that nothing balances (force). Collective."""
+    """Lengths of parts between contacts, and errors of end and nodal forces. Collective."""
     assert system.cables is not None
     cables, tables = system.scene.cables, system.cables.tables
     numbering, g = system.cables.numbering, system.potential.g

@@ -19,8 +19,7 @@ from crms_fenicsx.verification.report import NO_STRAIN
 
 
 def plain_vertices(system: System) -> Integers:
-    """This rank's free vertices at which neither a cable in tension nor a bar acts. Collective. The
-    potential's gradient is lost."""
+    """This rank's free vertices without cables in tension and bars; spoils `g`. Collective."""
     scene, unknowns, potential = system.scene, system.unknowns, system.potential
     n = unknowns.n_vertices
     plain: Booleans = np.logical_not(np.any(unknowns.held[:n], axis=1))
@@ -70,8 +69,7 @@ def is_tense(cable: LaidCable) -> bool:
 def contacts(
     cable: LaidCable, on_mesh: Booleans, on_edge: Integers, shape: StripShape
 ) -> dict[str, float]:
-    """How hard the cable pulls the membrane outward, and how deep it runs below it. Shapes:
-    on_mesh, on_edge (n,)."""
+    """How hard the cable pulls the membrane outward, and how deep it runs below it."""
     pull = depth = 0.0
     on = [k for k in may_lift(cable) if not cable.lifted[k]]
     supports = [p.support for k in on if (p := cable.nodes[k].point) is not None]
@@ -95,10 +93,7 @@ def contacts(
 
 
 def forces(cable: LaidCable, shape: StripShape, free: float) -> dict[str, float]:
-    """Forces on a cable to those with which it presses on the membrane: see `_held`, `_friction`.
-
-    Units: free (force).
-    """
+    """Forces on a cable relative to those with which it presses on the membrane."""
     ways = np.diff(cable.positions[cable.contacts()], axis=0)
     (long,) = np.nonzero(norm(ways) > SAME_PLACE * cable.length)  # others have no direction
     ways = ways[long] * (cable.part_tensions[long] / norm(ways[long]))[:, None]
@@ -114,36 +109,33 @@ def forces(cable: LaidCable, shape: StripShape, free: float) -> dict[str, float]
 
 
 def _held(cable: LaidCable, shape: StripShape, press: float) -> dict[str, float]:
-    """The forces with which the mesh holds a cable sideways, to those with which the cable presses.
-    A cable that is at rest because it lies on vertices, or has run into them, is not where it would
-    be on another mesh. At single ones that depends on how coarse the mesh is."""
-    values = {"held by a line of the mesh": 0.0, "held by vertices": 0.0}
+    """Forces with which vertices hold a cable sideways, relative to its press."""
     runs = held_runs(cable, shape)
-    if runs:
-        values["held by vertices"] = sum(run.excess for run in runs) / press
-        lines = [run.excess / press for run in runs if len(run.vertices) >= IN_LINE]
-        values["held by a line of the mesh"] = max(lines, default=0.0)
-    return values
+    lines = [run.excess / press for run in runs if len(run.vertices) >= IN_LINE]
+    return {
+        "held by a line of the mesh": max(lines, default=0.0),
+        "held by vertices": sum(run.excess for run in runs) / press,
+    }
+
+
+def _folds(cable: LaidCable) -> list[int]:
+    """Nodes that slide freely on edges of the mesh, where no other cable lies."""
+    return [
+        k
+        for k in held_nodes(cable)
+        if cable.nodes[k].kind == "fold" and not cable.nodes[k].touches_cable
+        if k not in cable.blocked
+    ]
 
 
 def _beside_edges(cable: LaidCable, shape: StripShape) -> float:
-    """Sum of the forces sideways at points that slide freely along their edges (force). The edge
-    itself carries them where it is much stiffer than the cable is tight; what cells make of them
-    that are not alike is left out."""
-    nodes = [
-        k
-        for k in held_nodes(cable)
-        if cable.nodes[k].kind == "fold"
-        and cable.nodes[k].crossing is None
-        and k not in cable.blocked
-    ]
-    press, pull = forces_at(cable, nodes, shape)
+    """Sum of sideways forces at freely sliding points, beyond those of uneven cells (force)."""
+    press, pull = forces_at(cable, _folds(cable), shape)
     return float(np.maximum(np.abs(pull) - UNEVEN * np.abs(press), 0.0).sum())
 
 
 def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, float]:
-    """Friction forces, as the cable's way in space says, against contact forces; and heat. What is
-    beyond the bounds is relative to the force with which the cable presses, on the whole."""
+    """Friction forces beyond their bounds, relative to the press, and negative dissipation."""
     values: dict[str, float] = {}
     friction = cable.cable.sideways
     if friction is None and cable.axial is None:
@@ -158,16 +150,10 @@ def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, fl
             bounds[held_nodes(cable)] *= _left_sideways(cable, shape)
         # At a held edge the cable may turn by so much that its sides there and on the stress-free
         # membrane, on which slip is measured, are not the same.
-        free = [
-            k
-            for k in held_nodes(cable)
-            if cable.nodes[k].kind == "fold"
-            and k not in cable.blocked
-            and cable.nodes[k].crossing is None
-        ]
-        smoothing_length = np.maximum(np.abs(forces.lateral[free]) - bounds[free], 0.0).sum()
+        free = _folds(cable)
+        beyond = np.maximum(np.abs(forces.lateral[free]) - bounds[free], 0.0).sum()
         most = max(friction.at_rest, SMOOTH) * float(forces.bearing.sum())
-        values["friction beyond its bound"] = float(smoothing_length) / max(most, least)
+        values["friction beyond its bound"] = float(beyond) / max(most, least)
         heat = energies(cable, shape)[1]
         values["negative dissipation"] = -heat / max(cable.tension * cable.length, 1e-300)
     if cable.axial is not None and len(cable.axial.spans):
@@ -176,9 +162,9 @@ def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, fl
         before, after = tensions[at - 1], tensions[at]
         angles = cable.cable.along * wrap_angles(cable, shape)[nodes]
         bounds = 2 * np.sqrt(before * after) * np.sinh(angles / 2)
-        smoothing_length = np.maximum(np.abs(after - before) - bounds, 0.0).sum()
+        beyond = np.maximum(np.abs(after - before) - bounds, 0.0).sum()
         whole = max(float(bounds.sum()), least)
-        values["friction along beyond its bound"] = float(smoothing_length) / whole
+        values["friction along beyond its bound"] = float(beyond) / whole
         heat = -cable.axial.loss / max(cable.tension * cable.length, 1e-300)
         values["negative dissipation"] = max(values.get("negative dissipation", 0.0), heat)
     return values

@@ -63,8 +63,7 @@ def _errors(system: System, bars: BarContribution) -> Array:
 
 
 def _free_forces(system: System, bars: BarContribution) -> Array:
-    """Sizes of the forces that nothing balances, on joints and on vertices at ends of bars, (m,).
-    On the ranks that own these; zeros elsewhere (force)."""
+    """Sizes of unbalanced forces on joints and vertices of bars, (m,), on their owners."""
     scene, g = system.scene, system.potential.g
     joints, vertices = scene.joints, scene.frame.vertices
     found = np.zeros(len(joints) + len(vertices))
@@ -80,8 +79,7 @@ def _free_forces(system: System, bars: BarContribution) -> Array:
 
 
 def _own_forces(scene: Scene) -> Array:
-    """Sums of the sizes of the forces of bars and cables at joints and vertices, (m,). Zero where
-    there are none that are told apart from none (force)."""
+    """Sums of the sizes of forces of bars and cables at joints and vertices, (m,) (force)."""
     points: list[object] = [*scene.joints, *scene.frame.vertices]
     forces, least = np.zeros((2, len(points)))
     for bar in scene.bars:

@@ -91,8 +91,7 @@ class Verifier:
         self._joints = [joint.position for joint in scene.joints]
 
     def check(self, system: System, outcome: Outcome) -> Verification:
-        """Check the state that a solve has left in the scene and in the potential. Collective. Both
-        are afterwards as they were."""
+        """Check a solve's state, which stays as it is. Collective."""
         began = time.perf_counter()
         force = max(outcome.scale, NEGLIGIBLE)
         checks = [self._finite(system)]
@@ -124,9 +123,7 @@ class Verifier:
         return Check("values not finite", float(self.comm.allreduce(bad)), 0.0)
 
     def _virtual_work(self, system: System, outcome: Outcome, force: float) -> Check:
-        """Central difference of the energy along a random displacement, which must vanish. Its
-        components are of unit variance: a force that is not balanced has about its own size as
-        virtual work, wherever it is."""
+        """Difference of the energy along a random displacement of unit variance."""
         potential, unknowns = system.potential, system.unknowns
         n, scene = unknowns.n_owned, self.scene
         if self._shake.size != 3 * n:
@@ -169,9 +166,7 @@ class Verifier:
         return found
 
     def _cancelling(self) -> float:
-        """What rounding of energies counts with (force x length). That of places counts with the
-        forces, not with their energies: N A and T L. Plain cells know displacements only, cells
-        that are folded by cables the places."""
+        """Energies, and forces times places, of whose rounding the virtual work has a part."""
         scene, energies = self.scene, self.scene.energies
         reach = 1.0
         if not scene.cables:
@@ -199,15 +194,14 @@ class Verifier:
         return float(change.sum())
 
     def _spare_small_cells(self, system: System, size: float, shake: Array) -> None:
-        """Shake vertices less where cells are smaller than on the whole, or slivers. Points of
-        cables may lie in any cell: as little as the vertex that moves least."""
+        """Shake vertices of small or thin cells less, and cables' points least."""
         scene, unknowns = self.scene, system.unknowns
         if self._share is None:  # on all ranks, also those without a vertex
             mesh = scene.mesh.mesh
-            cells = scene.V.dofmap.list[: mesh.topology.index_map(2).size_local]
+            cells = scene.V.dofmap.list
             corners = scene.membrane.stress_free[cells]
             sides = np.roll(corners, -1, axis=1) - corners
-            areas = np.linalg.norm(area_vectors(mesh)[: len(cells)], axis=1)
+            areas = np.linalg.norm(area_vectors(mesh), axis=1)
             longest = np.linalg.norm(sides, axis=-1).max(axis=1, initial=0.0)
             g = system.potential.g  # free between two solves
             g[:] = 0.0
@@ -311,9 +305,7 @@ class Verifier:
         return any(friction is not None and friction.law == "step" for friction in taut)
 
     def _loads(self, system: System) -> Array:
-        """This rank's nodal forces of pressure, loads, ponds and added terms, (n_local, 3). A
-        facet's pressure is shared by its corners; the paper's keeps those of the step's start,
-        which its term alone knows."""
+        """This rank's nodal forces of pressure, loads, ponds and added terms, (n_local, 3)."""
         scene, unknowns = self.scene, system.unknowns
         loads = np.zeros((unknowns.n_local, 3))
         if scene.pressure_law == "total":

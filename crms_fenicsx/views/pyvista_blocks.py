@@ -15,7 +15,6 @@ from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.views.view_data import (
     Line,
-    Surface,
     bar_lines,
     cable_lines,
     joined,
@@ -29,42 +28,45 @@ SIDES = 12
 """Of a tube."""
 
 
-def blocks_of(
-    surface: Surface,
-    lines: Mapping[str, Sequence[Line]],
-    points: Mapping[str, tuple[Array, Booleans, Sequence[str]]],
-    radius: float | None,
-) -> Any:
-    """Return a ``pyvista.MultiBlock`` of "membrane" and of the lines and points there are."""
-    pyvista = _pyvista()
-    surface = surface.checked()
-    places, triangles = np.asarray(surface.points), np.asarray(surface.triangles)
-    found = pyvista.MultiBlock()
-    found["membrane"] = _mesh(
-        pyvista, places, {"faces": triangles}, surface.point_data, surface.cell_data
-    )
-    if radius is None:
-        radius = SLENDER * float(np.linalg.norm(np.ptp(places, axis=0)))
-    for name, some in lines.items():
-        if some:
-            found[name] = _tubes(pyvista, [line.checked() for line in some], radius)
-    for name, (there, held, names) in points.items():
-        if len(there):
-            found[name] = _mesh(pyvista, there, {}, {"held": held.astype(np.uint8)}, {})
-            if names:
-                found[name].field_data["names"] = list(names)
+def to_pyvista(scene: Scene, cell_data: Mapping[str, Array], radius: float | None) -> Any:
+    """Blocks of `Solver.to_pyvista`, with this rank's cell data. Collective."""
+    checks.same(scene.comm, "to_pyvista", radius=radius)
+    if radius is not None and checks.finite("to_pyvista: radius", radius) < 0.0:
+        raise InputError(f"to_pyvista: radius = {radius:g} is negative; give 0 for lines.")
+    scene.membrane.check_finite("to_pyvista")
+    piece = surface_piece(scene.membrane, current_surface(scene.net), cell_data)
+    surface = whole_surface(scene.comm, piece)
+    lines = {"cables": cable_lines(scene.net), "bars": bar_lines(scene.bars)}
+    supports, found = _supported(scene), None
+    with raised_together(scene.comm):
+        if surface is not None:
+            try:
+                import pyvista
+            except ImportError as error:
+                raise ImportError(
+                    f"to_pyvista needs pyvista ({error}); install it: pip install pyvista, or apt "
+                    "install python3-pyvista"
+                ) from None
+            found = pyvista.MultiBlock()
+            surface = surface.checked()
+            data = surface.point_data, surface.cell_data
+            faces = {"faces": np.asarray(surface.triangles)}
+            found["membrane"] = _mesh(pyvista, np.asarray(surface.points), faces, *data)
+            if radius is None:
+                radius = SLENDER * float(np.linalg.norm(np.ptp(surface.points, axis=0)))
+            for name, some in lines.items():
+                if some:
+                    found[name] = _tubes(pyvista, [line.checked() for line in some], radius)
+            joints = (
+                np.array([joint.position for joint in scene.joints]).reshape(-1, 3),
+                np.array([joint.held for joint in scene.joints], dtype=bool).reshape(-1, 3),
+            )
+            for name, (places, held) in {"supports": supports, "joints": joints}.items():
+                if len(places):
+                    found[name] = _mesh(pyvista, places, {}, {"held": held.astype(np.uint8)}, {})
+            if scene.joints:
+                found["joints"].field_data["names"] = [joint.name for joint in scene.joints]
     return found
-
-
-def _pyvista() -> Any:
-    try:
-        import pyvista
-    except ImportError as error:
-        raise ImportError(
-            f"to_pyvista needs pyvista ({error}); install it: pip install pyvista, or apt install "
-            "python3-pyvista"
-        ) from None
-    return pyvista
 
 
 def _tubes(pyvista: Any, lines: Sequence[Line], radius: float) -> Any:
@@ -94,30 +96,6 @@ def _mesh(
         for name, values in given.items():
             data[name] = np.array(values)
     return mesh
-
-
-def to_pyvista(scene: Scene, cell_data: Mapping[str, Array], radius: float | None) -> Any:
-    """Return the blocks of `Solver.to_pyvista`; cell data are those of this rank. Collective."""
-    checks.same(scene.comm, "to_pyvista", radius=radius)
-    if radius is not None:
-        radius = checks.finite("to_pyvista: radius", radius)
-        if radius < 0.0:
-            raise InputError(f"to_pyvista: radius = {radius:g} is negative; give 0 for lines.")
-    scene.membrane.check_finite("to_pyvista")
-    piece = surface_piece(scene.membrane, current_surface(scene.net), cell_data)
-    surface = whole_surface(scene.comm, piece)
-    lines = {"cables": cable_lines(scene.net), "bars": bar_lines(scene.bars)}
-    supports = _supported(scene)
-    joints = (
-        np.array([joint.position for joint in scene.joints]).reshape(-1, 3),
-        np.array([joint.held for joint in scene.joints], dtype=bool).reshape(-1, 3),
-    )
-    with raised_together(scene.comm):
-        if surface is not None:
-            names = [joint.name for joint in scene.joints]
-            points = {"supports": (*supports, ()), "joints": (*joints, names)}
-            return blocks_of(surface, lines, points, radius)
-    return None
 
 
 def _supported(scene: Scene) -> tuple[Array, Booleans]:

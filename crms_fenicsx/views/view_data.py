@@ -157,10 +157,7 @@ Segments = tuple[Array, Integers, dict[str, NDArray[Any]], dict[str, NDArray[Any
 
 
 def cable_lines(net: CableNet) -> list[Line]:
-    """Return the cables as lines, the same on all ranks. Collective. Their data are "tension", of
-    each segment where friction along the cable makes it vary, "lifted" segments off the membrane,
-    and "contact force" at their points: the normal force per length of cable, zero where they do
-    not touch the membrane."""
+    """Cables with "tension", "lifted" and "contact force" (force per length). Collective."""
     if not net.cables:
         return []
     shape = net.strip_shape()
@@ -222,9 +219,7 @@ def surface_piece(
 
 
 def point_homes(membrane: Membrane, points: int) -> Integers:
-    """Rank and number there of the points of the current surface, (points, 2). Collective. Vertices
-    belong to their owners. After them come the points of cables on folded cells: each rank has its
-    own, and writes them, so that those on the border of two ranks are there twice."""
+    """Rank and number there of the current surface's points, (points, 2). Collective."""
     vertices = membrane.V.dofmap.index_map
     own, known = vertices.size_local, vertices.size_local + vertices.num_ghosts
     starts = vertex_starts(membrane.V)

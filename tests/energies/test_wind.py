@@ -133,7 +133,7 @@ def test_wind_needs_the_exact_pressure(comm):
         (0.5, {"roof": 1.0}, "part 'roof'"),
         (0.5, {}, "name all parts"),
         (0.5, lambda x, n: n, r"shape \(3, "),
-        (0.5, lambda x, n: np.where(x[0] > 70, np.inf, 1.0), "finite coefficients"),
+        (0.5, lambda x, n: np.where(x[0] > 70, np.inf, 1.0), "finite numbers"),
     ],
 )
 def test_bad_wind(comm, pressure, coefficient, message):

@@ -298,9 +298,9 @@ def test_pressure_on_both_sides_of_a_seam_needs_it_held(comm):
         Solver(everywhere).advance(pressure=0.01)
     everywhere.fix(lambda x: np.isclose(x[0], 50.0) & np.isclose(x[2], 0.0))
     Solver(everywhere).advance(pressure=0.01)
-    with pytest.raises(InputError, match="parts roof, wall"):
+    with pytest.raises(InputError, match="there are 'roof', 'wall'"):
         Scene(mesh, ROOF, pressure_on=["Roof"])
-    with pytest.raises(InputError, match="no list of parts"):
+    with pytest.raises(InputError, match="no list to use; write pressure_on="):
         Scene(mesh, ROOF, pressure_on="roof")
 
 

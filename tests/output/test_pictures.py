@@ -398,7 +398,7 @@ def test_a_scene_is_drawn_by_all_ranks_together(comm: MPI.Intracomm, tmp_path: P
         draw(solver, file, colour=colour, ghost=True, unit="cm", force="kgf", width=5, dpi=40)
         if comm.rank == 0:
             assert red(file) > 30
-    with pytest.raises(InputError, match="'heat' is not known; use one of"):
+    with pytest.raises(InputError, match="'heat' is not known; use "):
         draw(solver, folder / "never.png", colour="heat")
 
 

@@ -233,7 +233,9 @@ def test_pictures_get_the_whole_surface(
         if colour is None:
             assert options["values"] is None
         else:
-            np.testing.assert_allclose(options["values"], everywhere, rtol=1e-9, atol=1e-12)
+            given = options["values"]
+            given = given if len(given) == len(triangles) else given[triangles].mean(axis=1)
+            np.testing.assert_allclose(given, everywhere, rtol=1e-9, atol=1e-12)
             assert options["label"]
 
 

@@ -140,9 +140,9 @@ def test_bad_combinations_are_refused_before_anything_is_computed(comm: MPI.Intr
         ({"case": {"rain": 1.0}}, "'case'.*no load 'rain'"),
         ({"case": {"snow": np.nan}}, "'case'.*'snow' = nan"),
         ({"case": {"pressure": "x"}}, "'case'.*pressure"),
-        ({"case": 1.5}, "'case' is 1.5"),
-        ({3: {"snow": 1.0}}, "name 3 is no text"),
-        ({"": {"snow": 1.0}}, "name '' is no text"),
+        ({"case": 1.5}, "'case' = 1.5"),
+        ({3: {"snow": 1.0}}, "a name = 3 is no text"),
+        ({"": {"snow": 1.0}}, "a name = '' is no text"),
     ):
         with pytest.raises(InputError, match=words):
             solver.combine(good | bad)

@@ -206,8 +206,8 @@ def test_bad_input(comm: MPI.Intracomm) -> None:
         ("level = None and volume = None", {"weight": 10}),
         ("volume = -2.0 is not positive", {"weight": 10, "volume": -2.0}),
         ("level = inf is not finite", {"weight": 10, "level": float("inf")}),
-        ("'attic'.*which are 'left', 'right'", {"weight": 10, "level": 0.0, "on": ["attic"]}),
-        ("on = 'left'; give a list", {"weight": 10, "level": 0.0, "on": "left"}),
+        ("'attic'.*there are 'left', 'right'", {"weight": 10, "level": 0.0, "on": ["attic"]}),
+        ("on = 'left' is no list to use", {"weight": 10, "level": 0.0, "on": "left"}),
         ("is one of the air's", {"weight": 10, "level": 0.0, "name": "pressure"}),
     ):
         with pytest.raises(InputError, match=message):

@@ -77,9 +77,7 @@ def _add_forces(blocks, forces, g):  # type: ignore[no-untyped-def]
 
 
 class StepCableTension(CableTension):
-    """The paper's step-wise cable law, (2.2-1 ... 2.2-3), for some or all of the cables. The
-    tension grows from its value at the step's start, T_n, by ``EA/l_n (l - l_n)``, l_n the length
-    at the step's start. As in the paper a cable may be compressed."""
+    """The paper's step-wise cable law, (2.2-1 ... 2.2-3), which also carries compression."""
 
     has_history = True
     exact_hessian = False

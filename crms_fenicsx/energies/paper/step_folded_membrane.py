@@ -21,14 +21,13 @@ from crms_fenicsx.energies.paper.step_membrane import (
 )
 from crms_fenicsx.energies.segments import segment_lengths
 from crms_fenicsx.energies.term import EnergyTerm
+from crms_fenicsx.meshes.triangles import double_areas
 from crms_fenicsx.runtime.arrays import Array, Booleans
 
 
 @numba.njit(cache=True)
 def step_forces(lengths, pointers, side_segments, sides, base, shape, stress, D, forces, out):  # type: ignore[no-untyped-def]  # fmt: skip
-    """Energy of the step; forces in the segments; new shape and stress (n, 6) into `out`. `base` is
-    the side ik of each cell, `shape` (a, e, f) and `stress` the state at the step's start in the
-    frame of that side."""
+    """Energy of the step; forces of segments, and new stress and shape (n, 6) into `out`."""
     forces[:] = 0.0
     energy = 0.0
     r, s, increment = np.empty(3), np.empty(3), np.empty(3)
@@ -92,9 +91,7 @@ def shape_on(shape: Array, base: npt.NDArray[np.int64]) -> Array:
 
 
 class StepFoldedMembraneEnergy(FoldedMembraneEnergy):
-    """Strain energy of the folded cells over all steps; side ik is a side that does not fold. The
-    state at the step's start lives in the plain cells' term, which also keeps that of folded cells,
-    in the frame of side 0-1."""
+    """Strain energy of folded cells over all steps; side ik is one that does not fold."""
 
     has_history = True
     exact_hessian = False
@@ -182,22 +179,6 @@ class StepFoldedMembraneEnergy(FoldedMembraneEnergy):
         self._read()
 
 
-@numba.njit(cache=True)
-def _add_area_forces(X, x, corners, weights, factor, g):  # type: ignore[no-untyped-def]
-    for f in range(corners.shape[0]):
-        i, j, k = corners[f, 0], corners[f, 1], corners[f, 2]
-        a, b = np.empty(3), np.empty(3)
-        for m in range(3):
-            origin = X[i, m] + x[i, m]
-            a[m] = X[j, m] + x[j, m] - origin
-            b[m] = X[k, m] + x[k, m] - origin
-        scale = factor * weights[f] / 6.0
-        for node in (i, j, k):
-            g[node, 0] += scale * (a[1] * b[2] - a[2] * b[1])
-            g[node, 1] += scale * (a[2] * b[0] - a[0] * b[2])
-            g[node, 2] += scale * (a[0] * b[1] - a[1] * b[0])
-
-
 class FoldedStepPressure(EnergyTerm):
     """The paper's nodal forces, constant in a step, on folded cells; see `loads.StepPressure`."""
 
@@ -218,8 +199,10 @@ class FoldedStepPressure(EnergyTerm):
         """Take the current shape as the step's start."""
         self._x_n[:] = x
         self._forces[:] = 0.0
-        t = self.table
-        _add_area_forces(self.unknowns.X, x, t.corners, t.weights, 1.0, self._forces)
+        corners = self.table.corners
+        vectors = double_areas((self.unknowns.X + x)[corners])
+        shares = (self.table.weights / 6.0)[:, None, None] * vectors[:, None]
+        np.add.at(self._forces, corners, shares)
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the volume gained in the step (length cubed)."""

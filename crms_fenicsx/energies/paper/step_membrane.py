@@ -24,21 +24,13 @@ from crms_fenicsx.energies.integral import one_point
 from crms_fenicsx.energies.kinematics import Kinematics, tangent_basis
 from crms_fenicsx.energies.membrane_energy import MembraneEnergy
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.model.materials import LINEAR, MembraneMaterial
+from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.compat import geometry_dofmap, interpolation_points
-from crms_fenicsx.runtime.errors import InputError
 
 
 class StepPressure(EnergyTerm):
-    """The paper's pressure: nodal forces that keep direction and size in a step, (2.4-1, 2).
-
-    A node carries a third of the area of each of its cells. The volume is summed up step by step,
-    which is exact only as the steps get small. It needs no held edges. Parameters are those of
-    `FollowerPressure`.
-
-    Attributes: `volume_n`: volume gained in all steps before (length cubed).
-    """
+    """The paper's pressure: nodal forces that keep direction and size in a step (2.4-1, 2)."""
 
     name = "pressure"
     has_history = True
@@ -96,8 +88,7 @@ def strain_increment(old: Any, new: Any) -> Any:
 
 
 def rotated_stiffness(stiffness: Array, directions: Array) -> Array:
-    """Voigt stiffness in frames whose x axes are given in the material axes. Shapes: stiffness
-    (3, 3), directions (n, 2). Returns (n, 3, 3)."""
+    """Voigt stiffness (n, 3, 3) in frames whose x axes (n, 2) are given in the material axes."""
     c, s = (directions / np.linalg.norm(directions, axis=1)[:, None]).T
     zero_row = [c * c, s * s, -c * s]
     T = np.array([zero_row, [s * s, c * c, c * s], [2 * c * s, -2 * c * s, c * c - s * s]])
@@ -120,9 +111,7 @@ def rotated_stress(stress: Array, directions: Array) -> Array:
 
 
 def second_piola(stress: Array, shape: Array, stress_free: Array, directions: Array) -> Array:
-    """Second Piola-Kirchhoff section forces in the material axes from those in the cells' frames.
-    Shapes: stress (n, 3), shape, stress_free (n, 3), directions (n, 2). Returns S = J F^-1 sigma
-    F^-T."""
+    """Second Piola-Kirchhoff forces (n, 3) in the material axes: S = J F^-1 sigma F^-T."""
     (a, e, f), (a0, e0, f0) = shape.T, stress_free.T
     F = np.zeros((len(shape), 2, 2))
     F[:, 0, 0], F[:, 0, 1], F[:, 1, 1] = a / a0, (e - a * e0 / a0) / f0, f / f0
@@ -134,13 +123,7 @@ def second_piola(stress: Array, shape: Array, stress_free: Array, directions: Ar
 
 
 class StepMembraneEnergy(MembraneEnergy):
-    """Strain energy of the plain cells over all steps, (2.3-14); side ik joins corners 0 and 1.
-
-    H0 is that of the total formulation.
-
-    Attributes: `history`: per cell the state at the step's start: section forces (11, 22, 12) and
-    shape (a, e, f); `energy_n`: strain energy of all steps before (force x length).
-    """
+    """Strain energy of plain cells over all steps (2.3-14); side ik joins corners 0 and 1."""
 
     has_history = True
     exact_hessian = False
@@ -148,12 +131,6 @@ class StepMembraneEnergy(MembraneEnergy):
     def __init__(
         self, u: fem.Function, materials: Mapping[int, MembraneMaterial], cell_tags: Any = None
     ) -> None:
-        for material in materials.values():
-            if material.law != LINEAR:
-                raise InputError(
-                    f'Scene: strain="step" has no wrinkling model, but the material is {material}; '
-                    "give wrinkling=False."
-                )
         super().__init__(u, materials, cell_tags)
         mesh = u.function_space.mesh
         self.history = fem.Function(fem.functionspace(mesh, ("DG", 0, (6,))))

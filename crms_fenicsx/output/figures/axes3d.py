@@ -72,11 +72,7 @@ def check_view(view: tuple[float, float]) -> None:
 
 
 class Axes3D:
-    """A figure with an axes that shows the camera's picture at a known scale.
-
-    Attributes: `figure`, `axes`: of matplotlib; `point`: length of the picture that one typographic
-    point (1/72 inch) shows. Shapes: low, high (3,).
-    """
+    """A figure whose axes show the camera's picture; `point`: length of 1/72 inch of it."""
 
     def __init__(
         self,

@@ -56,26 +56,22 @@ def limits_of(values: Array) -> tuple[float, float]:
 def colouring(
     values: Array | None, label: str, limits: tuple[float, float] | None, colours: str
 ) -> tuple[ScalarMappable | None, str]:
-    """Return the map from values to colours, or else what a legend says of their common value."""
+    """Map from values to colours, NaN in grey, or else what a legend says of a common value."""
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import ListedColormap, Normalize
+
     if values is None:
         return None, ""
     same = common_value(values) if limits is None else None
     if same is not None:
         return None, in_words(label, same)
-    return _mappable(colours, values, limits), ""
-
-
-def _mappable(colours: str, values: Array, limits: tuple[float, float] | None) -> ScalarMappable:
-    """Return matplotlib's map from values to a named scale of colours, NaN in grey."""
-    from matplotlib import colormaps
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import ListedColormap, Normalize
-
     # a little white leaves room for the shade, which dark colours would swallow
     shades = 0.86 * colormaps[colours](np.linspace(0.0, 1.0, 256))[:, :3] + 0.14
     colormap = ListedColormap(shades)
     colormap.set_bad(NO_VALUE)
-    return ScalarMappable(Normalize(*(limits_of(values) if limits is None else limits)), colormap)
+    scale = Normalize(*(limits_of(values) if limits is None else limits))
+    return ScalarMappable(scale, colormap), ""
 
 
 CABLE = "#c8322b"
@@ -103,8 +99,13 @@ def line_style(
     loose: str | None,
 ) -> LineStyle:
     """Choose how lines are painted; arguments as for `draw_shape`."""
-    for data in (name, loose):
-        _check_data(lines, data)
+    if name is not None and not lines:
+        raise InputError(f"line_values {name!r}, but there are no lines; leave it out")
+    for line in lines:
+        for data in (name, loose):
+            if data is not None and data not in line.data:
+                known = ", ".join(line.data) or "no data"
+                raise InputError(f"the line {line.name!r} has no {data!r}; it has {known}")
     off = [_off_segments(line, loose) for line in lines]
     if name is None:
         return LineStyle([], None, "", off)
@@ -115,19 +116,6 @@ def line_style(
     elif note and lines[0].name:
         note = f"{lines[0].name}: {note}"
     return LineStyle(values, paint, note, off)
-
-
-def _check_data(lines: Sequence[Line], name: str | None) -> None:
-    if name is None:
-        return
-    if not lines:
-        raise InputError(f"line_values {name!r}, but there are no lines; leave it out")
-    for number, line in enumerate(lines):
-        if name not in line.data:
-            raise InputError(
-                f"line {number} {line.name!r} has no {name!r}; it has "
-                f"{', '.join(line.data) or 'no data'}"
-            )
 
 
 def _off_segments(line: Line, name: str | None) -> Booleans:
@@ -216,8 +204,7 @@ def _interpolated(given: Array, segment: Integers, middle: Array, count: int) ->
 
 
 def _subdivided(nodes: Array, step: float) -> tuple[Array, Integers, Array]:
-    """Cut a projected polyline's segments into pieces no longer than `step`. Returns the nodes
-    (s + 1, 3), each piece's segment (s,) and its middle's place along it (s,)."""
+    """Nodes (s + 1, 3) of pieces of at most `step`, their segments and middles' places (s,)."""
     lengths = np.linalg.norm(np.diff(nodes[:, :2], axis=0), axis=1)
     counts = np.maximum(np.ceil(lengths / step), 1).astype(np.int64)
     segment, k = offsets_within(counts)

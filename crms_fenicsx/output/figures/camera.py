@@ -30,9 +30,7 @@ class Camera:
         return np.array([right, np.cross(towards, right), towards])
 
     def project(self, points: ArrayLike) -> Array:
-        """Return right, up and nearness of (..., 3) points. Perspective scales all three alike,
-        which keeps straight lines straight and planes plane, so that nearness can be interpolated
-        linearly in the picture."""
+        """Right, up and nearness of (..., 3) points; straight lines stay straight, planes plane."""
         seen = (np.asarray(points, dtype=np.float64) - np.asarray(self.centre)) @ self.axes.T
         return seen / (1.0 - seen[..., 2:] / self.distance)
 
@@ -42,8 +40,7 @@ class Camera:
 
 
 def brightness(camera: Camera, corners: Array) -> tuple[Array, Array]:
-    """Return the diffuse and the specular light, each 0 to 1, on triangles of (m, 3, 3) corners.
-    The light is over the viewer's left shoulder; both sides of a triangle are lit alike."""
+    """Diffuse and specular light, 0 to 1, on both sides of triangles (m, 3, 3)."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     sizes = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = np.divide(normals, sizes, out=np.zeros_like(normals), where=sizes > 0) @ camera.axes.T

@@ -104,7 +104,12 @@ def draw_path(filename: str | Path | None, paths: Sequence[Line], **options: Any
     if how.points is not None and how.triangles is not None:
         surface = Surface(how.points, how.triangles).checked()
         corners = np.asarray(surface.points)[np.asarray(surface.triangles)]
-    _check_closeups(closeups, len(paths))
+    for name, numbers in closeups.items():
+        if len(numbers) == 0 or not all(0 <= number < len(paths) for number in numbers):
+            raise InputError(
+                f"close-up {name!r} of the paths {list(numbers)}; give numbers from 0 to "
+                f"{len(paths) - 1}"
+            )
     check_view(how.view)
     file = checked_picture(filename)
 
@@ -116,12 +121,14 @@ def draw_path(filename: str | Path | None, paths: Sequence[Line], **options: Any
     axes3d = Axes3D(camera, low, high, how.title, 0, how.width, *room)
     axes3d.draw_box(how.unit)
     flat = camera.project(corners)
-    colours = _cable_colours(lines, len(ways))
+    names = dict.fromkeys(line.name for line in lines if line.name)
+    colours = {name: DISTINCT[(len(ways) + k) % len(DISTINCT)] for k, name in enumerate(names)}
+    of_lines = [colours.get(line.name, _CABLE) for line in lines]
     _draw_below(
         axes3d.axes,
         flat[np.argsort(flat[..., 2].mean(axis=1)), :, :2],
         [camera.project(cable)[:, :2] for cable in cables],
-        [colours[line.name] for line in lines],
+        of_lines,
         axes3d.point,
     )
     for number, way in enumerate(ways):
@@ -134,21 +141,12 @@ def draw_path(filename: str | Path | None, paths: Sequence[Line], **options: Any
             for number, path in enumerate(paths)
             if len(paths) > 1 or path.name
         ]
-        + [(colours[name], name, "line") for name in colours if name]
+        + [(colour, name, "line") for name, colour in colours.items()]
     )
     if closeups:
-        below = [cable[:, :2] for cable in cables], [colours[line.name] for line in lines]
+        below = [cable[:, :2] for cable in cables], of_lines
         _add_closeups(axes3d, ways, closeups, corners[..., :2], below, how.unit)
     return axes3d.finished(file, how.dpi)
-
-
-def _check_closeups(closeups: Mapping[str, Sequence[int]], count: int) -> None:
-    for name, numbers in closeups.items():
-        if len(numbers) == 0 or not all(0 <= number < count for number in numbers):
-            raise InputError(
-                f"close-up {name!r} of the paths {list(numbers)}; give numbers from 0 to "
-                f"{count - 1}"
-            )
 
 
 def _add_closeups(
@@ -186,14 +184,6 @@ def _add_closeups(
             at = ways[number][:, :2]
             steps = _spaced_steps(at, 9.0 * point) if place == 0 else []
             _draw_way(axis, at, number, max(6.5 - 3.0 * place, 2.0), steps)
-
-
-def _cable_colours(lines: Sequence[Line], first: int) -> dict[str, str]:
-    """Return a colour for each name of a cable, after those of `first` paths."""
-    names = dict.fromkeys(line.name for line in lines if line.name)
-    return {"": _CABLE} | {
-        name: DISTINCT[(first + number) % len(DISTINCT)] for number, name in enumerate(names)
-    }
 
 
 def _draw_below(

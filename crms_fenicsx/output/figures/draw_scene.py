@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from mpi4py import MPI
-from numpy.typing import ArrayLike
 
-from crms_fenicsx.cables.deformed_surface import CurrentSurface, current_surface
+from crms_fenicsx.cables.deformed_surface import current_surface
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.output.figures.axes3d import with_unit
 from crms_fenicsx.output.figures.draw_paths import draw_path
 from crms_fenicsx.output.figures.draw_surface import draw_shape, sides_among
-from crms_fenicsx.output.figures.picture import given_file
 from crms_fenicsx.output.figures.plots import units_of_results
-from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
+from crms_fenicsx.results.membrane_results import membrane_results
 from crms_fenicsx.results.quantities import QUANTITIES
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
@@ -31,6 +29,7 @@ from crms_fenicsx.views.view_data import (
     bar_lines,
     cable_lines,
     point_homes,
+    surface_piece,
     whole_surface,
 )
 
@@ -45,33 +44,19 @@ SIGNED = "RdYlBu_r"
 """Colours of tensions and compressions."""
 
 
-@dataclass(frozen=True)
-class Colour:
-    """Something that the membrane can be coloured by."""
-
-    label: str  # of the colour bar
-    unit: str  # key of `units`, or ""
-    # one for each triangle or point, from the surface and the membrane's results
-    values: Callable[[CurrentSurface, MembraneResults], Array]
-
-
-def _of_cells(name: str) -> Colour:
-    one = QUANTITIES[name]
-    return Colour(one.label, one.unit, lambda s, r: r.values(name)[s.parents])
-
-
-COLOURS = {
-    "height": Colour("height", "length", lambda s, r: s.points[:, 2][s.triangles].mean(axis=1)),
-    "displacement": Colour("displacement", "length", lambda s, r: _displacement(s)),
-    "state": Colour(
-        "0 slack, 1 wrinkled, 2 taut", "", lambda s, r: r.state[s.parents].astype(np.float64)
-    ),
-} | {name: _of_cells(name) for name in ("warp", "weft", "shear", "utilisation")}
-COLOURS |= {
-    "stress": _of_cells("true force 1"), "stress 2": _of_cells("true force 2"),
-    "strain": _of_cells("strain 1"),
-}  # fmt: skip
+QUANTITY_OF = {"stress": "true force 1", "stress 2": "true force 2", "strain": "strain 1"}
+QUANTITY_OF |= {name: name for name in ("warp", "weft", "shear", "state", "utilisation")}
+"""Quantities of cells by the colours that show them."""
+COLOURS = ("height", "displacement", *QUANTITY_OF)
 """What `draw` can colour the membrane by."""
+
+
+def label_of(colour: str) -> tuple[str, str]:
+    """Label of a colour, and the kind of its unit."""
+    if colour not in QUANTITY_OF:
+        return colour, "length"
+    one = QUANTITIES[QUANTITY_OF[colour]]
+    return one.label, one.unit
 
 
 class HasSystem(Protocol):
@@ -142,11 +127,7 @@ def draw(
         solver.comm, "draw", filename=filename, colour=colour, unit=unit, force=force, ghost=ghost,
         tensions=tensions, **options,
     )  # fmt: skip
-    filename = given_file("draw", filename)
-    if colour is not None and colour not in list(COLOURS):
-        raise InputError(
-            f"draw: colour = {colour!r} is not known; use one of {list(COLOURS)} or None."
-        )
+    checks.one_of("draw: colour", colour, (None, *COLOURS))
     taken = sorted({"points", "triangles", "lines", "values", "line_values"} & set(options))
     if taken:
         raise InputError(f"draw: {taken} come from the scene; use draw_shape to draw arrays.")
@@ -155,32 +136,37 @@ def draw(
     if _too_large(scene, f"{filename or 'the scene'} is not drawn"):
         return None
     shape = current_surface(scene.net)
-    data: dict[str, ArrayLike] = {"inner": sides_among(shape.triangles, shape.inner)}
+    fields: dict[str, Array] = {}
+    if colour in QUANTITY_OF:
+        fields["values"] = membrane_results(system).values(QUANTITY_OF[colour])
     if colour is not None:
-        chosen = COLOURS[colour]
-        data["values"] = chosen.values(shape, membrane_results(system))
-        named = units_of_results(unit, force).get(chosen.unit, "")
-        options.setdefault("label", with_unit(chosen.label, named))
+        label, kind = label_of(colour)
+        named = units_of_results(unit, force).get(kind, "")
+        options.setdefault("label", with_unit(label, named))
     if colour == "state":
         options.setdefault("limits", (0.0, 2.0))
     if tensions and (scene.bars or any(cable.taut for cable in scene.cables)):
-        options |= {"line_values": "tension"}
-        options.setdefault("line_label", with_unit("tension", force))
-        options = {**_signed_colours(scene), **options}
+        defaults = {"line_label": with_unit("tension", force), **_signed_colours(scene)}
+        options = {**defaults, **options, "line_values": "tension"}
     if any(cable.lifted.any() for cable in scene.cables):
         options.setdefault("loose", "lifted")
     lines = [*bar_lines(scene.bars), *cable_lines(scene.net)]
-    homes = point_homes(scene.membrane, len(shape.points))
-    surface = whole_surface(scene.comm, Surface(shape.points, shape.triangles, {}, data, homes))
+    piece = surface_piece(scene.membrane, shape, fields)
+    inner = {"inner": sides_among(shape.triangles, shape.inner)}
+    surface = whole_surface(scene.comm, replace(piece, cell_data={**piece.cell_data, **inner}))
     free = whole_surface(scene.comm, _stress_free(scene)) if ghost else None
     with raised_together(scene.comm):
         if surface is not None:
             corners = np.asarray(surface.triangles)
             sides = np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1)
-            inner = np.asarray(surface.cell_data["inner"])
+            values = surface.cell_data.get("values")
+            if colour == "height":
+                values = np.asarray(surface.points)[:, 2]
+            elif colour == "displacement":
+                values = np.linalg.norm(surface.point_data["displacement"], axis=1)
             return draw_shape(
-                filename, surface.points, corners, lines, unit=unit,
-                values=surface.cell_data.get("values"), hidden=sides[inner],
+                filename, surface.points, corners, lines, unit=unit, values=values,
+                hidden=sides[np.asarray(surface.cell_data["inner"])],
                 ghost=None if free is None else (free.points, free.triangles), **options,
             )  # fmt: skip
     return None
@@ -233,10 +219,8 @@ def draw_paths(
     PictureWarning
         The mesh has more than `MOST_CELLS` cells, and is left out.
     """
-    if not isinstance(scene, Scene):
-        raise InputError(f"draw_paths: scene is of type {type(scene).__name__}; give a Scene.")
+    checks.of_type("draw_paths: scene", scene, Scene)
     checks.same(scene.comm, "draw_paths", filename=filename, **options)
-    filename = given_file("draw_paths", filename)
     taken = sorted({"points", "triangles"} & set(options))
     if taken:
         raise InputError(f"draw_paths: {taken} come from the scene; use draw_path to draw arrays.")
@@ -266,11 +250,6 @@ def _too_large(scene: Scene, happens: str) -> bool:
 
 def _stress_free(scene: Scene) -> Surface:
     """This rank's piece of the stress-free mesh."""
-    cells = scene.V.dofmap.list[: scene.mesh.mesh.topology.index_map(2).size_local]
     points = scene.membrane.stress_free
-    return Surface(points, cells, homes=point_homes(scene.membrane, len(points)))
-
-
-def _displacement(surface: CurrentSurface) -> Array:
-    size: Array = np.linalg.norm(surface.points - surface.stress_free, axis=1)
-    return size[surface.triangles].mean(axis=1)
+    homes = point_homes(scene.membrane, len(points))
+    return Surface(points, scene.V.dofmap.list, homes=homes)

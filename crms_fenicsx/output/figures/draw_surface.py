@@ -47,11 +47,11 @@ class ShapeOptions:
     values : (n,) or (m,) array, optional
         Colours by value, per vertex or per triangle; NaN is grey. Without it, plain fabric.
     label : str
-        Of the values' colour bar, with its unit in brackets. Values that are all the same get no
-        bar: the surface is painted plainly, and a legend tells the value.
+        Of the values' colour bar, with its unit in brackets. Equal values get no bar: the surface
+        is painted plainly, and a legend tells the value.
     limits : (low, high), optional
-        Ends of the colours; by default those of the values, or 0 if that is near. With limits
-        there is always a bar.
+        Ends of the colours, with which there is always a bar; by default those of the values, or 0
+        if that is near.
     colours : str
         Name of a matplotlib colour map.
     line_values : str, optional
@@ -59,8 +59,8 @@ class ShapeOptions:
     line_label, line_limits, line_colours
         As those of the surface; lines with the same value are painted in one colour.
     loose : str, optional
-        Name of the lines' data that say where they are off the surface (not zero): there they are
-        striped. Of data per point, segments are off if one of their ends is.
+        Name of the lines' data that say where they are off the surface (not zero), and striped. Of
+        data per point, segments are off if one of their ends is.
     show_names : bool
         Write each line's name beside it.
     title, unit : str
@@ -74,11 +74,10 @@ class ShapeOptions:
     edges : bool
         Draw the edges of the triangles where these are large enough.
     hidden : (h, 2) array of int, optional
-        Pairs of vertices; edges between them are not drawn, such as those that cut a polygon
-        into triangles.
+        Pairs of vertices between which no edge is drawn, as where polygons are cut into triangles.
     box : bool or (low, high)
-        Draw the box with its ticks; or the box's lowest and highest corner, which pictures to
-        compare should share. Lines end where they leave such a box.
+        Draw the box with its ticks; or the box's lowest and highest corner, for pictures to
+        compare. Lines end where they leave such a box.
     width : float
         The picture's, in inches; its height follows from the shape's.
     dpi : int
@@ -322,8 +321,7 @@ def _edge_strength(axes3d: Axes3D, flat: Array) -> float:
 
 
 def _outline(points: Array, triangles: Integers) -> Array:
-    """Return the ends (b, 2, 3) of the edges that belong to one triangle only. Vertices at the same
-    place count as one, as the parts of folded triangles may bring their own."""
+    """Ends (b, 2, 3) of edges of one triangle only; vertices at one place count as one."""
     if len(triangles) == 0:
         return np.empty((0, 2, 3))
     step = 1e-9 * float(np.ptp(points, axis=0).max()) or 1.0

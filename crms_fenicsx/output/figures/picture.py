@@ -33,16 +33,11 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def given_file(call: str, filename: object) -> Path | None:
-    """Return the path of a picture, or None for none; raise `InputError` if it is no path."""
-    return None if filename is None else checks.file(f"{call}: filename", filename)
-
-
 def checked_picture(filename: str | Path | None) -> Path | None:
-    """Return the path of a picture that can be written, None for none, or raise `InputError`."""
+    """Path of a picture that can be written; None for none."""
     if filename is None:
         return None
-    path = Path(filename)
+    path = checks.file("the picture's filename", filename)
     kinds = new_figure(1.0, 1.0).canvas.get_supported_filetypes()
     if path.suffix[1:].lower() not in kinds:
         raise InputError(
@@ -55,9 +50,7 @@ def checked_picture(filename: str | Path | None) -> Path | None:
 def finished(
     figure: Figure, path: Path | None, dpi: int, region: Bbox | str = "tight"
 ) -> Figure | None:
-    """Write a figure, or a region of it in inches, in place of a picture that was there. Without a
-    path the figure is returned, which then shows itself in a notebook, in the same region; without
-    pyplot nothing else would show it."""
+    """Write a figure or a region of it (inches); without a path return it for a notebook."""
     if path is not None:
         with replaced(path) as partial:
             figure.savefig(partial, dpi=dpi, bbox_inches=region, pad_inches=MARGIN)

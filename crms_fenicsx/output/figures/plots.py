@@ -18,7 +18,7 @@ from crms_fenicsx.output.figures.axes3d import (
     style_axes,
     with_unit,
 )
-from crms_fenicsx.output.figures.picture import checked_picture, finished, given_file, new_figure
+from crms_fenicsx.output.figures.picture import checked_picture, finished, new_figure
 from crms_fenicsx.output.history import History
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
@@ -41,11 +41,10 @@ def draw_convergence(
     width: float = 8.0,
 ) -> Figure | None:
     """Plot how far values are from their limits, in parts of their sizes. Collective."""
-    file = given_file("draw", filename)
     with raised_together(comm):
         if comm.rank:
             return None
-        path = checked_picture(file)
+        path = checked_picture(filename)
         figure = new_figure(width, 0.62 * width)
         axis = figure.subplots()
         size = np.sqrt(cells[0] / np.asarray(cells, dtype=float))
@@ -142,13 +141,9 @@ def draw_history(
         On all ranks: an empty history, a column that does not exist or holds text, or a file that
         cannot be written.
     """
-    if not isinstance(history, History):
-        raise InputError(
-            f"draw_history: history is of type {type(history).__name__}; give a History."
-        )
+    checks.of_type("draw_history: history", history, History)
     checks.same(history.comm, "draw_history", filename=filename, x=x, panels=panels, **options)
     how = HistoryOptions(**options)
-    filename = given_file("draw_history", filename)
     if len(history) == 0:
         raise InputError("the history is empty; draw it after the first step")
     if panels is None:

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.output.figures.draw_scene import SIGNED, HasSystem, draw
-from crms_fenicsx.results.summary import Summary, summary
+from crms_fenicsx.output.figures.draw_scene import QUANTITY_OF, SIGNED, HasSystem, draw, label_of
+from crms_fenicsx.results.summary import SUMMED_UP, Summary, summary
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.verification.report import Verification
 
@@ -33,6 +33,12 @@ class Picture:
 
     colour: str
     png: bytes
+
+    @property
+    def label(self) -> str:
+        """The quantity that it shows."""
+        colour = self.colour
+        return "axial forces of cables and bars" if colour == TENSION else label_of(colour)[0]
 
 
 @dataclass(frozen=True)
@@ -126,21 +132,14 @@ def _common(every: Sequence[Case]) -> tuple[tuple[Array, Array], tuple[float, fl
 TENSION = "tension"
 """Name of the picture with plain fabric and the forces of cables and bars."""
 
-RANGES = {
-    "stress": "true force 1", "stress 2": "true force 2", "strain": "strain 1", "warp": "warp",
-    "weft": "weft", "shear": "shear", "utilisation": "utilisation",
-}  # fmt: skip
-"""Where the range of a colour is known from."""
-
 
 def _limits(every: Sequence[Case], colour: str) -> tuple[float, float] | None:
     """Range of a colour over all cases; None where it is not known."""
     if colour == "displacement":
         return 0.0, max(case.summary.displacement.value for case in every) or 1.0
-    if colour not in RANGES:
+    name, parts = QUANTITY_OF.get(colour), [case.summary.membrane for case in every]
+    if name not in SUMMED_UP:
         return None
-    parts = [case.summary.membrane for case in every]
-    name = RANGES[colour]
     low = min(part.least[name].value for part in parts if name in part.least)
     high = max(part.largest[name].value for part in parts if name in part.largest)
     low = 0.0 if -1e-9 * high < low < 0.3 * high else low

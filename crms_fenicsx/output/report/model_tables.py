@@ -26,7 +26,7 @@ from crms_fenicsx.output.report.page import Cell, Table, number, shown
 from crms_fenicsx.output.report.results_tables import Row, Units, clean, families, part_name
 from crms_fenicsx.results.reactions import held_lengths
 from crms_fenicsx.results.summary import held_groups
-from crms_fenicsx.runtime.arrays import Array, Integers, floats
+from crms_fenicsx.runtime.arrays import Array, floats
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.scene import Scene
 
@@ -44,47 +44,46 @@ class Model:
 
 def model_of_scene(scene: Scene, units: Units) -> Model:
     """Describe a scene. Collective."""
-    m, kN, line = units["length"], units["force"], units["stress"]
-    owned = scene.mesh.mesh.topology.index_map(2).size_local
-    areas = np.linalg.norm(area_vectors(scene.mesh.mesh)[:owned], axis=1)
+    areas = np.linalg.norm(area_vectors(scene.mesh.mesh), axis=1)
     low, high = box(scene.comm, scene.membrane.stress_free)
     extents = [b - a for a, b in zip(low, high, strict=True)]
-    strengths = [(part_name(part), *pair) for part, pair in scene.membrane.strengths.items()]
-    tables = {
-        "mesh": Table(
-            "Mesh and theory", ("Property", "Value"), _mesh(scene, areas, extents, units)
-        ),
-        "materials": Table(
-            "Membrane", ("Part", f"Area{units['area']}", "Material", "Data"),
-            _materials(scene, areas),
-        ),
-        "strengths": Table("Strengths", ("Part", f"Warp{line}", f"Weft{line}"), strengths),
-        "supports": Table(
+    strengths: list[Row] = [
+        (part_name(part), *pair) for part, pair in scene.membrane.strengths.items()
+    ]
+    listed: dict[str, tuple[str, str, list[Row]]] = {
+        "mesh": ("Mesh and theory", "Property|Value", _mesh(scene, areas, extents, units)),
+        "materials": ("Membrane", "Part|Area{area}|Material|Data", _materials(scene, areas)),
+        "strengths": ("Strengths", "Part|Warp{stress}|Weft{stress}", strengths),
+        "supports": (
             "Supports of the membrane",
-            ("Group", "Held directions", "Vertices", f"Length of edges{m}"), _supports(scene),
+            "Group|Held directions|Vertices|Length of edges{length}",
+            _supports(scene),
         ),
-        "cables": Table(
+        "cables": (
             "Cables",
-            ("Cable", f"EA{kN}", f"Unstressed length{m}", "Friction", "Start / end", "Lies"),
+            "Cable|EA{force}|Unstressed length{length}|Friction|Start / end|Lies",
             [_cable(cable) for cable in scene.cables],
         ),
-        "bars": Table(
-            "Bars", ("Bar", "Kind", f"EA{kN}", f"Unstressed length{m}", "Start", "End"),
+        "bars": (
+            "Bars",
+            "Bar|Kind|EA{force}|Unstressed length{length}|Start|End",
             [_bar(bar) for bar in scene.bars],
         ),
-        "joints": Table(
-            "Joints", ("Joint", "Held directions", *(f"{x}{m}" for x in "xyz")),
-            [_joint(joint) for joint in scene.joints],
+        "joints": (
+            "Joints",
+            "Joint|Held directions|x{length}|y{length}|z{length}",
+            [(joint.name, _held(joint), *floats(joint.position)) for joint in scene.joints],
         ),
-        "loads": Table(
+        "loads": (
             "Loads at the factor 1",
-            (
-                "Load", "Kind", f"Mean per area{units['pressure']}",
-                *(f"Sum F{x}{kN}" for x in "xyz"),
-            ),
+            "Load|Kind|Mean per area{pressure}|Sum Fx{force}|Sum Fy{force}|Sum Fz{force}",
             _loads(scene),
         ),
-    }  # fmt: skip
+    }
+    tables = {
+        name: Table(caption, units.headings(columns), rows)
+        for name, (caption, columns, rows) in listed.items()
+    }
     return Model(max(extents), scene.comm.size, tables)
 
 
@@ -137,7 +136,7 @@ def in_families(bars: Table) -> Table:
 
 def _mesh(scene: Scene, areas: Array, extents: list[float], units: Units) -> list[Row]:
     mesh, comm, m = scene.mesh.mesh, scene.comm, units["length"]
-    sides = np.linalg.norm(cell_sides(mesh, np.arange(len(areas), dtype=np.int32)), axis=2)
+    sides = np.linalg.norm(cell_sides(mesh), axis=2)
     cells = mesh.topology.index_map(2).size_global
     lengths = (
         comm.allreduce(float(sides.min(initial=np.inf)), op=MPI.MIN),
@@ -158,10 +157,9 @@ def _mesh(scene: Scene, areas: Array, extents: list[float], units: Units) -> lis
 def _materials(scene: Scene, areas: Array) -> list[Row]:
     membrane, rows = scene.membrane, list[Row]()
     for k, material in membrane.materials.items():
-        cells: Integers = np.arange(len(areas))
-        if membrane.cell_tags is not None:
-            cells = np.flatnonzero(membrane.cell_tags.values[: len(areas)] == k)
-        area = scene.comm.allreduce(float(areas[cells].sum()))
+        tags = membrane.cell_tags
+        own = areas if tags is None else areas[tags.values == k]
+        area = scene.comm.allreduce(float(own.sum()))
         part = membrane.parts.get(k, ALL) or "whole membrane"
         rows.append((part, area, type(material).__name__, _data(material)))
     return rows
@@ -217,9 +215,8 @@ def _bar(bar: PlacedBar) -> Row:
     return bar.name, kind, bar.bar.EA, bar.L0, start, end
 
 
-def _joint(joint: Joint) -> Row:
-    directions = ", ".join(letter for letter, k in COMPONENTS.items() if joint.held[k])
-    return joint.name, directions, *floats(joint.position)
+def _held(joint: Joint) -> str:
+    return ", ".join(letter for letter, k in COMPONENTS.items() if joint.held[k])
 
 
 def _loads(scene: Scene) -> list[Row]:

@@ -115,35 +115,32 @@ class Table:
         if self.name and len(self.rows) > MOST_ROWS:
             text = f"{self.caption}: {len(self.rows)} rows, in the file ..._{self.name}.csv."
             return f"<p>{escape(text)}</p>\n"
-        kinds = [' class="number"' if self._is_number(k) else "" for k in range(len(self.columns))]
+        numeric = [
+            any(isinstance(row[k], float | int) for row in self.rows)
+            for k in range(len(self.columns))
+        ]
+        kinds = [' class="number"' if number else "" for number in numeric]
         head = "".join(
             f'<th scope="col"{kind}>{escape(text)}</th>'
             for text, kind in zip(self.columns, kinds, strict=True)
         )
-        bodies = "\n".join(
-            "<tbody>\n" + "\n".join(self._row(row, kinds, n) for n, row in group) + "\n</tbody>"
-            for group in self._groups()
-        )
-        kind = "grouped" if self.headings > 1 else "plain"
+        grouped = self.headings > 1
+        groups = [list(group) for _, group in groupby(self.rows, key=lambda row: row[0])]
+        bodies = ""
+        for group in groups if grouped else [list(self.rows)]:
+            spans = [len(group), *[0] * (len(group) - 1)] if grouped else [1] * len(group)
+            rows = (self._row(row, kinds, n) for row, n in zip(group, spans, strict=True))
+            bodies += "<tbody>\n" + "\n".join(rows) + "\n</tbody>\n"
+        kind = "grouped" if grouped else "plain"
         kind += " short" if len(self.rows) <= SHORT else ""
         return (
             f'<div class="table"><table class="{kind}">\n'
             f"<caption>{escape(self.caption)}</caption>\n"
-            f"<thead><tr>{head}</tr></thead>\n{bodies}\n</table></div>\n"
+            f"<thead><tr>{head}</tr></thead>\n{bodies}</table></div>\n"
         )
 
-    def _is_number(self, column: int) -> bool:
-        """Whether a column holds numbers, which stand at its right."""
-        return any(isinstance(row[column], float | int) for row in self.rows)
-
-    def _groups(self) -> list[list[tuple[int, Sequence[Cell]]]]:
-        """Rows with the same first heading; the first of them with how many they are, or 0."""
-        if self.headings < 2:
-            return [[(1, row) for row in self.rows]]
-        groups = [list(group) for _, group in groupby(self.rows, key=lambda row: row[0])]
-        return [[(0 if k else len(g), row) for k, row in enumerate(g)] for g in groups]
-
     def _row(self, row: Sequence[Cell], kinds: Sequence[str], span: int) -> str:
+        """A row whose first heading spans some rows, 0 if it is within the span of another."""
         cells = []
         for k, value in enumerate(row):
             text = escape(shown(value))

@@ -23,7 +23,7 @@ from crms_fenicsx.output.report.case import (
     with_pictures,
 )
 from crms_fenicsx.output.report.model_tables import Model, merged, model_of_scene
-from crms_fenicsx.output.report.results_tables import Units
+from crms_fenicsx.output.report.results_tables import ResultTables, Units
 from crms_fenicsx.output.report.sections import Report
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, raised_together
@@ -82,22 +82,23 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
     plan = Plan(Path(), **options)
     plan = replace(plan, about=plan.about or {}, cable_strengths=plan.cable_strengths or {})
     for name in ("title", "unit", "force"):
-        if not isinstance(value := getattr(plan, name), str):
-            raise InputError(f"report: {name} = {value!r} is no text; give one, or ''.")
-    if not isinstance(plan.about, Mapping) or not all(
-        isinstance(text, str) for pair in plan.about.items() for text in pair
-    ):
-        raise InputError(
-            f"report: about = {plan.about!r}; write texts by names, as in "
-            '{"Project": "Tent", "Author": "..."}.'
-        )
+        checks.of_type(f"report: {name}", getattr(plan, name), str)
+    checks.collection("report: about", plan.about, Mapping, '{"Project": "Tent"}')
+    for text in (text for pair in plan.about.items() for text in pair):
+        checks.of_type(f"report: {text!r} in about", text, str)
     strengths = _checked_strengths(scene, plan.cable_strengths)
     pictures = _checked_pictures(scene, plan.pictures)
     check_view(plan.view)
     path = absolute(checks.file("report: filename", filename), comm)
     with raised_together(comm):  # last, as it makes the folder
         if comm.rank == 0:
-            _check_path(path)
+            if path.suffix.lower() not in (".html", ".htm"):
+                raise InputError(
+                    f"report: filename = {str(path)!r} is no page; give one with .html."
+                )
+            if path.is_dir():
+                raise InputError(f"report: {path} is a folder; give the name of a file in it.")
+            make_writable(path.parent)
     return replace(plan, path=path, cable_strengths=strengths, pictures=pictures)
 
 
@@ -107,11 +108,7 @@ def checked_states(
     """Combinations of a scene; none for its current state."""
     if combinations is None:
         return {}
-    if not isinstance(combinations, Mapping) or not combinations:
-        raise InputError(
-            f"report: combinations = {combinations!r}; give what solver.combine(...) returned, or "
-            "leave it out for the current state."
-        )
+    checks.collection("report: combinations", combinations, Mapping, "solver.combine(...)", 1)
     for name, one in combinations.items():
         if not isinstance(one, Combination):
             raise InputError(
@@ -127,11 +124,7 @@ def checked_states(
 
 def _checked_strengths(scene: Scene, strengths: Mapping[str, float]) -> dict[str, float]:
     """Strengths of cables by their names (force)."""
-    if not isinstance(strengths, Mapping):
-        raise InputError(
-            f"report: cable_strengths = {strengths!r}; write forces by the cables' names, as in "
-            '{"ridge": 120.0}.'
-        )
+    checks.collection("report: cable_strengths", strengths, Mapping, '{"ridge": 120.0}')
     for name in strengths:
         scene.cable(name)
     return {
@@ -148,29 +141,15 @@ def _checked_pictures(scene: Scene, pictures: Sequence[str] | None) -> tuple[str
         forces = ("warp", "weft") if woven else ("stress",)
         lines = (TENSION,) if scene.cables or scene.bars else ()
         return (*lines, "displacement", *forces, *(("utilisation",) if has else ()))
-    if isinstance(pictures, str) or not isinstance(pictures, Sequence):
-        raise InputError(f'report: pictures = {pictures!r}; write a list, as in ["stress"].')
+    checks.collection("report: pictures", pictures, Sequence, 'pictures=["stress"]')
     for colour in pictures:
-        if colour not in (TENSION, *COLOURS):
-            raise InputError(
-                f"report: pictures has {colour!r}, which is not known; use some of "
-                f"{[TENSION, *COLOURS]}."
-            )
+        checks.one_of("report: one of pictures", colour, (TENSION, *COLOURS))
         if colour == "utilisation" and not has:
             raise InputError(
                 "report: pictures has 'utilisation', but there are no strengths; call "
                 "scene.set_strengths(...) before."
             )
     return tuple(pictures)
-
-
-def _check_path(path: Path) -> None:
-    """Refuse a path that no report can be written to; not collective."""
-    if path.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"report: filename = {str(path)!r} is no page; give one with .html.")
-    if path.is_dir():
-        raise InputError(f"report: {path} is a folder; give the name of a file in it.")
-    make_writable(path.parent)
 
 
 def results_of(solver: Reported, states: Mapping[str, Combination]) -> list[Case]:
@@ -241,8 +220,8 @@ def write_files(solver: Reported, plan: Plan, model: Model, cases: Sequence[Case
     """Write a report's page and its tables, all at once when they are complete. Collective."""
     with raised_together(solver.comm):
         if solver.comm.rank == 0:
-            about, path = [*plan.about.items()], plan.path
-            report = Report(plan.title, about, plan.units, model, cases, plan.cable_strengths)
+            results = ResultTables(cases, plan.units, model.size, plan.cable_strengths)
+            report, path = Report(plan.title, [*plan.about.items()], model, results), plan.path
             texts = {path: report.html()}
             for table in report.tables():
                 texts[path.with_name(f"{path.stem}_{table.name}.csv")] = table.csv()

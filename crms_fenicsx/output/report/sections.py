@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
-from crms_fenicsx.output.figures.draw_scene import COLOURS
-from crms_fenicsx.output.report import results_tables as tabulate
-from crms_fenicsx.output.report.case import TENSION, Case
+import numpy as np
+
+from crms_fenicsx.output.report.case import Case
 from crms_fenicsx.output.report.model_tables import Model, in_families, versions
 from crms_fenicsx.output.report.page import (
     LARGEST,
@@ -22,7 +22,7 @@ from crms_fenicsx.output.report.page import (
     paragraph,
     per_cent,
 )
-from crms_fenicsx.output.report.results_tables import Units
+from crms_fenicsx.output.report.results_tables import ResultTables
 
 NOTES = (
     "Membrane forces are true (Cauchy) forces per current length, positive in tension. The larger "
@@ -49,94 +49,67 @@ PER_PICTURE = 1000
 """Bytes of the page that a picture takes beside its own."""
 
 
-def _shows(colour: str) -> str:
-    """What a picture shows."""
-    return "axial forces of cables and bars" if colour == TENSION else COLOURS[colour].label
-
-
 @dataclass(frozen=True)
 class Report:
     """All that a report is made of."""
 
     title: str  # title, about: heading, and names and texts below it
     about: Sequence[tuple[str, str]]
-    units: Units  # names of the units
     model: Model  # what was computed, with its picture
-    cases: Sequence[Case]  # what came of it, one or more
-    # by the cables' names (force)
-    cable_strengths: Mapping[str, float] = field(default_factory=dict)
+    results: ResultTables
     left_out: int = 0  # how many pictures there is no room for
+
+    @property
+    def cases(self) -> Sequence[Case]:
+        """The load cases, one or more."""
+        return self.results.cases
 
     def html(self) -> str:
         """The page, with as many pictures as there is room for."""
-        bare = replace(self, cases=[replace(case, pictures=()) for case in self.cases])
-        room, cases = LARGEST - len(bare._page().encode()), []
+        room = LARGEST - len(self._with([replace(case, pictures=()) for case in self.cases]))
+        cases = []
         for case in self.cases:
-            need = [PER_PICTURE + len(one.png) * 4 // 3 for one in case.pictures]
-            fitting = [one for k, one in enumerate(case.pictures, 1) if sum(need[:k]) <= room]
-            room -= sum(need[: len(fitting)])
-            cases.append(replace(case, pictures=tuple(fitting)))
+            need = np.cumsum([PER_PICTURE + len(one.png) * 4 // 3 for one in case.pictures])
+            fitting = case.pictures[: int(np.count_nonzero(need <= room))]
+            room -= int(need[len(fitting) - 1]) if fitting else 0
+            cases.append(replace(case, pictures=fitting))
         left_out = sum(len(case.pictures) for case in self.cases)
         left_out -= sum(len(case.pictures) for case in cases)
-        return replace(self, cases=cases, left_out=left_out)._page()
+        return replace(self, left_out=left_out)._with(cases).decode()
+
+    def _with(self, cases: Sequence[Case]) -> bytes:
+        """The page with other pictures of the cases."""
+        return replace(self, results=replace(self.results, cases=cases))._page().encode()
 
     def _page(self) -> str:
-        units = self.units
+        results, units = self.results, self.results.units
         about = list(self.about)
         if units.length or units.force:
             about.append(("Units", ", ".join(x for x in (units.length, units.force) if x)))
         about += versions(self.model.ranks)
+        text = "Pressure, and what each load at the factor 1 is multiplied by."
+        verdict: str | Table = self._verdict()
         sections = [
-            PageSection(
-                "Summary", [self._verdict(), key_figures(self._cards()), self._utilisation()]
-            ),
+            PageSection("Summary", [verdict, key_figures(self._cards()), self._utilisation()]),
             *self._model(),
-            PageSection(
-                "Combinations",
-                [
-                    paragraph("Pressure, and what each load at the factor 1 is multiplied by."),
-                    tabulate.factors(self.cases, units),
-                    tabulate.overview(self.cases, units),
-                ],
-            ),
+            PageSection("Combinations", [paragraph(text), results.factors(), results.overview()]),
             *self._results(),
             *self._forces(),
-            PageSection(
-                "Verification",
-                [
-                    self._verdict(),
-                    tabulate.verdicts(self.cases),
-                    tabulate.nearest_to_limits(self.cases),
-                ],
-            ),
+            PageSection("Verification", [verdict, results.verdicts(), results.nearest_to_limits()]),
             PageSection("Notes", [*map(paragraph, NOTES)]),
         ]
         return page(self.title, about, sections)
 
     def tables(self) -> list[Table]:
         """The tables that become CSV files."""
-        cases, units = self.cases, self.units
-        found = [
-            tabulate.factors(cases, units),
-            tabulate.overview(cases, units),
-            tabulate.membrane(cases, units),
-            tabulate.envelope(cases, units, self.model.size),
-            tabulate.supports(cases, units),
-            tabulate.verification(cases),
-        ]
-        if tabulate.names_of(cases, "cables"):
-            found += [
-                tabulate.cables(cases, units),
-                tabulate.cable_envelope(cases, units, self.cable_strengths),
-                tabulate.anchors(cases, units),
-            ]
-        if tabulate.names_of(cases, "bars"):
-            found += [
-                tabulate.forces_of_bars(cases, units),
-                tabulate.bar_envelope(cases, units),
-            ]
-        more = [tabulate.joints(cases, units), tabulate.ponds(cases, units)]
-        return found + [table for table in more if table.rows]
+        of = self.results
+        found = [of.factors(), of.overview(), of.membrane(), of.envelope(), of.supports()]
+        found.append(of.verification())
+        if of.names("cables"):
+            found += [of.cables(), of.cable_envelope(), of.anchors()]
+        if of.names("bars"):
+            found += [of.bars(), of.bar_envelope()]
+        return found + [table for table in (of.joints(), of.ponds()) if table.rows]
 
     def _verdict(self) -> str:
         known = {case.name: case.verification for case in self.cases}
@@ -144,57 +117,54 @@ class Report:
         failed = [name for name, one in known.items() if one is not None and not one.passed]
         missing = [name for name, one in known.items() if one is None]
         doubtful = [name for name, one in known.items() if one is not None and one.doubtful]
+        warned = [f"{case.name}: {one}" for case in self.cases for one in case.summary.warnings]
         count = f"{len(known)} combinations" if len(known) > 1 else "the state"
+        kind, text = "verdict failed", ""
         if moved:
             why = "the scene has been changed since its last load step, or there was none"
-            return paragraph(f"Not in equilibrium: {', '.join(moved)}; {why}.", "verdict failed")
-        if failed:
-            return paragraph(f"Not verified: {', '.join(failed)} failed a check.", "verdict failed")
-        warned = {case.name: case.summary.warnings for case in self.cases}
-        told = [f"{name}: {one}" for name, found in warned.items() for one in found]
-        if told:
-            return paragraph(f"Equilibrium, but {'; '.join(told)}", "verdict failed")
-        if missing:
-            text = f"Not verified in this run: {', '.join(missing)}."
-            return paragraph(text, "verdict doubtful")
-        if doubtful:
-            text = (
-                f"The equilibrium of {count} is verified; crude in places: {', '.join(doubtful)}."
-            )
-            return paragraph(text, "verdict doubtful")
-        return paragraph(f"Verified: {count} passed all checks of equilibrium.", "verdict")
+            text = f"Not in equilibrium: {', '.join(moved)}; {why}."
+        elif failed:
+            text = f"Not verified: {', '.join(failed)} failed a check."
+        elif warned:
+            text = f"Equilibrium, but {'; '.join(warned)}"
+        elif missing:
+            kind, text = "verdict doubtful", f"Not verified in this run: {', '.join(missing)}."
+        elif doubtful:
+            kind, places = "verdict doubtful", ", ".join(doubtful)
+            text = f"The equilibrium of {count} is verified; crude in places: {places}."
+        else:
+            kind, text = "verdict", f"Verified: {count} passed all checks of equilibrium."
+        return paragraph(text, kind)
 
     def _cards(self) -> list[tuple[str, str, str]]:
-        cases, units = self.cases, self.units
+        """Key figures: what, its value, and the case or cable that it is of."""
+        units, summaries = self.results.units, {case.name: case.summary for case in self.cases}
+        membranes = {name: one.membrane for name, one in summaries.items()}
         cards = []
 
-        def card(what: str, unit: str, found: Mapping[str, float], share: bool = False) -> None:
-            name = max(found, key=lambda one: found[one])
-            if found[name] == 0.0:
-                return
-            text = per_cent(found[name]) if share else f"{number(found[name])} {unit}".rstrip()
-            cards.append((what, text, name))
+        def card(what: str, unit: str | None, found: Mapping[str, float]) -> None:
+            name = max(found, key=lambda one: found[one], default="")
+            if name and found[name] != 0.0:
+                text = f"{number(found[name])} {unit}".rstrip()
+                cards.append((what, per_cent(found[name]) if unit is None else text, name))
 
-        membranes = {case.name: case.summary.membrane for case in cases}
-        if all("utilisation" in one.largest for one in membranes.values()):
-            used = {name: one.largest["utilisation"].value for name, one in membranes.items()}
-            card("Largest utilisation of the membrane", "", used, share=True)
-        stress = units["stress"].strip(" []")
+        used = {name: one.largest.get("utilisation") for name, one in membranes.items()}
+        if None not in used.values():
+            shares = {name: one.value for name, one in used.items() if one is not None}
+            card("Largest utilisation of the membrane", None, shares)
         forces = {name: one.largest["true force 1"].value for name, one in membranes.items()}
-        card("Largest principal membrane force", stress, forces)
-        if tabulate.names_of(cases, "cables"):
-            tensions = {
-                f"{cable}, {case.name}": one.largest
-                for case in cases
-                for cable, one in case.summary.cables.items()
-            }
-            card("Largest tension of a cable", units.force, tensions)
-        card("Largest deflection", units.length,
-             {case.name: case.summary.displacement.value for case in cases})  # fmt: skip
-        card("Largest wrinkled area", "",
-             {name: one.wrinkled for name, one in membranes.items()}, share=True)  # fmt: skip
-        card("Largest slack area", "",
-             {name: one.slack for name, one in membranes.items()}, share=True)  # fmt: skip
+        card("Largest principal membrane force", units["stress"].strip(" []"), forces)
+        tensions = {
+            f"{cable}, {name}": one.largest
+            for name, summary in summaries.items()
+            for cable, one in summary.cables.items()
+        }
+        card("Largest tension of a cable", units.force, tensions)
+        moved = {name: one.displacement.value for name, one in summaries.items()}
+        card("Largest deflection", units.length, moved)
+        wrinkled = {name: one.wrinkled for name, one in membranes.items()}
+        card("Largest wrinkled area", None, wrinkled)
+        card("Largest slack area", None, {name: one.slack for name, one in membranes.items()})
         return cards
 
     def _utilisation(self) -> str:
@@ -207,64 +177,51 @@ class Report:
     def _tensions(self) -> str:
         """Chart of the cables' tensions over all combinations."""
         found = []
-        for name in tabulate.names_of(self.cases, "cables"):
+        for name in self.results.names("cables"):
             one = [case.summary.cables[name] for case in self.cases if name in case.summary.cables]
             found.append((name, min(x.least for x in one), max(x.largest for x in one)))
         where = " over all combinations" if len(self.cases) > 1 else ""
-        return bars(f"Least to largest tension{where}{self.units['force']}", found)
+        return bars(f"Least to largest tension{where}{self.results.units['force']}", found)
 
     def _model(self) -> list[PageSection]:
-        model, picture = self.model, []
-        if model.picture:
-            picture = [figure(model.picture, model.caption, "model")]
+        model = self.model
+        picture = [figure(model.picture, model.caption, "model")] if model.picture else []
         tables = {name: one for name, one in model.tables.items() if one.rows}
         if "bars" in tables:
             tables["bars"] = in_families(tables["bars"])
         made, held = ("materials", "strengths"), ("supports", "cables", "bars", "joints", "loads")
+        below = [tables[x] for x in held if x in tables]
         return [
             PageSection("Model", [*picture, tables["mesh"]]),
             PageSection("Materials", [tables[x] for x in made if x in tables], 3),
-            PageSection(
-                "Supports, cables, bars and loads", [tables[x] for x in held if x in tables], 3
-            ),
+            PageSection("Supports, cables, bars and loads", below, 3),
         ]
 
     def _results(self) -> list[PageSection]:
-        cases, units, size = self.cases, self.units, self.model.size
-        found = []
-        if len(cases) > 1:
+        found, same, several = [], "", len(self.cases) > 1
+        if several:
             text = "Least and largest values over all combinations, and which of them governs."
-            table = tabulate.envelope(cases, units, size)
-            found.append(PageSection("Envelope of the membrane", [paragraph(text), table]))
-        same = "Colours have the same scale in all combinations." if len(cases) > 1 else ""
+            body: list[str | Table] = [paragraph(text), self.results.envelope()]
+            found.append(PageSection("Envelope of the membrane", body))
+            same = "Colours have the same scale in all combinations."
         if self.left_out:
             same += f" {self.left_out} pictures are left out, as the page would be too large."
         found.append(PageSection("Membrane by combination", [paragraph(same)] if same else []))
-        for case in cases:
-            shown = [figure(one.png, f"{case.name}: {_shows(one.colour)}") for one in case.pictures]
-            table = tabulate.of_case(case, units, size)
-            found.append(PageSection(case.name, [figures(shown), table], 3))
+        for case in self.cases:
+            shown = [figure(one.png, f"{case.name}: {one.label}") for one in case.pictures]
+            found.append(PageSection(case.name, [figures(shown), self.results.of_case(case)], 3))
         return found
 
     def _forces(self) -> list[PageSection]:
-        cases, units = self.cases, self.units
-        found = []
-        if tabulate.names_of(cases, "cables"):
-            tables: list[str | Table] = [tabulate.cables(cases, units)]
-            if len(cases) > 1 or self.cable_strengths:
-                tables.insert(0, tabulate.cable_envelope(cases, units, self.cable_strengths))
-            found.append(PageSection("Cables", [self._tensions(), *tables]))
-        if tabulate.names_of(cases, "bars"):
-            tables = [tabulate.bar_envelope(cases, units, every=False)] if len(cases) > 1 else []
-            tables.append(tabulate.forces_of_bars(cases, units, every=False))
-            found.append(PageSection("Bars", tables))
-        ponds = tabulate.ponds(cases, units)
-        if ponds.rows:
-            found.append(PageSection("Ponds", [ponds]))
-        more = [tabulate.anchors(cases, units), tabulate.joints(cases, units)]
-        held = [
-            tabulate.supports(cases, units, every=False),
-            *(table for table in more if table.rows),
-        ]
-        found.append(PageSection("Supports and anchors", held))
+        of, several, found = self.results, len(self.cases) > 1, []
+        if of.names("cables"):
+            envelopes = [of.cable_envelope()] if several or of.strengths else []
+            found.append(PageSection("Cables", [self._tensions(), *envelopes, of.cables()]))
+        if of.names("bars"):
+            envelopes = [of.bar_envelope(every=False)] if several else []
+            found.append(PageSection("Bars", [*envelopes, of.bars(every=False)]))
+        if of.names("ponds"):
+            found.append(PageSection("Ponds", [of.ponds()]))
+        held = [table for table in (of.anchors(), of.joints()) if table.rows]
+        found.append(PageSection("Supports and anchors", [of.supports(every=False), *held]))
         return found
