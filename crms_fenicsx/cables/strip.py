@@ -142,9 +142,13 @@ class Strip:
     @cached_property
     def outer_cells(self) -> Integers:
         """`cells`, without those behind seams, (n, 3)."""
-        if not self.hidden:
-            return self.cells
-        return self.cells[[tuple(sorted(cell)) not in self.hidden for cell in self.corners]]
+        return self.cells[self.is_outer] if self.hidden else self.cells
+
+    @cached_property
+    def is_outer(self) -> Booleans:
+        """Which cells are not behind seams, (n,)."""
+        outer = [tuple(sorted(cell)) not in self.hidden for cell in self.corners]
+        return np.array(outer, dtype=bool)
 
     @cached_property
     def simplices(self) -> Simplices:
@@ -356,8 +360,20 @@ class StripShape:
         twice the mean areas of the cells around (length)."""
         around = [self.strip.outer_rows(support) for support in supports]
         counts = np.array([len(rows) for rows in around], dtype=np.int64)
-        normals = self.normals[np.fromiter(chain.from_iterable(around), np.int64)]
-        first = np.cumsum(counts) - counts
+        return self._means(counts, np.fromiter(chain.from_iterable(around), np.int64))
+
+    def around(self, simplices: Integers) -> tuple[Array, Array]:
+        """The same of simplices by number, (m,)."""
+        counts, rows = self.strip.simplices.around(simplices)
+        if self.strip.hidden:
+            outer = self.strip.is_outer[rows]
+            of = np.repeat(np.arange(len(counts)), counts)[outer]
+            counts, rows = np.bincount(of, minlength=len(counts)), rows[outer]
+        return self._means(counts, rows)
+
+    def _means(self, counts: Integers, rows: Integers) -> tuple[Array, Array]:
+        """Of lists of cells, one after the other."""
+        normals, first = self.normals[rows], np.cumsum(counts) - counts
         totals, areas = (np.add.reduceat(values, first) for values in (normals, norm(normals)))
         return totals / norm(totals)[:, None], np.sqrt(areas / counts)
 

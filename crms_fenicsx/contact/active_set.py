@@ -14,13 +14,28 @@ from typing import Protocol
 import numpy as np
 
 from crms_fenicsx.cables.cable_net import CableNet
-from crms_fenicsx.cables.points_on_edges import bends, nodes_on_edges
+from crms_fenicsx.cables.points_on_edges import (
+    CROSSING,
+    NodeTable,
+    bends,
+    fractions_of,
+    positions_of,
+)
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact import lift_off as contact
-from crms_fenicsx.contact.lift_off import DEPTH, PULL, apparent_crossing, link_at, outward_pulls
-from crms_fenicsx.model.cable_state import Crossing
-from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.surface.points import Edge, EdgePoint, Support, VertexPoint
+from crms_fenicsx.contact.lift_off import (
+    DEPTH,
+    PULL,
+    Polylines,
+    apparent_crossing,
+    link_at,
+    outward_pulls,
+)
+from crms_fenicsx.meshes.triangles import lists
+from crms_fenicsx.model.cable_state import Crossing, NodeId
+from crms_fenicsx.model.laid_cable import ROUNDED, LaidCable
+from crms_fenicsx.runtime.arrays import Booleans, Integers, flags, floats, ints
+from crms_fenicsx.surface.points import Edge, EdgePoint, Support
 
 
 def parting(
@@ -91,22 +106,15 @@ class ActiveSet:
 
     def tighten(self) -> list[str]:
         """Switch cables between slack and taut for their current lengths; say which. Collective."""
-        shape = self.net.strip_shape()
-        return [text for cable in self.net.cables for text in self._switch(cable, shape, False)]
+        return self._switch(self.net.strip_shape(), solved=False)
 
     def update(self) -> list[str]:
         """Switch what a solved state asks for; say what, in words. Collective."""
         if self._first_look:
             self._forget()
-        net, shape = self.net, self.net.strip_shape()
-        changes = [text for cable in net.cables for text in self._switch(cable, shape, True)]
-        if not changes:
-            tops, on_edges = self._tops(), nodes_on_edges(net.cables, self._edges_under_spans())
-            for c, cable in enumerate(net.cables):
-                if cable.taut and not cable.sleeve:
-                    covered = {v for v, top in tops.items() if top > (cable.layer, c)}
-                    changes += self._contacts(cable, shape, covered, on_edges)
-        if not changes and net.crossings:
+        shape = self.net.strip_shape()
+        changes = self._switch(shape, solved=True) or self._contacts(shape)
+        if not changes and self.net.crossings:
             changes = self._crossings(shape)
         return changes
 
@@ -126,8 +134,8 @@ class ActiveSet:
         """A cable that keeps turning from slack to taut and back; empty if there is none."""
         return next((name for name, n in self._switches.items() if n > MAX_SWITCHES), "")
 
-    def _switch(self, cable: LaidCable, shape: StripShape, solved: bool) -> list[str]:
-        """Tighten a slack cable that has become too short for its path, slacken another.
+    def _switch(self, shape: StripShape, solved: bool) -> list[str]:
+        """Tighten slack cables that have become too short for their paths, slacken others.
 
         Near the limit a cable is in equilibrium both slack, on flat cells, and in tension, on cells
         that it has folded and that bulge. It is in tension if it is nearly tight on flat cells and
@@ -135,35 +143,62 @@ class ActiveSet:
         flat cells would be slack, is let go first, so that the way there does not matter;
         not with axial friction, where the way does.
         """
-        if cable.cable.law == "step":
-            return []
-        if not cable.taut and not cable.sleeve:
-            contact.drape(cable, shape)
-        untried = cable.name not in self._tried and not self._rested(cable)
-        judged = solved and cable.taut
-        taut = tight = cable.is_tight(nearly=untried and not judged)
-        if judged and tight and untried and cable.slides_freely and cable.axial is None:
-            taut = contact.flat_length(cable, shape) > cable.L0
-        if taut == cable.taut:
-            return []
-        if taut or not tight:
-            self._tried.add(cable.name)
-        # One that slackens gets its folds back from the straight way.
-        cable.update(taut=taut, path_is_geodesic=taut and cable.path_is_geodesic)
-        self._switches[cable.name] += 1
-        return [f"{cable.name} {'tightens' if taut else 'slackens'}"]
+        changes: list[str] = []
+        lines = Polylines(self.net.nodes, positions_of(self.net.cables))
+        lengths, flat = floats(lines.lengths), None
+        for c, cable in enumerate(self.net.cables):
+            if cable.cable.law == "step":
+                continue
+            if not cable.taut and not cable.sleeve:
+                contact.drape(cable, shape)
+            untried = cable.name not in self._tried and not self._rested(cable)
+            judged = solved and cable.taut
+            if judged:
+                taut = tight = lengths[c] > cable.L0 * (1 + ROUNDED)
+            else:
+                taut = tight = cable.is_tight(nearly=untried)
+            if judged and tight and untried and cable.slides_freely and cable.axial is None:
+                if flat is None:
+                    flat = floats(lines.flat_lengths(shape, fractions_of(self.net.cables)))
+                taut = flat[c] > cable.L0
+            if taut == cable.taut:
+                continue
+            if taut or not tight:
+                self._tried.add(cable.name)
+            # One that slackens gets its folds back from the straight way.
+            cable.update(taut=taut, path_is_geodesic=taut and cable.path_is_geodesic)
+            self._switches[cable.name] += 1
+            changes.append(f"{cable.name} {'tightens' if taut else 'slackens'}")
+        return changes
 
-    def _contacts(
+    def _contacts(self, shape: StripShape) -> list[str]:
+        """Let cables in tension go where they pull the membrane, and touch where they are in it."""
+        net, nodes = self.net, self.net.nodes
+        held = np.array([cable.taut and not cable.sleeve for cable in net.cables], dtype=bool)
+        may = held[nodes.cable] & ~self._covered(nodes)
+        pulling = Polylines(nodes, positions_of(net.cables)).released(shape, may)
+        released: dict[int, list[int]] = defaultdict(list)
+        for c, k in nodes.ids(pulling):
+            released[c].append(k)
+        off = np.unique(nodes.cable[nodes.lifted & held[nodes.cable]])
+        on_edges = self._on_edges_under_spans(nodes, nodes.on(shape.strip.simplices))
+        changes = []
+        for c in sorted({*released, *ints(off)}):
+            changes += self._change(net.cables[c], released[c], shape, on_edges)
+        return changes
+
+    def _change(
         self,
         cable: LaidCable,
+        released: Sequence[int],
         shape: StripShape,
-        covered: set[int],
-        on_edges: Mapping[Edge, Sequence[tuple[int, int]]],
+        on_edges: Mapping[Edge, Sequence[NodeId]],
     ) -> list[str]:
+        """Let a cable go where it is to be released, and let it touch under its spans."""
+
         def key(k: int) -> ContactKey:
             return cable.name, cable.nodes[k].support
 
-        released = contact.released(cable, shape, covered)
         free = [k for k in released if key(k) not in self._settled]
         places = {}
         if cable.lifted.any():
@@ -183,20 +218,28 @@ class ActiveSet:
         texts = [f"{cable.name} lifts off at {cable.nodes[k].point}" for k in free]
         return texts + [f"{cable.name} touches down at {cable.nodes[k].point}" for k in places]
 
-    def _edges_under_spans(self) -> set[Edge]:
-        """Edges at which cables in tension are lifted off."""
-        return {e for cable in self.net.cables if cable.taut for e in _edges_under(cable)}
+    def _on_edges_under_spans(self, nodes: NodeTable, on: Integers) -> dict[Edge, Sequence[NodeId]]:
+        """Nodes of cables in tension on each edge over which one is lifted off, lifted ones too."""
+        edge = nodes.taut & (nodes.size == 2) & (nodes.kind != CROSSING)
+        rows = np.flatnonzero(edge & np.isin(on, on[edge & nodes.lifted]))
+        found: dict[Edge, list[NodeId]] = defaultdict(list)
+        for (a, b, _), node in zip(lists(nodes.support[rows]), nodes.ids(rows), strict=True):
+            found[a, b].append(node)
+        return dict(found)
 
-    def _tops(self) -> dict[int, tuple[int, int]]:
-        """The uppermost cable in tension on each vertex that one touches: its layer and number."""
+    def _covered(self, nodes: NodeTable) -> Booleans:
+        """Which nodes lie on vertices that a cable on top of theirs touches too, (n,)."""
+        covered = np.zeros(len(nodes.kind), dtype=bool)
+        rows = np.flatnonzero((nodes.size == 1) & nodes.taut)
+        layers = [(self.net.cables[c].layer, c) for c in ints(nodes.cable[rows])]
+        vertices, touches = ints(nodes.support[rows, 0]), flags(~nodes.lifted[rows])
         tops: dict[int, tuple[int, int]] = {}
-        for c, cable in enumerate(self.net.cables):
-            for k in cable.contacts() if cable.taut else []:
-                point = cable.nodes[k].point
-                if isinstance(point, VertexPoint):
-                    order = (cable.layer, c)
-                    tops[point.vertex] = max(order, tops.get(point.vertex, order))
-        return tops
+        for vertex, layer, touch in zip(vertices, layers, touches, strict=True):
+            if touch:
+                tops[vertex] = max(layer, tops.get(vertex, layer))
+        above = [tops.get(v, layer) > layer for v, layer in zip(vertices, layers, strict=True)]
+        covered[rows] = above
+        return covered
 
     def _crossings(self, shape: StripShape) -> list[str]:
         changes = []

@@ -11,18 +11,21 @@ contacts cannot flicker.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence, Set
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
+import numba
 import numpy as np
 
+from crms_fenicsx.cables.points_on_edges import ANCHOR, CROSSING, NodeTable, positions_of
 from crms_fenicsx.cables.strip import StripShape
-from crms_fenicsx.meshes.triangles import arc_lengths, cross, dot, norm
+from crms_fenicsx.meshes.triangles import cross
 from crms_fenicsx.model.cable_state import CableNode
-from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import INSIDE, PAST, SAME_PLACE
-from crms_fenicsx.runtime.arrays import Array, flags
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, ints
 from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint, VertexPoint
 
 
@@ -130,43 +133,113 @@ def is_foot(cable: LaidCable, k: int) -> bool:
     return in_cell and "anchor" in (nodes[k - 1].kind, nodes[k + 1].kind)
 
 
+class Polylines:
+    """Cables in space: the nodes at which they touch the membrane, each other or their anchors."""
+
+    def __init__(self, nodes: NodeTable, positions: Array) -> None:
+        self.nodes, self.positions = nodes, positions
+        self.contacts = np.flatnonzero(~nodes.lifted)  # (m,) rows of these nodes
+        self._starts = np.searchsorted(self.contacts, nodes.starts)  # where each cable begins
+        self._x = positions[self.contacts]
+        self._arc = np.zeros(len(self._x))
+        _arc_lengths(self._x, self._starts, self._arc)
+
+    @classmethod
+    def of(cls, cables: Sequence[LaidCable]) -> Polylines:
+        """Those of some cables."""
+        return cls(NodeTable.of(cables), positions_of(cables))
+
+    @property
+    def lengths(self) -> Array:
+        """Lengths of the cables, (n,)."""
+        return self._arc[self._starts[1:] - 1]
+
+    def pulls(self, rows: Integers, normals: Array, reaches: Array) -> Array:
+        """As `outward_pulls`, of contacts by their rows."""
+        nodes, pulls = self.nodes, np.full(len(rows), -1.0)
+        stops = (nodes.kind == CROSSING) | (nodes.crossing >= 0)
+        ends = self._starts[nodes.cable[rows][:, None] + np.arange(2)]
+        at = np.searchsorted(self.contacts, rows)
+        _pulls(self._x, self._arc, ends, stops[self.contacts], at, normals, reaches, pulls)
+        return pulls
+
+    def released(self, shape: StripShape, chosen: Booleans) -> Integers:
+        """Rows of those of the chosen nodes (n,) at which cables pull the membrane outward."""
+        nodes = self.nodes
+        may = chosen & ~nodes.lifted & (nodes.kind != CROSSING) & (nodes.crossing < 0)
+        may[nodes.starts[:-1]] = may[nodes.starts[1:] - 1] = False  # the ends
+        on = np.flatnonzero(may)
+        around = shape.around(nodes.on(shape.strip.simplices)[on])
+        beside = (nodes.kind[on - 1] == ANCHOR) | (nodes.kind[on + 1] == ANCHOR)
+        feet = (nodes.size[on] == 3) & beside
+        return on[(self.pulls(on, *around) > PULL) | feet]
+
+    def flat_lengths(self, shape: StripShape, fractions: Array) -> Array:
+        """Lengths that the cables would have on cells that they did not fold, (n,) (length)."""
+        nodes, simplices = self.nodes, shape.strip.simplices
+        own = self.contacts[nodes.kind[self.contacts] != CROSSING]
+        on, weights, s = nodes.on(simplices)[own], nodes.weights[own].copy(), fractions[own]
+        slides = (nodes.size[own] == 2) & ~np.isnan(s)
+        weights[slides, :2] = np.stack([1 - s, s], axis=1)[slides]
+        places = np.einsum("nk,nki->ni", weights, shape.current[simplices.corners[on]])
+        places = np.where((nodes.kind[own] == ANCHOR)[:, None], self.positions[own], places)
+        starts, arc = np.searchsorted(own, nodes.starts), np.zeros(len(own))
+        _arc_lengths(places, starts, arc)
+        return arc[starts[1:] - 1]
+
+
+@numba.njit(cache=True)
+def _arc_lengths(x, starts, arc):  # type: ignore[no-untyped-def]
+    """Lengths of polylines one after the other, from their first points to each one, (n,)."""
+    for c in range(len(starts) - 1):
+        for k in range(starts[c] + 1, starts[c + 1]):
+            square = 0.0
+            for i in range(3):
+                square += (x[k, i] - x[k - 1, i]) ** 2
+            arc[k] = arc[k - 1] + math.sqrt(square)
+
+
+@numba.njit(cache=True)
+def _pulls(x, arc, ends, stops, at, normals, reaches, pulls):  # type: ignore[no-untyped-def]
+    """As `outward_pulls`, at points of polylines x (m, 3), arc (m,) that begin and end at `ends`
+    (n, 2), not beyond `stops` (m,)."""
+    for n in range(len(at)):
+        k, first, last = at[n], ends[n, 0], ends[n, 1] - 1
+        pull, free = 0.0, True
+        for step in (-1, 1):
+            far = arc[k] + step * reaches[n]
+            m = k + step
+            while first < m < last and not stops[m] and step * (far - arc[m]) > 0.0:
+                m += step
+            at_m = step * (far - arc[m]) >= 0.0
+            way = abs((arc[m] if at_m else far) - arc[k])
+            free = free and way > SAME_PLACE * arc[last]
+            size, part = 0.0, 0.0
+            for i in range(3):
+                low = min(m, m - step)
+                slope = 0.0 if at_m else (x[low + 1, i] - x[low, i]) / (arc[low + 1] - arc[low])
+                place = x[m, i] if at_m else slope * (far - arc[low]) + x[low, i]
+                size += (place - x[k, i]) ** 2
+                part += (place - x[k, i]) * normals[n, i]
+            pull += part / math.sqrt(size) if size > 0.0 else 0.0
+        if free:
+            pulls[n] = pull
+
+
 def outward_pulls(cable: LaidCable, nodes: Sequence[int], normals: Array, reaches: Array) -> Array:
     """Forces of the cable around some of its nodes along the normals, relative to the tension.
     Points close together, as those around a vertex, share one contact: what counts is the turn of
     the cable between a distance `reach` before and after the node, but not that at a crossing,
     where another cable presses. Shapes: nodes (n,), normals (n, 3), reaches (n,). Returns (n,)
     forces, positive outward; -1 where the cable lies on its anchor, or on another cable."""
-    contacts = cable.contacts()
-    x, i = cable.positions[contacts], np.searchsorted(contacts, nodes)
-    arc = arc_lengths(x)
-    all_nodes = cable.nodes
-    crossings = [m for m, k in enumerate(contacts) if all_nodes[k].touches_cable]
-    stops = np.array([0, *crossings, len(contacts) - 1])
-    before = stops[np.searchsorted(stops, i) - 1]
-    after = stops[np.searchsorted(stops, i, side="right")]
-    near = np.stack(
-        [np.maximum(arc[i] - reaches, arc[before]), np.minimum(arc[i] + reaches, arc[after])]
-    )
-    pulls = np.full(len(i), -1.0)
-    free = np.abs(near - arc[i]).min(axis=0) > SAME_PLACE * arc[-1]
-    i, near = i[free], near[:, free]
-    ways = np.stack([np.interp(near, arc, x[:, m]) for m in range(3)], axis=2) - x[i]
-    pulls[free] = dot((ways / norm(ways)[..., None]).sum(axis=0), normals[free])
-    return pulls
+    return Polylines.of([cable]).pulls(np.asarray(nodes, dtype=np.int64), normals, reaches)
 
 
-def released(cable: LaidCable, shape: StripShape, covered: Set[int] = frozenset()) -> list[int]:
+def released(cable: LaidCable, shape: StripShape) -> list[int]:
     """Nodes at which the cable pulls the membrane outward."""
     if cable.sleeve:
         return []
-    nodes, lifted = cable.nodes, flags(cable.lifted)
-    on = [k for k in may_lift(cable) if not lifted[k]]
-    if covered:
-        on = [k for k in on if len(nodes[k].support) > 1 or nodes[k].support[0] not in covered]
-    normals, sizes = shape.normals_and_sizes([nodes[k].support for k in on])
-    up = flags(outward_pulls(cable, on, normals, sizes) > PULL)
-    feet = [k for k in (*on[:1], *on[-1:]) if is_foot(cable, k)]  # next to the ends, if anywhere
-    return [k for k, pulls in zip(on, up, strict=True) if pulls or k in feet]
+    return ints(Polylines.of([cable]).released(shape, np.ones(len(cable.nodes), dtype=bool)))
 
 
 def captured(
@@ -298,14 +371,3 @@ def drape(cable: LaidCable, shape: StripShape) -> None:
         cable.update(positions=positions)
         if not free and not places:
             return
-
-
-def flat_length(cable: LaidCable, shape: StripShape) -> float:
-    """Length of the polyline that a cable would have on cells that it did not fold (length)."""
-    points = []
-    for k in cable.contacts():
-        if cable.nodes[k].kind == "anchor":
-            points.append(cable.positions[k])
-        elif cable.nodes[k].kind != "crossing":
-            points.append(shape.mean(*cable.interpolation(k)))
-    return polyline_length(np.array(points))
