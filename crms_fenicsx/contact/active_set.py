@@ -28,48 +28,42 @@ from crms_fenicsx.contact.lift_off import (
     PULL,
     Polylines,
     apparent_crossing,
-    link_at,
-    outward_pulls,
 )
-from crms_fenicsx.meshes.triangles import lists
+from crms_fenicsx.meshes.triangles import lists, vectors
 from crms_fenicsx.model.cable_state import Crossing, NodeId
 from crms_fenicsx.model.laid_cable import ROUNDED, LaidCable
 from crms_fenicsx.runtime.arrays import Booleans, Integers, flags, floats, ints
 from crms_fenicsx.surface.points import Edge, EdgePoint, Support
 
 
-def parting(
-    crossings: Sequence[Crossing], cables: Sequence[LaidCable], shape: StripShape
-) -> list[int]:
+def parting(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) -> set[int]:
     """Numbers of the crossings at which the upper cable pulls the lower one up."""
-    by_upper: dict[int, list[int]] = defaultdict(list)
-    for number, crossing in enumerate(crossings):
-        if not crossing.separated:
-            by_upper[crossing.upper].append(number)
-    found = []
-    for c, own in by_upper.items():
-        upper = cables[c]
-        at = {node.crossing: k for k, node in enumerate(upper.nodes)}
-        nodes = [at[number] for number in own]
-        on = [n for n, k in enumerate(nodes) if not upper.lifted[k]]
-        supports = [crossings[own[n]].support for n in on]
-        pulls = outward_pulls(upper, [nodes[n] for n in on], *shape.normals_and_sizes(supports))
-        found += [own[n] for n, pull in zip(on, pulls, strict=True) if pull > PULL]
+    nodes = lines.nodes
+    at = np.flatnonzero((nodes.crossing >= 0) & ~nodes.lifted)
+    upper = np.array([crossing.upper for crossing in crossings], dtype=np.int64)
+    together = np.array([not crossing.separated for crossing in crossings], dtype=bool)
+    number = nodes.crossing[at]
+    at = at[together[number] & (nodes.cable[at] == upper[number])]
+    pulls = lines.pulls(at, *shape.around(nodes.on(shape.strip.simplices)[at]))
+    return set(ints(nodes.crossing[at[pulls > PULL]]))
+
+
+def joining(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) -> set[int]:
+    """Numbers of the crossings whose cables have parted and would run through each other."""
+    apart = [number for number, crossing in enumerate(crossings) if crossing.separated]
+    pairs = [(crossings[n].lower, crossings[n].upper) for n in apart]
+    cables = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    links = np.array([crossings[n].links for n in apart], dtype=np.int64).reshape(-1, 2)
+    lower, upper = (lines.straight_parts(cables[:, k], links[:, k]) for k in (0, 1))
+    normals, _ = shape.normals_and_sizes([crossings[n].support for n in apart])
+    found = set()
+    for n, number in enumerate(apart):
+        (a, b), (c, d) = vectors(lower[n]), vectors(upper[n])
+        s, t = (min(max(x, 0.0), 1.0) for x in apparent_crossing(a, b, c, d, normals[n]))
+        gap = float((c + t * (d - c) - a - s * (b - a)) @ normals[n])
+        if gap < -DEPTH * float(np.linalg.norm(b - a)):
+            found.add(number)
     return found
-
-
-def joins(crossing: Crossing, cables: Sequence[LaidCable], shape: StripShape) -> bool:
-    """Whether two cables that have parted would run through each other."""
-    if not crossing.separated:
-        return False
-    normal = shape.normal(crossing.support)
-    (a, b), (c, d) = (
-        link_at(cables[number], k)
-        for number, k in zip((crossing.lower, crossing.upper), crossing.links, strict=True)
-    )
-    s, t = (min(max(x, 0.0), 1.0) for x in apparent_crossing(a, b, c, d, normal))
-    gap = float((c + t * (d - c) - a - s * (b - a)) @ normal)
-    return gap < -DEPTH * float(np.linalg.norm(b - a))
 
 
 ContactKey = tuple[str, Support] | tuple[str, str]
@@ -244,7 +238,9 @@ class ActiveSet:
     def _crossings(self, shape: StripShape) -> list[str]:
         changes = []
         net = self.net
-        pulled = parting(net.crossings, net.cables, shape)
+        lines = Polylines(net.nodes, positions_of(net.cables))
+        pulled = parting(net.crossings, lines, shape)
+        joined = joining(net.crossings, lines, shape)
         crossings = list(net.crossings)
         for number, crossing in enumerate(net.crossings):
             names = net.cables[crossing.upper].name, net.cables[crossing.lower].name
@@ -253,7 +249,7 @@ class ActiveSet:
                 crossings[number] = replace(crossing, separated=True)
                 self._released.add(names)
                 changes.append("{} lifts off {}".format(*names))
-            elif joins(crossing, net.cables, shape):
+            elif number in joined:
                 crossings[number] = replace(crossing, separated=False)
                 if names in self._released:
                     self._settled.add(names)

@@ -21,12 +21,12 @@ import numpy as np
 
 from crms_fenicsx.cables.points_on_edges import ANCHOR, CROSSING, NodeTable, positions_of
 from crms_fenicsx.cables.strip import StripShape
-from crms_fenicsx.meshes.triangles import cross
+from crms_fenicsx.meshes.triangles import vectors
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import INSIDE, PAST, SAME_PLACE
-from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, ints
-from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint, VertexPoint
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, floats, ints
+from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint, Support, VertexPoint
 
 
 class Gap(NamedTuple):
@@ -59,46 +59,89 @@ def under(
     """The place of the membrane on a node's edge or vertex that a free span passes."""
     assert node.point is not None
     support = node.point.support
-    normal = shape.normal(support)
-    start, end = span
-    line = [shape.at(support[0]), *bends, shape.at(support[-1])]
-    if len(support) == 1:
-        t = float((line[0] - start) @ (end - start) / ((end - start) @ (end - start)))
-        above = start + min(max(t, 0.0), 1.0) * (end - start)
-        gap = float((above - line[0]) @ normal)
-        return Gap(gap, np.nan, line[0], above, 0.0 < t < 1.0)
-    sizes = [float(np.linalg.norm(b - a)) for a, b in pairwise(line)]
-    found: Gap | None = None
-    before, best = 0.0, (True, np.inf)
-    for (a, b), size in zip(pairwise(line), sizes, strict=True):
-        s, t = apparent_crossing(a, b, start, end, normal)
-        first, last = before == 0.0, before + size >= sum(sizes) * (1 - 1e-12)
+    return _gap(support, span, shape, shape.normal(support), bends, reach)
+
+
+def _gap(
+    support: Support,
+    span: tuple[Array, Array],
+    shape: StripShape,
+    normal: Array,
+    bends: Sequence[Array] = (),
+    reach: float = PAST,
+) -> Gap:
+    """As `under`, given the normal there."""
+    line = [shape.at(support[0])] if len(support) == 1 else [
+        shape.at(support[0]), *bends, shape.at(support[-1])
+    ]  # fmt: skip
+    gap, fraction, place, above, inside, end = _passed(np.array(line), *span, normal, reach)
+    return Gap(gap, fraction, place, above, inside, support[end] if end >= 0 else -1)
+
+
+@numba.njit(cache=True)
+def _passed(line, start, end, normal, reach):  # type: ignore[no-untyped-def]
+    """What `Gap` has of a line (m, 3) under a span, with the end passed, 0 or 1, or -1."""
+    span, total, before = end - start, 0.0, 0.0
+    if len(line) == 1:
+        t = _dot(line[0] - start, span) / _dot(span, span)
+        above = start + min(max(t, 0.0), 1.0) * span
+        return _dot(above - line[0], normal), np.nan, line[0], above, 0.0 < t < 1.0, -1
+    for k in range(len(line) - 1):
+        total += _size(line[k + 1] - line[k])
+    gap, fraction, found, over, is_inside, passed = np.inf, 0.0, line[0], start, False, -1
+    is_other = True
+    for k in range(len(line) - 1):
+        side = line[k + 1] - line[k]
+        size = _size(side)
+        s, t = apparent_crossing(line[k], line[k + 1], start, end, normal)
+        first, last = before == 0.0, before + size >= total * (1 - 1e-12)
         inside = (s > -INSIDE or not first) and (s < 1 + INSIDE or not last) and 0.0 < t < 1.0
         other = (s < 0.0 and not first) or (s > 1.0 and not last)  # it passes another part
         past = -1
         if 0.0 < t < 1.0 and not inside:
-            past = support[0] if first and -reach < s < 0.0 else past
-            past = support[1] if last and 1.0 < s < 1 + reach else past
+            past = 0 if first and -reach < s < 0.0 else past
+            past = 1 if last and 1.0 < s < 1 + reach else past
         s, t = min(max(s, 0.0), 1.0), min(max(t, 0.0), 1.0)
-        place, above = a + s * (b - a), start + t * (end - start)
-        fraction = (before + s * size) / sum(sizes)
-        gap = float((above - place) @ normal)
-        if found is None or (other, gap) < best:
-            best = other, gap
-            found = Gap(gap, fraction, place, above, inside, past)
+        place, above = line[k] + s * side, start + t * span
+        height = _dot(above - place, normal)
+        if (other < is_other) or (other == is_other and height < gap) or k == 0:
+            is_other, gap, fraction = other, height, (before + s * size) / total
+            found, over, is_inside, passed = place, above, inside, past
         before += size
-    assert found is not None
-    return found
+    return gap, fraction, found, over, is_inside, passed
 
 
-def apparent_crossing(a: Array, b: Array, c: Array, d: Array, normal: Array) -> tuple[float, float]:
+@numba.njit(cache=True)
+def apparent_crossing(a, b, c, d, normal):  # type: ignore[no-untyped-def]
     """Where the lines ab and cd cross, seen along the normal: their parameters."""
-    u, v = (x - (x @ normal) * normal for x in (b - a, d - c))
-    w = (c - a) - ((c - a) @ normal) * normal
-    area = float(cross(u, v) @ normal)
-    if abs(area) <= 1e-12 * float(np.linalg.norm(u) * np.linalg.norm(v)):
+    u, v, w = _flat(b - a, normal), _flat(d - c, normal), _flat(c - a, normal)
+    area = _triple(u, v, normal)
+    if abs(area) <= 1e-12 * (_size(u) * _size(v)):
         return 0.5, 0.5  # the span runs along the edge
-    return float(cross(w, v) @ normal) / area, float(cross(w, u) @ normal) / area
+    return _triple(w, v, normal) / area, _triple(w, u, normal) / area
+
+
+@numba.njit(cache=True)
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@numba.njit(cache=True)
+def _size(a):  # type: ignore[no-untyped-def]
+    return math.sqrt(_dot(a, a))
+
+
+@numba.njit(cache=True)
+def _flat(a, normal):  # type: ignore[no-untyped-def]
+    """The part of a vector square to the normal."""
+    return a - _dot(a, normal) * normal
+
+
+@numba.njit(cache=True)
+def _triple(a, b, c):  # type: ignore[no-untyped-def]
+    """The product of a x b with c."""
+    x, y = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2]
+    return x * c[0] + y * c[1] + (a[0] * b[1] - a[1] * b[0]) * c[2]
 
 
 def spans(cable: LaidCable) -> Iterator[tuple[int, int]]:
@@ -174,6 +217,16 @@ class Polylines:
         feet = (nodes.size[on] == 3) & beside
         return on[(self.pulls(on, *around) > PULL) | feet]
 
+    def straight_parts(self, cables: Integers, links: Integers) -> Array:
+        """Ends of the straight parts of cables after some nodes, crossings not counted. Shapes:
+        cables, links (m,): numbers of both. Returns (m, 2, 3)."""
+        nodes, contacts = self.nodes, self.contacts
+        own = np.flatnonzero(nodes.kind != CROSSING)
+        at = np.searchsorted(own, nodes.starts[cables]) + links
+        first = contacts[np.searchsorted(contacts, own[at], side="right") - 1]
+        last = contacts[np.searchsorted(contacts, own[at + 1])]
+        return np.stack([self.positions[first], self.positions[last]], axis=1)
+
     def flat_lengths(self, shape: StripShape, fractions: Array) -> Array:
         """Lengths that the cables would have on cells that they did not fold, (n,) (length)."""
         nodes, simplices = self.nodes, shape.strip.simplices
@@ -206,6 +259,8 @@ def _pulls(x, arc, ends, stops, at, normals, reaches, pulls):  # type: ignore[no
     for n in range(len(at)):
         k, first, last = at[n], ends[n, 0], ends[n, 1] - 1
         pull, free = 0.0, True
+        if not first < k < last:
+            continue
         for step in (-1, 1):
             far = arc[k] + step * reaches[n]
             m = k + step
@@ -261,22 +316,22 @@ def captured(
     """
     found = {}
     positions, fractions = cable.positions.copy(), cable.fractions.copy()
+    around = _around_lifted(cable, shape)
     for a, b in spans(cable):
         span = (positions[a], positions[b])
         passed: dict[int, Gap] = {}
         for k in range(a + 1, b):
             node = cable.nodes[k]
-            if node.kind == "crossing" or is_foot(cable, k):
+            if k not in around:
                 positions[k] = span[0] + (k - a) / (b - a) * (span[1] - span[0])
                 continue
-            assert node.point is not None
-            support = node.point.support
+            support, (normal, size) = node.support, around[k]
             on_edge = bends.get((support[0], support[1]), ()) if len(support) == 2 else ()
-            place = under(node, span, shape, on_edge)
+            place = _gap(support, span, shape, normal, on_edge)
             positions[k] = place.above
             if node.slides:  # so that the path stays below the span
                 fractions[k] = min(max(place.fraction, INSIDE), 1 - INSIDE)
-            if place.gap < height * size_at(shape, support):
+            if place.gap < height * size:
                 if place.inside:
                     found[k] = place
                 elif height < 0.0 and place.past >= 0:
@@ -284,6 +339,17 @@ def captured(
         found |= {k: place for k, place in passed.items() if _passed_by_all(cable, k, passed)}
     cable.update(positions=positions, fractions=fractions)
     return found
+
+
+def _around_lifted(cable: LaidCable, shape: StripShape) -> dict[int, tuple[Array, float]]:
+    """Normals and sizes of the cells at the lifted nodes, but crossings and feet."""
+    lifted = [
+        k
+        for k in ints(np.flatnonzero(cable.lifted))
+        if cable.nodes[k].kind != "crossing" and not is_foot(cable, k)
+    ]
+    normals, sizes = shape.normals_and_sizes([cable.nodes[k].support for k in lifted])
+    return dict(zip(lifted, zip(vectors(normals), floats(sizes), strict=True), strict=True))
 
 
 def _passed_by_all(cable: LaidCable, k: int, passed: Mapping[int, Gap]) -> bool:
@@ -310,15 +376,15 @@ def sunk(cables: Sequence[LaidCable], shape: StripShape) -> set[int]:
     for c, cable in enumerate(cables):
         if not cable.taut or cable.sleeve:
             continue
+        around = _around_lifted(cable, shape)
         for a, b in spans(cable):
             span = (cable.positions[a], cable.positions[b])
             for k in range(a + 1, b):
-                node = cable.nodes[k]
-                if node.kind == "crossing" or is_foot(cable, k):
+                if k not in around:
                     continue
-                assert node.point is not None
-                place = under(node, span, shape, reach=np.inf)
-                deep = -SUNK * size_at(shape, node.point.support)
+                normal, size = around[k]
+                place = _gap(cable.nodes[k].support, span, shape, normal, reach=np.inf)
+                deep = -SUNK * size
                 if place.past < 0 or place.gap >= deep:
                     continue
                 # Over an edge that hardly turns aside from it the span passes the edge's line far
@@ -347,15 +413,6 @@ def touch(cable: LaidCable, places: Mapping[int, Gap]) -> None:
         if cable.nodes[k].slides:
             fractions[k] = min(max(place.fraction, INSIDE), 1 - INSIDE)
     cable.update(lifted=lifted, positions=positions, fractions=fractions)
-
-
-def link_at(cable: LaidCable, k: int) -> tuple[Array, Array]:
-    """Ends of the straight part of a cable after its node k, crossings not counted."""
-    own = [i for i, node in enumerate(cable.nodes) if node.kind != "crossing"]
-    contacts = cable.contacts()
-    first = max(i for i in contacts if i <= own[k])
-    last = min(i for i in contacts if i >= own[k + 1])
-    return cable.positions[first], cable.positions[last]
 
 
 def drape(cable: LaidCable, shape: StripShape) -> None:
