@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy.typing as npt
 
-from crms_fenicsx.cables.crossings import arranged
+from crms_fenicsx.cables.crossings import arrange
 from crms_fenicsx.cables.points_on_edges import NodeTable
 from crms_fenicsx.cables.strip import EMPTY, Strip, StripShape, cells_at, grown
 from crms_fenicsx.model.cable_state import CableState, Crossing
@@ -94,7 +94,7 @@ class CableNet:
         self.arranged, known = self.cables, self.crossings
         self.crossings = ()
         if self.strip is not None:
-            self.crossings, self._nodes = arranged(self.nodes, self.cables, self.strip, known)
+            self.crossings, self._nodes = arrange(self.nodes, self.cables, self.strip, known)
 
     def add(self, cable: LaidCable, strip: Strip) -> None:
         """Add a cable that has been laid over the cells of `strip`."""

@@ -155,19 +155,12 @@ cables to lie."""
 
 
 def arrange(
-    cables: Sequence[LaidCable], strip: Strip, known: Sequence[Crossing]
-) -> tuple[Crossing, ...]:
-    """Find the crossings of the cables in tension, and insert their points into the cables."""
-    return arranged(NodeTable.of(cables), cables, strip, known)[0]
-
-
-def arranged(
     before: NodeTable, cables: Sequence[LaidCable], strip: Strip, known: Sequence[Crossing]
 ) -> tuple[tuple[Crossing, ...], NodeTable]:
-    """As `arrange`, given the nodes that the cables have; returns also those that they get."""
+    """Find the crossings of the cables in tension, and insert their points into the cables, whose
+    nodes are given. Returns the crossings, and the nodes that the cables have then."""
     positions, fractions = positions_of(cables), fractions_of(cables)
-    shared = np.flatnonzero(before.crossing >= 0)
-    places = [one.place for one in known]
+    shared, places = np.flatnonzero(before.crossing >= 0), [one.place for one in known]
     for row in ints(shared):
         places[before.crossing[row]] = positions[row]
     kept = before.kind != CROSSING
@@ -178,66 +171,73 @@ def arranged(
     found.sort(key=lambda meeting: (meeting.first, meeting.along[0]))
     links, ends, along = _lower_first(found, plain, cables)
     at = positions[links] + along[..., None] * (positions[ends] - positions[links])
-    off = lifted[links[:, 1]] & lifted[ends[:, 1]]
-    left = _Left(zip(known, places, strict=True))
-    crossings = [
-        left.go_on(lower, upper, one.point.support, (k, m), place, between, separated)
-        for one, (lower, upper), (k, m), place, between, separated in zip(
-            found, lists(plain.cable[links]), lists(plain.place[links]),
-            vectors((at[:, 0] + at[:, 1]) / 2), _between(nodes, links, ends), flags(off),
-            strict=True,
-        )
-    ]  # fmt: skip
-    new = [CableNode("crossing", one.point, number) for number, one in enumerate(found)]
-    meet = np.array([not one.separated for one in crossings], dtype=bool)[:, None]
+    crossings = _gone_on(
+        zip(
+            map(tuple, lists(plain.cable[links])), (one.point.support for one in found),
+            map(tuple, lists(plain.place[links])), vectors((at[:, 0] + at[:, 1]) / 2),
+            _between(nodes, links, ends),
+            flags(lifted[links[:, 1]] & lifted[ends[:, 1]]), strict=True,
+        ),
+        zip(known, places, strict=True),
+    )  # fmt: skip
+    shares = np.array([not one.separated for one in crossings], dtype=bool)[:, None]
     # a fold point on an edge that another cable follows is the crossing's point
     on_edge = np.array([len(one.support) == 2 for one in crossings], dtype=bool)[:, None]
-    fold = meet & on_edge & (plain.kind[links] != VERTEX)
-    rows, numbers = plain.rows.copy(), np.arange(len(new))[:, None] + np.zeros_like(links)
+    fold = shares & on_edge & (plain.kind[links] != VERTEX)
+    rows, numbers = plain.rows.copy(), np.arange(len(found))[:, None] + np.zeros_like(links)
     rows["crossing"][links[fold]] = numbers[fold]
     for row in ints(np.unique(links[fold])):
-        shared_by = int(rows["crossing"][row])
-        nodes[row] = CableNode(nodes[row].kind, nodes[row].point, shared_by)
-    inserted = meet & ~fold
-    after: Integers = links[inserted]
-    number: Integers = numbers[inserted]
-    order = np.lexsort(
-        (
-            np.concatenate([np.full(len(rows), -1.0), along[inserted]]),
-            np.concatenate([np.arange(len(rows)), after]),
-        )
-    )
+        nodes[row] = replace(nodes[row], crossing=int(rows["crossing"][row]))
+    after: Integers = links[shares & ~fold]
+    number: Integers = numbers[shares & ~fold]
+    share = np.append(np.full(len(rows), -1.0), along[shares & ~fold])
+    order = np.lexsort((share, np.append(np.arange(len(rows)), after)))
 
     def joined(old: npt.NDArray[Any], of_crossings: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        return np.concatenate([old, of_crossings])[order]
+        return np.concatenate([old, of_crossings[number]])[order]
 
-    every = np.empty(len(new), dtype=object)
-    every[:] = new
+    own_nodes = [CableNode("crossing", one.point, n) for n, one in enumerate(found)]
+    new = np.empty(len(found), dtype=object)
+    new[:] = own_nodes
+    new_rows = node_rows([own_nodes])
     where = np.array([one.place for one in crossings]).reshape(-1, 3)
-    nodes, positions = joined(nodes, every[number]), joined(positions, where[number])
-    fractions = joined(fractions, np.full(len(number), np.nan))
-    lifted = joined(lifted, np.zeros(len(number), dtype=bool))
+    nodes, positions, rows = joined(nodes, new), joined(positions, where), joined(rows, new_rows)
+    fractions = joined(fractions, np.full(len(new), np.nan))
+    lifted = joined(lifted, np.zeros(len(new), dtype=bool))
     counts = np.diff(plain.starts) + np.bincount(plain.cable[after], minlength=len(cables))
     starts = pointers(counts)
-    changed = np.zeros(len(cables), dtype=bool)
-    changed[before.cable[shared]] = changed[plain.cable[links[fold | inserted]]] = True
-    for c in ints(np.flatnonzero(changed)):
-        own = slice(starts[c], starts[c + 1])
-        cables[c].update(
-            nodes=tuple(nodes[own]), positions=positions[own], fractions=fractions[own],
-            lifted=lifted[own],
-        )  # fmt: skip
-    of_crossings = node_rows([new])
-    rows = joined(rows, of_crossings[number])
-    on = joined(meetings.on, strip.simplices.find(of_crossings["support"])[number])
-    table = NodeTable(
-        [cable.nodes for cable in cables], rows, before.taut_cables, lifted, (strip.simplices, on)
-    )
-    for c in ints(np.flatnonzero(changed)):
-        if not _are_alike(before, table, c):  # else what the last solve has found of them stays
-            none = np.full((counts[c], 3), np.nan)
-            cables[c].update(reference_positions=none, blocked=())
-    return tuple(crossings), table
+    for c in {*ints(before.cable[shared]), *ints(plain.cable[links[shares[:, 0]]].ravel())}:
+        own, old = slice(*starts[c : c + 2]), slice(*before.starts[c : c + 2])
+        state = cables[c].state
+        cables[c].set_nodes(list(nodes[own]), positions[own], fractions[own], lifted[own])
+        alike = (np.array_equal(rows[a][own], before.rows[a][old]) for a in ("kind", "support"))
+        if all(alike):  # what the last solve has found of the cable's points stays
+            solved = state.reference_positions
+            cables[c].update(reference_positions=solved, blocked=state.blocked)
+    on = strip.simplices, joined(meetings.on, strip.simplices.find(new_rows["support"]))
+    of_cables = [cable.nodes for cable in cables]
+    return tuple(crossings), NodeTable(of_cables, rows, before.taut_cables, lifted, on)
+
+
+def _gone_on(
+    found: Iterable[tuple[Any, ...]], known: Iterable[tuple[Crossing, Array]]
+) -> list[Crossing]:
+    """Crossings that go on from the nearest ones left of the same cables, which are where given, or
+    are new: both cables, support, links, place, between and whether they have parted."""
+    left: dict[tuple[int, int], list[tuple[Crossing, Array]]] = defaultdict(list)
+    for one, at in known:
+        left[one.lower, one.upper].append((one, at))
+    crossings = []
+    for (lower, upper), support, links, place, between, separated in found:
+        before = left[lower, upper]
+        if before:
+            away = [float(np.linalg.norm(at - place)) for _, at in before]
+            old, at = before.pop(away.index(min(away)))
+            separated = old.separated
+            # if they cross other edges before and after it, it would draw them aside where it was
+            place = at if old.between == between else place
+        crossings.append(Crossing(lower, upper, support, links, place, between, separated))
+    return crossings
 
 
 def _without_crossings(
@@ -280,13 +280,6 @@ def _between(
     return [tuple(supports[n : n + 4]) for n in range(0, len(supports), 4)]
 
 
-def _are_alike(one: NodeTable, other: NodeTable, c: int) -> bool:
-    """Whether the nodes of a cable are of the same kinds, on or between the same vertices."""
-    own, others = (slice(*table.starts[c : c + 2]) for table in (one, other))
-    pairs = (one.kind[own], other.kind[others]), (one.support[own], other.support[others])
-    return all(np.array_equal(*pair) for pair in pairs)
-
-
 def tangled(crossings: Sequence[Crossing]) -> set[int]:
     """Numbers of upper cables that cross a lower one to and fro within a few cells."""
     links: dict[tuple[int, int], list[tuple[int, int]]] = defaultdict(list)
@@ -298,38 +291,6 @@ def tangled(crossings: Sequence[Crossing]) -> set[int]:
         for (a, b), (c, d) in combinations(own, 2)
         if max(abs(a - c), abs(b - d)) <= TANGLED
     }
-
-
-class _Left:
-    """Crossings that there were, with where they are now; each is gone on from once."""
-
-    def __init__(self, known: Iterable[tuple[Crossing, Array]]) -> None:
-        self._of: dict[tuple[int, int], list[tuple[Crossing, Array]]] = defaultdict(list)
-        for one, place in known:
-            self._of[one.lower, one.upper].append((one, place))
-
-    def go_on(
-        self,
-        lower: int,
-        upper: int,
-        support: Support,
-        links: tuple[int, int],
-        place: Array,
-        between: tuple[Support, ...],
-        separated: bool,
-    ) -> Crossing:
-        """A crossing that goes on from the nearest one left of its cables, or is a new one."""
-        left = self._of.get((lower, upper))
-        if left:
-            near = 0
-            if len(left) > 1:
-                away = [float(np.linalg.norm(other - place)) for _, other in left]
-                near = away.index(min(away))
-            old, before = left.pop(near)
-            separated = old.separated
-            # if they cross other edges before and after it, it would draw them aside where it was
-            place = before if old.between == between else place
-        return Crossing(lower, upper, support, links, place, between, separated)
 
 
 def at_nodes(crossings: Sequence[Crossing], cable: LaidCable) -> tuple[Crossing, ...]:

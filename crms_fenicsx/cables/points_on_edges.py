@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 from itertools import chain
 
@@ -162,39 +161,13 @@ def on_edges(nodes: Sequence[CableNode]) -> Iterator[tuple[int, Edge]]:
             yield k, node.point.edge
 
 
-def nodes_on_edges(
-    cables: Sequence[LaidCable], wanted: Container[Edge] | None = None
-) -> dict[Edge, list[NodeId]]:
-    """Nodes of cables in tension on wanted edges, or on all, lifted ones too."""
-    found: dict[Edge, list[NodeId]] = defaultdict(list)
-    for c, cable in enumerate(cables):
-        for k, edge in on_edges(cable.nodes) if cable.taut else ():
-            if wanted is None or edge in wanted:
-                found[edge].append((c, k))
-    return found
-
-
-def points_by_edge(
-    cables: Sequence[LaidCable], nodes: Mapping[Edge, Sequence[tuple[int, int]]] | None = None
-) -> dict[Edge, list[tuple[float, int, int]]]:
+def points_by_edge(cables: Sequence[LaidCable]) -> dict[Edge, list[tuple[float, int, int]]]:
     """Points, none lifted, of cables in tension on each edge, sorted from its first vertex to its
     last: places on the edge (fractions), and numbers of cables and nodes."""
-    found = {
-        edge: sorted(
-            (float(cables[c].fractions[k]), c, k) for c, k in members if not cables[c].lifted[k]
-        )
-        for edge, members in (nodes_on_edges(cables) if nodes is None else nodes).items()
-    }
-    return {edge: points for edge, points in found.items() if points}
-
-
-def bends(
-    cables: Sequence[LaidCable],
-    nodes: Mapping[Edge, Sequence[tuple[int, int]]] | None = None,
-    but: LaidCable | None = None,
-) -> dict[Edge, list[Array]]:
-    """Positions (3,) of the points on each edge, in order; see `points_by_edge`."""
-    return {
-        edge: [cables[c].positions[k] for _, c, k in points if cables[c] is not but]
-        for edge, points in points_by_edge(cables, nodes).items()
-    }
+    found: dict[Edge, list[tuple[float, int, int]]] = {}
+    for c, cable in enumerate(cables):
+        for k, edge in on_edges(cable.nodes) if cable.taut else ():
+            points = found.setdefault(edge, [])
+            if not cable.lifted[k]:
+                points.append((float(cable.fractions[k]), c, k))
+    return {edge: sorted(points) for edge, points in found.items() if points}

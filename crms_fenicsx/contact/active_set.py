@@ -17,7 +17,6 @@ from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.points_on_edges import (
     CROSSING,
     NodeTable,
-    bends,
     fractions_of,
     positions_of,
 )
@@ -27,12 +26,12 @@ from crms_fenicsx.contact.lift_off import (
     DEPTH,
     PULL,
     Polylines,
-    apparent_crossing,
 )
 from crms_fenicsx.meshes.triangles import lists, vectors
 from crms_fenicsx.model.cable_state import Crossing, NodeId
 from crms_fenicsx.model.laid_cable import ROUNDED, LaidCable
-from crms_fenicsx.runtime.arrays import Booleans, Integers, flags, floats, ints
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, flags, floats, ints
+from crms_fenicsx.surface.lines import apparent_crossing
 from crms_fenicsx.surface.points import Edge, EdgePoint, Support
 
 
@@ -196,8 +195,7 @@ class ActiveSet:
         free = [k for k in released if key(k) not in self._settled]
         places = {}
         if cable.lifted.any():
-            near = {edge: on_edges[edge] for edge in _edges_under(cable) if edge in on_edges}
-            folds = bends(self.net.cables, near, but=cable)
+            folds = self._bends(cable, on_edges)
             places = contact.captured(cable, shape, folds)
             unclear = cable.slides_freely and not self._rested(cable)
             if unclear and not free and not places:
@@ -211,6 +209,20 @@ class ActiveSet:
         self._released |= {key(k) for k in free}
         texts = [f"{cable.name} lifts off at {cable.nodes[k].point}" for k in free]
         return texts + [f"{cable.name} touches down at {cable.nodes[k].point}" for k in places]
+
+    def _bends(
+        self, cable: LaidCable, on_edges: Mapping[Edge, Sequence[NodeId]]
+    ) -> dict[Edge, list[Array]]:
+        """Points of other cables on the edges over which one is lifted off, in order, (3,)."""
+        cables, found = self.net.cables, {}
+        for node in (cable.nodes[k] for k in np.flatnonzero(cable.lifted)):
+            if isinstance(node.point, EdgePoint):
+                others = [(c, k) for c, k in on_edges[node.point.edge] if cables[c] is not cable]
+                points = [(float(cables[c].fractions[k]), c, k) for c, k in others]
+                found[node.point.edge] = [
+                    cables[c].positions[k] for _, c, k in sorted(points) if not cables[c].lifted[k]
+                ]
+        return found
 
     def _on_edges_under_spans(self, nodes: NodeTable, on: Integers) -> dict[Edge, Sequence[NodeId]]:
         """Nodes of cables in tension on each edge over which one is lifted off, lifted ones too."""
@@ -256,9 +268,3 @@ class ActiveSet:
                 changes.append("{} touches {}".format(*names))
         net.crossings = tuple(crossings)
         return changes
-
-
-def _edges_under(cable: LaidCable) -> list[Edge]:
-    """Edges over which a cable is lifted off, in order."""
-    points = (cable.nodes[k].point for k in np.flatnonzero(cable.lifted))
-    return [point.edge for point in points if isinstance(point, EdgePoint)]

@@ -11,12 +11,10 @@ contacts cannot flicker.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from crms_fenicsx.cables.points_on_edges import ANCHOR, CROSSING, NodeTable, positions_of
@@ -26,6 +24,7 @@ from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import INSIDE, PAST, SAME_PLACE
 from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, floats, ints
+from crms_fenicsx.surface import lines
 from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint, Support, VertexPoint
 
 
@@ -74,74 +73,10 @@ def _gap(
     line = [shape.at(support[0])] if len(support) == 1 else [
         shape.at(support[0]), *bends, shape.at(support[-1])
     ]  # fmt: skip
-    gap, fraction, place, above, inside, end = _passed(np.array(line), *span, normal, reach)
+    gap, fraction, place, above, inside, end = lines.passed(
+        np.array(line), *span, normal, INSIDE, reach
+    )
     return Gap(gap, fraction, place, above, inside, support[end] if end >= 0 else -1)
-
-
-@numba.njit(cache=True)
-def _passed(line, start, end, normal, reach):  # type: ignore[no-untyped-def]
-    """What `Gap` has of a line (m, 3) under a span, with the end passed, 0 or 1, or -1."""
-    span, total, before = end - start, 0.0, 0.0
-    if len(line) == 1:
-        t = _dot(line[0] - start, span) / _dot(span, span)
-        above = start + min(max(t, 0.0), 1.0) * span
-        return _dot(above - line[0], normal), np.nan, line[0], above, 0.0 < t < 1.0, -1
-    for k in range(len(line) - 1):
-        total += _size(line[k + 1] - line[k])
-    gap, fraction, found, over, is_inside, passed = np.inf, 0.0, line[0], start, False, -1
-    is_other = True
-    for k in range(len(line) - 1):
-        side = line[k + 1] - line[k]
-        size = _size(side)
-        s, t = apparent_crossing(line[k], line[k + 1], start, end, normal)
-        first, last = before == 0.0, before + size >= total * (1 - 1e-12)
-        inside = (s > -INSIDE or not first) and (s < 1 + INSIDE or not last) and 0.0 < t < 1.0
-        other = (s < 0.0 and not first) or (s > 1.0 and not last)  # it passes another part
-        past = -1
-        if 0.0 < t < 1.0 and not inside:
-            past = 0 if first and -reach < s < 0.0 else past
-            past = 1 if last and 1.0 < s < 1 + reach else past
-        s, t = min(max(s, 0.0), 1.0), min(max(t, 0.0), 1.0)
-        place, above = line[k] + s * side, start + t * span
-        height = _dot(above - place, normal)
-        if (other < is_other) or (other == is_other and height < gap) or k == 0:
-            is_other, gap, fraction = other, height, (before + s * size) / total
-            found, over, is_inside, passed = place, above, inside, past
-        before += size
-    return gap, fraction, found, over, is_inside, passed
-
-
-@numba.njit(cache=True)
-def apparent_crossing(a, b, c, d, normal):  # type: ignore[no-untyped-def]
-    """Where the lines ab and cd cross, seen along the normal: their parameters."""
-    u, v, w = _flat(b - a, normal), _flat(d - c, normal), _flat(c - a, normal)
-    area = _triple(u, v, normal)
-    if abs(area) <= 1e-12 * (_size(u) * _size(v)):
-        return 0.5, 0.5  # the span runs along the edge
-    return _triple(w, v, normal) / area, _triple(w, u, normal) / area
-
-
-@numba.njit(cache=True)
-def _dot(a, b):  # type: ignore[no-untyped-def]
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@numba.njit(cache=True)
-def _size(a):  # type: ignore[no-untyped-def]
-    return math.sqrt(_dot(a, a))
-
-
-@numba.njit(cache=True)
-def _flat(a, normal):  # type: ignore[no-untyped-def]
-    """The part of a vector square to the normal."""
-    return a - _dot(a, normal) * normal
-
-
-@numba.njit(cache=True)
-def _triple(a, b, c):  # type: ignore[no-untyped-def]
-    """The product of a x b with c."""
-    x, y = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2]
-    return x * c[0] + y * c[1] + (a[0] * b[1] - a[1] * b[0]) * c[2]
 
 
 def spans(cable: LaidCable) -> Iterator[tuple[int, int]]:
@@ -184,8 +119,7 @@ class Polylines:
         self.contacts = np.flatnonzero(~nodes.lifted)  # (m,) rows of these nodes
         self._starts = np.searchsorted(self.contacts, nodes.starts)  # where each cable begins
         self._x = positions[self.contacts]
-        self._arc = np.zeros(len(self._x))
-        _arc_lengths(self._x, self._starts, self._arc)
+        self._arc = lines.arc_lengths(self._x, self._starts)
 
     @classmethod
     def of(cls, cables: Sequence[LaidCable]) -> Polylines:
@@ -199,12 +133,11 @@ class Polylines:
 
     def pulls(self, rows: Integers, normals: Array, reaches: Array) -> Array:
         """As `outward_pulls`, of contacts by their rows."""
-        nodes, pulls = self.nodes, np.full(len(rows), -1.0)
-        stops = (nodes.kind == CROSSING) | (nodes.crossing >= 0)
+        nodes = self.nodes
+        stops = ((nodes.kind == CROSSING) | (nodes.crossing >= 0))[self.contacts]
         ends = self._starts[nodes.cable[rows][:, None] + np.arange(2)]
-        at = np.searchsorted(self.contacts, rows)
-        _pulls(self._x, self._arc, ends, stops[self.contacts], at, normals, reaches, pulls)
-        return pulls
+        at, given = np.searchsorted(self.contacts, rows), (normals, reaches, SAME_PLACE)
+        return np.asarray(lines.pulls(self._x, self._arc, ends, stops, at, *given))
 
     def released(self, shape: StripShape, chosen: Booleans) -> Integers:
         """Rows of those of the chosen nodes (n,) at which cables pull the membrane outward."""
@@ -236,49 +169,8 @@ class Polylines:
         weights[slides, :2] = np.stack([1 - s, s], axis=1)[slides]
         places = np.einsum("nk,nki->ni", weights, shape.current[simplices.corners[on]])
         places = np.where((nodes.kind[own] == ANCHOR)[:, None], self.positions[own], places)
-        starts, arc = np.searchsorted(own, nodes.starts), np.zeros(len(own))
-        _arc_lengths(places, starts, arc)
-        return arc[starts[1:] - 1]
-
-
-@numba.njit(cache=True)
-def _arc_lengths(x, starts, arc):  # type: ignore[no-untyped-def]
-    """Lengths of polylines one after the other, from their first points to each one, (n,)."""
-    for c in range(len(starts) - 1):
-        for k in range(starts[c] + 1, starts[c + 1]):
-            square = 0.0
-            for i in range(3):
-                square += (x[k, i] - x[k - 1, i]) ** 2
-            arc[k] = arc[k - 1] + math.sqrt(square)
-
-
-@numba.njit(cache=True)
-def _pulls(x, arc, ends, stops, at, normals, reaches, pulls):  # type: ignore[no-untyped-def]
-    """As `outward_pulls`, at points of polylines x (m, 3), arc (m,) that begin and end at `ends`
-    (n, 2), not beyond `stops` (m,)."""
-    for n in range(len(at)):
-        k, first, last = at[n], ends[n, 0], ends[n, 1] - 1
-        pull, free = 0.0, True
-        if not first < k < last:
-            continue
-        for step in (-1, 1):
-            far = arc[k] + step * reaches[n]
-            m = k + step
-            while first < m < last and not stops[m] and step * (far - arc[m]) > 0.0:
-                m += step
-            at_m = step * (far - arc[m]) >= 0.0
-            way = abs((arc[m] if at_m else far) - arc[k])
-            free = free and way > SAME_PLACE * arc[last]
-            size, part = 0.0, 0.0
-            for i in range(3):
-                low = min(m, m - step)
-                slope = 0.0 if at_m else (x[low + 1, i] - x[low, i]) / (arc[low + 1] - arc[low])
-                place = x[m, i] if at_m else slope * (far - arc[low]) + x[low, i]
-                size += (place - x[k, i]) ** 2
-                part += (place - x[k, i]) * normals[n, i]
-            pull += part / math.sqrt(size) if size > 0.0 else 0.0
-        if free:
-            pulls[n] = pull
+        starts = np.searchsorted(own, nodes.starts)
+        return np.asarray(lines.arc_lengths(places, starts)[starts[1:] - 1])
 
 
 def outward_pulls(cable: LaidCable, nodes: Sequence[int], normals: Array, reaches: Array) -> Array:
