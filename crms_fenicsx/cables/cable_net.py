@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy.typing as npt
 
 from crms_fenicsx.cables.crossings import arrange
+from crms_fenicsx.cables.points_on_edges import NodeTable
 from crms_fenicsx.cables.strip import EMPTY, Strip, StripShape, cells_at, grown
 from crms_fenicsx.model.cable_state import CableState, Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
@@ -39,6 +40,13 @@ class CableNet:
         self.arranged: tuple[LaidCable, ...] = ()  # the cables whose crossings were arranged
         self.laid = 0  # how many cables have been laid, those since removed included
         self.removed_dissipation = 0.0  # by friction of removed cables (force x length)
+        self._nodes: NodeTable | None = None
+
+    @property
+    def nodes(self) -> NodeTable:
+        """All nodes; what has not changed since the last time is kept."""
+        self._nodes = NodeTable.of(self.cables, self._nodes)
+        return self._nodes
 
     @property
     def state(self) -> CableNetState:
@@ -83,10 +91,10 @@ class CableNet:
 
     def arrange_crossings(self) -> None:
         """Find the crossings of the cables in tension, and insert their points into the cables."""
-        self.arranged = self.cables
-        self.crossings = (
-            () if self.strip is None else arrange(self.cables, self.strip, self.crossings)
-        )
+        self.arranged, known = self.cables, self.crossings
+        self.crossings = ()
+        if self.strip is not None:
+            self.crossings, self._nodes = arrange(self.nodes, self.cables, self.strip, known)
 
     def add(self, cable: LaidCable, strip: Strip) -> None:
         """Add a cable that has been laid over the cells of `strip`."""

@@ -9,44 +9,53 @@ an edge is found in the next cell, one that slides off is gone.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import combinations
-from typing import NamedTuple
+from itertools import combinations, pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from crms_fenicsx.cables.points_on_edges import VERTEX, NodeTable, PointsOnEdges
-from crms_fenicsx.cables.strip import Strip
-from crms_fenicsx.model.cable_state import CableNode, Crossing, NodeId
+from crms_fenicsx.cables.points_on_edges import (
+    CROSSING,
+    VERTEX,
+    NodeTable,
+    PointsOnEdges,
+    fractions_of,
+    node_rows,
+    positions_of,
+)
+from crms_fenicsx.cables.strip import Simplices, Strip
+from crms_fenicsx.meshes.triangles import lists, vectors
+from crms_fenicsx.model.cable_state import CableNode, Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.runtime.arrays import Array, Integers, runs
-from crms_fenicsx.surface.points import CellPoint, EdgePoint
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, flags, ints, pointers, runs
+from crms_fenicsx.surface.points import CellPoint, EdgePoint, Support
 
 
 class Meeting(NamedTuple):
-    """Two links that cross: their first nodes, how far along each, and the place in the cell."""
+    """Two links that cross: rows of their first nodes, how far along each, the place in the
+    cell."""
 
-    first: NodeId
-    second: NodeId
+    first: int
+    second: int
     along: tuple[float, float]
     point: CellPoint | EdgePoint
 
 
 class Meetings:
-    """Finds where links cross that lie in the same cell, or on an edge with points."""
+    """Finds where links cross that lie in the same cell, or on an edge with points. There are no
+    crossings among the nodes."""
 
-    def __init__(self, cables: Sequence[LaidCable], strip: Strip) -> None:
-        self.strip, self.nodes = strip, NodeTable(cables)
-        nodes, simplices = self.nodes, strip.simplices
-        self.on = simplices.find(nodes.support)
-        self.fractions = np.concatenate([np.zeros(0), *(cable.fractions for cable in cables)])
-        self.points = PointsOnEdges(
-            nodes, nodes.taut, self.on, self.fractions, len(simplices.owner)
-        )
+    def __init__(self, nodes: NodeTable, fractions: Array, strip: Strip) -> None:
+        self.strip, self.nodes, self.fractions = strip, nodes, fractions
+        simplices = strip.simplices
+        self.on = nodes.on(simplices)
+        self.points = PointsOnEdges(nodes, nodes.taut, self.on, fractions, len(simplices.owner))
         there = nodes.taut & (nodes.size > 0)
         first = np.flatnonzero(there[:-1] & there[1:] & (nodes.cable[:-1] == nodes.cable[1:]))
-        both = simplices.spanned(nodes.support[first], nodes.support[first + 1])
+        both = simplices.spanned(self.on[first], self.on[first + 1])
         assert np.all(both >= 0), "a link that lies on no cell of the strip"
         follows = simplices.corners[both, 2] < 0
         self._follows = first[follows], both[follows]
@@ -56,17 +65,16 @@ class Meetings:
         """Points on an edge that a link of another cable follows."""
         found, nodes, points = [], self.nodes, self.points
         some = points.counts[self._follows[1]] > 0
-        for link, edge in zip(*(part[some] for part in self._follows), strict=True):
+        for link, edge in zip(*(ints(part[some]) for part in self._follows), strict=True):
             a, b = map(int, self.strip.vertices[self.strip.simplices.corners[edge, :2]])
             start = points.starts[edge]
-            for point in points.nodes[start : start + points.counts[edge]]:
+            for point in ints(points.nodes[start : start + points.counts[edge]]):
                 if nodes.cable[point] != nodes.cable[link]:
                     fraction = float(self.fractions[point])
                     ascending = nodes.size[link] == 1 and nodes.support[link, 0] == a
                     along = fraction if ascending else 1 - fraction
-                    first, second = nodes.ids(np.array([link, point]))
                     place = EdgePoint((a, b), fraction)
-                    found.append(Meeting(first, second, (along, 0.0), place))
+                    found.append(Meeting(link, point, (along, 0.0), place))
         return found
 
     def in_cells(self) -> list[Meeting]:
@@ -86,11 +94,10 @@ class Meetings:
         start, end = flat[crosses, 0], flat[crosses, 1]
         weights = np.maximum(start + t[:, :1] * (end - start), 0.0)
         weights /= (weights[:, 0] + weights[:, 1] + weights[:, 2])[:, None]
-        links = (self.nodes.ids(own[crosses]) for own in (first, second))
-        cells = self.strip.cells[row[crosses]]
+        parts = first[crosses], second[crosses], t, self.strip.cells[row[crosses]], weights
         return [
-            Meeting(one, other, (float(s), float(r)), CellPoint(tuple(cell), tuple(share)))
-            for one, other, (s, r), cell, share in zip(*links, t, cells, weights, strict=True)
+            Meeting(one, other, (s, r), CellPoint(tuple(cell), tuple(share)))
+            for one, other, (s, r), cell, share in zip(*map(np.ndarray.tolist, parts), strict=True)
         ]
 
     def _pairs(self) -> tuple[Integers, Integers, Integers]:
@@ -148,97 +155,142 @@ cables to lie."""
 
 
 def arrange(
-    cables: Sequence[LaidCable], strip: Strip, known: Sequence[Crossing]
-) -> tuple[Crossing, ...]:
-    """Find the crossings of the cables in tension, and insert their points into the cables."""
-    before = [cable.state for cable in cables]
-    for cable in cables:
-        known = _remove_crossings(cable, known)
-    meetings = Meetings(cables, strip)
+    before: NodeTable, cables: Sequence[LaidCable], strip: Strip, known: Sequence[Crossing]
+) -> tuple[tuple[Crossing, ...], NodeTable]:
+    """Find the crossings of the cables in tension, and insert their points into the cables, whose
+    nodes are given. Returns the crossings, and the nodes that the cables have then."""
+    positions, fractions = positions_of(cables), fractions_of(cables)
+    shared, places = np.flatnonzero(before.crossing >= 0), [one.place for one in known]
+    for row in ints(shared):
+        places[before.crossing[row]] = positions[row]
+    kept = before.kind != CROSSING
+    plain, nodes = _without_crossings(before, kept, strip.simplices)
+    positions, fractions, lifted = positions[kept], fractions[kept], before.lifted[kept]
+    meetings = Meetings(plain, fractions, strip)
     found = meetings.on_edges() + meetings.in_cells()
-    inserted: list[dict[int, list[tuple[float, CableNode, Array]]]]
-    inserted = [defaultdict(list) for _ in cables]
-    left: dict[tuple[int, int], list[Crossing]] = defaultdict(list)
-    for one in known:
-        left[one.lower, one.upper].append(one)
-    crossings: list[Crossing] = []
-    for first, second, along, point in sorted(found, key=lambda m: (m.first, m.along[0])):
-        places = []
-        for (c, k), t in zip((first, second), along, strict=True):
-            a, b = cables[c].positions[[k, min(k + 1, len(cables[c].nodes) - 1)]]
-            places.append(a + t * (b - a))
-        (lower, t_lower), (upper, t_upper) = sorted(
-            zip((first, second), along, strict=True),
-            key=lambda side: (cables[side[0][0]].layer, side[0][0]),
-        )
-        between = tuple(
-            () if node.point is None else node.support
-            for c, k in (lower, upper)
-            for node in cables[c].nodes[k : k + 2]
-        )
-        numbers = (lower[1], upper[1])
-        place = (places[0] + places[1]) / 2
-        crossing = Crossing(lower[0], upper[0], point.support, numbers, place, between)
-        crossing = _inherited(crossing, left[crossing.lower, crossing.upper], cables)
-        number = len(crossings)
-        crossings.append(crossing)
-        if crossing.separated:
-            continue
-        node = CableNode("crossing", point, number)
-        for member, t in ((lower, t_lower), (upper, t_upper)):
-            if not _is_fold_point(cables, member, number, point):
-                inserted[member[0]][member[1]].append((t, node, crossing.place))
-    for c, cable in enumerate(cables):
-        _insert(cable, inserted[c])
-        old = before[c]
-        if len(cable.nodes) == len(old.nodes) and all(map(_is_alike, cable.nodes, old.nodes)):
-            # what the last solve has found of the cable's points stays
-            cable.update(reference_positions=old.reference_positions, blocked=old.blocked)
-    return tuple(crossings)
+    found.sort(key=lambda meeting: (meeting.first, meeting.along[0]))
+    links, ends, along = _lower_first(found, plain, cables)
+    at = positions[links] + along[..., None] * (positions[ends] - positions[links])
+    crossings = _gone_on(
+        zip(
+            map(tuple, lists(plain.cable[links])), (one.point.support for one in found),
+            map(tuple, lists(plain.place[links])), vectors((at[:, 0] + at[:, 1]) / 2),
+            _between(nodes, links, ends),
+            flags(lifted[links[:, 1]] & lifted[ends[:, 1]]), strict=True,
+        ),
+        zip(known, places, strict=True),
+    )  # fmt: skip
+    shares = np.array([not one.separated for one in crossings], dtype=bool)[:, None]
+    # a fold point on an edge that another cable follows is the crossing's point
+    on_edge = np.array([len(one.support) == 2 for one in crossings], dtype=bool)[:, None]
+    fold = shares & on_edge & (plain.kind[links] != VERTEX)
+    rows, numbers = plain.rows.copy(), np.arange(len(found))[:, None] + np.zeros_like(links)
+    rows["crossing"][links[fold]] = numbers[fold]
+    for row in ints(np.unique(links[fold])):
+        nodes[row] = replace(nodes[row], crossing=int(rows["crossing"][row]))
+    after: Integers = links[shares & ~fold]
+    number: Integers = numbers[shares & ~fold]
+    share = np.append(np.full(len(rows), -1.0), along[shares & ~fold])
+    order = np.lexsort((share, np.append(np.arange(len(rows)), after)))
+
+    def joined(old: npt.NDArray[Any], of_crossings: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        return np.concatenate([old, of_crossings[number]])[order]
+
+    own_nodes = [CableNode("crossing", one.point, n) for n, one in enumerate(found)]
+    new = np.empty(len(found), dtype=object)
+    new[:] = own_nodes
+    new_rows = node_rows([own_nodes])
+    where = np.array([one.place for one in crossings]).reshape(-1, 3)
+    nodes, positions, rows = joined(nodes, new), joined(positions, where), joined(rows, new_rows)
+    fractions = joined(fractions, np.full(len(new), np.nan))
+    lifted = joined(lifted, np.zeros(len(new), dtype=bool))
+    counts = np.diff(plain.starts) + np.bincount(plain.cable[after], minlength=len(cables))
+    starts = pointers(counts)
+    for c in {*ints(before.cable[shared]), *ints(plain.cable[links[shares[:, 0]]].ravel())}:
+        own, old = slice(*starts[c : c + 2]), slice(*before.starts[c : c + 2])
+        state = cables[c].state
+        cables[c].set_nodes(list(nodes[own]), positions[own], fractions[own], lifted[own])
+        alike = (np.array_equal(rows[a][own], before.rows[a][old]) for a in ("kind", "support"))
+        if all(alike):  # what the last solve has found of the cable's points stays
+            solved = state.reference_positions
+            cables[c].update(reference_positions=solved, blocked=state.blocked)
+    on = strip.simplices, joined(meetings.on, strip.simplices.find(new_rows["support"]))
+    of_cables = [cable.nodes for cable in cables]
+    return tuple(crossings), NodeTable(of_cables, rows, before.taut_cables, lifted, on)
 
 
-def _is_alike(one: CableNode, other: CableNode) -> bool:
-    """Whether two nodes are of one kind, on or between the same vertices."""
-    if one is other or one.point is other.point:
-        return one.kind == other.kind
-    alone = one.point is None or other.point is None
-    return one.kind == other.kind and not alone and one.support == other.support
+def _gone_on(
+    found: Iterable[tuple[Any, ...]], known: Iterable[tuple[Crossing, Array]]
+) -> list[Crossing]:
+    """Crossings that go on from the nearest ones left of the same cables, which are where given, or
+    are new: both cables, support, links, place, between and whether they have parted."""
+    left: dict[tuple[int, int], list[tuple[Crossing, Array]]] = defaultdict(list)
+    for one, at in known:
+        left[one.lower, one.upper].append((one, at))
+    crossings = []
+    for (lower, upper), support, links, place, between, separated in found:
+        before = left[lower, upper]
+        if before:
+            away = [float(np.linalg.norm(at - place)) for _, at in before]
+            old, at = before.pop(away.index(min(away)))
+            separated = old.separated
+            # if they cross other edges before and after it, it would draw them aside where it was
+            place = at if old.between == between else place
+        crossings.append(Crossing(lower, upper, support, links, place, between, separated))
+    return crossings
+
+
+def _without_crossings(
+    table: NodeTable, kept: Booleans, simplices: Simplices
+) -> tuple[NodeTable, npt.NDArray[np.object_]]:
+    """A table of the nodes that are `kept`, none of which is a crossing any more, and these."""
+    nodes, rows = table.every()[kept], table.rows[kept]
+    for row in ints(np.flatnonzero(rows["crossing"] >= 0)):
+        nodes[row] = CableNode(nodes[row].kind, nodes[row].point)
+    rows["crossing"] = -1
+    starts = pointers(np.bincount(table.cable[kept], minlength=len(table.nodes)))
+    parts = [list(nodes[a:b]) for a, b in pairwise(ints(starts))]
+    on = simplices, table.on(simplices)[kept]
+    plain = NodeTable(parts, rows, table.taut_cables, table.lifted[kept], on)
+    return plain, nodes
+
+
+def _lower_first(
+    found: Sequence[Meeting], nodes: NodeTable, cables: Sequence[LaidCable]
+) -> tuple[Integers, Integers, Array]:
+    """First and last nodes of the links that meet, (m, 2), the lower cable's first, and how far
+    along them, (m, 2)."""
+    links = np.array([one[:2] for one in found], dtype=np.int64).reshape(-1, 2)
+    along = np.array([one.along for one in found], dtype=float).reshape(-1, 2)
+    cable = nodes.cable[links]
+    layer = np.array([own.layer for own in cables], dtype=np.int64)[cable]
+    turned = (layer[:, 0] > layer[:, 1]) | (
+        (layer[:, 0] == layer[:, 1]) & (cable[:, 0] > cable[:, 1])
+    )
+    links[turned], along[turned] = links[turned, ::-1], along[turned, ::-1]
+    return links, np.minimum(links + 1, nodes.starts[nodes.cable[links] + 1] - 1), along
+
+
+def _between(
+    nodes: npt.NDArray[np.object_], links: Integers, ends: Integers
+) -> list[tuple[Support, ...]]:
+    """Supports of the ends of links that cross, those of the lower one first."""
+    rows = np.stack([links, ends], axis=2).ravel()
+    supports = [() if node.point is None else node.point.support for node in nodes[rows]]
+    return [tuple(supports[n : n + 4]) for n in range(0, len(supports), 4)]
 
 
 def tangled(crossings: Sequence[Crossing]) -> set[int]:
     """Numbers of upper cables that cross a lower one to and fro within a few cells."""
-    found = set()
-    for a, b in combinations(crossings, 2):
-        if (a.lower, a.upper) == (b.lower, b.upper):
-            if max(abs(i - j) for i, j in zip(a.links, b.links, strict=True)) <= TANGLED:
-                found.add(a.upper)
-    return found
-
-
-def _inherited(crossing: Crossing, left: list[Crossing], cables: Sequence[LaidCable]) -> Crossing:
-    """Go on from the nearest one left of these cables' crossings; a new one starts as they lie."""
-    if not left:
-        upper, k = cables[crossing.upper], crossing.links[1]
-        return replace(crossing, separated=all(upper.lifted[k : k + 2]))
-    away = [float(np.linalg.norm(k.place - crossing.place)) for k in left]
-    old = left.pop(away.index(min(away)))
-    # if they cross other edges before and after it, it would draw them aside where it was
-    place = old.place if old.between == crossing.between else crossing.place
-    return replace(crossing, separated=old.separated, place=place)
-
-
-def _is_fold_point(
-    cables: Sequence[LaidCable], member: NodeId, number: int, point: CellPoint | EdgePoint
-) -> bool:
-    """Let a fold point on an edge that another cable follows be the crossing's point."""
-    cable, k = cables[member[0]], member[1]
-    node = cable.nodes[k]
-    if not isinstance(point, EdgePoint) or node.kind == "vertex":
-        return False
-    nodes = list(cable.nodes)
-    nodes[k] = CableNode(node.kind, node.point, number)
-    cable.update(nodes=tuple(nodes))
-    return True
+    links: dict[tuple[int, int], list[tuple[int, int]]] = defaultdict(list)
+    for one in crossings:
+        links[one.lower, one.upper].append(one.links)
+    return {
+        upper
+        for (_, upper), own in links.items()
+        for (a, b), (c, d) in combinations(own, 2)
+        if max(abs(a - c), abs(b - d)) <= TANGLED
+    }
 
 
 def at_nodes(crossings: Sequence[Crossing], cable: LaidCable) -> tuple[Crossing, ...]:
@@ -249,40 +301,3 @@ def at_nodes(crossings: Sequence[Crossing], cable: LaidCable) -> tuple[Crossing,
             place = cable.positions[k].copy()
             found[node.crossing] = replace(found[node.crossing], place=place)
     return tuple(found)
-
-
-def _remove_crossings(cable: LaidCable, known: Sequence[Crossing]) -> Sequence[Crossing]:
-    """Take the crossings out of a cable's nodes; return them with the places of these."""
-    keep = np.array([node.kind != "crossing" for node in cable.nodes])
-    if keep.all() and all(node.crossing is None for node in cable.nodes):
-        return known
-    known = at_nodes(known, cable)
-    nodes = [node for node, kept in zip(cable.nodes, keep, strict=True) if kept]
-    cable.set_nodes(
-        [node if node.crossing is None else CableNode(node.kind, node.point) for node in nodes],
-        cable.positions[keep], cable.fractions[keep], cable.lifted[keep],
-    )  # fmt: skip
-    return known
-
-
-def _insert(cable: LaidCable, new: dict[int, list[tuple[float, CableNode, Array]]]) -> None:
-    """Insert crossings after some nodes, sorted by how far along the links they are."""
-    if not new:
-        return
-    nodes: list[CableNode] = []
-    places: list[Array] = []
-    after: list[int] = []
-    last = 0
-    for k in sorted(new):
-        nodes += cable.nodes[last : k + 1]
-        for _, shared, place in sorted(new[k], key=lambda entry: entry[0]):
-            nodes.append(shared)
-            places.append(place)
-            after.append(k + 1)
-        last = k + 1
-    cable.set_nodes(
-        [*nodes, *cable.nodes[last:]],
-        np.insert(cable.positions, after, places, axis=0),
-        np.insert(cable.fractions, after, np.nan),
-        np.insert(cable.lifted, after, False),
-    )

@@ -52,7 +52,7 @@ def folded_shape(net: CableNet) -> FoldedShape:
     from crms_fenicsx.cables.numbering import CableNumbering
     from crms_fenicsx.cables.points_on_edges import VERTEX
 
-    numbering = CableNumbering(net.cables, net.strip, membrane.u)
+    numbering = CableNumbering(net.cables, net.strip, membrane.u, net.nodes)
     nodes, corners_of = numbering.nodes, net.strip.simplices.corners
     numbers = len(places) + numbering.number
     at_vertex = nodes.kind == VERTEX

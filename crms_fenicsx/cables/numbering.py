@@ -22,10 +22,13 @@ from crms_fenicsx.cables.points_on_edges import (
     VERTEX,
     NodeTable,
     PointsOnEdges,
+    fractions_of,
     points_by_edge,
+    positions_of,
 )
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.dofs.layout import FrameBlocks, Unknowns, vertex_places
+from crms_fenicsx.meshes.triangles import lists
 from crms_fenicsx.model.cable_state import NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array, Indices, Integers, pointers, runs
@@ -76,12 +79,18 @@ class Links:
 class CableNumbering:
     """Numbering of the points of all cables of a scene."""
 
-    def __init__(self, cables: Sequence[LaidCable], strip: Strip, u: fem.Function) -> None:
+    def __init__(
+        self,
+        cables: Sequence[LaidCable],
+        strip: Strip,
+        u: fem.Function,
+        nodes: NodeTable | None = None,
+    ) -> None:
         self.cables, self.strip, self.u = tuple(cables), strip, u
         self.rank = u.function_space.mesh.comm.rank
-        self.nodes = NodeTable(self.cables)
+        self.nodes = NodeTable.of(self.cables, nodes)
         # (nodes,) number of what each lies on among the strip's simplices; -1 for anchors
-        self.on = strip.simplices.find(self.nodes.support)
+        self.on = self.nodes.on(strip.simplices)
         # The points of a slack cable ride on the membrane, all of them.
         self._used = np.flatnonzero(~(self.nodes.taut & self.nodes.lifted))
         self.links = self._find_links()
@@ -101,7 +110,7 @@ class CableNumbering:
         first, second = self._used[:-1], self._used[1:]
         same = nodes.cable[first] == nodes.cable[second]
         first, second = first[same], second[same]
-        on = simplices.spanned(nodes.support[first], nodes.support[second])
+        on = simplices.spanned(self.on[first], self.on[second])
         around = on.copy()
         off = on < 0
         around[off] = self._places(first[off])
@@ -173,24 +182,28 @@ class CableNumbering:
         supports = self.nodes.support[ends[given]]
         far = np.stack([np.repeat(owner[given], 3), supports.ravel()], axis=1)
         # Vertices at ends of spans, on ranks without them.
-        self._find_far_vertices([(int(a), int(b)) for a, b in np.unique(far, axis=0) if b >= 0])
+        self._find_far_vertices(far[far[:, 1] >= 0])
 
-    def _find_far_vertices(self, far: Sequence[tuple[int, int]]) -> None:
+    def _find_far_vertices(self, far: Integers) -> None:
         """Owner, and number there, of the vertices that this rank lacks and on which ends of spans
-        lie or depend."""
+        lie or depend; `far` (n, 2) are ranks and vertices."""
         strip = self.strip
-        far = [(rank, v) for rank, v in far if not np.any(strip.owner[strip.rows((v,))] == rank)]
+        at = strip.simplices.find(np.pad(far[:, 1:], ((0, 0), (0, 2)), constant_values=-1))
+        counts, rows = strip.simplices.around(at)
+        there = strip.owner[rows] == np.repeat(far[:, 0], counts)
+        own = np.bincount(np.repeat(np.arange(len(far)), counts), there, len(far)) > 0
+        far = np.unique(far[~own], axis=0)
         self.far_vertices: dict[int, tuple[int, int]] = {}
         self._far_X: list[Array] = []
-        if not far:  # all ranks know the same
+        if len(far) == 0:  # all ranks know the same
             return
         vertices = self.u.function_space.dofmap.index_map
         X = vertex_places(self.u.function_space)
-        dofs = {v: self.dof(v) for _, v in far}
+        dofs = {v: self.dof(v) for v in map(int, far[:, 1])}
         wanted = {v: dof for v, dof in dofs.items() if 0 <= dof < vertices.size_local}
         mine = {v: (self.rank, dof, X[dof]) for v, dof in wanted.items()}
         known = dict(ChainMap(*self.u.function_space.mesh.comm.allgather(mine)))
-        for rank, v in far:
+        for rank, v in lists(far):
             if rank == self.rank:
                 owner, dof, place = known[v]
                 self.far_vertices[v] = (owner, dof)
@@ -224,8 +237,7 @@ class CableNumbering:
     def place_points(self, places: Array) -> None:
         """Put the cables' points into the rows of `places`, local blocks, where they are now."""
         rows = self._own_points
-        positions = np.concatenate([np.zeros((0, 3)), *(cable.positions for cable in self.cables)])
-        places[self.node_blocks[rows]] = positions[rows]
+        places[self.node_blocks[rows]] = positions_of(self.cables)[rows]
 
     @cached_property
     def _own_points(self) -> Integers:
@@ -297,7 +309,7 @@ class CableNumbering:
 
     def fractions(self) -> Array:
         """Where the nodes are on their edges now, (nodes,)."""
-        return np.concatenate([np.zeros(0), *(cable.fractions for cable in self.cables)])
+        return fractions_of(self.cables)
 
     @cached_property
     def points(self) -> PointsOnEdges:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from copy import copy
 from itertools import chain
 
 import numpy as np
+import numpy.typing as npt
 
+from crms_fenicsx.cables.strip import Simplices
 from crms_fenicsx.model.cable_state import CableNode, NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, pointers
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, pointers, runs
 from crms_fenicsx.surface.points import Edge, EdgePoint
 
 VERTEX, FOLD, EDGE_SLIDER, TIED, ANCHOR, CROSSING = range(6)
@@ -20,38 +22,114 @@ NUMBERS = dict(
 """The numbers of `CableNode.kind`."""
 
 
-class NodeTable:
-    """The nodes of some cables, n in all; what they are, not where they are in space."""
+NODE = np.dtype(
+    [
+        ("kind", np.int64),
+        ("crossing", np.int64),  # its number, or -1
+        # how many vertices a node lies on or between; 0 for anchors; their ids, -1 after the last
+        # one, and their weights on the unfolded mesh
+        ("size", np.int64),
+        ("support", np.int64, 3),
+        ("weights", float, 3),
+    ]
+)
+"""What a table has of each node, all but where it is in space."""
 
-    def __init__(self, cables: Sequence[LaidCable]) -> None:
-        nodes = [node for cable in cables for node in cable.nodes]
-        counts = np.array([len(cable.nodes) for cable in cables], dtype=np.int64)
-        n = len(nodes)
+
+class NodeTable:
+    """The nodes of some cables, n in all; what they are, not where they are in space. `rows` (n,)
+    are `NODE`s, whose fields are attributes."""
+
+    def __init__(
+        self,
+        nodes: Sequence[Sequence[CableNode]],
+        rows: npt.NDArray[np.void],
+        taut: Booleans,
+        lifted: Booleans,
+        on: tuple[Simplices, Integers] | None = None,
+    ) -> None:
+        self.nodes, self.rows = nodes, rows  # nodes: those of each cable
+        counts = np.array([len(own) for own in nodes], dtype=np.int64)
         self.starts = pointers(counts)  # rows at which the cables begin
-        self.cable = np.repeat(np.arange(len(cables)), counts)  # (n,) number of the cable
-        self.place = np.arange(n) - self.starts[self.cable]  # (n,) number of the node in it
-        self.kind = np.fromiter((NUMBERS[node.kind] for node in nodes), np.int64, n)
-        shared = (-1 if node.crossing is None else node.crossing for node in nodes)
-        self.crossing = np.fromiter(shared, np.int64, n)
-        points = [node.point for node in nodes]
-        supports = [() if point is None else point.support for point in points]
-        # (n, 3) vertices (ids) on which a node lies or between which, -1 after the last one, their
-        # weights on the unfolded mesh, and (n,) how many these are; 0 for anchors
-        self.size = np.fromiter(map(len, supports), np.int64, n)
-        there = np.arange(3) < self.size[:, None]
-        self.support = np.full((n, 3), -1)
-        self.support[there] = np.fromiter(chain.from_iterable(supports), np.int64)
-        weights = (point.weights for point in points if point is not None)
-        self.weights = np.zeros((n, 3))
-        self.weights[there] = np.fromiter(chain.from_iterable(weights), float)
-        self.taut = np.repeat(np.array([cable.taut for cable in cables], dtype=bool), counts)
-        empty = np.zeros(0, dtype=bool)
-        self.lifted = np.concatenate([empty, *(cable.lifted for cable in cables)])
+        self.cable = np.repeat(np.arange(len(nodes)), counts)  # (n,) number of the cable
+        self.place = np.arange(len(rows)) - self.starts[self.cable]  # (n,) number of the node in it
+        self.kind: Integers
+        self.crossing: Integers
+        self.size: Integers
+        self.support: Integers
+        self.weights: Array
+        for name in NODE.names or ():
+            setattr(self, name, np.ascontiguousarray(rows[name]))
         self.slides = (self.kind == FOLD) | (self.kind == EDGE_SLIDER)
+        self._on = on  # simplices of a strip, and numbers of those that the nodes lie on
+        self._set_flags(taut, lifted)
+
+    def _set_flags(self, taut: Booleans, lifted: Booleans) -> None:
+        self.taut_cables = taut  # (cables,)
+        self.taut, self.lifted = np.repeat(taut, np.diff(self.starts)), lifted  # (n,)
+
+    @classmethod
+    def of(cls, cables: Sequence[LaidCable], known: NodeTable | None = None) -> NodeTable:
+        """The nodes that cables have; what a known table has of them is taken over."""
+        nodes = [cable.nodes for cable in cables]
+        taut = np.array([cable.taut for cable in cables], dtype=bool)
+        lifted = np.concatenate([taut[:0], *(cable.lifted for cable in cables)])
+        if known is None or len(known.nodes) != len(nodes):
+            return cls(nodes, node_rows(nodes), taut, lifted)
+        changed = np.array(
+            [a is not b for a, b in zip(nodes, known.nodes, strict=True)], dtype=bool
+        )
+        if not changed.any():
+            table = copy(known)
+            table._set_flags(taut, lifted)
+            return table
+        counts, first = np.array([len(own) for own in nodes]), known.starts[:-1].copy()
+        first[changed] = known.starts[-1] + pointers(counts[changed])[:-1]
+        new = node_rows([nodes[c] for c in np.flatnonzero(changed)])
+        rows = np.concatenate([known.rows, new])[runs(first, counts)]
+        return cls(nodes, rows, taut, lifted)
+
+    def on(self, simplices: Simplices) -> Integers:
+        """Numbers of what the nodes lie on, (n,); -1 for anchors."""
+        if self._on is None or self._on[0] is not simplices:
+            self._on = simplices, simplices.find(self.support)
+        return self._on[1]
+
+    def every(self) -> npt.NDArray[np.object_]:
+        """The nodes themselves, (n,)."""
+        nodes = np.empty(len(self.rows), dtype=object)
+        nodes[:] = list(chain.from_iterable(self.nodes))
+        return nodes
 
     def ids(self, rows: Integers) -> list[NodeId]:
         """Numbers of the cable and of the node for some rows."""
         return list(zip(map(int, self.cable[rows]), map(int, self.place[rows]), strict=True))
+
+
+def node_rows(nodes: Iterable[Sequence[CableNode]]) -> npt.NDArray[np.void]:
+    """The rows of `NodeTable`, by loops over nodes."""
+    every = list(chain.from_iterable(nodes))
+    rows, points = np.zeros(len(every), dtype=NODE), [node.point for node in every]
+    supports = [() if point is None else point.support for point in points]
+    rows["kind"] = [NUMBERS[node.kind] for node in every]
+    rows["crossing"] = [-1 if node.crossing is None else node.crossing for node in every]
+    rows["size"] = list(map(len, supports))
+    rows["support"] = -1
+    there = np.arange(3) < rows["size"][:, None]
+    rows["support"][there] = np.fromiter(chain.from_iterable(supports), np.int64)
+    weights = (point.weights for point in points if point is not None)
+    rows["weights"][there] = np.fromiter(chain.from_iterable(weights), float)
+    return rows
+
+
+def positions_of(cables: Sequence[LaidCable]) -> Array:
+    """Where the nodes of cables are in space, (n, 3) (length)."""
+    return np.concatenate([np.zeros((0, 3)), *(cable.positions for cable in cables)])
+
+
+def fractions_of(cables: Sequence[LaidCable]) -> Array:
+    """Where the nodes of cables are on their edges, (n,)."""
+    return np.concatenate([np.zeros(0), *(cable.fractions for cable in cables)])
 
 
 class PointsOnEdges:
@@ -83,39 +161,13 @@ def on_edges(nodes: Sequence[CableNode]) -> Iterator[tuple[int, Edge]]:
             yield k, node.point.edge
 
 
-def nodes_on_edges(
-    cables: Sequence[LaidCable], wanted: Container[Edge] | None = None
-) -> dict[Edge, list[NodeId]]:
-    """Nodes of cables in tension on wanted edges, or on all, lifted ones too."""
-    found: dict[Edge, list[NodeId]] = defaultdict(list)
-    for c, cable in enumerate(cables):
-        for k, edge in on_edges(cable.nodes) if cable.taut else ():
-            if wanted is None or edge in wanted:
-                found[edge].append((c, k))
-    return found
-
-
-def points_by_edge(
-    cables: Sequence[LaidCable], nodes: Mapping[Edge, Sequence[tuple[int, int]]] | None = None
-) -> dict[Edge, list[tuple[float, int, int]]]:
+def points_by_edge(cables: Sequence[LaidCable]) -> dict[Edge, list[tuple[float, int, int]]]:
     """Points, none lifted, of cables in tension on each edge, sorted from its first vertex to its
     last: places on the edge (fractions), and numbers of cables and nodes."""
-    found = {
-        edge: sorted(
-            (float(cables[c].fractions[k]), c, k) for c, k in members if not cables[c].lifted[k]
-        )
-        for edge, members in (nodes_on_edges(cables) if nodes is None else nodes).items()
-    }
-    return {edge: points for edge, points in found.items() if points}
-
-
-def bends(
-    cables: Sequence[LaidCable],
-    nodes: Mapping[Edge, Sequence[tuple[int, int]]] | None = None,
-    but: LaidCable | None = None,
-) -> dict[Edge, list[Array]]:
-    """Positions (3,) of the points on each edge, in order; see `points_by_edge`."""
-    return {
-        edge: [cables[c].positions[k] for _, c, k in points if cables[c] is not but]
-        for edge, points in points_by_edge(cables, nodes).items()
-    }
+    found: dict[Edge, list[tuple[float, int, int]]] = {}
+    for c, cable in enumerate(cables):
+        for k, edge in on_edges(cable.nodes) if cable.taut else ():
+            points = found.setdefault(edge, [])
+            if not cable.lifted[k]:
+                points.append((float(cable.fractions[k]), c, k))
+    return {edge: sorted(points) for edge, points in found.items() if points}

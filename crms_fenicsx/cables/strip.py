@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
 
+import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -73,14 +74,10 @@ class Simplices:
         return np.where(here & (self.keys[found] == keys), found, -1)
 
     def spanned(self, first: Integers, second: Integers) -> Integers:
-        """Numbers of the simplices of the vertices of two supports (k, 3) together; -1: none."""
-        ids = np.sort(np.concatenate([first, second], axis=1), axis=1)
-        ids[:, 1:][ids[:, 1:] == ids[:, :-1]] = -1
-        ids = np.sort(ids, axis=1)
-        fits = (ids[:, 2] < 0) & (first[:, 0] >= 0) & (second[:, 0] >= 0)
-        none = np.iinfo(np.int64).max
-        ids = np.sort(np.where(ids < 0, none, ids), axis=1)[:, :3]
-        return np.where(fits, self.find(np.where(ids == none, -1, ids)), -1)
+        """Numbers of the simplices that the vertices of two others (k,) make together; -1: none,
+        or one of the two is none."""
+        found: Integers = _spanned(self.corners, self.keys, len(self.vertices) + 1, first, second)
+        return found
 
     def around(self, simplices: Integers) -> tuple[Integers, Integers]:
         """How many cells there are around each of some simplices (k,), and their rows."""
@@ -91,6 +88,31 @@ class Simplices:
         """Whether there are some of the chosen cells (n,) around the simplices, (m,)."""
         chosen = cells[self.rows]
         return np.logical_or.reduceat(chosen, self.pointers[:-1]) if len(chosen) else chosen
+
+
+@numba.njit(cache=True)
+def _spanned(corners, keys, base, first, second):  # type: ignore[no-untyped-def]
+    """As `Simplices.spanned`."""
+    found = np.full(len(first), -1)
+    for n in range(len(first)):
+        if first[n] < 0 or second[n] < 0:
+            continue
+        one, other = corners[first[n]], corners[second[n]]
+        key, i, j, size = 0, 0, 0, 0
+        while (i < 3 and one[i] >= 0) or (j < 3 and other[j] >= 0):  # both ascend
+            a = one[i] if i < 3 and one[i] >= 0 else base
+            b = other[j] if j < 3 and other[j] >= 0 else base
+            i, j = i + (a <= b), j + (b <= a)
+            key, size = key * base + min(a, b) + 1, size + 1
+        if size <= 3:
+            key *= base ** (3 - size)
+            low, high = 0, len(keys)
+            while low < high:  # np.searchsorted would take half a second to compile
+                middle = (low + high) // 2
+                low, high = (middle + 1, high) if keys[middle] < key else (low, middle)
+            if low < len(keys) and keys[low] == key:
+                found[n] = low
+    return found
 
 
 @dataclass(frozen=True)
@@ -120,9 +142,13 @@ class Strip:
     @cached_property
     def outer_cells(self) -> Integers:
         """`cells`, without those behind seams, (n, 3)."""
-        if not self.hidden:
-            return self.cells
-        return self.cells[[tuple(sorted(cell)) not in self.hidden for cell in self.corners]]
+        return self.cells[self.is_outer] if self.hidden else self.cells
+
+    @cached_property
+    def is_outer(self) -> Booleans:
+        """Which cells are not behind seams, (n,)."""
+        outer = [tuple(sorted(cell)) not in self.hidden for cell in self.corners]
+        return np.array(outer, dtype=bool)
 
     @cached_property
     def simplices(self) -> Simplices:
@@ -334,8 +360,20 @@ class StripShape:
         twice the mean areas of the cells around (length)."""
         around = [self.strip.outer_rows(support) for support in supports]
         counts = np.array([len(rows) for rows in around], dtype=np.int64)
-        normals = self.normals[np.fromiter(chain.from_iterable(around), np.int64)]
-        first = np.cumsum(counts) - counts
+        return self._means(counts, np.fromiter(chain.from_iterable(around), np.int64))
+
+    def around(self, simplices: Integers) -> tuple[Array, Array]:
+        """The same of simplices by number, (m,)."""
+        counts, rows = self.strip.simplices.around(simplices)
+        if self.strip.hidden:
+            outer = self.strip.is_outer[rows]
+            of = np.repeat(np.arange(len(counts)), counts)[outer]
+            counts, rows = np.bincount(of, minlength=len(counts)), rows[outer]
+        return self._means(counts, rows)
+
+    def _means(self, counts: Integers, rows: Integers) -> tuple[Array, Array]:
+        """Of lists of cells, one after the other."""
+        normals, first = self.normals[rows], np.cumsum(counts) - counts
         totals, areas = (np.add.reduceat(values, first) for values in (normals, norm(normals)))
         return totals / norm(totals)[:, None], np.sqrt(areas / counts)
 

@@ -14,47 +14,55 @@ from typing import Protocol
 import numpy as np
 
 from crms_fenicsx.cables.cable_net import CableNet
-from crms_fenicsx.cables.points_on_edges import bends, nodes_on_edges
+from crms_fenicsx.cables.points_on_edges import (
+    CROSSING,
+    NodeTable,
+    fractions_of,
+    positions_of,
+)
 from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact import lift_off as contact
-from crms_fenicsx.contact.lift_off import DEPTH, PULL, apparent_crossing, link_at, outward_pulls
-from crms_fenicsx.model.cable_state import Crossing
-from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.surface.points import Edge, EdgePoint, Support, VertexPoint
+from crms_fenicsx.contact.lift_off import (
+    DEPTH,
+    PULL,
+    Polylines,
+)
+from crms_fenicsx.meshes.triangles import lists, vectors
+from crms_fenicsx.model.cable_state import Crossing, NodeId
+from crms_fenicsx.model.laid_cable import ROUNDED, LaidCable
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, flags, floats, ints
+from crms_fenicsx.surface.lines import apparent_crossing
+from crms_fenicsx.surface.points import Edge, EdgePoint, Support
 
 
-def parting(
-    crossings: Sequence[Crossing], cables: Sequence[LaidCable], shape: StripShape
-) -> list[int]:
+def parting(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) -> set[int]:
     """Numbers of the crossings at which the upper cable pulls the lower one up."""
-    by_upper: dict[int, list[int]] = defaultdict(list)
-    for number, crossing in enumerate(crossings):
-        if not crossing.separated:
-            by_upper[crossing.upper].append(number)
-    found = []
-    for c, own in by_upper.items():
-        upper = cables[c]
-        at = {node.crossing: k for k, node in enumerate(upper.nodes)}
-        nodes = [at[number] for number in own]
-        on = [n for n, k in enumerate(nodes) if not upper.lifted[k]]
-        supports = [crossings[own[n]].support for n in on]
-        pulls = outward_pulls(upper, [nodes[n] for n in on], *shape.normals_and_sizes(supports))
-        found += [own[n] for n, pull in zip(on, pulls, strict=True) if pull > PULL]
+    nodes = lines.nodes
+    at = np.flatnonzero((nodes.crossing >= 0) & ~nodes.lifted)
+    upper = np.array([crossing.upper for crossing in crossings], dtype=np.int64)
+    together = np.array([not crossing.separated for crossing in crossings], dtype=bool)
+    number = nodes.crossing[at]
+    at = at[together[number] & (nodes.cable[at] == upper[number])]
+    pulls = lines.pulls(at, *shape.around(nodes.on(shape.strip.simplices)[at]))
+    return set(ints(nodes.crossing[at[pulls > PULL]]))
+
+
+def joining(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) -> set[int]:
+    """Numbers of the crossings whose cables have parted and would run through each other."""
+    apart = [number for number, crossing in enumerate(crossings) if crossing.separated]
+    pairs = [(crossings[n].lower, crossings[n].upper) for n in apart]
+    cables = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    links = np.array([crossings[n].links for n in apart], dtype=np.int64).reshape(-1, 2)
+    lower, upper = (lines.straight_parts(cables[:, k], links[:, k]) for k in (0, 1))
+    normals, _ = shape.normals_and_sizes([crossings[n].support for n in apart])
+    found = set()
+    for n, number in enumerate(apart):
+        (a, b), (c, d) = vectors(lower[n]), vectors(upper[n])
+        s, t = (min(max(x, 0.0), 1.0) for x in apparent_crossing(a, b, c, d, normals[n]))
+        gap = float((c + t * (d - c) - a - s * (b - a)) @ normals[n])
+        if gap < -DEPTH * float(np.linalg.norm(b - a)):
+            found.add(number)
     return found
-
-
-def joins(crossing: Crossing, cables: Sequence[LaidCable], shape: StripShape) -> bool:
-    """Whether two cables that have parted would run through each other."""
-    if not crossing.separated:
-        return False
-    normal = shape.normal(crossing.support)
-    (a, b), (c, d) = (
-        link_at(cables[number], k)
-        for number, k in zip((crossing.lower, crossing.upper), crossing.links, strict=True)
-    )
-    s, t = (min(max(x, 0.0), 1.0) for x in apparent_crossing(a, b, c, d, normal))
-    gap = float((c + t * (d - c) - a - s * (b - a)) @ normal)
-    return gap < -DEPTH * float(np.linalg.norm(b - a))
 
 
 ContactKey = tuple[str, Support] | tuple[str, str]
@@ -91,22 +99,15 @@ class ActiveSet:
 
     def tighten(self) -> list[str]:
         """Switch cables between slack and taut for their current lengths; say which. Collective."""
-        shape = self.net.strip_shape()
-        return [text for cable in self.net.cables for text in self._switch(cable, shape, False)]
+        return self._switch(self.net.strip_shape(), solved=False)
 
     def update(self) -> list[str]:
         """Switch what a solved state asks for; say what, in words. Collective."""
         if self._first_look:
             self._forget()
-        net, shape = self.net, self.net.strip_shape()
-        changes = [text for cable in net.cables for text in self._switch(cable, shape, True)]
-        if not changes:
-            tops, on_edges = self._tops(), nodes_on_edges(net.cables, self._edges_under_spans())
-            for c, cable in enumerate(net.cables):
-                if cable.taut and not cable.sleeve:
-                    covered = {v for v, top in tops.items() if top > (cable.layer, c)}
-                    changes += self._contacts(cable, shape, covered, on_edges)
-        if not changes and net.crossings:
+        shape = self.net.strip_shape()
+        changes = self._switch(shape, solved=True) or self._contacts(shape)
+        if not changes and self.net.crossings:
             changes = self._crossings(shape)
         return changes
 
@@ -126,8 +127,8 @@ class ActiveSet:
         """A cable that keeps turning from slack to taut and back; empty if there is none."""
         return next((name for name, n in self._switches.items() if n > MAX_SWITCHES), "")
 
-    def _switch(self, cable: LaidCable, shape: StripShape, solved: bool) -> list[str]:
-        """Tighten a slack cable that has become too short for its path, slacken another.
+    def _switch(self, shape: StripShape, solved: bool) -> list[str]:
+        """Tighten slack cables that have become too short for their paths, slacken others.
 
         Near the limit a cable is in equilibrium both slack, on flat cells, and in tension, on cells
         that it has folded and that bulge. It is in tension if it is nearly tight on flat cells and
@@ -135,40 +136,66 @@ class ActiveSet:
         flat cells would be slack, is let go first, so that the way there does not matter;
         not with axial friction, where the way does.
         """
-        if cable.cable.law == "step":
-            return []
-        if not cable.taut and not cable.sleeve:
-            contact.drape(cable, shape)
-        untried = cable.name not in self._tried and not self._rested(cable)
-        judged = solved and cable.taut
-        taut = tight = cable.is_tight(nearly=untried and not judged)
-        if judged and tight and untried and cable.slides_freely and cable.axial is None:
-            taut = contact.flat_length(cable, shape) > cable.L0
-        if taut == cable.taut:
-            return []
-        if taut or not tight:
-            self._tried.add(cable.name)
-        # One that slackens gets its folds back from the straight way.
-        cable.update(taut=taut, path_is_geodesic=taut and cable.path_is_geodesic)
-        self._switches[cable.name] += 1
-        return [f"{cable.name} {'tightens' if taut else 'slackens'}"]
+        changes: list[str] = []
+        lines = Polylines(self.net.nodes, positions_of(self.net.cables))
+        lengths, flat = floats(lines.lengths), None
+        for c, cable in enumerate(self.net.cables):
+            if cable.cable.law == "step":
+                continue
+            if not cable.taut and not cable.sleeve:
+                contact.drape(cable, shape)
+            untried = cable.name not in self._tried and not self._rested(cable)
+            judged = solved and cable.taut
+            if judged:
+                taut = tight = lengths[c] > cable.L0 * (1 + ROUNDED)
+            else:
+                taut = tight = cable.is_tight(nearly=untried)
+            if judged and tight and untried and cable.slides_freely and cable.axial is None:
+                if flat is None:
+                    flat = floats(lines.flat_lengths(shape, fractions_of(self.net.cables)))
+                taut = flat[c] > cable.L0
+            if taut == cable.taut:
+                continue
+            if taut or not tight:
+                self._tried.add(cable.name)
+            # One that slackens gets its folds back from the straight way.
+            cable.update(taut=taut, path_is_geodesic=taut and cable.path_is_geodesic)
+            self._switches[cable.name] += 1
+            changes.append(f"{cable.name} {'tightens' if taut else 'slackens'}")
+        return changes
 
-    def _contacts(
+    def _contacts(self, shape: StripShape) -> list[str]:
+        """Let cables in tension go where they pull the membrane, and touch where they are in it."""
+        net, nodes = self.net, self.net.nodes
+        held = np.array([cable.taut and not cable.sleeve for cable in net.cables], dtype=bool)
+        may = held[nodes.cable] & ~self._covered(nodes)
+        pulling = Polylines(nodes, positions_of(net.cables)).released(shape, may)
+        released: dict[int, list[int]] = defaultdict(list)
+        for c, k in nodes.ids(pulling):
+            released[c].append(k)
+        off = np.unique(nodes.cable[nodes.lifted & held[nodes.cable]])
+        on_edges = self._on_edges_under_spans(nodes, nodes.on(shape.strip.simplices))
+        changes = []
+        for c in sorted({*released, *ints(off)}):
+            changes += self._change(net.cables[c], released[c], shape, on_edges)
+        return changes
+
+    def _change(
         self,
         cable: LaidCable,
+        released: Sequence[int],
         shape: StripShape,
-        covered: set[int],
-        on_edges: Mapping[Edge, Sequence[tuple[int, int]]],
+        on_edges: Mapping[Edge, Sequence[NodeId]],
     ) -> list[str]:
+        """Let a cable go where it is to be released, and let it touch under its spans."""
+
         def key(k: int) -> ContactKey:
             return cable.name, cable.nodes[k].support
 
-        released = contact.released(cable, shape, covered)
         free = [k for k in released if key(k) not in self._settled]
         places = {}
         if cable.lifted.any():
-            near = {edge: on_edges[edge] for edge in _edges_under(cable) if edge in on_edges}
-            folds = bends(self.net.cables, near, but=cable)
+            folds = self._bends(cable, on_edges)
             places = contact.captured(cable, shape, folds)
             unclear = cable.slides_freely and not self._rested(cable)
             if unclear and not free and not places:
@@ -183,25 +210,49 @@ class ActiveSet:
         texts = [f"{cable.name} lifts off at {cable.nodes[k].point}" for k in free]
         return texts + [f"{cable.name} touches down at {cable.nodes[k].point}" for k in places]
 
-    def _edges_under_spans(self) -> set[Edge]:
-        """Edges at which cables in tension are lifted off."""
-        return {e for cable in self.net.cables if cable.taut for e in _edges_under(cable)}
+    def _bends(
+        self, cable: LaidCable, on_edges: Mapping[Edge, Sequence[NodeId]]
+    ) -> dict[Edge, list[Array]]:
+        """Points of other cables on the edges over which one is lifted off, in order, (3,)."""
+        cables, found = self.net.cables, {}
+        for node in (cable.nodes[k] for k in np.flatnonzero(cable.lifted)):
+            if isinstance(node.point, EdgePoint):
+                others = [(c, k) for c, k in on_edges[node.point.edge] if cables[c] is not cable]
+                points = [(float(cables[c].fractions[k]), c, k) for c, k in others]
+                found[node.point.edge] = [
+                    cables[c].positions[k] for _, c, k in sorted(points) if not cables[c].lifted[k]
+                ]
+        return found
 
-    def _tops(self) -> dict[int, tuple[int, int]]:
-        """The uppermost cable in tension on each vertex that one touches: its layer and number."""
+    def _on_edges_under_spans(self, nodes: NodeTable, on: Integers) -> dict[Edge, Sequence[NodeId]]:
+        """Nodes of cables in tension on each edge over which one is lifted off, lifted ones too."""
+        edge = nodes.taut & (nodes.size == 2) & (nodes.kind != CROSSING)
+        rows = np.flatnonzero(edge & np.isin(on, on[edge & nodes.lifted]))
+        found: dict[Edge, list[NodeId]] = defaultdict(list)
+        for (a, b, _), node in zip(lists(nodes.support[rows]), nodes.ids(rows), strict=True):
+            found[a, b].append(node)
+        return dict(found)
+
+    def _covered(self, nodes: NodeTable) -> Booleans:
+        """Which nodes lie on vertices that a cable on top of theirs touches too, (n,)."""
+        covered = np.zeros(len(nodes.kind), dtype=bool)
+        rows = np.flatnonzero((nodes.size == 1) & nodes.taut)
+        layers = [(self.net.cables[c].layer, c) for c in ints(nodes.cable[rows])]
+        vertices, touches = ints(nodes.support[rows, 0]), flags(~nodes.lifted[rows])
         tops: dict[int, tuple[int, int]] = {}
-        for c, cable in enumerate(self.net.cables):
-            for k in cable.contacts() if cable.taut else []:
-                point = cable.nodes[k].point
-                if isinstance(point, VertexPoint):
-                    order = (cable.layer, c)
-                    tops[point.vertex] = max(order, tops.get(point.vertex, order))
-        return tops
+        for vertex, layer, touch in zip(vertices, layers, touches, strict=True):
+            if touch:
+                tops[vertex] = max(layer, tops.get(vertex, layer))
+        above = [tops.get(v, layer) > layer for v, layer in zip(vertices, layers, strict=True)]
+        covered[rows] = above
+        return covered
 
     def _crossings(self, shape: StripShape) -> list[str]:
         changes = []
         net = self.net
-        pulled = parting(net.crossings, net.cables, shape)
+        lines = Polylines(net.nodes, positions_of(net.cables))
+        pulled = parting(net.crossings, lines, shape)
+        joined = joining(net.crossings, lines, shape)
         crossings = list(net.crossings)
         for number, crossing in enumerate(net.crossings):
             names = net.cables[crossing.upper].name, net.cables[crossing.lower].name
@@ -210,16 +261,10 @@ class ActiveSet:
                 crossings[number] = replace(crossing, separated=True)
                 self._released.add(names)
                 changes.append("{} lifts off {}".format(*names))
-            elif joins(crossing, net.cables, shape):
+            elif number in joined:
                 crossings[number] = replace(crossing, separated=False)
                 if names in self._released:
                     self._settled.add(names)
                 changes.append("{} touches {}".format(*names))
         net.crossings = tuple(crossings)
         return changes
-
-
-def _edges_under(cable: LaidCable) -> list[Edge]:
-    """Edges over which a cable is lifted off, in order."""
-    points = (cable.nodes[k].point for k in np.flatnonzero(cable.lifted))
-    return [point.edge for point in points if isinstance(point, EdgePoint)]

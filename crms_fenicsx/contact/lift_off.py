@@ -11,19 +11,21 @@ contacts cannot flicker.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
+from crms_fenicsx.cables.points_on_edges import ANCHOR, CROSSING, NodeTable, positions_of
 from crms_fenicsx.cables.strip import StripShape
-from crms_fenicsx.meshes.triangles import arc_lengths, cross, dot, norm
+from crms_fenicsx.meshes.triangles import vectors
 from crms_fenicsx.model.cable_state import CableNode
-from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import INSIDE, PAST, SAME_PLACE
-from crms_fenicsx.runtime.arrays import Array, flags
-from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint, VertexPoint
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, floats, ints
+from crms_fenicsx.surface import lines
+from crms_fenicsx.surface.points import CellPoint, Edge, EdgePoint, Support, VertexPoint
 
 
 class Gap(NamedTuple):
@@ -56,46 +58,25 @@ def under(
     """The place of the membrane on a node's edge or vertex that a free span passes."""
     assert node.point is not None
     support = node.point.support
-    normal = shape.normal(support)
-    start, end = span
-    line = [shape.at(support[0]), *bends, shape.at(support[-1])]
-    if len(support) == 1:
-        t = float((line[0] - start) @ (end - start) / ((end - start) @ (end - start)))
-        above = start + min(max(t, 0.0), 1.0) * (end - start)
-        gap = float((above - line[0]) @ normal)
-        return Gap(gap, np.nan, line[0], above, 0.0 < t < 1.0)
-    sizes = [float(np.linalg.norm(b - a)) for a, b in pairwise(line)]
-    found: Gap | None = None
-    before, best = 0.0, (True, np.inf)
-    for (a, b), size in zip(pairwise(line), sizes, strict=True):
-        s, t = apparent_crossing(a, b, start, end, normal)
-        first, last = before == 0.0, before + size >= sum(sizes) * (1 - 1e-12)
-        inside = (s > -INSIDE or not first) and (s < 1 + INSIDE or not last) and 0.0 < t < 1.0
-        other = (s < 0.0 and not first) or (s > 1.0 and not last)  # it passes another part
-        past = -1
-        if 0.0 < t < 1.0 and not inside:
-            past = support[0] if first and -reach < s < 0.0 else past
-            past = support[1] if last and 1.0 < s < 1 + reach else past
-        s, t = min(max(s, 0.0), 1.0), min(max(t, 0.0), 1.0)
-        place, above = a + s * (b - a), start + t * (end - start)
-        fraction = (before + s * size) / sum(sizes)
-        gap = float((above - place) @ normal)
-        if found is None or (other, gap) < best:
-            best = other, gap
-            found = Gap(gap, fraction, place, above, inside, past)
-        before += size
-    assert found is not None
-    return found
+    return _gap(support, span, shape, shape.normal(support), bends, reach)
 
 
-def apparent_crossing(a: Array, b: Array, c: Array, d: Array, normal: Array) -> tuple[float, float]:
-    """Where the lines ab and cd cross, seen along the normal: their parameters."""
-    u, v = (x - (x @ normal) * normal for x in (b - a, d - c))
-    w = (c - a) - ((c - a) @ normal) * normal
-    area = float(cross(u, v) @ normal)
-    if abs(area) <= 1e-12 * float(np.linalg.norm(u) * np.linalg.norm(v)):
-        return 0.5, 0.5  # the span runs along the edge
-    return float(cross(w, v) @ normal) / area, float(cross(w, u) @ normal) / area
+def _gap(
+    support: Support,
+    span: tuple[Array, Array],
+    shape: StripShape,
+    normal: Array,
+    bends: Sequence[Array] = (),
+    reach: float = PAST,
+) -> Gap:
+    """As `under`, given the normal there."""
+    line = [shape.at(support[0])] if len(support) == 1 else [
+        shape.at(support[0]), *bends, shape.at(support[-1])
+    ]  # fmt: skip
+    gap, fraction, place, above, inside, end = lines.passed(
+        np.array(line), *span, normal, INSIDE, reach
+    )
+    return Gap(gap, fraction, place, above, inside, support[end] if end >= 0 else -1)
 
 
 def spans(cable: LaidCable) -> Iterator[tuple[int, int]]:
@@ -130,43 +111,82 @@ def is_foot(cable: LaidCable, k: int) -> bool:
     return in_cell and "anchor" in (nodes[k - 1].kind, nodes[k + 1].kind)
 
 
+class Polylines:
+    """Cables in space: the nodes at which they touch the membrane, each other or their anchors."""
+
+    def __init__(self, nodes: NodeTable, positions: Array) -> None:
+        self.nodes, self.positions = nodes, positions
+        self.contacts = np.flatnonzero(~nodes.lifted)  # (m,) rows of these nodes
+        self._starts = np.searchsorted(self.contacts, nodes.starts)  # where each cable begins
+        self._x = positions[self.contacts]
+        self._arc = lines.arc_lengths(self._x, self._starts)
+
+    @classmethod
+    def of(cls, cables: Sequence[LaidCable]) -> Polylines:
+        """Those of some cables."""
+        return cls(NodeTable.of(cables), positions_of(cables))
+
+    @property
+    def lengths(self) -> Array:
+        """Lengths of the cables, (n,)."""
+        return self._arc[self._starts[1:] - 1]
+
+    def pulls(self, rows: Integers, normals: Array, reaches: Array) -> Array:
+        """As `outward_pulls`, of contacts by their rows."""
+        nodes = self.nodes
+        stops = ((nodes.kind == CROSSING) | (nodes.crossing >= 0))[self.contacts]
+        ends = self._starts[nodes.cable[rows][:, None] + np.arange(2)]
+        at, given = np.searchsorted(self.contacts, rows), (normals, reaches, SAME_PLACE)
+        return np.asarray(lines.pulls(self._x, self._arc, ends, stops, at, *given))
+
+    def released(self, shape: StripShape, chosen: Booleans) -> Integers:
+        """Rows of those of the chosen nodes (n,) at which cables pull the membrane outward."""
+        nodes = self.nodes
+        may = chosen & ~nodes.lifted & (nodes.kind != CROSSING) & (nodes.crossing < 0)
+        may[nodes.starts[:-1]] = may[nodes.starts[1:] - 1] = False  # the ends
+        on = np.flatnonzero(may)
+        around = shape.around(nodes.on(shape.strip.simplices)[on])
+        beside = (nodes.kind[on - 1] == ANCHOR) | (nodes.kind[on + 1] == ANCHOR)
+        feet = (nodes.size[on] == 3) & beside
+        return on[(self.pulls(on, *around) > PULL) | feet]
+
+    def straight_parts(self, cables: Integers, links: Integers) -> Array:
+        """Ends of the straight parts of cables after some nodes, crossings not counted. Shapes:
+        cables, links (m,): numbers of both. Returns (m, 2, 3)."""
+        nodes, contacts = self.nodes, self.contacts
+        own = np.flatnonzero(nodes.kind != CROSSING)
+        at = np.searchsorted(own, nodes.starts[cables]) + links
+        first = contacts[np.searchsorted(contacts, own[at], side="right") - 1]
+        last = contacts[np.searchsorted(contacts, own[at + 1])]
+        return np.stack([self.positions[first], self.positions[last]], axis=1)
+
+    def flat_lengths(self, shape: StripShape, fractions: Array) -> Array:
+        """Lengths that the cables would have on cells that they did not fold, (n,) (length)."""
+        nodes, simplices = self.nodes, shape.strip.simplices
+        own = self.contacts[nodes.kind[self.contacts] != CROSSING]
+        on, weights, s = nodes.on(simplices)[own], nodes.weights[own].copy(), fractions[own]
+        slides = (nodes.size[own] == 2) & ~np.isnan(s)
+        weights[slides, :2] = np.stack([1 - s, s], axis=1)[slides]
+        places = np.einsum("nk,nki->ni", weights, shape.current[simplices.corners[on]])
+        places = np.where((nodes.kind[own] == ANCHOR)[:, None], self.positions[own], places)
+        starts = np.searchsorted(own, nodes.starts)
+        return np.asarray(lines.arc_lengths(places, starts)[starts[1:] - 1])
+
+
 def outward_pulls(cable: LaidCable, nodes: Sequence[int], normals: Array, reaches: Array) -> Array:
     """Forces of the cable around some of its nodes along the normals, relative to the tension.
     Points close together, as those around a vertex, share one contact: what counts is the turn of
     the cable between a distance `reach` before and after the node, but not that at a crossing,
     where another cable presses. Shapes: nodes (n,), normals (n, 3), reaches (n,). Returns (n,)
     forces, positive outward; -1 where the cable lies on its anchor, or on another cable."""
-    contacts = cable.contacts()
-    x, i = cable.positions[contacts], np.searchsorted(contacts, nodes)
-    arc = arc_lengths(x)
-    all_nodes = cable.nodes
-    crossings = [m for m, k in enumerate(contacts) if all_nodes[k].touches_cable]
-    stops = np.array([0, *crossings, len(contacts) - 1])
-    before = stops[np.searchsorted(stops, i) - 1]
-    after = stops[np.searchsorted(stops, i, side="right")]
-    near = np.stack(
-        [np.maximum(arc[i] - reaches, arc[before]), np.minimum(arc[i] + reaches, arc[after])]
-    )
-    pulls = np.full(len(i), -1.0)
-    free = np.abs(near - arc[i]).min(axis=0) > SAME_PLACE * arc[-1]
-    i, near = i[free], near[:, free]
-    ways = np.stack([np.interp(near, arc, x[:, m]) for m in range(3)], axis=2) - x[i]
-    pulls[free] = dot((ways / norm(ways)[..., None]).sum(axis=0), normals[free])
-    return pulls
+    return Polylines.of([cable]).pulls(np.asarray(nodes, dtype=np.int64), normals, reaches)
 
 
-def released(cable: LaidCable, shape: StripShape, covered: Set[int] = frozenset()) -> list[int]:
+def released(cable: LaidCable, shape: StripShape) -> list[int]:
     """Nodes at which the cable pulls the membrane outward."""
     if cable.sleeve:
         return []
-    nodes, lifted = cable.nodes, flags(cable.lifted)
-    on = [k for k in may_lift(cable) if not lifted[k]]
-    if covered:
-        on = [k for k in on if len(nodes[k].support) > 1 or nodes[k].support[0] not in covered]
-    normals, sizes = shape.normals_and_sizes([nodes[k].support for k in on])
-    up = flags(outward_pulls(cable, on, normals, sizes) > PULL)
-    feet = [k for k in (*on[:1], *on[-1:]) if is_foot(cable, k)]  # next to the ends, if anywhere
-    return [k for k, pulls in zip(on, up, strict=True) if pulls or k in feet]
+    return ints(Polylines.of([cable]).released(shape, np.ones(len(cable.nodes), dtype=bool)))
 
 
 def captured(
@@ -188,22 +208,22 @@ def captured(
     """
     found = {}
     positions, fractions = cable.positions.copy(), cable.fractions.copy()
+    around = _around_lifted(cable, shape)
     for a, b in spans(cable):
         span = (positions[a], positions[b])
         passed: dict[int, Gap] = {}
         for k in range(a + 1, b):
             node = cable.nodes[k]
-            if node.kind == "crossing" or is_foot(cable, k):
+            if k not in around:
                 positions[k] = span[0] + (k - a) / (b - a) * (span[1] - span[0])
                 continue
-            assert node.point is not None
-            support = node.point.support
+            support, (normal, size) = node.support, around[k]
             on_edge = bends.get((support[0], support[1]), ()) if len(support) == 2 else ()
-            place = under(node, span, shape, on_edge)
+            place = _gap(support, span, shape, normal, on_edge)
             positions[k] = place.above
             if node.slides:  # so that the path stays below the span
                 fractions[k] = min(max(place.fraction, INSIDE), 1 - INSIDE)
-            if place.gap < height * size_at(shape, support):
+            if place.gap < height * size:
                 if place.inside:
                     found[k] = place
                 elif height < 0.0 and place.past >= 0:
@@ -211,6 +231,17 @@ def captured(
         found |= {k: place for k, place in passed.items() if _passed_by_all(cable, k, passed)}
     cable.update(positions=positions, fractions=fractions)
     return found
+
+
+def _around_lifted(cable: LaidCable, shape: StripShape) -> dict[int, tuple[Array, float]]:
+    """Normals and sizes of the cells at the lifted nodes, but crossings and feet."""
+    lifted = [
+        k
+        for k in ints(np.flatnonzero(cable.lifted))
+        if cable.nodes[k].kind != "crossing" and not is_foot(cable, k)
+    ]
+    normals, sizes = shape.normals_and_sizes([cable.nodes[k].support for k in lifted])
+    return dict(zip(lifted, zip(vectors(normals), floats(sizes), strict=True), strict=True))
 
 
 def _passed_by_all(cable: LaidCable, k: int, passed: Mapping[int, Gap]) -> bool:
@@ -237,15 +268,15 @@ def sunk(cables: Sequence[LaidCable], shape: StripShape) -> set[int]:
     for c, cable in enumerate(cables):
         if not cable.taut or cable.sleeve:
             continue
+        around = _around_lifted(cable, shape)
         for a, b in spans(cable):
             span = (cable.positions[a], cable.positions[b])
             for k in range(a + 1, b):
-                node = cable.nodes[k]
-                if node.kind == "crossing" or is_foot(cable, k):
+                if k not in around:
                     continue
-                assert node.point is not None
-                place = under(node, span, shape, reach=np.inf)
-                deep = -SUNK * size_at(shape, node.point.support)
+                normal, size = around[k]
+                place = _gap(cable.nodes[k].support, span, shape, normal, reach=np.inf)
+                deep = -SUNK * size
                 if place.past < 0 or place.gap >= deep:
                     continue
                 # Over an edge that hardly turns aside from it the span passes the edge's line far
@@ -276,15 +307,6 @@ def touch(cable: LaidCable, places: Mapping[int, Gap]) -> None:
     cable.update(lifted=lifted, positions=positions, fractions=fractions)
 
 
-def link_at(cable: LaidCable, k: int) -> tuple[Array, Array]:
-    """Ends of the straight part of a cable after its node k, crossings not counted."""
-    own = [i for i, node in enumerate(cable.nodes) if node.kind != "crossing"]
-    contacts = cable.contacts()
-    first = max(i for i in contacts if i <= own[k])
-    last = min(i for i in contacts if i >= own[k + 1])
-    return cable.positions[first], cable.positions[last]
-
-
 def drape(cable: LaidCable, shape: StripShape) -> None:
     """Find the contacts of a cable that is pulled over the membrane as if that were rigid."""
     for _ in range(len(cable.nodes) + 1):
@@ -298,14 +320,3 @@ def drape(cable: LaidCable, shape: StripShape) -> None:
         cable.update(positions=positions)
         if not free and not places:
             return
-
-
-def flat_length(cable: LaidCable, shape: StripShape) -> float:
-    """Length of the polyline that a cable would have on cells that it did not fold (length)."""
-    points = []
-    for k in cable.contacts():
-        if cable.nodes[k].kind == "anchor":
-            points.append(cable.positions[k])
-        elif cable.nodes[k].kind != "crossing":
-            points.append(shape.mean(*cable.interpolation(k)))
-    return polyline_length(np.array(points))

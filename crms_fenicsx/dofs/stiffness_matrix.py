@@ -13,11 +13,11 @@ import numba
 import numpy as np
 from petsc4py import PETSc
 
-from crms_fenicsx.dofs.block_patterns import BlockPattern, scatter_blocks, unique_pairs
+from crms_fenicsx.dofs.block_patterns import BlockPattern, scatter_blocks
 from crms_fenicsx.dofs.layout import Unknowns
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 
-Places = tuple[Indices, Array, Integers, Integers]
+Places = tuple[Indices, Array, Indices, Indices]
 """Blocks of a pattern, what part of each counts, where it begins among the matrix's values, and how
 far apart its rows are there."""
 
@@ -34,18 +34,20 @@ class StiffnessMatrix:
         self.unknowns = unknowns
         numbers = unknowns.vertex_numbers() if of_vertices else unknowns.numbers()
         self._kept: Booleans = numbers >= 0
-        owned = np.arange(unknowns.n_vertices if of_vertices else unknowns.n_owned)
+        n_owned = unknowns.n_vertices if of_vertices else unknowns.n_owned
+        owned = np.arange(n_owned, dtype=np.int32)
+        self._rides = np.full(unknowns.n_local, -1, dtype=np.int32)
+        self._rides[unknowns.tied_points] = np.arange(unknowns.n_tied_points)
         found = [self._spread(pattern) for pattern in patterns]
-        rows, cols = (np.concatenate([owned, *(part[0][k] for part in found)]) for k in (0, 1))
-        self._rows, self._cols, block = unique_pairs(rows, cols, unknowns.n_local)
-        first = np.searchsorted(self._rows, np.arange(unknowns.n_local + 1))
-        width = np.diff(first)[self._rows]
-        self._strides = 3 * width
-        self._starts = 9 * first[self._rows] + 3 * (np.arange(len(width)) - first[self._rows])
-        self._values = np.zeros(9 * len(width))
+        rows, cols = (np.concatenate([owned, *(part[k] for part in found)]) for k in (0, 1))
+        first, self._rows, self._cols, block = distinct_pairs(rows, cols, unknowns.n_local)
+        self._strides = (3 * np.diff(first)[self._rows]).astype(PETSc.IntType)
+        starts = 9 * first[self._rows] + 3 * (np.arange(len(self._rows)) - first[self._rows])
+        self._starts = starts.astype(PETSc.IntType)
+        self._values = np.zeros(9 * len(starts))
         self._places: dict[BlockPattern, Places] = {}
         start = len(owned)
-        for pattern, (_, sources, weights) in zip(patterns, found, strict=True):
+        for pattern, (_, _, sources, weights) in zip(patterns, found, strict=True):
             own = block[start : start + len(sources)]
             self._places[pattern] = sources, weights, self._starts[own], self._strides[own]
             start += len(sources)
@@ -110,19 +112,23 @@ class StiffnessMatrix:
             self._places[pattern] = self._find(pattern)
         scatter_blocks(pattern.values, *self._places[pattern], self._values)
 
-    def _spread(self, pattern: BlockPattern) -> tuple[Indices, Indices, Array]:
-        """Places (2, m), sources and weights of a pattern's blocks in this matrix."""
-        places, sources, weights = self.unknowns.spread(pattern.rows, pattern.cols)
-        kept = self._kept[places].all(axis=0)
-        if kept.all():
-            return places, sources, weights
-        return places[:, kept], sources[kept], weights[kept]
+    def _spread(self, pattern: BlockPattern) -> tuple[Indices, Indices, Indices, Array]:
+        """Places (m,) and (m,), sources and weights of a pattern's blocks in this matrix."""
+        unknowns = self.unknowns
+        found: tuple[Indices, Indices, Indices, Array] = _spread(
+            pattern.rows, pattern.cols, self._kept, self._rides, unknowns.interpolation,
+            unknowns.weights,
+        )  # fmt: skip
+        return found
 
     def _find(self, pattern: BlockPattern) -> Places:
         """Where a pattern's blocks go that has not been named, all of which others have filled."""
-        (rows, cols), sources, weights = self._spread(pattern)
+        rows, cols, sources, weights = self._spread(pattern)
         size = self.unknowns.n_local
-        keys, wanted = self._rows * size + self._cols, rows.astype(np.int64) * size + cols
+        keys, wanted = (
+            own_rows.astype(np.int64) * size + own_cols
+            for own_rows, own_cols in ((self._rows, self._cols), (rows, cols))
+        )
         block = np.searchsorted(keys, wanted)
         assert np.array_equal(keys[np.minimum(block, len(keys) - 1)], wanted)
         return sources, weights, self._starts[block], self._strides[block]
@@ -157,3 +163,68 @@ def _expand(cols, starts, strides, columns):  # type: ignore[no-untyped-def]
         for i in range(3):
             for j in range(3):
                 columns[starts[k] + i * strides[k] + j] = 3 * cols[k] + j
+
+
+@numba.njit(cache=True)
+def _spread(rows, cols, kept, rides, interpolation, weights):  # type: ignore[no-untyped-def]
+    """As `LocalBlocks.spread`, of what is `kept`; `rides` are numbers of tied points, or -1."""
+    m = 0
+    for k in range(len(rows)):
+        tied = (rides[rows[k]] >= 0) + (rides[cols[k]] >= 0)
+        m += 1 if tied == 0 else 3 if tied == 1 else 9
+    places, sources = np.empty((2, m), dtype=np.int32), np.empty(m, dtype=np.int32)
+    shares = np.empty(m)
+    m = 0
+    for k in range(len(rows)):
+        a, b = rides[rows[k]], rides[cols[k]]
+        for i in range(1 if a < 0 else 3):
+            for j in range(1 if b < 0 else 3):
+                row, row_share = (rows[k], 1.0) if a < 0 else (interpolation[a, i], weights[a, i])
+                col, col_share = (cols[k], 1.0) if b < 0 else (interpolation[b, j], weights[b, j])
+                if kept[row] and kept[col] and row_share * col_share != 0.0:
+                    places[0, m], places[1, m] = row, col
+                    sources[m], shares[m] = k, row_share * col_share
+                    m += 1
+    return places[0, :m], places[1, :m], sources[:m], shares[:m]
+
+
+@numba.njit(cache=True)
+def distinct_pairs(rows, cols, size):  # type: ignore[no-untyped-def]
+    """Sort pairs of numbers (n,) from 0 to `size` - 1 by rows, then by columns. There are many more
+    pairs than numbers, and few different ones in a row: these are told from each other first, and
+    then sorted. Returns where each row begins, (size + 1,), rows and columns of the different
+    pairs, and which of them each pair is, (n,)."""
+    begins = np.zeros(size + 1, dtype=np.int64)
+    for n in range(len(rows)):
+        begins[rows[n] + 1] += 1
+    for row in range(size):
+        begins[row + 1] += begins[row]
+    found, ends = np.empty(len(rows), dtype=np.int32), begins[:-1].copy()
+    place = np.empty(len(rows), dtype=np.int64)
+    for n in range(len(rows)):
+        row, k = rows[n], begins[rows[n]]
+        while k < ends[row] and found[k] != cols[n]:
+            k += 1
+        if k == ends[row]:
+            found[k] = cols[n]
+            ends[row] += 1
+        place[n] = k
+    first = np.zeros(size + 1, dtype=np.int64)
+    first[1:] = np.cumsum(ends - begins[:-1])
+    different = np.empty((2, first[size]), dtype=np.int32)
+    number, order = np.empty(len(rows), dtype=np.int32), np.empty(size, dtype=np.int64)
+    for row in range(size):
+        start, m = begins[row], ends[row] - begins[row]
+        for i in range(m):  # one by one into those that are sorted
+            j = i
+            while j > 0 and found[start + order[j - 1]] > found[start + i]:
+                order[j] = order[j - 1]
+                j -= 1
+            order[j] = i
+        for i in range(m):
+            k = start + order[i]
+            number[k] = first[row] + i
+            different[0, number[k]], different[1, number[k]] = row, found[k]
+    for n in range(len(rows)):
+        place[n] = number[place[n]]
+    return first, different[0], different[1], place

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from crms_fenicsx.dofs.block_patterns import BlockSink, ElementPattern, rows_of
+from crms_fenicsx.dofs.block_patterns import BlockPattern, BlockSink, rows_of
 from crms_fenicsx.dofs.layout import ElementTable
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans, Indices
@@ -212,8 +212,8 @@ class FoldPenalty(EnergyTerm):
         n = len(table.points)
         self.residuals, self._dr = np.zeros(n), np.zeros((n, 4, 3))
         """``w r`` of each place at the last sums (rad)."""
-        pointers = np.arange(0, 4 * n + 1, 4, dtype=np.int32)
-        self.pattern = ElementPattern(pointers, table.points.reshape(-1))
+        rows, cols = np.repeat(table.points, 4, axis=1), np.tile(table.points, 4)
+        self.pattern = BlockPattern(rows.ravel(), cols.ravel())
         self.patterns = (self.pattern,)
 
     def sums(self, x: Array, out: Array) -> None:

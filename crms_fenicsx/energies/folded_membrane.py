@@ -182,15 +182,22 @@ def cell_stiffness(  # type: ignore[no-untyped-def]
             for q in range(pointers[sides[c, k]], pointers[sides[c, k] + 1]):
                 segment = side_segments[q]
                 tension[segment] += pull * r[k] + 0.5 * prestress * lengths[segment]
+        KB = np.zeros((3, size, 3))
+        for k in range(3):
+            for n in range(3):
+                for j in range(size):
+                    for b in range(3):
+                        KB[k, j, b] += K[k, n] * B[n, j, b]
         for i in range(size):
             for j in range(size):
                 block = values[offsets[c] + i * size + j]
-                block[:] = 0.0
-                for k in range(3):
-                    for n in range(3):
-                        for a in range(3):
-                            for b in range(3):
-                                block[a, b] += K[k, n] * B[k, i, a] * B[n, j, b]
+                for a in range(3):
+                    for b in range(3):
+                        block[a, b] = (
+                            B[0, i, a] * KB[0, j, b]
+                            + B[1, i, a] * KB[1, j, b]
+                            + B[2, i, a] * KB[2, j, b]
+                        )
 
 
 class FoldedMembraneEnergy(EnergyTerm):

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from dolfinx import fem
 
-from crms_fenicsx.dofs.block_patterns import BlockSink, ElementPattern, rows_of
+from crms_fenicsx.dofs.block_patterns import BlockPattern, BlockSink, rows_of
 from crms_fenicsx.dofs.layout import ElementTable, Unknowns
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
@@ -73,25 +73,26 @@ def _add_volume_gradient(X, x, corners, weights, origin, factor, g):  # type: ig
             g[node, 2] += scale * (a[0] * b[1] - a[1] * b[0])
 
 
+ROWS, COLUMNS = [1, 2, 2, 0, 0, 1], [2, 1, 0, 2, 1, 0]
+"""Corners of the blocks of a facet's second derivatives. By one corner twice they are zero."""
+
+
 @numba.njit(cache=True)
 def _volume_hessian(X, x, corners, weights, origin, factor, blocks):  # type: ignore[no-untyped-def]
-    """Second derivatives of ``factor x volume``, blocks (n, 3, 3, 3, 3) of the facets' corners."""
+    """Second derivatives of ``factor x volume``, blocks (n, 3, 2, 3, 3) at `ROWS`, `COLUMNS`."""
     p = np.empty(3)
+    blocks[:] = 0.0
     for f in range(corners.shape[0]):
-        blocks[f] = 0.0
         scale = factor * weights[f] / 6.0
         for m in range(3):
             # the derivative by corner m + 1 and, then, m + 2 is the cross product with corner m
             for i in range(3):
                 p[i] = scale * (X[corners[f, m], i] - origin[i] + x[corners[f, m], i])
-            block = blocks[f, (m + 1) % 3, (m + 2) % 3]
-            twin = blocks[f, (m + 2) % 3, (m + 1) % 3]
+            block, twin = blocks[f, m, 0], blocks[f, m, 1]
             for i in range(3):
                 j, k = (i + 1) % 3, (i + 2) % 3
-                block[i, j] += p[k]
-                block[j, i] -= p[k]
-                twin[j, i] += p[k]
-                twin[i, j] -= p[k]
+                block[i, j] = twin[j, i] = p[k]
+                block[j, i] = twin[i, j] = -p[k]
 
 
 class FoldedFollowerPressure(EnergyTerm):
@@ -103,7 +104,8 @@ class FoldedFollowerPressure(EnergyTerm):
 
     def __init__(self, table: Facets, pressure: fem.Constant, origin: Array) -> None:
         self.table, self.pressure, self.origin = table, pressure, origin
-        self.pattern = ElementPattern(*table.element_blocks)
+        rows, cols = (table.corners[:, own].ravel() for own in (ROWS, COLUMNS))
+        self.pattern = BlockPattern(rows, cols)
         self.patterns = (self.pattern,)
         self._volumes = np.zeros(len(table.corners))
 
@@ -134,7 +136,7 @@ class FoldedFollowerPressure(EnergyTerm):
 
     def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
         """Add the second derivatives."""
-        t, blocks = self.table, self.pattern.values.reshape(-1, 3, 3, 3, 3)
+        t, blocks = self.table, self.pattern.values.reshape(-1, 3, 2, 3, 3)
         _volume_hessian(
             self.unknowns.X, x, t.corners, t.weights, self.origin, -float(self.pressure.value),
             blocks,

@@ -22,7 +22,7 @@ from crms_fenicsx.energies.kinematics import (
     warp_field,
 )
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.meshes.triangles import area_vectors, cell_normals
+from crms_fenicsx.meshes.triangles import area_vectors, cell_normals, cross
 from crms_fenicsx.model.materials import (
     LINEAR,
     N_PARAMETERS,
@@ -248,6 +248,12 @@ class MembraneEnergy(EnergyTerm):
         order = np.searchsorted(self.cell_tags.indices, cells)
         return np.asarray(self.cell_tags.values[order], dtype=np.int32)
 
+    def moduli(self, cells: npt.NDArray[np.int32]) -> Array:
+        """Reference moduli of the cells' materials, (n,) (force per length)."""
+        tags, material = np.unique(self.material_tags(cells), return_inverse=True)
+        moduli = [self.materials[int(tag)].reference_modulus for tag in tags]
+        return np.array(moduli, dtype=float)[material]
+
     def laws(self, cells: npt.NDArray[np.int32]) -> tuple[Indices, Array]:
         """Stress laws of the cells and the laws' parameters, (n,) and (n, N_PARAMETERS)."""
         tags, material = np.unique(self.material_tags(cells), return_inverse=True)
@@ -266,4 +272,4 @@ class MembraneEnergy(EnergyTerm):
                 own = self.material_tags(cells) == tag
                 first[own] = warp.x.array.reshape(-1, 3)[cells[own]]
         first /= np.linalg.norm(first, axis=1)[:, None]
-        return np.stack([first, np.cross(cell_normals(mesh)[cells], first)], axis=1)
+        return np.stack([first, cross(cell_normals(mesh, cells), first)], axis=1)

@@ -54,7 +54,7 @@ class CableContribution(Contribution):
     ) -> None:
         super().__init__(scene)
         assert scene.net.strip is not None
-        self.numbering = CableNumbering(scene.cables, scene.net.strip, scene.u)
+        self.numbering = CableNumbering(scene.cables, scene.net.strip, scene.u, scene.net.nodes)
         self.unknowns = self.numbering.unknowns(frame)
         self.numbering.hold(self.unknowns)
         self.node_positions = NodePositions(self.numbering, self.unknowns)

@@ -154,9 +154,7 @@ class FoldContribution(Contribution):
     def _penalty_term(self, tables: CableTables) -> FoldPenalty:
         if self.scene.literal_penalty is not None:
             return FoldPenalty(tables.literal_penalty(self.scene.literal_penalty))
-        plain = self.membrane.energy
-        tags = plain.material_tags(tables.folded.cells)
-        moduli = np.array([plain.materials[int(tag)].reference_modulus for tag in tags])
+        moduli = self.membrane.energy.moduli(tables.folded.cells)
         return FoldPenalty(tables.penalty(self.scene.penalty, moduli))
 
     def _pressure_term(self, tables: CableTables) -> EnergyTerm:

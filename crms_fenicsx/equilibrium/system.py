@@ -77,6 +77,9 @@ class System:
             self.minimizer.destroy()
             self.potential.destroy()
             self.minimizer = None
+            # the memory of the terms is there for new ones
+            del self.potential, self.contributions
+            self.cables = self.ponds = None
 
     def invalidate(self) -> None:
         """Let the next solve begin with a rebuild."""

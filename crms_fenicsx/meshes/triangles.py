@@ -125,7 +125,7 @@ def flattened(triangles: Array) -> Array:
 def area_vectors(mesh: Any, cells: Any = slice(None)) -> Array:
     """Normals of stress-free cells, as long as their areas, (n, 3); by default of all."""
     x = mesh.geometry.x[geometry_dofmap(mesh)[cells]]
-    return np.asarray(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) / 2, dtype=float)
+    return double_areas(np.asarray(x, dtype=float)) / 2
 
 
 def cell_sides(mesh: Any, cells: Any = slice(None)) -> Array:
@@ -134,9 +134,9 @@ def cell_sides(mesh: Any, cells: Any = slice(None)) -> Array:
     return np.roll(x, -1, axis=1) - x
 
 
-def cell_normals(mesh: Any) -> Array:
-    """Unit normals of the stress-free cells, (n, 3), ghosts included."""
-    normal = area_vectors(mesh)
+def cell_normals(mesh: Any, cells: Any = slice(None)) -> Array:
+    """Unit normals of the stress-free cells, (n, 3); of all, with ghosts."""
+    normal = area_vectors(mesh, cells)
     return normal / np.linalg.norm(normal, axis=1)[:, None]
 
 

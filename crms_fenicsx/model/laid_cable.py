@@ -22,6 +22,8 @@ FOUND = "it follows from the loads, call solver.advance(...)"
 RELAY = "lay another cable with scene.lay_cable(...) instead"
 """What to do instead of assigning attributes of laid cables."""
 
+ROUNDED = 1e-12
+"""Strain by which a cable must be too short for its path to count as taut."""
 NEARLY_TAUT = 2e-3
 """Strain by which a cable may be too long for its path and still count as taut at first."""
 BULGE, MOST_BULGE = 1.2, 0.02
@@ -271,7 +273,7 @@ class LaidCable(Handle[CableState]):
         """Internal: whether its length lets it be in tension, or `nearly` once it folds cells."""
         steps = np.diff(self.positions[self.contacts()], axis=0)
         sizes = np.linalg.norm(steps, axis=1)
-        too_long = -1e-12
+        too_long = -ROUNDED
         if nearly:
             apart = sizes > SAME_PLACE * sizes.sum()
             ways = steps[apart] / sizes[apart, None]

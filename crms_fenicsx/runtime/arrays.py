@@ -35,6 +35,11 @@ def floats(values: Array) -> list[float]:
     return cast(list[float], values.tolist())
 
 
+def ints(values: npt.NDArray[np.integer]) -> list[int]:
+    """The same of whole numbers (n,)."""
+    return cast(list[int], values.tolist())
+
+
 def flags(values: Booleans) -> list[bool]:
     """The same of Booleans (n,)."""
     return cast(list[bool], values.tolist())

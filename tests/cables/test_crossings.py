@@ -18,13 +18,14 @@ from scipy.spatial import Delaunay
 from term_scene import ISOTROPIC
 
 from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
-from crms_fenicsx.cables.crossings import arrange
+from crms_fenicsx.cables import crossings as crossings_module
 from crms_fenicsx.cables.node_positions import NodePositions
+from crms_fenicsx.cables.points_on_edges import NodeTable
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.contact.lift_off import sunk
 from crms_fenicsx.energies.folded_pressure import FoldedFollowerPressure
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.model.cable_state import CableNode, CableState
+from crms_fenicsx.model.cable_state import CableNode, CableState, Crossing
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import PathError
@@ -43,6 +44,15 @@ def strip_of(cells: npt.ArrayLike) -> Strip:
 
 
 STRIP = strip_of(CELLS)
+
+
+def arrange(
+    cables: Sequence[LaidCable], strip: Strip, known: Sequence[Crossing]
+) -> tuple[Crossing, ...]:
+    """Arrange the crossings of cables of no net."""
+    found, nodes = crossings_module.arrange(NodeTable.of(cables), cables, strip, known)
+    assert all(own is cable.nodes for own, cable in zip(nodes.nodes, cables, strict=True))
+    return found
 
 
 def at(vertex: int) -> VertexPoint:

@@ -16,6 +16,7 @@ from term_scene import ISOTROPIC, cable_square
 from crms_fenicsx import Cable, Scene, meshes
 from crms_fenicsx.cables.crossings import Meetings
 from crms_fenicsx.cables.element_tables import CableTables, damping
+from crms_fenicsx.cables.points_on_edges import NodeTable, fractions_of
 from crms_fenicsx.cables.strip import Simplices
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.runtime.compat import geometry_dofmap
@@ -176,23 +177,48 @@ def test_meetings_are_where_chords_alternate(seed: int) -> None:
         lifted = rng.random(len(nodes)) < 0.1
         cable.set_nodes(nodes, cable.positions[keep], fractions, lifted)
         cable.update(taut=bool(rng.random() < 0.9))
-    meetings_found = Meetings(system.scene.cables, strip)
-    found = meetings_found.on_edges() + meetings_found.in_cells()
-    expected = meetings(system.scene.cables, strip)
+    cables, nodes = system.scene.cables, NodeTable.of(system.scene.cables)
+    table = Meetings(nodes, fractions_of(cables), strip)
+    found = table.on_edges() + table.in_cells()
+    expected = meetings(cables, strip)
     assert len(expected) > 10
-    assert {(m.first, m.second) for m in found} == {pair[:2] for pair in expected}
+    links = [tuple(nodes.ids(np.array(meeting[:2]))) for meeting in found]
+    assert set(links) == {pair[:2] for pair in expected}
     along = {(first, second): t for first, second, t in expected}
-    for meeting in found:
-        inside = np.clip(along[meeting.first, meeting.second], 0.0, 1.0)
+    for meeting, link in zip(found, links, strict=True):
+        inside = np.clip(along[link], 0.0, 1.0)
         np.testing.assert_allclose(meeting.along, inside, atol=1e-9)
-        (a, b), (p, q) = (
-            [place(system, c, k + i) for i in (0, 1)] for c, k in (meeting.first, meeting.second)
-        )
+        (a, b), (p, q) = ([place(system, c, k + i) for i in (0, 1)] for c, k in link)
         x = dict(zip(meeting.point.support, meeting.point.weights, strict=True))
         for vertex in {*a, *b}:
             at = a.get(vertex, 0.0) + inside[0] * (b.get(vertex, 0.0) - a.get(vertex, 0.0))
             assert abs(x.get(vertex, 0.0) - at) < 1e-9
         assert {*p, *q} <= {*x}
+
+
+def test_tables_of_nodes_are_kept_up() -> None:
+    """Through crossings, changed paths, and cables that lift off and slacken."""
+    of_scene = net(MPI.COMM_SELF).scene.net
+    assert of_scene.strip is not None
+    for change in range(4):
+        of_scene.arrange_crossings()
+        assert_table(of_scene.nodes, NodeTable.of(of_scene.cables), of_scene.strip.simplices)
+        cable = of_scene.cables[change]
+        if change == 1:
+            cable.update(lifted=~cable.lifted)
+        elif change == 2:
+            cable.update(taut=False)
+        else:
+            every = cable.nodes[::-1], cable.positions[::-1], cable.fractions[::-1]
+            cable.set_nodes(*every, cable.lifted[::-1])
+        assert_table(of_scene.nodes, NodeTable.of(of_scene.cables), of_scene.strip.simplices)
+
+
+def assert_table(found: NodeTable, expected: NodeTable, simplices: Simplices) -> None:
+    assert all(a is b for a, b in zip(found.nodes, expected.nodes, strict=True))
+    for name in ("rows", "starts", "cable", "place", "taut", "lifted", "slides", "weights"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    np.testing.assert_array_equal(found.on(simplices), expected.on(simplices))
 
 
 def place(system: System, c: int, k: int) -> dict[int, float]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -15,13 +16,14 @@ from cable_edits import put
 
 from crms_fenicsx import Cable
 from crms_fenicsx.cables.strip import Strip, StripShape
-from crms_fenicsx.contact.active_set import joins, parting
+from crms_fenicsx.contact.active_set import joining, parting
 from crms_fenicsx.contact.lift_off import (
     DEPTH,
+    Gap,
+    Polylines,
     captured,
     drape,
     is_foot,
-    link_at,
     may_lift,
     outward_pulls,
     released,
@@ -31,9 +33,10 @@ from crms_fenicsx.contact.lift_off import (
     touch,
     under,
 )
+from crms_fenicsx.meshes.triangles import cross
 from crms_fenicsx.model.cable_state import CableNode, CableState, Crossing
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
-from crms_fenicsx.model.tolerances import INSIDE, SAME_PLACE
+from crms_fenicsx.model.tolerances import INSIDE, PAST, SAME_PLACE
 from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.points import CellPoint, EdgePoint, VertexPoint
 
@@ -220,8 +223,9 @@ def test_a_cable_on_top_holds_it_at_a_shared_vertex() -> None:
     ]
     cable = cable_on(shape, nodes)
     assert released(cable, shape) == [1]
-    assert released(cable, shape, {1}) == []
-    assert released(cable, shape, {0, 2}) == [1]
+    for others, expected in (([1], []), ([0, 2], [1])):
+        may = ~np.isin(np.arange(3), others)
+        assert Polylines.of([cable]).released(shape, may).tolist() == expected
 
 
 def test_a_foot_only_marks_the_place_under_an_anchor() -> None:
@@ -292,6 +296,72 @@ def test_a_span_far_beyond_the_edges_of_its_path_is_sunk(y: float) -> None:
     assert sunk([cable], shape) == (set() if y < 1 else {0})
     put(cable, "positions", ([0, -1], 2), 0.6)
     assert sunk([cable], shape) == set()
+
+
+def slow_under(
+    node: CableNode,
+    span: tuple[Array, Array],
+    shape: StripShape,
+    bends: Sequence[Array] = (),
+    reach: float = PAST,
+) -> Gap:
+    """The place of the membrane on a node's edge or vertex that a free span passes."""
+    assert node.point is not None
+    support = node.point.support
+    normal = shape.normal(support)
+    start, end = span
+    line = [shape.at(support[0]), *bends, shape.at(support[-1])]
+    if len(support) == 1:
+        t = float((line[0] - start) @ (end - start) / ((end - start) @ (end - start)))
+        above = start + min(max(t, 0.0), 1.0) * (end - start)
+        gap = float((above - line[0]) @ normal)
+        return Gap(gap, np.nan, line[0], above, 0.0 < t < 1.0)
+    sizes = [float(np.linalg.norm(b - a)) for a, b in pairwise(line)]
+    found: Gap | None = None
+    before, best = 0.0, (True, np.inf)
+    for (a, b), size in zip(pairwise(line), sizes, strict=True):
+        s, t = slow_crossing(a, b, start, end, normal)
+        first, last = before == 0.0, before + size >= sum(sizes) * (1 - 1e-12)
+        inside = (s > -INSIDE or not first) and (s < 1 + INSIDE or not last) and 0.0 < t < 1.0
+        other = (s < 0.0 and not first) or (s > 1.0 and not last)  # it passes another part
+        past = -1
+        if 0.0 < t < 1.0 and not inside:
+            past = support[0] if first and -reach < s < 0.0 else past
+            past = support[1] if last and 1.0 < s < 1 + reach else past
+        s, t = min(max(s, 0.0), 1.0), min(max(t, 0.0), 1.0)
+        place, above = a + s * (b - a), start + t * (end - start)
+        fraction = (before + s * size) / sum(sizes)
+        gap = float((above - place) @ normal)
+        if found is None or (other, gap) < best:
+            best = other, gap
+            found = Gap(gap, fraction, place, above, inside, past)
+        before += size
+    assert found is not None
+    return found
+
+
+def slow_crossing(a: Array, b: Array, c: Array, d: Array, normal: Array) -> tuple[float, float]:
+    """Where the lines ab and cd cross, seen along the normal: their parameters."""
+    u, v = (x - (x @ normal) * normal for x in (b - a, d - c))
+    w = (c - a) - ((c - a) @ normal) * normal
+    area = float(cross(u, v) @ normal)
+    if abs(area) <= 1e-12 * float(np.linalg.norm(u) * np.linalg.norm(v)):
+        return 0.5, 0.5  # the span runs along the edge
+    return float(cross(w, v) @ normal) / area, float(cross(w, u) @ normal) / area
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_places_under_spans_are_those_of_the_slow_twin(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    shape = roof([0.0, 0.5, 0.0])
+    nodes = CableNode("fold", EdgePoint((1, 4), 0.5)), CableNode("vertex", VertexPoint(1))
+    for node in nodes:
+        start, end = rng.uniform(-0.5, 1.5, (2, 3))
+        start[0], end[0] = start[0] - 0.5, end[0] + 1.0
+        bends = [np.array([1.0, y, 0.5 + rng.uniform(-0.3, 0.3)]) for y in (0.4, 0.8)]
+        given = node, (start, end), shape, bends[: seed % 3] if node is nodes[0] else []
+        for found, expected in zip(under(*given), slow_under(*given), strict=True):
+            np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("z", [-0.5, 0.5])
@@ -479,16 +549,26 @@ def test_the_upper_cable_leaves_the_lower_one_that_it_would_pull_up(
     z: float, expected: bool
 ) -> None:
     crossing, cables, shape = crossed(z)
-    assert (parting([crossing], cables, shape) == [0]) is expected
-    assert not joins(crossing, cables, shape)
-    assert parting([replace(crossing, separated=True)], cables, shape) == []
+    lines = Polylines.of(cables)
+    assert (parting([crossing], lines, shape) == {0}) is expected
+    assert joining([crossing], lines, shape) == set()
+    assert parting([replace(crossing, separated=True)], lines, shape) == set()
 
 
 @pytest.mark.parametrize(("z", "expected"), [(0.5, False), (-0.5, True), (0.0, False)])
 def test_the_upper_cable_does_not_run_through_the_lower_one(z: float, expected: bool) -> None:
     crossing, cables, shape = crossed(z, apart=True)
-    assert joins(crossing, cables, shape) is expected
-    assert not joins(replace(crossing, separated=False), cables, shape)
+    lines = Polylines.of(cables)
+    assert (joining([crossing], lines, shape) == {0}) is expected
+    assert joining([replace(crossing, separated=False)], lines, shape) == set()
+
+
+def link_at(cable: LaidCable, k: int) -> Array:
+    """The straight part of the second of two cables after its node k."""
+    lines = Polylines.of(
+        [cable_on(roof([0.0, 0.0]), [], [(0.0, 0.0, 0.0), (1.0, 1.0, 0.0)]), cable]
+    )
+    return lines.straight_parts(np.array([1]), np.array([k]))[0]
 
 
 def test_links_count_no_crossings_and_pass_what_is_lifted() -> None:

@@ -8,7 +8,7 @@ from mpi4py import MPI
 from term_scene import cable_square
 
 from crms_fenicsx.dofs.block_patterns import BlockPattern, SegmentPattern
-from crms_fenicsx.dofs.stiffness_matrix import StiffnessMatrix
+from crms_fenicsx.dofs.stiffness_matrix import StiffnessMatrix, distinct_pairs
 
 
 def one_by_one(unknowns, rows, cols, values):
@@ -62,4 +62,23 @@ def test_a_segment_pulls_its_ends_together() -> None:
     matrix.assemble()
     expected = one_by_one(unknowns, [2, 5, 2, 5], [2, 5, 5, 2], [value, value, -value, -value])
     np.testing.assert_array_equal(matrix.petsc[:, :], expected)
+    matrix.destroy()
+
+
+@pytest.mark.parametrize(("n", "size"), [(0, 4), (1, 1), (50, 200), (3000, 20)])
+def test_different_pairs_are_sorted_and_found_again(n: int, size: int) -> None:
+    given = np.random.default_rng(n).integers(size, size=(2, n)).astype(np.int32)
+    first, rows, cols, place = distinct_pairs(*given, size)
+    assert list(zip(rows, cols, strict=True)) == sorted(set(zip(*given, strict=True)))
+    assert np.array_equal(np.stack([rows, cols])[:, place], given)
+    assert np.array_equal(first, np.searchsorted(rows, np.arange(size + 1)))
+
+
+def test_blocks_of_tied_points_go_where_the_layout_says() -> None:
+    unknowns = cable_square(MPI.COMM_SELF).unknowns
+    pattern = BlockPattern(*np.random.default_rng(4).integers(unknowns.n_owned, size=(2, 900)))
+    matrix = StiffnessMatrix(unknowns, [pattern])
+    places, *of_blocks = unknowns.spread(pattern.rows, pattern.cols)
+    for found, expected in zip(matrix._spread(pattern), (*places, *of_blocks), strict=True):
+        np.testing.assert_array_equal(found, expected)
     matrix.destroy()

@@ -7,7 +7,7 @@ import pytest
 from cabled_square import CABLE, PRESSURE, sheet
 
 from crms_fenicsx import Scene, Solver
-from crms_fenicsx.cables.points_on_edges import bends
+from crms_fenicsx.cables.points_on_edges import points_by_edge
 from crms_fenicsx.meshes.triangles import arc_lengths
 from crms_fenicsx.paths.creased_surface import CreasedSurface, FoldPoints, NodesOnEdges
 from crms_fenicsx.paths.path_change import vertices_near
@@ -23,6 +23,14 @@ def net(comm) -> Scene:
         scene.lay_cable(CABLE, [(at, 0), (at, 100)], L0=100.6)
     Solver(scene).advance(pressure=PRESSURE)
     return scene
+
+
+def bends(cables) -> dict:
+    """Positions of the points on each edge."""
+    return {
+        edge: [cables[c].positions[k] for _, c, k in points]
+        for edge, points in points_by_edge(cables).items()
+    }
 
 
 def same(found: FoldPoints, expected: dict) -> bool:
