@@ -734,7 +734,7 @@ class Solver:
         >>> plotter.add_mesh(blocks["cables"], scalars="tension", cmap="YlOrRd")
         >>> plotter.show()
         """
-        from crms_fenicsx.views.pyvista_blocks import to_pyvista
+        from crms_fenicsx.views.view_data import to_pyvista
 
         return to_pyvista(self.scene, fields_of(membrane_results(self.system)), radius)
 

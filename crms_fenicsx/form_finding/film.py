@@ -119,22 +119,16 @@ class Film:
         """Current places of the vertices from `origin`, (n, 3), with ghosts (length)."""
         return self.start + self.u.x.array.reshape(-1, 3)
 
-    def assemble(self, exact: bool, pressure: float, modulus: float) -> None:
-        """Assemble the stiffness with a pressure (force per area), to which cables can be added."""
-        self._exact.value = float(exact)
-        self._pressure.value = pressure
-        self._assemble(self.matrix, modulus)
-
-    def assemble_elastic(self, modulus: float) -> None:
-        """Assemble the stiffness of the elasticity alone, to which cables may still be added."""
-        self._exact.value, self._stressed.value, self._pressure.value = 1.0, 0.0, 0.0
-        self._assemble(self.elastic, modulus)
-        self._stressed.value = 1.0
-
-    def _assemble(self, matrix: PETSc.Mat, modulus: float) -> None:
-        self._holding.value = modulus
+    def assemble(
+        self, matrix: PETSc.Mat, *, exact: bool, modulus: float, pressure: float = 0.0,
+        stressed: bool = True,
+    ) -> None:  # fmt: skip
+        """Assemble a stiffness, to which cables can be added; pressure (force per area)."""
+        self._exact.value, self._stressed.value = float(exact), float(stressed)
+        self._pressure.value, self._holding.value = pressure, modulus
         matrix.zeroEntries()
         fem_petsc.assemble_matrix(matrix, self._stiffness)
+        self._stressed.value = 1.0
 
     def section_forces(self, holding: bool) -> Array:
         """True section forces of this rank's cells as tensors in space, (n, 3, 3)."""

@@ -56,14 +56,14 @@ class LinearSystem:
 
     def update(self) -> None:
         """Take the updated reference strategy, with cables of force densities."""
-        self.film.assemble(False, 0.0, 0.0)
+        self.film.assemble(self.film.matrix, exact=False, modulus=0.0)
         for line in self.lines:
             line.add_even_stiffness(self.film.matrix)
         self.film.matrix.assemble()
 
     def balance(self, pressure: float, modulus: float) -> None:
         """Take the derivatives of all forces, with those of the elasticity."""
-        self.film.assemble(True, pressure, modulus)
+        self.film.assemble(self.film.matrix, exact=True, modulus=modulus, pressure=pressure)
         for line in self.lines:
             line.add_stiffness(self.film.matrix)
         self.film.matrix.assemble()
@@ -72,7 +72,7 @@ class LinearSystem:
         """Assemble derivatives of forces across the form, and of an elasticity within it."""
         film, directions = self.film, self.directions
         self.balance(pressure, damping)
-        film.assemble_elastic(SOFTEST)
+        film.assemble(film.elastic, exact=True, modulus=SOFTEST, stressed=False)
         film.elastic.assemble()
         film.elastic.zeroRows(self._on_cable, diag=0.0)
         for line in self.lines:

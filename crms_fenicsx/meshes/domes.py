@@ -11,8 +11,7 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.meshes.gmsh_model import mesh_with_sizes, own_model, read_model
-from crms_fenicsx.meshes.membrane_mesh import mesh_generator
-from crms_fenicsx.meshes.partition import Ranks
+from crms_fenicsx.meshes.membrane_mesh import Ranks, mesh_generator
 from crms_fenicsx.meshes.plane import (
     RECTANGLE_CORNERS,
     RECTANGLE_SIDES,

@@ -19,9 +19,8 @@ from crms_fenicsx.meshes.gmsh_model import (
     surface_of_model,
 )
 from crms_fenicsx.meshes.isolated_reader import read_isolated
-from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, distributed
+from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, Ranks, distributed
 from crms_fenicsx.meshes.orientation import UPWARD, Outside
-from crms_fenicsx.meshes.partition import Ranks
 from crms_fenicsx.meshes.surface import SurfaceArrays
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Integers

@@ -184,10 +184,8 @@ class UflMembrane(MembraneMaterial):
 def _values(tensor: Any, rank: int) -> Array:
     """Components of a UFL tensor that depends on numbers only, (2,) * rank."""
     tensor = apply_derivatives(apply_algebra_lowering(tensor))
-    values = np.empty((2,) * rank)
-    for index in np.ndindex(values.shape):
-        values[index] = float(tensor[index])
-    return values
+    shape = (2,) * rank
+    return np.array([float(tensor[index]) for index in np.ndindex(shape)]).reshape(shape)
 
 
 def _by_voigt(tensor: Array, pairs: int) -> Array:

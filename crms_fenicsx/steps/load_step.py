@@ -72,8 +72,8 @@ class Step:
         return f"Step({self.number}: {', '.join(words)})"
 
 
-CALLER = 5
-"""Level of the stack, from here, of who has called `Solver.advance`."""
+CALLER = 6
+"""Level of the stack, from `_warn`, of who has called `Solver.advance`."""
 
 CATEGORIES: dict[str, type[UserWarning]] = {
     "snap-through": SnapThroughWarning,
@@ -83,50 +83,47 @@ CATEGORIES: dict[str, type[UserWarning]] = {
 }
 
 
+def _warn(number: int, text: str, category: type[UserWarning]) -> None:
+    warnings.warn(f"step {number}: {text}", category, stacklevel=CALLER)
+
+
 def warn_of_friction(number: int, scene: Scene, before: SceneState, unsettled: float) -> None:
     """Warn of friction forces that have not settled, or that have done work on a cable."""
     if scene.comm.rank > 0:
         return
     if unsettled > 0.0:
-        warnings.warn(
-            f"step {number}: friction forces went round in circles and are right to "
-            f"{unsettled:.1%} of their sum only; make the mesh finer along the cables.",
-            FrictionWarning,
-            stacklevel=CALLER,
-        )
+        text = "friction forces went round in circles and are right to"
+        remedy = "of their sum only; make the mesh finer along the cables."
+        _warn(number, f"{text} {unsettled:.1%} {remedy}", FrictionWarning)
     for cable, was in before.net.cables.items():
         gained = 0.0 if was.lateral is None else was.lateral.dissipated
         if cable.lateral is None or cable.has_coulomb or cable.lateral.dissipated >= gained:
             continue
-        warnings.warn(
-            f"step {number}: the friction elements of {cable.name!r} have pushed it back and given "
+        text = (
+            f"the friction elements of {cable.name!r} have pushed it back and given "
             f"{gained - cable.lateral.dissipated:.3g} of work, as their force does not know of "
-            'sticking; use Friction(law="coulomb") or more steps.',
-            FrictionWarning,
-            stacklevel=CALLER,
+            'sticking; use Friction(law="coulomb") or more steps.'
         )
+        _warn(number, text, FrictionWarning)
 
 
 def warn_of_blocked(number: int, scene: Scene) -> None:
     """Warn of cables that have run into vertices, which they may not pass."""
     for cable in scene.cables:
         if cable.blocked and scene.comm.rank == 0:
-            place = cable.positions[cable.blocked[0]]
-            warnings.warn(
-                f"step {number}: {cable.name!r} has run into {len(cable.blocked)} mesh vertices, "
-                f"the first at {place}; it cannot slide on into other cells, so that the result is "
-                "that of a cable blocked there.",
-                PathWarning,
-                stacklevel=CALLER,
+            text = (
+                f"{cable.name!r} has run into {len(cable.blocked)} mesh vertices, the first at "
+                f"{cable.positions[cable.blocked[0]]}; it cannot slide on into other cells, so "
+                "that the result is that of a cable blocked there."
             )
+            _warn(number, text, PathWarning)
 
 
 def warn_of_state(number: int, scene: Scene, found: Sequence[StateWarning]) -> None:
     """Warn of what was found of a step's state."""
     for one in found:
         if scene.comm.rank == 0:
-            text = f"step {number}: {one.text}"
-            warnings.warn(text, CATEGORIES[one.kind], stacklevel=CALLER)
+            _warn(number, one.text, CATEGORIES[one.kind])
 
 
 def _names(ponds: Sequence[Pond]) -> str:

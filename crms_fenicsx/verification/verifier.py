@@ -77,8 +77,6 @@ class Verifier:
         self._prescribed: tuple[Array, Array] = np.zeros((0, 3)), np.zeros((0, 2, 3))
         self._joints: list[Array] = []
         self._cables: CableVerifier | None = None
-        self._shake = np.zeros(0)
-        self._saved: Array = np.zeros((0, 3))
         self._share: Array | None = None
         self._least = 1.0
 
@@ -126,13 +124,6 @@ class Verifier:
         """Difference of the energy along a random displacement of unit variance."""
         potential, unknowns = system.potential, system.unknowns
         n, scene = unknowns.n_owned, self.scene
-        if self._shake.size != 3 * n:
-            self._shake = np.zeros(3 * n)
-        if self._saved.shape != potential.x.shape:
-            self._saved = np.zeros_like(potential.x)
-        way: Array = self._shake
-        self._random.random(out=way)
-        way -= 0.5
         materials = scene.materials.values()
         modulus = max(m.reference_modulus for m in materials)
         prestress = max(float(np.abs(m.prestress_vector).max()) for m in materials)
@@ -141,8 +132,7 @@ class Verifier:
         largest = min(
             LARGEST_SHAKE * scene.membrane.size / np.sqrt(cells), SMALLEST_SLIP * self._slip()
         )
-        way *= np.sqrt(12.0)
-        shake = way.reshape(n, 3)
+        shake: Array = (self._random.random((n, 3)) - 0.5) * np.sqrt(12.0)
         self._spare_small_cells(system, scene.membrane.size / np.sqrt(cells), shake)
         fixed: Booleans = np.array(unknowns.held[:n])
         if unknowns.bounds is not None:
@@ -181,15 +171,14 @@ class Verifier:
         """Difference of the energy between displacements by +-size."""
         potential, unknowns = system.potential, system.unknowns
         n = unknowns.n_owned
-        self._saved[:] = potential.x
-        change = np.zeros(len(potential.terms))
+        start, change = potential.x.copy(), np.zeros(len(potential.terms))
         for step in (size, -size):
-            potential.x[:n] = self._saved[:n] + step * shake
+            potential.x[:n] = start[:n] + step * shake
             potential.place()
             potential.sum_up()
             values = np.array([t.energy(potential.sums_of(t)) for t in potential.terms])
             change += np.sign(step) * values
-        potential.x[:] = self._saved
+        potential.x[:] = start
         potential.place()
         return float(change.sum())
 
