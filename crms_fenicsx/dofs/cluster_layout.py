@@ -37,7 +37,8 @@ class ClusterLayout:
         self.n_clusters = int(self.cluster.max(initial=-1)) + 1
         self.starts = np.searchsorted(self.cluster, np.arange(self.n_clusters + 1))
         self.number[self.blocks] = np.arange(len(blocks))
-        self.groups: Integers = np.append(self.cluster, -1)[self._moved().max(axis=1)]
+        self.groups: Integers = np.append(self.cluster, -1)[self.number]
+        self.groups[whole.tied_points] = self.groups[whole.interpolation].max(axis=1)
         P = np.eye(3) * ~whole.held[self.blocks, None]
         edge_sliders = self.number[whole.edge_sliders]
         lines = whole.directions[edge_sliders >= 0]
@@ -118,6 +119,7 @@ def _sweep(pointers, members, moved, n):  # type: ignore[no-untyped-def]
                             if b >= 0 and found[b] != sweep:
                                 found[b], order[end] = sweep, b
                                 end += 1
+        order[begin:end] = order[begin:end][::-1].copy()  # envelopes are narrower this way round
         cluster[begin:end] = count
         begin, count = end, count + 1
     return order, cluster

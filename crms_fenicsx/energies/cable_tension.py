@@ -11,7 +11,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from crms_fenicsx.dofs.block_patterns import BlockSink, ColumnPattern, SegmentPattern, rows_of
-from crms_fenicsx.dofs.layout import ElementTable
+from crms_fenicsx.dofs.layout import ElementTable, rows_on
 from crms_fenicsx.energies.segments import add_segment_forces, segment_lengths, segment_stiffness
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.model.cable_state import StepStart
@@ -128,7 +128,7 @@ class CableTension(EnergyTerm):
 
     def elements_on(self, chosen: Booleans) -> CableSegments | None:
         """Segments with chosen ends, on each rank a table, as `split` is collective."""
-        rows = np.flatnonzero(chosen[self.segments].any(axis=1))
+        rows = rows_on(*rows_of(self.segments), chosen)
         return CableSegments(
             self.segments[rows], self.eps[rows], self.cable[rows], self._lengths[rows]
         )

@@ -268,9 +268,7 @@ class FoldedMembraneEnergy(EnergyTerm):
 
     def elements_on(self, chosen: Booleans) -> FoldedCells | None:
         """Cells with sides through the chosen blocks."""
-        pointers = self._element_pointers
-        hits = np.append(0, np.cumsum(chosen[self._element_blocks]))
-        rows = np.flatnonzero(hits[pointers[1:]] > hits[pointers[:-1]])
+        rows = self.table.rows_on(chosen)
         return self.table.some(rows) if len(rows) else None
 
     def of_elements(self, table: FoldedCells, sums: Array) -> FoldedMembraneEnergy:

@@ -61,11 +61,18 @@ class ClusterMatrix:
     def _find(self, pattern: BlockPattern) -> tuple[Integers, Integers, Indices, Array]:
         """Rows and columns of blocks in the lower half that a pattern adds to, what it adds there
         and what part of that."""
-        layout = self.layout
-        (rows, cols), sources, weights = layout.whole.spread(pattern.rows, pattern.cols)
-        kept = _lower_half(rows, cols, layout.number)
-        i, j = layout.number[rows[kept]], layout.number[cols[kept]]
-        return i, j, sources[kept], weights[kept]
+        number, whole, rows, cols = (
+            self.layout.number,
+            self.layout.whole,
+            pattern.rows,
+            pattern.cols,
+        )
+        if whole.n_tied_points == 0:
+            kept = _lower_half(rows, cols, number)
+            return number[rows[kept]], number[cols[kept]], kept, np.ones(len(kept))
+        (rows, cols), sources, weights = whole.spread(rows, cols)
+        kept = _lower_half(rows, cols, number)
+        return number[rows[kept]], number[cols[kept]], sources[kept], weights[kept]
 
     def _find_columns(self, of: ColumnPattern | None) -> tuple[Integers, Integers, Integers, Array]:
         """Columns and blocks of the entries where blocks move, as `_find`."""

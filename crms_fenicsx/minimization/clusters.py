@@ -122,6 +122,8 @@ def gather(potential: Potential, moves: Booleans, shared: Booleans) -> Clusters:
     (n_local,)."""
     unknowns, comm = potential.unknowns, potential.comm
     blocks, tables = np.flatnonzero(moves).astype(np.int32), _elements(potential, moves)
+    if comm.size == 1 and len(blocks) <= LARGEST:
+        return Clusters.of(potential, blocks, tables)
     elements = [table.element_blocks for k, table in tables if k != SPRINGS]
     layout = ClusterLayout(unknowns, blocks, elements)
     rank = _solvers(layout, shared)[layout.cluster]
