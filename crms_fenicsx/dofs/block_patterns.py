@@ -141,11 +141,31 @@ class ElementPattern(BlockPattern):
 
     def __init__(self, pointers: Indices, blocks: Indices) -> None:
         sizes = np.diff(pointers)
-        self.offsets = np.concatenate([[0], np.cumsum(sizes**2)]).astype(np.int64)
-        element = np.repeat(np.arange(len(sizes)), sizes**2)
-        place = np.arange(self.offsets[-1]) - self.offsets[element]
-        row, col = np.divmod(place, sizes[element])
-        first = np.asarray(pointers)[element]
-        self.entries = first + row, first + col
-        """Rows of `blocks` that each of the values belongs to."""
-        super().__init__(blocks[first + row], blocks[first + col])
+        self.offsets = np.append(0, np.cumsum(sizes**2)).astype(np.int64)
+        self.entries = _entries(pointers, self.offsets)
+        """Rows of `blocks` that each of the values belongs to, (2, n)."""
+        super().__init__(*blocks[self.entries])
+
+
+@numba.njit(cache=True)
+def _entries(pointers, offsets):  # type: ignore[no-untyped-def]
+    """Rows and columns of the dense blocks of elements in CSR form, (2, n)."""
+    entries = np.empty((2, offsets[-1]), dtype=np.int64)
+    n = 0
+    for e in range(len(pointers) - 1):
+        for i in range(pointers[e], pointers[e + 1]):
+            for j in range(pointers[e], pointers[e + 1]):
+                entries[0, n], entries[1, n] = i, j
+                n += 1
+    return entries
+
+
+class ColumnPattern:
+    """Columns c of dyads c c^T, at fixed places: c has entries at some blocks.
+
+    Attributes: `values` (n, 3): the entries. Shapes: columns, blocks (n,).
+    """
+
+    def __init__(self, columns: Integers, blocks: Indices) -> None:
+        self.columns, self.blocks = columns, blocks
+        self.values: Array = np.zeros((len(blocks), 3))

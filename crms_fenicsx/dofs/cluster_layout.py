@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numba
 import numpy as np
-import scipy.sparse as sp
 from mpi4py import MPI
-from scipy.sparse.csgraph import connected_components
 
 from crms_fenicsx.dofs.local_blocks import LocalBlocks
 from crms_fenicsx.runtime.arrays import Array, Indices, Integers
@@ -16,12 +15,13 @@ from crms_fenicsx.runtime.arrays import Array, Indices, Integers
 class ClusterLayout:
     """Some blocks of a layout, sorted into clusters.
 
-    Attributes: `blocks` (n,): the blocks, cluster by cluster; `starts` (n_clusters + 1,): where
+    Attributes: `blocks` (n,): the blocks, cluster by cluster, those of an element close to each
+    other; `starts` (n_clusters + 1,): where
     each cluster begins among them; `cluster` (n,): number of each block's cluster; `number`
     (n_local,): place of the layout's blocks among `blocks`, -1 for others; `groups` (n_local,):
-    cluster that each block of the layout moves with, or -1; `edge_sliders`, `directions`: places of
-    those that are displaced along a line only, and these lines, (k, 3); `held` (n, 3): components
-    with a prescribed value. Shapes: blocks (n,).
+    cluster that each block of the layout moves with, or -1; `projectors`: which of the blocks have
+    held components or are edge sliders, and what leaves of vectors what they are free to move by,
+    (k,), (k, 3, 3). Shapes: blocks (n,).
     """
 
     comm = MPI.COMM_SELF
@@ -32,46 +32,41 @@ class ClusterLayout:
         self.whole, self.X, self.n_local = whole, whole.X, whole.n_local
         self.number = np.full(whole.n_local, -1)
         self.number[blocks] = np.arange(len(blocks))
-        cluster = self._connect(len(blocks), elements)
-        order = np.argsort(cluster, kind="stable")
-        self.blocks, self.cluster = blocks[order], cluster[order]
-        self.n_clusters = int(cluster.max(initial=-1)) + 1
+        order, self.cluster = self._connect(len(blocks), elements)
+        self.blocks = blocks[order]
+        self.n_clusters = int(self.cluster.max(initial=-1)) + 1
         self.starts = np.searchsorted(self.cluster, np.arange(self.n_clusters + 1))
         self.number[self.blocks] = np.arange(len(blocks))
-        moved = self._moved_by(np.arange(self.n_local, dtype=np.int32))
-        self.groups: Integers = np.append(self.cluster, -1)[moved.max(axis=1)]
-        self.held = whole.held[self.blocks]
+        self.groups: Integers = np.append(self.cluster, -1)[self.number]
+        self.groups[whole.tied_points] = self.groups[whole.interpolation].max(axis=1)
+        P = np.eye(3) * ~whole.held[self.blocks, None]
         edge_sliders = self.number[whole.edge_sliders]
-        self.edge_sliders, self.directions = (
-            edge_sliders[edge_sliders >= 0],
-            whole.directions[edge_sliders >= 0],
-        )
+        lines = whole.directions[edge_sliders >= 0]
+        P[edge_sliders[edge_sliders >= 0]] = lines[:, :, None] * lines[:, None, :]
+        bound = np.flatnonzero((P != np.eye(3)).any(axis=(1, 2)))
+        self.projectors = bound, P[bound]
 
-    def _moved_by(self, blocks: Indices) -> Integers:
-        """Free blocks that blocks (m,) move with, by number: (m, 1); of tied points (m, 3)."""
+    def _moved(self) -> Integers:
+        """Free blocks that each block moves with, by number: (n_local, 1), with tied points 3."""
         whole = self.whole
         if whole.n_tied_points == 0:
-            return self.number[blocks][:, None]
+            return self.number[:, None]
         moved = np.full((whole.n_local, 3), -1)
         moved[:, 0] = self.number
         moved[whole.tied_points] = self.number[whole.interpolation]
-        return moved[blocks]
+        return moved
 
-    def _connect(self, n: int, elements: Sequence[tuple[Indices, Indices]]) -> Integers:
-        """Sort n free blocks into clusters: number of the cluster of each."""
-        rows, cols, size = [], [], n
-        for pointers, members in elements:
-            element = size + np.repeat(np.arange(len(pointers) - 1), np.diff(pointers))
-            size += len(pointers) - 1
-            for moved in self._moved_by(members).T:
-                rows.append(element[moved >= 0])
-                cols.append(moved[moved >= 0])
-        if not rows:
-            return np.arange(n)
-        row, col = np.concatenate(rows), np.concatenate(cols)
-        graph = sp.csr_matrix((np.ones(len(row), dtype=np.int8), (row, col)), shape=(size, size))
-        labels = connected_components(graph, directed=False)[1][:n]
-        return np.asarray(np.unique(labels, return_inverse=True)[1], dtype=np.int64)
+    def _connect(
+        self, n: int, elements: Sequence[tuple[Indices, Indices]]
+    ) -> tuple[Integers, Integers]:
+        """Sort n free blocks into clusters. Returns their order, and the number of the cluster of
+        each in that order."""
+        ends = [0, *(int(pointers[-1]) for pointers, _ in elements)]
+        first = [own[:-1] + end for (own, _), end in zip(elements, np.cumsum(ends), strict=False)]
+        pointers = np.concatenate([*first, [sum(ends)]]).astype(np.int64)
+        members = np.concatenate([np.zeros(0, dtype=np.int32), *(own for _, own in elements)])
+        found: tuple[Integers, Integers] = _sweep(pointers, members, self._moved(), n)
+        return found
 
     def clusters_of(self, pointers: Indices, members: Indices) -> Integers:
         """Cluster of each of some elements in CSR form, (n,); -1 of those that do not move."""
@@ -81,6 +76,50 @@ class ClusterLayout:
 
     def project(self, values: Array) -> None:
         """Leave of vectors of the blocks, (n, 3), what they are free to move by."""
-        np.copyto(values, 0.0, where=self.held)
-        along = np.sum(values[self.edge_sliders] * self.directions, axis=1)
-        values[self.edge_sliders] = along[:, None] * self.directions
+        bound, P = self.projectors
+        values[bound] = np.einsum("nij,nj->ni", P, values[bound])
+
+
+@numba.njit(cache=True)
+def _sweep(pointers, members, moved, n):  # type: ignore[no-untyped-def]
+    """Order n blocks cluster by cluster, as Cuthill and McKee do, and number the clusters. Elements
+    are in CSR form; `moved` (n_local, k) are the blocks that a member moves with, or -1."""
+    starts = np.zeros(n + 1, dtype=np.int64)
+    for member in members:
+        for b in moved[member]:
+            starts[b + 1] += b >= 0
+    for b in range(n):
+        starts[b + 1] += starts[b]
+    own, filled = np.empty(starts[n], dtype=np.int64), starts[:-1].copy()
+    for e in range(len(pointers) - 1):
+        for member in members[pointers[e] : pointers[e + 1]]:
+            for b in moved[member]:
+                if b >= 0:
+                    own[filled[b]] = e
+                    filled[b] += 1
+    order, cluster = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
+    found, used = np.zeros(n, dtype=np.int64), np.zeros(len(pointers), dtype=np.int64)
+    count = begin = 0
+    for seed in range(n):
+        if found[seed] > 0:
+            continue
+        end, order[begin] = begin, seed
+        for sweep in range(2 * count + 1, 2 * count + 3):
+            order[begin] = order[max(begin, end - 1)]  # from the far end of the first one
+            found[order[begin]], at, end = sweep, begin, begin + 1
+            while at < end:
+                block = order[at]
+                at += 1
+                for e in own[starts[block] : starts[block + 1]]:
+                    if used[e] == sweep:
+                        continue
+                    used[e] = sweep
+                    for member in members[pointers[e] : pointers[e + 1]]:
+                        for b in moved[member]:
+                            if b >= 0 and found[b] != sweep:
+                                found[b], order[end] = sweep, b
+                                end += 1
+        order[begin:end] = order[begin:end][::-1].copy()  # envelopes are narrower this way round
+        cluster[begin:end] = count
+        begin, count = end, count + 1
+    return order, cluster

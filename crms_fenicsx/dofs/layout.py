@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar, Self
 
+import numba
 import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
@@ -41,6 +42,11 @@ class ElementTable(ABC):
     def element_blocks(self) -> tuple[Indices, Indices]:
         """Blocks of each element in CSR form: pointers (n + 1,), blocks (m,)."""
 
+    def rows_on(self, chosen: Booleans) -> Integers:
+        """Elements with chosen blocks, (m,)."""
+        rows: Integers = rows_on(*self.element_blocks, chosen)
+        return rows
+
     def renumbered(self, number: Indices) -> Self:
         """The same elements of blocks with other numbers: block b becomes ``number[b]``."""
         return replace(self, **{name: number[getattr(self, name)] for name in self.addresses})  # type: ignore[type-var]
@@ -49,6 +55,19 @@ class ElementTable(ABC):
     def joined(cls, tables: Sequence[Self]) -> Sequence[Self]:
         """The elements of tables of several processes in as few tables as a term of them needs."""
         return tables
+
+
+@numba.njit(cache=True)
+def rows_on(pointers, blocks, chosen):  # type: ignore[no-untyped-def]
+    """Elements in CSR form with chosen blocks, (m,)."""
+    rows, m = np.empty(len(pointers) - 1, dtype=np.int64), 0
+    for e in range(len(rows)):
+        for q in range(pointers[e], pointers[e + 1]):
+            if chosen[blocks[q]]:
+                rows[m] = e
+                m += 1
+                break
+    return rows[:m]
 
 
 def vertex_places(V: fem.FunctionSpace) -> Array:

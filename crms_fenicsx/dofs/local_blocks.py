@@ -91,16 +91,21 @@ class LocalBlocks:
             np.add.at(g.reshape(-1), self._loaded_components, parts.ravel())
             g[tied_points] = 0.0
 
+    def carriers(self) -> tuple[Indices, Array]:
+        """Blocks that each block moves with, and its shares of them, (n_local, 3)."""
+        blocks = np.zeros((self.n_local, 3), dtype=np.int32)
+        shares = np.zeros((self.n_local, 3))
+        blocks[:, 0], shares[:, 0] = np.arange(self.n_local), 1.0
+        blocks[self.tied_points], shares[self.tied_points] = self.interpolation, self.weights
+        return blocks, shares
+
     def spread(self, rows: Indices, cols: Indices) -> tuple[Indices, Indices, Array]:
         """Where stiffness blocks go, those of tied points to their vertices. Shapes: rows, cols
         (n,). Returns places: local blocks of rows and columns, (2, m); sources, weights: which of
         the n blocks goes there, and what part of it, (m,)."""
         if self.n_tied_points == 0:
             return np.stack([rows, cols]), np.arange(len(rows), dtype=np.int32), np.ones(len(rows))
-        blocks = np.zeros((self.n_local, 3), dtype=np.int32)
-        share = np.zeros((self.n_local, 3))
-        blocks[:, 0], share[:, 0] = np.arange(self.n_local), 1.0
-        blocks[self.tied_points], share[self.tied_points] = self.interpolation, self.weights
+        blocks, share = self.carriers()
         rides = np.zeros(self.n_local, dtype=bool)
         rides[self.tied_points] = True
         spreads = rides[rows] | rides[cols]

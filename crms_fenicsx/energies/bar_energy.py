@@ -116,8 +116,8 @@ class BarEnergy(EnergyTerm):
         return np.maximum(self.lengths, SHORTEST * self.table.L0)
 
     def elements_on(self, chosen: Booleans) -> BarTable | None:
-        some = chosen[self.table.ends].any(axis=1)
-        if not some.any():
+        some = self.table.rows_on(chosen)
+        if len(some) == 0:
             return None
         return BarTable(*(getattr(self.table, field.name)[some] for field in fields(BarTable)))
 

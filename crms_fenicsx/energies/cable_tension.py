@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from crms_fenicsx.dofs.block_patterns import BlockSink, ElementPattern, SegmentPattern, rows_of
-from crms_fenicsx.dofs.layout import ElementTable
+from crms_fenicsx.dofs.block_patterns import BlockSink, ColumnPattern, SegmentPattern, rows_of
+from crms_fenicsx.dofs.layout import ElementTable, rows_on
 from crms_fenicsx.energies.segments import add_segment_forces, segment_lengths, segment_stiffness
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.model.cable_state import StepStart
@@ -70,8 +70,7 @@ class CableTension(EnergyTerm):
         self._lengths = np.zeros(len(segments))
         self._forces = np.zeros(len(segments))
         self.pattern, self.links = SegmentPattern(segments), segments
-        self.patterns = (self.pattern,)
-        self._dyads: tuple[ElementPattern, Integers, Integers, Indices] | None = None
+        self.patterns, self._ends = (self.pattern,), segments
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of each cable's length."""
@@ -129,7 +128,7 @@ class CableTension(EnergyTerm):
 
     def elements_on(self, chosen: Booleans) -> CableSegments | None:
         """Segments with chosen ends, on each rank a table, as `split` is collective."""
-        rows = np.flatnonzero(chosen[self.segments].any(axis=1))
+        rows = rows_on(*rows_of(self.segments), chosen)
         return CableSegments(
             self.segments[rows], self.eps[rows], self.cable[rows], self._lengths[rows]
         )
@@ -150,9 +149,8 @@ class CableTension(EnergyTerm):
         pieces of its cable together, so that the energy of all, if each moves as if the others did
         not, is none below the true one."""
         group = groups[self.segments].max(axis=1)
-        stride = int(group.max(initial=0)) + 1
-        pieces, piece = np.unique(self.cable * stride + group, return_inverse=True)
-        cables = pieces // stride
+        pieces, piece = np.unique(group * len(self.EA) + self.cable, return_inverse=True)
+        cables = pieces % len(self.EA)
         counts = np.bincount(cables, minlength=len(self.EA))
         comm.Allreduce(MPI.IN_PLACE, counts)
         count = counts[cables]
@@ -161,26 +159,21 @@ class CableTension(EnergyTerm):
         some._lengths[:] = self._lengths
         stretch = (self._moving() - self.smoothing_length - self.L0)[cables] / count
         some.smoothing_length = some._moving() - L0 - stretch
+        stride = len(groups)
+        ends, own = np.unique(piece[:, None] * stride + self.segments, return_inverse=True)
+        some._ends = own.reshape(-1, 2).astype(np.int32)
+        some.columns = ColumnPattern(ends // stride, (ends % stride).astype(np.int32))
         return some
 
-    def add_dyads(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add ``EA/L0 grad(L) grad(L)^T`` of each cable in tension, block by block."""
-        if self._dyads is None:
-            stride = len(self.unknowns.X)
-            ends = self.cable.astype(np.int64)[:, None] * stride + self.segments
-            places, of_ends = np.unique(ends, return_inverse=True)
-            cable, blocks = np.divmod(places, stride)
-            pointers = np.searchsorted(cable, np.arange(len(self.EA) + 1)).astype(np.int32)
-            pattern = ElementPattern(pointers, blocks.astype(np.int32))
-            self._dyads = pattern, cable, blocks, of_ends.reshape(-1, 2).astype(np.int32)
-        pattern, cable, blocks, of_ends = self._dyads
-        points, gradients = self.unknowns.X[blocks] + x[blocks], np.zeros((len(blocks), 3))
-        none, ones = np.zeros_like(points), np.ones(len(of_ends))
-        add_segment_forces(points, none, of_ends, self.eps, ones, gradients)
-        a, b = pattern.entries
-        scaled = gradients[a] * self.dyads(sums)[cable[a], None]
-        np.einsum("ni,nj->nij", scaled, gradients[b], out=pattern.values)
-        pattern.add(A)
+    def dyad_columns(self, x: Array, sums: Array) -> None:
+        """Put ``(EA/L0)^(1/2) grad(L)`` of each piece in tension into `columns`."""
+        assert self.columns is not None
+        blocks, values = self.columns.blocks, self.columns.values
+        points, self._forces[:] = self.unknowns.X[blocks] + x[blocks], self.dyads(sums)[self.cable]
+        values[:] = 0.0
+        add_segment_forces(
+            points, np.zeros_like(points), self._ends, self.eps, self._forces**0.5, values
+        )
 
     def element_energies(self, sums: Array) -> Array:
         """Energies of the cables, spread evenly over their segments."""

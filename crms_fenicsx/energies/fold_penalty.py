@@ -253,7 +253,7 @@ class FoldPenalty(EnergyTerm):
     def elements_on(self, chosen: Booleans) -> FoldAngles | None:
         """Places with chosen points."""
         t = self.table
-        rows = np.flatnonzero(chosen[t.points].any(axis=1))
+        rows = t.rows_on(chosen)
         some = FoldAngles(t.points[rows], t.coefficients[rows], t.weighted)
         return some if len(rows) else None
 

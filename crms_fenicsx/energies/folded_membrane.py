@@ -143,13 +143,16 @@ def cell_stiffness(  # type: ignore[no-untyped-def]
     (m,) goes the sum of these forces in each segment: taken cell by cell, not of the sum, so that
     two ranks that share a side make the same stiffness as one."""
     tension[:] = 0.0
-    C, K = np.empty((3, 3)), np.empty((3, 3))
+    C, K, r, most = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), 0
+    for c in range(sides.shape[0]):
+        most = max(most, element_pointers[c + 1] - element_pointers[c])
+    B, KB = np.empty((most, 3, 3)), np.empty((most, 3, 3))
     for c in range(sides.shape[0]):
         start = element_pointers[c]
         size = element_pointers[c + 1] - start
         own = element_blocks[start : start + size]
         laws.tangent(law[c], p[c], out[c, :3], floor, C, orthotropic)
-        B, r = np.zeros((3, size, 3)), np.zeros(3)
+        B[:size], r[:] = 0.0, 0.0
         for k in range(3):
             for q in range(pointers[sides[c, k]], pointers[sides[c, k] + 1]):
                 segment = side_segments[q]
@@ -163,8 +166,8 @@ def cell_stiffness(  # type: ignore[no-untyped-def]
                 while own[j] != b:
                     j += 1
                 for m, component in enumerate((r0, r1, r2)):
-                    B[k, i, m] -= slope * component
-                    B[k, j, m] += slope * component
+                    B[i, k, m] -= slope * component
+                    B[j, k, m] += slope * component
         for k in range(3):
             for n in range(3):
                 K[k, n] = 0.0
@@ -182,22 +185,19 @@ def cell_stiffness(  # type: ignore[no-untyped-def]
             for q in range(pointers[sides[c, k]], pointers[sides[c, k] + 1]):
                 segment = side_segments[q]
                 tension[segment] += pull * r[k] + 0.5 * prestress * lengths[segment]
-        KB = np.zeros((3, size, 3))
-        for k in range(3):
-            for n in range(3):
-                for j in range(size):
-                    for b in range(3):
-                        KB[k, j, b] += K[k, n] * B[n, j, b]
         for i in range(size):
-            for j in range(size):
+            for k in range(3):
+                for a in range(3):
+                    KB[i, k, a] = K[k, 0] * B[i, 0, a] + K[k, 1] * B[i, 1, a] + K[k, 2] * B[i, 2, a]
+            for j in range(i + 1):
                 block = values[offsets[c] + i * size + j]
+                mirrored = values[offsets[c] + j * size + i]
                 for a in range(3):
                     for b in range(3):
-                        block[a, b] = (
-                            B[0, i, a] * KB[0, j, b]
-                            + B[1, i, a] * KB[1, j, b]
-                            + B[2, i, a] * KB[2, j, b]
-                        )
+                        value = 0.0
+                        for k in range(3):
+                            value += KB[i, k, a] * B[j, k, b]
+                        block[a, b] = mirrored[b, a] = value
 
 
 class FoldedMembraneEnergy(EnergyTerm):
@@ -268,9 +268,7 @@ class FoldedMembraneEnergy(EnergyTerm):
 
     def elements_on(self, chosen: Booleans) -> FoldedCells | None:
         """Cells with sides through the chosen blocks."""
-        pointers = self._element_pointers
-        hits = np.append(0, np.cumsum(chosen[self._element_blocks]))
-        rows = np.flatnonzero(hits[pointers[1:]] > hits[pointers[:-1]])
+        rows = self.table.rows_on(chosen)
         return self.table.some(rows) if len(rows) else None
 
     def of_elements(self, table: FoldedCells, sums: Array) -> FoldedMembraneEnergy:

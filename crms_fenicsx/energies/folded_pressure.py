@@ -146,7 +146,7 @@ class FoldedFollowerPressure(EnergyTerm):
     def elements_on(self, chosen: Booleans) -> Facets | None:
         """Facets with chosen corners; volume counts from no stress-free one."""
         t = self.table
-        rows = np.flatnonzero(chosen[t.corners].any(axis=1))
+        rows = t.rows_on(chosen)
         some = Facets(t.corners[rows], t.weights[rows], t.plain_corners[:0])
         return some if len(rows) else None
 

@@ -113,8 +113,7 @@ class LateralFriction(EnergyTerm):
     def elements_on(self, chosen: Booleans) -> Slips | None:
         """Nodes with chosen blocks on their edges."""
         t = self.table
-        hits = np.append(0, np.cumsum(chosen[t.blocks]))
-        rows = np.flatnonzero(hits[t.pointers[1:]] > hits[t.pointers[:-1]])
+        rows = t.rows_on(chosen)
         if len(rows) == 0:
             return None
         counts = np.diff(t.pointers)[rows]

@@ -11,7 +11,7 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
-from crms_fenicsx.dofs.block_patterns import BlockPattern, BlockSink
+from crms_fenicsx.dofs.block_patterns import BlockPattern, BlockSink, ColumnPattern
 from crms_fenicsx.dofs.layout import ElementTable, Unknowns
 from crms_fenicsx.energies.integral import FusedAssembly, Integral
 from crms_fenicsx.energies.kinematics import Stiffening
@@ -80,6 +80,8 @@ class EnergyTerm(ABC):
         materials, tensors in space (force per length): results add them. None without any.
     patterns
         Where its stiffness has blocks, see `crms_fenicsx.dofs.block_patterns`; from `attach` on.
+    columns
+        Where the columns of the dyads of a term that was `split` have entries; None without dyads.
     twin
         Does what `elements_on` and `of_elements` do in loops over few cells, which DOLFINx's forms
         have not; None if nothing does.
@@ -116,6 +118,7 @@ class EnergyTerm(ABC):
     links: Indices | None = None
     section_forces: Array | None = None
     patterns: Sequence[BlockPattern] = ()
+    columns: ColumnPattern | None = None
     twin: CompiledCells | None = None
     unknowns: Unknowns
 
@@ -200,8 +203,8 @@ class EnergyTerm(ABC):
         assert self.twin is not None, f"{type(self).__name__} is not made of elements"
         return self.twin.of_elements(table)
 
-    def add_dyads(self, x: Array, sums: Array, A: BlockSink) -> None:
-        """Add the dyads of a term `of_elements` block by block."""
+    def dyad_columns(self, x: Array, sums: Array) -> None:
+        """Put the dyads of a term that was `split` into its `columns`."""
 
     def element_energies(self, sums: Array) -> Array:
         """Energies of a term's elements at the last `sums`, (n,) (force x length)."""

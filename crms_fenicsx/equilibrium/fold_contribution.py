@@ -5,13 +5,16 @@ DOLFINx's forms know all cells at once; what relaxes vertices next to a cable ne
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
 
 from crms_fenicsx.cables.element_tables import CableTables, depth_of
 from crms_fenicsx.cables.numbering import CableNumbering
-from crms_fenicsx.dofs.layout import Unknowns
+from crms_fenicsx.dofs.block_patterns import rows_of
+from crms_fenicsx.dofs.layout import Unknowns, rows_on
 from crms_fenicsx.energies.fold_penalty import FoldPenalty
 from crms_fenicsx.energies.folded_membrane import FoldedCells, FoldedMembraneEnergy
 from crms_fenicsx.energies.folded_pressure import Facets, FoldedFollowerPressure, FoldedWind
@@ -27,7 +30,7 @@ from crms_fenicsx.meshes.triangles import cell_sides
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.model.cable_state import NodeId
 from crms_fenicsx.model.materials import UFL_LAW
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.scene import Scene
 
 
@@ -42,34 +45,40 @@ class PlainCells:
         dofs = membrane.u.function_space.dofmap.list[self.cells]
         self.blocks = unknowns.vertex_blocks()[dofs]
 
-    def _around(self, chosen: Booleans) -> Indices:
+    def _around(self, chosen: Booleans) -> Integers:
         """Rows of the cells with chosen vertices."""
-        return np.flatnonzero(chosen[self.blocks].any(axis=1)).astype(np.int32)
+        rows: Integers = rows_on(*rows_of(self.blocks), chosen)
+        return rows
 
     def membrane(self) -> CompiledCells:
         """Twin of their strain energy."""
         stiffening = self._energy.stiffening
         return CompiledCells(self._cells, lambda table: FoldedMembraneEnergy(table, stiffening))
 
+    @cached_property
+    def _properties(self) -> tuple[Array, Indices, Array]:
+        """Stress-free sides of all the cells in their material axes, laws and parameters."""
+        sides = cell_sides(self._energy.u.function_space.mesh, self.cells)
+        vectors = np.einsum("nki,nai->nka", sides, self._energy.material_axes(self.cells))
+        return vectors, *self._energy.laws(self.cells)
+
     def _cells(self, chosen: Booleans) -> FoldedCells | None:
         """The cells with chosen vertices, (n_local,)."""
-        rows, membrane = self._around(chosen), self._energy
+        rows = self._around(chosen)
         if len(rows) == 0:
             return None
-        cells, n = self.cells[rows], 3 * len(rows)
-        sides = cell_sides(membrane.u.function_space.mesh, cells)
-        laws, parameters = membrane.laws(cells)
-        ends = self.blocks[rows]
+        ends, n = self.blocks[rows], 3 * len(rows)
+        vectors, laws, parameters = self._properties
         return FoldedCells(
-            cells=cells,
+            cells=self.cells[rows],
             segments=np.stack([ends, np.roll(ends, -1, axis=1)], axis=2).reshape(-1, 2),
             eps=np.zeros(n),
             side_pointers=np.arange(n + 1, dtype=np.int32),
             side_segments=np.arange(n, dtype=np.int32),
             sides=np.arange(n, dtype=np.int32).reshape(-1, 3),
-            side_vectors=np.einsum("nki,nai->nka", sides, membrane.material_axes(cells)),
-            laws=laws,
-            parameters=parameters,
+            side_vectors=vectors[rows],
+            laws=laws[rows],
+            parameters=parameters[rows],
         )
 
     def pressure(

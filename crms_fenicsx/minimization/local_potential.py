@@ -15,7 +15,8 @@ import numpy as np
 
 from crms_fenicsx.dofs.cluster_layout import ClusterLayout
 from crms_fenicsx.energies.term import EnergyTerm
-from crms_fenicsx.minimization.clusters import SPRINGS, ClusterMatrix, Clusters
+from crms_fenicsx.minimization.cluster_matrix import ClusterMatrix
+from crms_fenicsx.minimization.clusters import SPRINGS, Clusters
 from crms_fenicsx.minimization.damping import Damping
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.runtime.arrays import Array, Booleans
@@ -74,7 +75,10 @@ class LocalPotential:
         self._others = given - self.g
         self.g[:] = given
         self._sizes = self._by_cluster(np.abs)
-        self._matrix = ClusterMatrix(self.layout)
+        patterns = [pattern for term in self.terms for pattern in term.patterns]
+        patterns += [pattern for damping in self._damping for pattern in damping.patterns]
+        columns = next((term.columns for term in self.terms if term.columns is not None), None)
+        self._matrix = ClusterMatrix(self.layout, patterns, columns)
 
     def _by_cluster(self, function: Callable[[Array], Array]) -> Array:
         """Sum of a function of the elements' energies over each cluster."""
@@ -161,19 +165,12 @@ class LocalPotential:
 
     def _directions(self, todo: Booleans, exact: Booleans) -> Array:
         """Newton's steps from the current state, downhill, (n, 3)."""
-        d, g, left = np.zeros_like(self.g), self.g.copy(), todo.copy()
+        d, left = np.zeros_like(self.g), todo.copy()
         for kind in (True, False):
             wanted = left & exact if kind else left
-            if not wanted.any():
-                continue
-            self.g[:] = g
-            self._assemble(kind)
-            for c in np.flatnonzero(wanted):
-                own = slice(self.layout.starts[c], self.layout.starts[c + 1])
-                y = self._matrix.solve(int(c), -g[own].ravel())
-                if y is not None:
-                    d[own] = y.reshape(-1, 3)
-                    left[c] = False
+            if wanted.any():
+                self._assemble(kind)
+                left &= ~self._matrix.solve(wanted, -self.g, d)
         return d
 
     def _assemble(self, exact: bool) -> None:
@@ -187,5 +184,7 @@ class LocalPotential:
                 damping.add_stiffness(self.layout, self.x, self._forces, A)  # type: ignore[arg-type]
         for term, sums in zip(self.terms, self._sums, strict=True):
             (term.add_hessian if exact else term.add_stiffness)(self.x, sums, A)
-            term.add_dyads(self.x, sums, A)
+            if term.columns is not None:
+                term.dyad_columns(self.x, sums)
+                A.take_columns(term.columns)
         A.close(exact)

@@ -74,9 +74,10 @@ class Potential:
         self.unknowns.project(self.x)
         self.unknowns.read_vertices(self.x, self._u)
 
-    def sum_up(self) -> None:
-        """Global sums of all terms at the current state: the one reduction of an evaluation."""
-        if self._pass is not None:
+    def sum_up(self, vertices: bool = True) -> None:
+        """Global sums of all terms at the current state: the one reduction of an evaluation.
+        Integrals over the membrane stay if no `vertices` have moved since the last one."""
+        if self._pass is not None and vertices:
             self._pass.assemble()
         for term, part in zip(self.terms, self._slices, strict=True):
             term.sums(self.x, self._local_sums[part])
@@ -107,10 +108,11 @@ class Potential:
         """Global sums of one term, last computed."""
         return self._sums[self._slices[self.terms.index(term)]]
 
-    def evaluate(self) -> float:
-        """Energy at the current state; leaves the gradient, held components included, in `g`."""
+    def evaluate(self, vertices: bool = True) -> float:
+        """Energy at the current state; leaves the gradient, held components included, in `g`.
+        `vertices` as in `sum_up`."""
         self.evaluations += 1
-        self.sum_up()
+        self.sum_up(vertices)
         self.g[:] = 0.0
         energy = 0.0
         for term, part in zip(self.terms, self._slices, strict=True):

@@ -126,7 +126,7 @@ class LocalRelaxation:
             chosen |= self._around(self._points, self._point_links, POINT_PART, POINT_RINGS, least)
             if self._count(chosen) > MOST * self._n_points:
                 chosen = self._points.copy()
-            if not self._relax(chosen, 0.5 * aim):
+            if not self._relax(chosen, 0.5 * aim, vertices=False):
                 return True
         return True
 
@@ -142,12 +142,14 @@ class LocalRelaxation:
             if self._count(more) > MOST * self._n_all or inside < max(outside, least * scale):
                 return turn > 0
             chosen = more
-            if not self._relax(chosen, max(0.1 * outside, 0.1 * SETTLED * scale)):
+            least = max(0.1 * outside, 0.1 * SETTLED * scale)
+            if not self._relax(chosen, least, vertices=True):
                 return True
         return True
 
-    def _relax(self, chosen: Booleans, tolerance: float) -> bool:
-        """Relax the chosen blocks; say whether the energy has not risen. Collective."""
+    def _relax(self, chosen: Booleans, tolerance: float, vertices: bool) -> bool:
+        """Relax the chosen blocks, among which there are `vertices` or not; say whether the energy
+        has not risen. Collective."""
         potential, before = self.potential, self.potential.x.copy()
         energy, size = potential.energy(), sum(map(abs, potential.energies().values()))
         potential.unknowns.update_ghosts(potential.g_vector)
@@ -158,11 +160,11 @@ class LocalRelaxation:
         self.steps += potential.comm.allreduce(local.steps)
         self._stuck |= give_back(potential, clusters, local.blocks, late)
         potential.place()
-        if potential.evaluate() <= energy + RISE * size:
+        if potential.evaluate(vertices) <= energy + RISE * size:
             return True
         potential.x[:] = before
         potential.place()
-        potential.evaluate()
+        potential.evaluate(vertices)
         return False
 
     def vertex_residual(self) -> float:

@@ -1,0 +1,217 @@
+"""Stiffness of clusters of blocks, each factorised for itself.
+
+Of each row of a cluster's matrix what lies between its first entry and the diagonal is kept, its
+envelope, which elimination fills. It is narrow, as a `ClusterLayout` has blocks that are close to
+each other in its order. Dyads c c^T would fill it, so their columns border the stiffness:
+
+    [K    c]
+    [c^T -1]
+
+Eliminating the border leaves K + c c^T, which is definite if and only if as many pivots of the
+whole are negative as there are columns, by Sylvester's law of inertia.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numba
+import numpy as np
+
+from crms_fenicsx.dofs.block_patterns import BlockPattern, ColumnPattern, scatter_blocks
+from crms_fenicsx.dofs.cluster_layout import ClusterLayout
+from crms_fenicsx.minimization.membrane_multigrid import EXACT_SHIFT, SHIFT
+from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers, pointers
+
+
+class ClusterMatrix:
+    """Stiffness of clusters, which terms add to as to a PETSc matrix.
+
+    Entry (i, j) of its lower half is ``values[at[i] + j]``, for ``first[i] <= j <= i``. Cluster c
+    has the rows from ``rows[c]`` on: three of each of its blocks, and one of each of its columns.
+    """
+
+    def __init__(
+        self, layout: ClusterLayout, patterns: Sequence[BlockPattern], columns: ColumnPattern | None
+    ) -> None:
+        self.layout, n = layout, len(layout.blocks)
+        places = {pattern: self._find(pattern) for pattern in patterns}
+        column, at, self._sources, self._weights = self._find_columns(columns)
+        owners = np.zeros(int(column.max(initial=-1)) + 1, dtype=np.int64)
+        owners[column] = layout.cluster[at]
+        before = np.searchsorted(owners, np.arange(layout.n_clusters + 1))
+        self.rows = 3 * layout.starts + before
+        row, nearest = 3 * np.arange(n) + before[layout.cluster], np.arange(n)
+        for i, j, _, _ in places.values():
+            _take_least(i, j, nearest)
+        self.first = np.arange(self.rows[-1])
+        ends = self.first + 1
+        for k in range(3):  # all three rows of a block have the same columns
+            self.first[row + k], ends[row + k] = row[nearest], row + 3
+        column += 3 * layout.starts[owners[column] + 1]
+        _take_least(column, row[at], self.first)
+        offsets = pointers(ends - self.first)
+        self.at, self.values = offsets[:-1] - self.first, np.zeros(offsets[-1])
+        self._columns = (self.at[column] + row[at])[:, None] + np.arange(3)
+        self._places = {
+            pattern: (sources, weights, self.at[row[i]] + row[j], row[i] + 3 - row[nearest[i]])
+            for pattern, (i, j, sources, weights) in places.items()
+        }
+
+    def _find(self, pattern: BlockPattern) -> tuple[Integers, Integers, Indices, Array]:
+        """Rows and columns of blocks in the lower half that a pattern adds to, what it adds there
+        and what part of that."""
+        number, whole, rows, cols = (
+            self.layout.number,
+            self.layout.whole,
+            pattern.rows,
+            pattern.cols,
+        )
+        if whole.n_tied_points == 0:
+            kept = _lower_half(rows, cols, number)
+            return number[rows[kept]], number[cols[kept]], kept, np.ones(len(kept))
+        (rows, cols), sources, weights = whole.spread(rows, cols)
+        kept = _lower_half(rows, cols, number)
+        return number[rows[kept]], number[cols[kept]], sources[kept], weights[kept]
+
+    def _find_columns(self, of: ColumnPattern | None) -> tuple[Integers, Integers, Integers, Array]:
+        """Columns and blocks of the entries where blocks move, as `_find`."""
+        if of is None:
+            none = np.zeros(0, dtype=np.int64)
+            return none, none, none, np.zeros(0)
+        carriers, shares = self.layout.whole.carriers()
+        number, weights = self.layout.number[carriers[of.blocks]], shares[of.blocks]
+        sources, k = np.nonzero((number >= 0) & (weights != 0.0))
+        return of.columns[sources], number[sources, k], sources, weights[sources, k]
+
+    def clear(self) -> None:
+        """Set all entries to zero."""
+        self.values[:] = 0.0
+
+    def take(self, pattern: BlockPattern) -> None:
+        """Add a pattern's values; blocks of what is held are left out."""
+        scatter_blocks(pattern.values, *self._places[pattern], self.values)
+
+    def take_columns(self, pattern: ColumnPattern) -> None:
+        """Add the columns of dyads."""
+        values = self._weights[:, None] * pattern.values[self._sources]
+        np.add.at(self.values, self._columns, values)
+
+    def close(self, exact: bool = False) -> None:
+        """Shift the diagonal a little, and decouple what is not free to move. A cluster's shift is
+        from its own stiffness, whichever others are here; it is less for second derivatives."""
+        layout, part = self.layout, EXACT_SHIFT if exact else SHIFT
+        blocks, projectors = layout.projectors
+        _close(self.values, self.first, self.at, self.rows, layout.starts, part, blocks, projectors)
+
+    def solve(self, wanted: Booleans, b: Array, y: Array) -> Booleans:
+        """Solve ``K y = b`` in some clusters, and leave factors there. Shapes: wanted
+        (n_clusters,), b, y (n, 3). Returns in which of these K is definite; the others keep y."""
+        layout = self.layout
+        definite: Booleans = _solve(
+            self.values, self.first, self.at, self.rows, layout.starts, wanted, b, y
+        )
+        return definite
+
+
+@numba.njit(cache=True)
+def _lower_half(rows, cols, number):  # type: ignore[no-untyped-def]
+    """Which pairs (n,) have numbers of which that of the row is not lower, and none is negative."""
+    kept, m = np.empty(len(rows), dtype=np.int32), 0
+    for k in range(len(rows)):
+        if number[rows[k]] >= number[cols[k]] >= 0:
+            kept[m] = k
+            m += 1
+    return kept[:m]
+
+
+@numba.njit(cache=True)
+def _take_least(rows, values, least):  # type: ignore[no-untyped-def]
+    """Bring some of `least` down to values (n,)."""
+    for k in range(len(rows)):
+        least[rows[k]] = min(least[rows[k]], values[k])
+
+
+@numba.njit(cache=True)
+def _close(values, first, at, rows, starts, part, blocks, projectors):  # type: ignore[no-untyped-def]
+    """As `ClusterMatrix.close`, some blocks having projectors."""
+    bound = 0
+    for c in range(len(starts) - 1):
+        start, end, columns = rows[c], rows[c + 1], rows[c] + 3 * (starts[c + 1] - starts[c])
+        traces, logs, count = np.zeros((columns - start) // 3), 0.0, 0
+        for row in range(start, columns):
+            traces[(row - start) // 3] += values[at[row] + row]
+        for row in range(columns, end):
+            values[at[row] + row] = -1.0
+            for col in range(first[row], columns):
+                traces[(col - start) // 3] += values[at[row] + col] ** 2
+        for trace in traces:
+            if trace > 0.0:
+                logs += np.log(trace)
+                count += 1
+        mean = np.exp(logs / max(count, 1))
+        for row in range(start, columns):
+            values[at[row] + row] += part * (max(traces[(row - start) // 3], 0.0) + mean)
+        while bound < len(blocks) and blocks[bound] < starts[c + 1]:
+            row, P = start + 3 * (blocks[bound] - starts[c]), projectors[bound]
+            _project(values, first, at, row, end, P)
+            for i in range(3):
+                for j in range(3):
+                    values[at[row + i] + row + j] += mean * ((i == j) - P[i, j])
+            bound += 1
+
+
+@numba.njit(cache=True)
+def _project(values, first, at, row, end, P):  # type: ignore[no-untyped-def]
+    """Multiply the three rows from `row` on, and their columns, by a matrix (3, 3)."""
+    for col in range(first[row], row + 3):
+        a, b, c = values[at[row] + col], values[at[row + 1] + col], values[at[row + 2] + col]
+        for i in range(3):
+            values[at[row + i] + col] = P[i, 0] * a + P[i, 1] * b + P[i, 2] * c
+    for below in range(row, end):
+        if first[below] <= row:
+            own = values[at[below] + row : at[below] + row + 3]
+            a, b, c = own
+            for j in range(3):
+                own[j] = a * P[0, j] + b * P[1, j] + c * P[2, j]
+
+
+@numba.njit(cache=True, fastmath={"reassoc", "contract"})
+def _solve(values, first, at, rows, starts, wanted, b, y):  # type: ignore[no-untyped-def]
+    """As `ClusterMatrix.solve`: factors L D L^T, and solutions."""
+    definite = np.zeros(len(wanted), dtype=np.bool_)
+    for c in np.flatnonzero(wanted):
+        start, end, blocks = rows[c], rows[c + 1], starts[c + 1] - starts[c]
+        to_come = end - start - 3 * blocks  # pivots that are negative
+        for row in range(start, end):
+            own = at[row]
+            pivot = values[own + row]
+            for col in range(first[row], row):
+                value, other = values[own + col], at[col]
+                for k in range(max(first[row], first[col]), col):
+                    value -= values[own + k] * values[other + k]
+                values[own + col] = value
+            for col in range(first[row], row):
+                value = values[own + col]
+                values[own + col] = value / values[at[col] + col]
+                pivot -= value * values[own + col]
+            values[own + row] = pivot
+            to_come -= pivot < 0.0
+            if to_come < 0 or not abs(pivot) > 0.0:
+                to_come = -1
+                break
+        definite[c] = to_come == 0
+        if not definite[c]:
+            continue
+        z = np.zeros(end - start)
+        z[: 3 * blocks] = b[starts[c] : starts[c + 1]].copy().reshape(-1)
+        for row in range(start, end):
+            for col in range(first[row], row):
+                z[row - start] -= values[at[row] + col] * z[col - start]
+        for row in range(end - 1, start - 1, -1):
+            z[row - start] /= values[at[row] + row]
+        for row in range(end - 1, start - 1, -1):
+            for col in range(first[row], row):
+                z[col - start] -= values[at[row] + col] * z[row - start]
+        y[starts[c] : starts[c + 1]] = z[: 3 * blocks].copy().reshape(-1, 3)
+    return definite
