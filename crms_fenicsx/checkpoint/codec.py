@@ -66,10 +66,14 @@ def encode(value: Any, storage: Storage | None = None, path: str = "") -> Any:
     if isinstance(value, Handle):
         return value.name
     if is_dataclass(value):
-        return {
-            name: _encoded_field(hint, getattr(value, name), storage, _below(path, name))
-            for name, hint in _hints(type(value)).items()  # type: ignore[arg-type]
-        }
+        found = {}
+        for name, hint in _hints(type(value)).items():  # type: ignore[arg-type]
+            one, rows, place = getattr(value, name), _rows(hint), _below(path, name)
+            if rows is None or one is None or storage is None:
+                found[name] = encode(one, storage, place)
+            else:
+                found[name] = storage.write(place, rows, one)
+        return found
     if isinstance(value, np.ndarray):
         return _without_nan(value.tolist())
     if isinstance(value, np.generic):
@@ -88,13 +92,6 @@ def encode(value: Any, storage: Storage | None = None, path: str = "") -> Any:
 
 def _below(path: str, name: str | int) -> str:
     return f"{path}.{name}" if path else str(name)
-
-
-def _encoded_field(hint: Any, value: Any, storage: Storage | None, path: str) -> Any:
-    rows = _rows(hint)
-    if rows is None or value is None or storage is None:
-        return encode(value, storage, path)
-    return storage.write(path, rows, value)
 
 
 def _rows(hint: Any) -> Rows | None:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from itertools import chain
 from typing import Any
 
 import numpy as np
 
-from crms_fenicsx.cables.cable_net import CableNetState
 from crms_fenicsx.checkpoint.codec import Plain
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.model.bar import Joint, MeshVertex
@@ -23,7 +22,6 @@ from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.scene.state import SceneState
 from crms_fenicsx.steps.load_step import Step
-from crms_fenicsx.surface.points import Support
 
 
 @dataclass(frozen=True)
@@ -72,34 +70,24 @@ def check(state: SceneState, parts: Collection[str], n_vertices: int) -> None:
     air = state.air.sealed
     if air is not None and not min(air.volume, air.absolute) > 0:
         raise ValueError(f"sealed air that is none, {air}")
-    ids = [*chain.from_iterable(_supports(net))]
+    nodes = [node for one in net.cables.values() for node in one.nodes]
+    supports = [node.point.support for node in nodes if node.point is not None]
+    ids = [*chain(*supports, *(crossing.support for crossing in net.crossings))]
     ids += [] if net.strip is None else net.strip.complete
     ids += [end.number for end in ends if isinstance(end, MeshVertex)]
     if ids and not 0 <= min(ids) <= max(ids) < n_vertices:
         raise ValueError(f"vertices {min(ids)} to {max(ids)} of a mesh with {n_vertices}")
-    _check_cables(net)
-
-
-def _check_cables(net: CableNetState) -> None:
-    """Refuse cables and crossings that do not fit together."""
     numbers = range(len(net.cables))
     if any(k.lower not in numbers or k.upper not in numbers for k in net.crossings):
         raise ValueError("a crossing of cables that are not there")
-    for state in net.cables.values():
-        for node in state.nodes:
-            if (node.point is None) != (node.kind == "anchor"):
-                raise ValueError(f"a node of kind {node.kind!r} with the point {node.point!r}")
-            if node.crossing is not None and node.crossing not in range(len(net.crossings)):
-                raise ValueError(f"a node of the crossing {node.crossing}, which is not there")
-        if state.axial is not None and len(state.axial.rest) != len(state.axial.curve.arc):
+    for node in nodes:
+        if (node.point is None) != (node.kind == "anchor"):
+            raise ValueError(f"a node of kind {node.kind!r} with the point {node.point!r}")
+        if node.crossing is not None and node.crossing not in range(len(net.crossings)):
+            raise ValueError(f"a node of the crossing {node.crossing}, which is not there")
+    for axial in (one.axial for one in net.cables.values()):
+        if axial is not None and len(axial.rest) != len(axial.curve.arc):
             raise ValueError("a cable whose unstressed arcs are not those of its curve")
-
-
-def _supports(net: CableNetState) -> Iterator[Support]:
-    """The vertices on or between which cables and crossings are."""
-    nodes = chain.from_iterable(state.nodes for state in net.cables.values())
-    yield from (node.point.support for node in nodes if node.point is not None)
-    yield from (crossing.support for crossing in net.crossings)
 
 
 def fingerprint(scene: Scene) -> dict[str, Any]:

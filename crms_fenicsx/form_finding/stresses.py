@@ -68,22 +68,17 @@ class PrescribedStress:
         values = np.array(list(forces.values()))
         along = [ALONG_X if given[part] is None else given[part] for part in forces]
         ways = np.array(along, dtype=float)
-        found = cls(forces, given, values[number], ways[number])
-        found._check_warps(mesh)
-        return found
-
-    def _check_warps(self, mesh: MembraneMesh) -> None:
-        """Refuse warp directions that are normal to cells of which they matter. Collective."""
+        cell_forces, directions = values[number], ways[number]
         with raised_together(mesh.comm):
-            along = np.einsum("ni,ni->n", cell_normals(mesh.mesh), self.directions)
-            size = np.linalg.norm(self.directions, axis=1)
-            normal = np.abs(along) > (1 - NORMAL) * size
-            bad = np.flatnonzero(normal & (np.ptp(self.cell_forces, axis=1) > 0.0))
+            across = np.einsum("ni,ni->n", cell_normals(mesh.mesh), directions)
+            normal = np.abs(across) > (1 - NORMAL) * np.linalg.norm(directions, axis=1)
+            bad = np.flatnonzero(normal & (np.ptp(cell_forces, axis=1) > 0.0))
             if len(bad):
                 raise InputError(
-                    f"find_form: the warp direction {self.directions[bad[0]]} is normal to the "
-                    "start mesh somewhere; give one that has a part in the surface everywhere."
+                    f"find_form: the warp direction {directions[bad[0]]} is normal to the start "
+                    "mesh somewhere; give one that has a part in the surface everywhere."
                 )
+        return cls(forces, given, cell_forces, directions)
 
     def tensors(self, mesh: MembraneMesh) -> Array:
         """Section forces of the cells of a mesh as tensors in space, (n, 3, 3)."""

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from crms_fenicsx.model.materials import Direction, MembraneMaterial
+from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.ufl_material import UflMembrane
 from crms_fenicsx.runtime import checks
@@ -62,15 +62,12 @@ def _check_alike(owner: str, old: MembraneMaterial, new: MembraneMaterial) -> No
         reason = "has a density of your own, whose numbers are compiled into its forms"
     elif new.law != old.law:
         reason = f"has wrinkling={not getattr(old, 'wrinkling', True)}, as it had not before"
-    elif not _same_warp(new.warp, old.warp):
+    elif new.warp is not old.warp and (
+        callable(new.warp) or callable(old.warp) or not np.array_equal(new.warp, old.warp)  # type: ignore[arg-type]
+    ):
         reason = f"has the warp {new.warp!r} in place of {old.warp!r}"
     if reason:
         raise InputError(
             f"set_material: the material {new!r} of {owner} {reason}; give one with other numbers "
             "only, or make another Scene(...)."
         )
-
-
-def _same_warp(a: Direction | None, b: Direction | None) -> bool:
-    """Whether two directions are the same; of functions only the same object is."""
-    return a is b or (not (callable(a) or callable(b)) and np.array_equal(a, b))  # type: ignore[arg-type]

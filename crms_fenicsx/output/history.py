@@ -122,7 +122,12 @@ class History:
         with raised_together(self.comm):
             plain = {_name(column): _plain(column, value) for column, value in row.items()}
             for column, value in plain.items():
-                self._check_kind(column, value)
+                before = next((row[column] for row in reversed(self._rows) if column in row), value)
+                if isinstance(before, str) != isinstance(value, str):
+                    raise InputError(
+                        f"column {column!r} got {value!r} after {before!r}; keep text and numbers "
+                        "in columns of their own"
+                    )
             if not plain:
                 raise InputError("an empty row for the history; give at least the step")
             columns = self._columns + [name for name in plain if name not in self._columns]
@@ -155,16 +160,6 @@ class History:
             old.append(row)
         self._columns, self._rows = old._columns, old._rows
         self._lines = [_line(row.get(name, "") for name in self._columns) for row in self._rows]
-
-    def _check_kind(self, column: str, value: Value) -> None:
-        for row in reversed(self._rows):
-            if column in row:
-                if isinstance(row[column], str) != isinstance(value, str):
-                    raise InputError(
-                        f"column {column!r} got {value!r} after {row[column]!r}; "
-                        "keep text and numbers in columns of their own"
-                    )
-                return
 
     @classmethod
     def read(cls, path: str | Path) -> History:

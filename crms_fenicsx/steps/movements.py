@@ -119,14 +119,10 @@ class Motion:
 
     def moving(self) -> Booleans:
         """Which components of the places move, (n, 3), by more than a function's rounding."""
-        least = self._rounding() if callable(self.move) else 0.0
-        return np.asarray((np.abs(self.sampled) > least).any(axis=0))
-
-    def _rounding(self) -> float:
-        """Displacements up to which a function may mean zero (length)."""
-        return ROUNDING * float(
-            max(np.abs(v).max(initial=0.0) for v in (self.places, self.sampled))
-        )
+        least = 0.0
+        if callable(self.move):
+            least = max(np.abs(v).max(initial=0.0) for v in (self.places, self.sampled))
+        return np.asarray((np.abs(self.sampled) > ROUNDING * least).any(axis=0))
 
     @property
     def displacement(self) -> Array | None:

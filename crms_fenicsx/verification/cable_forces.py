@@ -104,7 +104,10 @@ def forces(cable: LaidCable, shape: StripShape, free: float) -> dict[str, float]
     press = max(float(turns.sum()), least)
     values |= _held(cable, shape, press)
     if cable.slides_freely and not cable.in_edge:
-        values["held by edges"] = _beside_edges(cable, shape) / press
+        # the edge carries them, where it is much stiffer than the cable is tight
+        normal, pull = forces_at(cable, _folds(cable), shape)
+        beyond = np.maximum(np.abs(pull) - UNEVEN * np.abs(normal), 0.0)
+        values["held by edges"] = float(beyond.sum()) / press
     return values | _friction(cable, shape, least)
 
 
@@ -126,12 +129,6 @@ def _folds(cable: LaidCable) -> list[int]:
         if cable.nodes[k].kind == "fold" and not cable.nodes[k].touches_cable
         if k not in cable.blocked
     ]
-
-
-def _beside_edges(cable: LaidCable, shape: StripShape) -> float:
-    """Sum of sideways forces at freely sliding points, beyond those of uneven cells (force)."""
-    press, pull = forces_at(cable, _folds(cable), shape)
-    return float(np.maximum(np.abs(pull) - UNEVEN * np.abs(press), 0.0).sum())
 
 
 def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, float]:

@@ -129,9 +129,11 @@ class Verifier:
         prestress = max(float(np.abs(m.prestress_vector).max()) for m in materials)
         cells = scene.mesh.mesh.topology.index_map(2).size_global
         step = SHAKE * force / ((modulus + prestress) * np.sqrt(3.0 * unknowns.n_global))
-        largest = min(
-            LARGEST_SHAKE * scene.membrane.size / np.sqrt(cells), SMALLEST_SLIP * self._slip()
-        )
+        largest = LARGEST_SHAKE * scene.membrane.size / np.sqrt(cells)
+        for axial in (cable.axial for cable in scene.cables if cable.taut):
+            if axial is not None:
+                slip = float(axial.eps[axial.bounds > 0.0].min(initial=np.inf))
+                largest = min(largest, SMALLEST_SLIP * slip)
         shake: Array = (self._random.random((n, 3)) - 0.5) * np.sqrt(12.0)
         self._spare_small_cells(system, scene.membrane.size / np.sqrt(cells), shake)
         fixed: Booleans = np.array(unknowns.held[:n])
@@ -206,15 +208,6 @@ class Verifier:
         shake[: unknowns.n_vertices] *= self._share[:, None]
         shake[unknowns.n_vertices :] *= self._least
 
-    def _slip(self) -> float:
-        """Smallest slip (length) at which friction along a cable is mobilised; infinite if none."""
-        smallest = np.inf
-        for cable in self.scene.cables:
-            if cable.taut and cable.axial is not None:
-                slips = cable.axial.eps[cable.axial.bounds > 0.0]
-                smallest = float(np.min(slips, initial=smallest))
-        return smallest
-
     def _balance(self, system: System, outcome: Outcome, force: float) -> list[Check]:
         """Unbalanced forces, and supports against loads, the loads taken from the geometry."""
         scene, potential, unknowns = self.scene, system.potential, system.unknowns
@@ -263,7 +256,9 @@ class Verifier:
             Check("sum of supports and loads", _norm(total[:3] + total[6:9]) / all_loads, limit),
             Check("way of the supports", worst[0] / worst[2], PLACE),
         ]  # fmt: skip
-        if not self._has_friction_elements:
+        laws = [cable.cable.sideways for cable in scene.cables if cable.taut]
+        if not any(friction is not None and friction.law == "step" for friction in laws):
+            # else forces of the paper's friction elements turn with no shape
             moment = _norm(total[3:6] + total[9:12])
             checks.append(Check("moment of supports and loads", moment / (all_loads * size), limit))
         if scene.floor_level is not None:
@@ -286,12 +281,6 @@ class Verifier:
         worst = np.nan_to_num([away, under, far], nan=np.inf)  # of which MPI's maximum is undefined
         self.comm.Allreduce(MPI.IN_PLACE, worst, op=MPI.MAX)
         return worst
-
-    @property
-    def _has_friction_elements(self) -> bool:
-        """Whether there are the paper's friction elements, whose forces turn with no shape."""
-        taut = (cable.cable.sideways for cable in self.scene.cables if cable.taut)
-        return any(friction is not None and friction.law == "step" for friction in taut)
 
     def _loads(self, system: System) -> Array:
         """This rank's nodal forces of pressure, loads, ponds and added terms, (n_local, 3)."""

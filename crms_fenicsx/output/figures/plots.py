@@ -154,28 +154,22 @@ def draw_history(
         if history[column].dtype.kind not in "if":
             raise InputError(f"column {column!r} holds text; plot columns of numbers")
     with raised_together(history.comm):
-        if history.comm.rank == 0:
-            return _draw_panels(history, checked_picture(filename), x, panels, how)
-    return None
-
-
-def _draw_panels(
-    history: History, path: Path | None, x: str, panels: Sequence[Sequence[str]],
-    how: HistoryOptions,
-) -> Figure | None:  # fmt: skip
-    units = units_of_results(how.unit, how.force) | dict(how.units or {})
-    across = 1 if len(panels) == 1 else 2
-    down = -(-len(panels) // across)
-    figure = new_figure(how.width, 2.5 * down + (0.4 if how.title else 0.0))
-    axes = figure.subplots(down, across, squeeze=False)
-    for axis, panel in zip(axes.flat, panels, strict=False):
-        _plot(axis, history, x, panel, units)
-    for axis in axes.flat[len(panels) :]:
-        axis.remove()
-    if how.title:
-        figure.suptitle(how.title, fontsize=11, color=INK)
-    figure.tight_layout(w_pad=2.0, h_pad=1.2)
-    return finished(figure, path, how.dpi)
+        if history.comm.rank:
+            return None
+        path = checked_picture(filename)
+        units = units_of_results(how.unit, how.force) | dict(how.units or {})
+        across = 1 if len(panels) == 1 else 2
+        down = -(-len(panels) // across)
+        figure = new_figure(how.width, 2.5 * down + (0.4 if how.title else 0.0))
+        axes = figure.subplots(down, across, squeeze=False)
+        for axis, panel in zip(axes.flat, panels, strict=False):
+            _plot(axis, history, x, panel, units)
+        for axis in axes.flat[len(panels) :]:
+            axis.remove()
+        if how.title:
+            figure.suptitle(how.title, fontsize=11, color=INK)
+        figure.tight_layout(w_pad=2.0, h_pad=1.2)
+        return finished(figure, path, how.dpi)
 
 
 def units_of_results(length: str, force: str) -> dict[str, str]:

@@ -95,21 +95,16 @@ def with_pictures(
 
 def draw_png(solver: HasSystem, **options: Any) -> bytes:
     """Draw a scene as bytes of a PNG, on the first rank; none if it is too large. Collective."""
-    comm = solver.comm
+    comm, buffer = solver.comm, io.BytesIO()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(comm.bcast(folder)) / "picture.png"
         draw(solver, path, width=WIDTH, **options)
         comm.barrier()
-        return _reduced(path) if comm.rank == 0 and path.exists() else b""
+        if comm.rank == 0 and path.exists():
+            from PIL import Image
 
-
-def _reduced(path: Path) -> bytes:
-    """A picture with 256 colours, which takes a third of the space."""
-    from PIL import Image
-
-    buffer = io.BytesIO()
-    with Image.open(path) as picture:
-        picture.convert("RGB").quantize(256).save(buffer, "PNG", optimize=True)
+            with Image.open(path) as picture:  # 256 colours take a third of the space
+                picture.convert("RGB").quantize(256).save(buffer, "PNG", optimize=True)
     return buffer.getvalue()
 
 

@@ -86,7 +86,11 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
     checks.collection("report: about", plan.about, Mapping, '{"Project": "Tent"}')
     for text in (text for pair in plan.about.items() for text in pair):
         checks.of_type(f"report: {text!r} in about", text, str)
-    strengths = _checked_strengths(scene, plan.cable_strengths)
+    checks.collection("report: cable_strengths", plan.cable_strengths, Mapping, '{"ridge": 120.0}')
+    strengths = {
+        scene.cable(name).name: checks.positive(f"report: strength of the cable {name!r}", value)
+        for name, value in plan.cable_strengths.items()
+    }
     pictures = _checked_pictures(scene, plan.pictures)
     check_view(plan.view)
     path = absolute(checks.file("report: filename", filename), comm)
@@ -120,17 +124,6 @@ def checked_states(
                 "write the report."
             )
     return {str(name): one for name, one in combinations.items()}
-
-
-def _checked_strengths(scene: Scene, strengths: Mapping[str, float]) -> dict[str, float]:
-    """Strengths of cables by their names (force)."""
-    checks.collection("report: cable_strengths", strengths, Mapping, '{"ridge": 120.0}')
-    for name in strengths:
-        scene.cable(name)
-    return {
-        name: checks.positive(f"report: strength of the cable {name!r}", value)
-        for name, value in strengths.items()
-    }
 
 
 def _checked_pictures(scene: Scene, pictures: Sequence[str] | None) -> tuple[str, ...]:

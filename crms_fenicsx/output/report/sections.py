@@ -89,8 +89,12 @@ class Report:
         about += versions(self.model.ranks)
         text = "Pressure, and what each load at the factor 1 is multiplied by."
         verdict: str | Table = self._verdict()
+        every = {case.name: case.summary.membrane.largest for case in self.cases}
+        used = [(name, 0.0, largest["utilisation"].value) for name, largest in every.items()
+                if "utilisation" in largest]  # fmt: skip
+        chart = bars("Largest utilisation of the membrane", used, limit=1.0)
         sections = [
-            PageSection("Summary", [verdict, key_figures(self._cards()), self._utilisation()]),
+            PageSection("Summary", [verdict, key_figures(self._cards()), chart]),
             *self._model(),
             PageSection("Combinations", [paragraph(text), results.factors(), results.overview()]),
             *self._results(),
@@ -166,13 +170,6 @@ class Report:
         card("Largest wrinkled area", None, wrinkled)
         card("Largest slack area", None, {name: one.slack for name, one in membranes.items()})
         return cards
-
-    def _utilisation(self) -> str:
-        """Chart of the membrane's utilisation by combination; "" without strengths."""
-        every = {case.name: case.summary.membrane.largest for case in self.cases}
-        used = [(name, 0.0, largest["utilisation"].value) for name, largest in every.items()
-                if "utilisation" in largest]  # fmt: skip
-        return bars("Largest utilisation of the membrane", used, limit=1.0)
 
     def _tensions(self) -> str:
         """Chart of the cables' tensions over all combinations."""
