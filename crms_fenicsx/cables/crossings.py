@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import combinations, pairwise
+from itertools import chain, combinations, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -244,7 +244,9 @@ def _without_crossings(
     table: NodeTable, kept: Booleans, simplices: Simplices
 ) -> tuple[NodeTable, npt.NDArray[np.object_]]:
     """A table of the nodes that are `kept`, none of which is a crossing any more, and these."""
-    nodes, rows = table.every()[kept], table.rows[kept]
+    every = np.empty(len(kept), dtype=object)
+    every[:] = list(chain.from_iterable(table.nodes))
+    nodes, rows = every[kept], table.rows[kept]
     for row in ints(np.flatnonzero(rows["crossing"] >= 0)):
         nodes[row] = CableNode(nodes[row].kind, nodes[row].point)
     rows["crossing"] = -1

@@ -23,7 +23,6 @@ from crms_fenicsx.cables.points_on_edges import (
     NodeTable,
     PointsOnEdges,
     fractions_of,
-    points_by_edge,
     positions_of,
 )
 from crms_fenicsx.cables.strip import Strip
@@ -32,7 +31,6 @@ from crms_fenicsx.meshes.triangles import lists
 from crms_fenicsx.model.cable_state import NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.runtime.arrays import Array, Indices, Integers, pointers, runs
-from crms_fenicsx.surface.points import Edge
 
 
 class EdgeSliders:
@@ -320,11 +318,6 @@ class CableNumbering:
         """The same in their present order: edge sliders may have passed others."""
         size = len(self.strip.simplices.owner)
         return PointsOnEdges(self.nodes, ~self.nodes.lifted, self.on, self.fractions(), size)
-
-    @property
-    def on_edge(self) -> dict[Edge, list[tuple[float, int, int]]]:
-        """Points by the edges' vertices."""
-        return points_by_edge(self.cables)
 
     def lines(
         self, edges: Integers, points: PointsOnEdges | None = None

@@ -95,12 +95,6 @@ class NodeTable:
             self._on = simplices, simplices.find(self.support)
         return self._on[1]
 
-    def every(self) -> npt.NDArray[np.object_]:
-        """The nodes themselves, (n,)."""
-        nodes = np.empty(len(self.rows), dtype=object)
-        nodes[:] = list(chain.from_iterable(self.nodes))
-        return nodes
-
     def ids(self, rows: Integers) -> list[NodeId]:
         """Numbers of the cable and of the node for some rows."""
         return list(zip(map(int, self.cable[rows]), map(int, self.place[rows]), strict=True))
@@ -159,15 +153,3 @@ def on_edges(nodes: Sequence[CableNode]) -> Iterator[tuple[int, Edge]]:
     for k, node in enumerate(nodes):
         if isinstance(node.point, EdgePoint) and node.kind != "crossing":
             yield k, node.point.edge
-
-
-def points_by_edge(cables: Sequence[LaidCable]) -> dict[Edge, list[tuple[float, int, int]]]:
-    """Points, none lifted, of cables in tension on each edge, sorted from its first vertex to its
-    last: places on the edge (fractions), and numbers of cables and nodes."""
-    found: dict[Edge, list[tuple[float, int, int]]] = {}
-    for c, cable in enumerate(cables):
-        for k, edge in on_edges(cable.nodes) if cable.taut else ():
-            points = found.setdefault(edge, [])
-            if not cable.lifted[k]:
-                points.append((float(cable.fractions[k]), c, k))
-    return {edge: sorted(points) for edge, points in found.items() if points}

@@ -266,7 +266,7 @@ class MembraneEnergy(EnergyTerm):
         """In-plane axes 1 and 2 of the cells' stress-free shape, (n, 2, 3)."""
         mesh = self.u.function_space.mesh
         x = mesh.geometry.x[geometry_dofmap(mesh)[cells]]
-        first = x[:, 1] - x[:, 0]
+        first: Array = np.asarray(x[:, 1] - x[:, 0], dtype=float)
         for tag, warp in self.warps.items():
             if warp is not None:
                 own = self.material_tags(cells) == tag

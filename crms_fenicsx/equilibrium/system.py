@@ -77,8 +77,7 @@ class System:
             self.minimizer.destroy()
             self.potential.destroy()
             self.minimizer = None
-            # the memory of the terms is there for new ones
-            del self.potential, self.contributions
+            del self.potential, self.contributions  # their memory is there for the next ones
             self.cables = self.ponds = None
 
     def invalidate(self) -> None:

@@ -16,10 +16,10 @@ from mpi4py import MPI
 from crms_fenicsx.cables.numbering import CableNumbering
 from crms_fenicsx.cables.strip import Strip, StripShape
 from crms_fenicsx.equilibrium.system import System
-from crms_fenicsx.meshes.triangles import norm
+from crms_fenicsx.meshes.triangles import lists, norm
 from crms_fenicsx.model.cable_state import Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, ints
 from crms_fenicsx.surface.points import Edge, EdgePoint
 from crms_fenicsx.verification.cable_forces import contacts, forces, is_tense
 from crms_fenicsx.verification.report import ROUNDED, UNBALANCED, Check
@@ -109,7 +109,10 @@ class CableVerifier:
         scene, numbering = system.scene, system.cables.numbering
         if numbering is not self._numbering:
             self._numbering = numbering
-            points = {edge: len(members) for edge, members in numbering.on_edge.items()}
+            on, strip = numbering.points, numbering.strip
+            corners = strip.vertices[strip.simplices.corners[on.edges, :2]]
+            edges = ((a, b) for a, b in lists(corners))
+            points = dict(zip(edges, ints(on.counts[on.edges]), strict=True))
             self._nodes = [_Nodes.of(cable, numbering.strip, points) for cable in scene.cables]
         shape = scene.net.strip_shape()
         parts, pulls, free = _parts_and_forces(system)

@@ -10,12 +10,12 @@ from cable_edits import put
 from mpi4py import MPI
 from ridged_square import OBLIQUE, ridged
 from scipy.optimize import minimize_scalar
+from table_twins import points_by_edge
 from taylor import OnMesh, gradient_order, is_semidefinite
 from term_scene import ISOTROPIC, directions, displaced, irregular_square
 
 from crms_fenicsx import Cable, LaidCable, PathWarning, Scene, Solver, meshes
 from crms_fenicsx.cables.deformed_surface import current_surface
-from crms_fenicsx.cables.points_on_edges import points_by_edge
 from crms_fenicsx.equilibrium.system import System
 from crms_fenicsx.model.cable_state import CableNode
 from crms_fenicsx.runtime.arrays import Array

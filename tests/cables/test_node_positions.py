@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from cable_edits import put
 from mpi4py import MPI
+from table_twins import points_by_edge
 from term_scene import cable_square, displaced
 
 from crms_fenicsx.cables.node_positions import NodePositions
@@ -44,7 +45,7 @@ def test_places_in_space_on_edges_and_on_the_membrane(comm: MPI.Intracomm) -> No
             place = system.unknowns.X[block] + potential.x[block]
             np.testing.assert_allclose(scene.cables[c].positions[k], place)
     np.testing.assert_array_equal(scene.cables[0].positions[3], before)
-    points = numbering.on_edge
+    points = points_by_edge(scene.cables)
     assert max(len(line) for line in points.values()) == 2
     for edge, members in points.items():
         places = [scene.cables[c].positions[k] for _, c, k in members]

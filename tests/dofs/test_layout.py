@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 from petsc4py import PETSc
+from table_twins import points_by_edge
 from taylor import OnMesh, gradient_order, is_semidefinite, noise, stiffness_error
 from term_scene import (
     FABRIC,
@@ -249,7 +250,7 @@ def test_the_scene_has_everything(comm):
         "MembraneEnergy", "FollowerPressure", "CableTension", "FoldedMembraneEnergy", "FoldPenalty",
         "FoldedFollowerPressure",
     }  # fmt: skip
-    shared = system.cables.numbering.on_edge.values()
+    shared = points_by_edge(system.scene.cables).values()
     assert max(len({c for _, c, _ in points}) for points in shared) == 2, "cables share an edge"
 
 

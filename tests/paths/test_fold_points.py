@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from cabled_square import CABLE, PRESSURE, sheet
+from table_twins import points_by_edge
 
 from crms_fenicsx import Scene, Solver
-from crms_fenicsx.cables.points_on_edges import points_by_edge
 from crms_fenicsx.meshes.triangles import arc_lengths
 from crms_fenicsx.paths.creased_surface import CreasedSurface, FoldPoints, NodesOnEdges
 from crms_fenicsx.paths.path_change import vertices_near

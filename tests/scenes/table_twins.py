@@ -12,7 +12,7 @@ import numpy.typing as npt
 from polygon_twins import split_slowly
 
 from crms_fenicsx.cables.numbering import CableNumbering
-from crms_fenicsx.cables.points_on_edges import points_by_edge
+from crms_fenicsx.cables.points_on_edges import on_edges
 from crms_fenicsx.cables.strip import Strip
 from crms_fenicsx.model.cable_state import NodeId
 from crms_fenicsx.model.laid_cable import LaidCable
@@ -21,6 +21,18 @@ from crms_fenicsx.surface.points import Edge, EdgePoint
 
 Array = npt.NDArray[Any]
 Link = tuple[int, int, int, tuple[int, ...] | None]
+
+
+def points_by_edge(cables: Sequence[LaidCable]) -> dict[Edge, list[tuple[float, int, int]]]:
+    """Points, none lifted, of cables in tension on each edge, sorted from its first vertex to its
+    last: places on the edge (fractions), and numbers of cables and nodes."""
+    found: dict[Edge, list[tuple[float, int, int]]] = {}
+    for c, cable in enumerate(cables):
+        for k, edge in on_edges(cable.nodes) if cable.taut else ():
+            points = found.setdefault(edge, [])
+            if not cable.lifted[k]:
+                points.append((float(cable.fractions[k]), c, k))
+    return {edge: sorted(points) for edge, points in found.items() if points}
 
 
 class SlowTables:
