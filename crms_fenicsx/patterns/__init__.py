@@ -1,6 +1,7 @@
 """Cutting patterns: seams, flat pieces, compensation, sheets, and the roof sewn of them."""
 
-from crms_fenicsx.patterns.compensation import EdgeShrink, Shrink, shrink_for
+from crms_fenicsx.patterns.adjusting import Adjusted, adjust
+from crms_fenicsx.patterns.compensation import EdgeShrink, Shrink, largest_width, shrink_for
 from crms_fenicsx.patterns.pattern import FlatPiece, Pattern, flatten
 from crms_fenicsx.patterns.pieces import Piece, PieceEdge, Pieces, cut
 from crms_fenicsx.patterns.seams import (
@@ -11,9 +12,12 @@ from crms_fenicsx.patterns.seams import (
     parallel,
     plane_section,
 )
+from crms_fenicsx.patterns.sewn import Comparison, SewnPiece, compare, sew
 from crms_fenicsx.patterns.strip_layout import strips
 
 __all__ = [
+    "Adjusted",
+    "Comparison",
     "EdgeShrink",
     "FlatPiece",
     "Pattern",
@@ -21,14 +25,19 @@ __all__ = [
     "PieceEdge",
     "Pieces",
     "Seam",
+    "SewnPiece",
     "Shrink",
+    "adjust",
+    "compare",
     "cut",
     "edge_line",
     "flatten",
     "geodesic",
     "geodesic_along",
+    "largest_width",
     "parallel",
     "plane_section",
+    "sew",
     "shrink_for",
     "strips",
 ]

@@ -166,6 +166,32 @@ def stretches_for(
     )
 
 
+def largest_width(material: MembraneMaterial, force: float, curvature: float) -> float:
+    """Width of strips up to which a double-curved roof has no compression along the warp.
+
+    A strip of width W lies flat with strains from -K W**2 / 24 in its middle to K W**2 / 12 at its
+    edges, or with the other sign; the section force must be more than what they take.
+
+    Parameters
+    ----------
+    material
+        The fabric.
+    force
+        Section force along the warp (force per length).
+    curvature
+        Gaussian curvature (1 / length squared) of the form, such as `Piece.curvature`.
+
+    Returns
+    -------
+    float
+        sqrt(12 n / (E t |K|)) (length), on the safe side; infinite without curvature.
+    """
+    n = checks.positive("largest_width: force", force)
+    K = abs(checks.finite("largest_width: curvature", curvature))
+    modulus = 1.0 / np.linalg.inv(material.stiffness)[0, 0]
+    return float(np.sqrt(12.0 * n / (modulus * K))) if K > 0.0 else float("inf")
+
+
 def shrinks_of(
     call: str, given: Shrink | Mapping[str, Shrink] | None, known: Sequence[str]
 ) -> dict[str, Shrink]:

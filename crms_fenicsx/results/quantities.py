@@ -22,7 +22,10 @@ class CellTensors:
     # (force per length)
     strains: Array
     forces: Array
-    # axes, images: (n, 2, 3) the material axes, unit vectors, and what they have become
+    # frames, axes, images: (n, 2, 3) the unit vectors of the material axes in the mesh, the dual
+    # ones, with which vectors are multiplied, and what the first have become. Where the mesh is
+    # stress-free, frames and axes are the same.
+    frames: Array
     axes: Array
     images: Array
     sides: Array  # (n, 2, 3) two stress-free sides of each cell (length)
@@ -49,12 +52,13 @@ def cell_tensors(system: System) -> CellTensors:
     S = _symmetric(values[:, 3], values[:, 4], values[:, 5])
 
     axes = membrane.material_axes(np.arange(n, dtype=np.int32))
+    frames = axes if membrane.frames is None else membrane.frames[:n]
     before, after = _edge_vectors(scene)
     # Columns of F are the current images of the material axes: edges = components x images.
     components = np.einsum("nki,nai->nka", before, axes)
     images = np.linalg.solve(components, after)
     state = np.rint(values[:, 6]).astype(np.int8)
-    return CellTensors(E, S, axes, images, before, state, folded)
+    return CellTensors(E, S, frames, axes, images, before, state, folded)
 
 
 def added_forces(scene: Scene, axes: Array) -> Array:

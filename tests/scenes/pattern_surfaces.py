@@ -16,11 +16,16 @@ FABRIC = OrthotropicMembrane(
 )
 
 
-def grid(columns: int, rows: int) -> Integers:
-    """Cells of a grid whose node (i, j) is i (rows + 1) + j."""
+def grid(columns: int, rows: int, strips: int = 0) -> Integers:
+    """Cells of a grid whose node (i, j) is i (rows + 1) + j, with diagonals in turn, or those of
+    strips symmetric to their middles."""
     i, j = (a.ravel() for a in np.meshgrid(range(columns), range(rows), indexing="ij"))
     a = i * (rows + 1) + j
-    b, up = a + rows + 1, ((i + j) % 2 == 0)[:, None]
+    b, up = a + rows + 1, (i + j) % 2 == 0
+    if strips:
+        width = columns // strips
+        up = (i % width < width // 2) == (j >= rows // 2)
+    up = up[:, None]
     one = np.where(up, np.stack([a, b, b + 1], 1), np.stack([a, b, a + 1], 1))
     two = np.where(up, np.stack([a, b + 1, a + 1], 1), np.stack([b, b + 1, a + 1], 1))
     return np.concatenate([one, two])
@@ -79,6 +84,30 @@ def two_gores(comm: MPI.Intracomm, gores: int, columns: int, rows: int) -> Membr
     return meshes.from_arrays(
         comm, points, cells, edges={"seam 1": list(pairwise(middle))}, outside=(1.0, 0.0, 0.0)
     )
+
+
+def quarter_sphere(comm: MPI.Intracomm, gores: int, columns: int) -> MembraneMesh:
+    """A quarter of the gores of a sphere of radius 10, from pole to pole, between the planes x = 0
+    and y = 0, with cells as long as wide at the equator."""
+    n, rows = columns * gores // 4, columns * gores // 4
+    a, b = np.linspace(0.0, np.pi / 2, n + 1), np.linspace(-np.pi / 2, np.pi / 2, rows + 1)[1:-1]
+    a, b = np.meshgrid(a, b, indexing="ij")
+    x = 10.0 * np.stack([np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), np.sin(b)], axis=-1)
+    points = np.concatenate([x.reshape(-1, 3), [(0.0, 0.0, -10.0), (0.0, 0.0, 10.0)]])
+    points[n * (rows - 1) : -2, 0] = 0.0
+    start, south = np.arange(n) * (rows - 1), len(points) - 2
+    end, north = start + rows - 2, len(points) - 1
+    caps = [
+        np.stack([np.full_like(start, south), start, start + rows - 1], axis=1),
+        np.stack([np.full_like(start, north), end + rows - 1, end], axis=1),
+    ]
+    cells = np.concatenate([grid(n, rows - 2, gores // 4), *caps])
+    edges = {}
+    for k in range(gores // 4 + 1):
+        o = k * columns * (rows - 1)
+        name = {0: "y0", gores // 4: "x0"}.get(k, f"seam {k}")
+        edges[name] = list(pairwise([south, *range(o, o + rows - 1), north]))
+    return meshes.from_arrays(comm, points, cells, edges=edges, outside=(1.0, 1.0, 0.0))
 
 
 def hypar(comm: MPI.Intracomm, columns: int) -> MembraneMesh:
