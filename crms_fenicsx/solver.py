@@ -694,7 +694,8 @@ class Solver:
             combination, as for `draw`, or "tension", that of cables and bars; by default these,
             displacement, membrane forces (of fabrics with a warp along warp and weft) and, with
             strengths, utilisation. Where the page would be too large, the last ones are left out.
-            ``view``: where the viewer stands, as for `draw`.
+            ``view``: where the viewer stands, as for `draw`. ``sections``: further ones, as of
+            `crms_fenicsx.patterns.report_sections`.
 
         Raises
         ------

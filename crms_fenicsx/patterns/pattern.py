@@ -12,8 +12,9 @@ import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.meshes.membrane_mesh import outer_first
-from crms_fenicsx.meshes.triangles import arc_lengths, closest, norm
+from crms_fenicsx.meshes.triangles import arc_lengths, closest
 from crms_fenicsx.model.materials import MembraneMaterial, check_warp
+from crms_fenicsx.patterns.alignment import aligned
 from crms_fenicsx.patterns.compensation import EdgeShrink, Shrink, shrinks_of
 from crms_fenicsx.patterns.conformal import conformal, double_areas_in_plane
 from crms_fenicsx.patterns.flattening import FlatProblem, Sides, flat_shapes
@@ -25,6 +26,8 @@ from crms_fenicsx.runtime.errors import InputError, PatternWarning, collective, 
 Warp = Literal["seams"] | tuple[float, float, float] | Callable[[Array], Array]
 Materials = MembraneMaterial | Mapping[str, MembraneMaterial]
 
+TURNS = 2
+"""How often a flat piece is turned back to its warp."""
 TOLD = 1e-3
 """Strain of a flat piece, as estimated, from which on few columns of cells are told."""
 
@@ -267,14 +270,18 @@ def made_pattern(pieces: Pieces, material: Materials, made: CutOptions) -> Patte
     with raised_together(comm):
         for k in mine:
             piece = pieces.pieces[k]
-            start = _start(piece, None if warps is None else warps[piece.cells])
+            own = None if warps is None else warps[piece.cells]
+            start = aligned(piece, conformal(piece.points, piece.triangles), own)
             wanted = _wanted(pieces, piece, start, made)
-            starts[k] = start / np.sqrt(1.0 + 2.0 * _mean(piece, wanted)[:2])
+            start = start / np.sqrt(1.0 + 2.0 * _mean(piece, wanted)[:2])
             first, last = int(start[:, 0].argmin()), int(start[:, 0].argmax())
-            fixed = np.array([2 * first, 2 * first + 1, 2 * last + 1])
-            own = stiffness[piece.cells]
-            problems[k] = FlatProblem(piece.name, piece.points, piece.triangles, own, wanted, fixed)
-            sides[k] = _sides(pieces, k)
+            problems[k] = FlatProblem(
+                piece.name, piece.points, piece.triangles, stiffness[piece.cells], wanted,
+                np.array([2 * first, 2 * first + 1, 2 * last + 1]),
+            )  # fmt: skip
+            for _ in range(TURNS):  # the conformal map turns its ends
+                start = aligned(piece, problems[k].solve(start), own)
+            starts[k], sides[k] = start, _sides(pieces, k)
     joints = len(pieces.joints.seams) if made.equal else 0
     shapes = flat_shapes(problems, starts, sides, joints, comm)
     found = {
@@ -310,35 +317,6 @@ def _of_cells(pieces: Pieces, material: Materials, made: CutOptions) -> tuple[Ar
     if not stiffness.any(axis=(1, 2)).all():
         raise InputError("flatten: there are cells without a material; give one for every part.")
     return stiffness, None if along_seams else warps
-
-
-def _start(piece: Piece, warps: Array | None) -> Array:
-    """A conformal map of a piece with its warp along x on the mean."""
-    flat = conformal(piece.points, piece.triangles)
-    if warps is None:
-        runs = [flat[edge.vertices] for edge in piece.edges if edge.sewn]
-        lines = np.concatenate([np.diff(run, axis=0) for run in runs or [flat[piece.outline]]])
-        complex_lines = lines[:, 0] + 1j * lines[:, 1]
-        turn = np.sum(complex_lines**2 / np.abs(complex_lines))  # without a sense
-    else:
-        x, X = piece.points[piece.triangles], flat[piece.triangles]
-        sides, flat_sides = x[:, 1:] - x[:, :1], X[:, 1:] - X[:, :1]
-        metric = sides @ np.swapaxes(sides, 1, 2)
-        parts = np.einsum("nki,ni->nk", sides, warps)
-        parts = np.linalg.solve(metric, parts[..., None])[..., 0]
-        images = np.einsum("nk,nka->na", parts, flat_sides)
-        size = norm_rows(images)
-        if (size <= 1e-6 * norm(warps)).any():
-            at = piece.points[piece.triangles][int(size.argmin())].mean(axis=0)
-            raise InputError(
-                f"flatten: warp is normal to the surface of {piece.name} near {np.round(at, 4)}; "
-                "give a direction that has a part in the surface."
-            )
-        z = (images[:, 0] + 1j * images[:, 1]) / size
-        turn = np.sum(piece.areas * z) ** 2
-    turned = (flat[:, 0] + 1j * flat[:, 1]) * np.exp(-0.5j * np.angle(turn))
-    found = np.stack([turned.real, turned.imag], axis=1)
-    return np.asarray(found - found.min(axis=0))
 
 
 def norm_rows(vectors: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -127,6 +127,8 @@ class Pieces:
         Which segments of their edges belong together.
     surface
         The cut surface with all groups, on all ranks.
+    lines
+        Vertices (k,) of the cut surface along each seam, by its name.
     """
 
     mesh: MembraneMesh
@@ -134,6 +136,7 @@ class Pieces:
     pieces: tuple[Piece, ...]
     joints: Joints
     surface: CheckedSurface
+    lines: Mapping[str, Integers]
 
     def __repr__(self) -> str:
         """In a line; not collective."""
@@ -195,7 +198,9 @@ def cut(mesh: MembraneMesh, seams: Sequence[Seam]) -> Pieces:
     parts = {piece.name: piece.cells for piece in pieces} | whole.surface.parts
     named = replace(whole.surface, parts=parts)
     first = named if mesh.comm.rank == 0 else EMPTY
-    return Pieces(shared_out(mesh.comm, first, None, None), tuple(seams), pieces, joints, named)
+    return Pieces(
+        shared_out(mesh.comm, first, None, None), tuple(seams), pieces, joints, named, whole.lines
+    )
 
 
 def _checked(seams: Sequence[Seam]) -> list[Seam]:

@@ -23,6 +23,7 @@ from crms_fenicsx.output.report.case import (
     with_pictures,
 )
 from crms_fenicsx.output.report.model_tables import Model, merged, model_of_scene
+from crms_fenicsx.output.report.page import PageSection
 from crms_fenicsx.output.report.results_tables import Units
 from crms_fenicsx.output.report.sections import Report
 from crms_fenicsx.runtime import checks
@@ -64,6 +65,7 @@ class Plan:
     cable_strengths: Mapping[str, float] = field(default_factory=dict)  # by names (force)
     pictures: Sequence[str] | None = None  # what colours the membrane in them
     view: tuple[float, float] = (-60.0, 30.0)
+    sections: Sequence[PageSection] = ()  # further ones
 
     @property
     def units(self) -> Units:
@@ -90,6 +92,10 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
         raise InputError(
             f"report: about = {plan.about!r}; write texts by names, as in "
             '{"Project": "Tent", "Author": "..."}.'
+        )
+    if not all(isinstance(one, PageSection) for one in plan.sections):
+        raise InputError(
+            f"report: sections = {plan.sections!r}; give what patterns.report_sections returned."
         )
     strengths = _checked_strengths(scene, plan.cable_strengths)
     pictures = _checked_pictures(scene, plan.pictures)
@@ -242,7 +248,9 @@ def write_files(solver: Reported, plan: Plan, model: Model, cases: Sequence[Case
     with raised_together(solver.comm):
         if solver.comm.rank == 0:
             about, path = [*plan.about.items()], plan.path
-            report = Report(plan.title, about, plan.units, model, cases, plan.cable_strengths)
+            report = Report(
+                plan.title, about, plan.units, model, cases, plan.cable_strengths, plan.sections
+            )
             texts = {path: report.html()}
             for table in report.tables():
                 texts[path.with_name(f"{path.stem}_{table.name}.csv")] = table.csv()

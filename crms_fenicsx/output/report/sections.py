@@ -65,6 +65,7 @@ class Report:
     cases: Sequence[Case]  # what came of it, one or more
     # by the cables' names (force)
     cable_strengths: Mapping[str, float] = field(default_factory=dict)
+    further: Sequence[PageSection] = ()  # about other things than equilibria
     left_out: int = 0  # how many pictures there is no room for
 
     def html(self) -> str:
@@ -101,6 +102,7 @@ class Report:
             ),
             *self._results(),
             *self._forces(),
+            *self.further,
             PageSection(
                 "Verification",
                 [
@@ -136,6 +138,7 @@ class Report:
                 tabulate.bar_envelope(cases, units),
             ]
         more = [tabulate.joints(cases, units), tabulate.ponds(cases, units)]
+        more += [part for one in self.further for part in one.body if isinstance(part, Table)]
         return found + [table for table in more if table.rows]
 
     def _verdict(self) -> str:
