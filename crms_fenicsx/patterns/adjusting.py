@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from itertools import cycle
 
 import numpy as np
 
@@ -110,14 +111,18 @@ def adjust(
         raise InputError("adjust: the roof has several materials; adjust its form, without forces.")
     found: list[Comparison] = []
     errors: list[float] = []
+    names = [one.name for one in pattern.flat]
+    # logarithms of further stretches, and the changes that are called for there
+    places: list[Array] = [np.zeros(2 * len(names) if each else 2)]
+    changes: list[Array] = []
     while True:
         with raised_together(comm):
             solver = build(pattern)
             if not isinstance(solver, Solver):
                 raise InputError(f"adjust: build returned {solver!r}; return a Solver.")
         found.append(compare(solver, pattern, forces))
-        judged = [(one, one if each else found[-1].whole) for one in found[-1].pieces]
-        errors.append(max(_error(found[-1].wanted, by) for _, by in judged))
+        judged = found[-1].pieces if each else (found[-1].whole,)
+        errors.append(max(_error(found[-1].wanted, one) for one in judged))
         if errors[-1] <= tolerance:
             return Adjusted(pattern, solver, tuple(found), tuple(errors))
         if len(errors) > most:
@@ -125,18 +130,33 @@ def adjust(
                 f"adjust: after {most} updates of the compensation the roof still differs by "
                 f"{errors[-1]:.2g} from the wanted one (before: {errors[0]:.2g})."
             )
-        pattern = pattern.adjusted(
-            {one.name: _change(pattern.material, found[-1].wanted, by) for one, by in judged}
+        changes.append(
+            np.array([_change(pattern.material, found[-1].wanted, one) for one in judged]).ravel()
         )
+        step = _accelerated(places, changes)
+        places.append(places[-1] + step)
+        pairs = [(warp, weft) for warp, weft in np.exp(step).reshape(-1, 2)]
+        pattern = pattern.adjusted(dict(zip(names, cycle(pairs), strict=False)))
+
+
+def _accelerated(places: list[Array], changes: list[Array]) -> Array:
+    """The next step of a fixed-point iteration by D. G. Anderson (J. ACM 12, 1965), which learns
+    how far the roof's edges give way."""
+    depth = min(len(places) - 1, len(changes[-1]), 3)
+    if depth == 0:
+        return changes[-1]
+    x, r = (np.diff(np.array(one[-depth - 1 :]), axis=0).T for one in (places, changes))
+    parts, *_ = np.linalg.lstsq(r, changes[-1], rcond=None)
+    return np.asarray(changes[-1] - (x + r) @ parts)
 
 
 def _change(material: object, wanted: Array | None, got: SewnPiece) -> tuple[float, float]:
-    """Further stretches along warp and weft."""
+    """Logarithms of further stretches along warp and weft, were the edges rigid."""
     stretch = got.stretch  # what is too short is cut longer, and stretched less
     if wanted is not None:
         assert isinstance(material, MembraneMaterial)
         stretch = 1.0 + np.linalg.solve(material.stiffness[:2, :2], wanted - got.mean)
-    warp, weft = map(float, stretch)
+    warp, weft = map(float, np.log(stretch))
     return warp, weft
 
 
