@@ -683,6 +683,7 @@ class Solver:
             the membrane in pictures of each combination, as for `draw`, or "tension" of cables and
             bars; by default tension, displacement, membrane forces and utilisation. The last ones
             are left out of too large a page. ``view``: where the viewer stands, as for `draw`.
+            ``sections``: further ones, as of `crms_fenicsx.patterns.report_sections`.
 
         Raises
         ------

@@ -15,6 +15,7 @@ TUTORIALS = [
     "cable_net",
     "tent",
     "air_hall",
+    "patterns",
     "wind_coupling",
     "friction_experiment",
     "capstan",

@@ -15,7 +15,7 @@ FLOORS = (
     "runtime dofs meshes surface model energies energies.paper minimization cables "
     "contact friction paths scene "
     "form_finding equilibrium views results verification steps output output.figures "
-    "output.report checkpoint solver study crms_fenicsx"
+    "output.report checkpoint solver study patterns crms_fenicsx"
 ).split()
 """Ground first: a module imports from its own package and from those before it."""
 

@@ -98,12 +98,17 @@ def fingerprint(scene: Scene) -> dict[str, Any]:
     tags = np.zeros((len(cells), 1), dtype=np.int64)
     if scene.membrane.cell_tags is not None:
         tags[:, 0] = scene.membrane.cell_tags.values
+    frames, shapes = scene.membrane.frames, None
+    if frames is not None:
+        rounded = np.rint(1e8 * frames.reshape(-1, 6)).astype(np.int64)
+        shapes = mixed(scene, np.hstack([cells, rounded]))
     return {
         "number of vertices": mesh.topology.index_map(0).size_global,
         "number of cells": mesh.topology.index_map(2).size_global,
         "cells (their vertices, mixed to one number)": mixed(scene, cells),
         "materials": [described(one) for one in scene.membrane.first_materials.values()],
         "cells of the materials (mixed to one number)": mixed(scene, np.hstack([cells, tags])),
+        "stress-free shapes of the cells (mixed to one number)": shapes,
         "strain": scene.strain_law,
         "pressure": scene.pressure_law,
         "penalty": scene.penalty,

@@ -14,6 +14,7 @@ from petsc4py import PETSc
 
 from crms_fenicsx.meshes.triangles import cell_normals
 from crms_fenicsx.model.materials import MembraneMaterial
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.runtime.errors import InputError, raised_together
 
 
@@ -56,18 +57,27 @@ def tangent_basis(mesh: Any, warp: fem.Function | None) -> tuple[Any, Any]:
     return e1, ufl.cross(normal, e1)
 
 
+def dual_axes(axes: Array) -> Array:
+    """The in-plane axes whose products with axes (n, 2, 3) are 1 and 0: those of orthonormal ones
+    are the same."""
+    products = np.einsum("nai,nbi->nab", axes, axes)
+    return np.asarray(np.linalg.solve(products, axes))
+
+
 class Kinematics:
     """Green-Lagrange strain of a surface in in-plane axes, without cancellation at small strain."""
 
-    def __init__(self, u: Any, basis: tuple[Any, Any]) -> None:
-        self.basis = basis
+    def __init__(self, u: Any, basis: tuple[Any, Any], rest: bool = False) -> None:
+        """With `rest` the basis is what axes of unit length have become in the mesh, whose own
+        strain counts."""
+        self.basis, self.rest = basis, rest
         self.H = [ufl.dot(ufl.grad(u), e) for e in basis]
         self.F = [e + h for e, h in zip(basis, self.H, strict=True)]
 
     def strain(self) -> Any:
         """E, (2, 2)."""
         e, H = self.basis, self.H
-        return ufl.as_matrix(
+        E = ufl.as_matrix(
             [
                 [
                     (ufl.dot(e[a], H[b]) + ufl.dot(H[a], e[b]) + ufl.dot(H[a], H[b])) / 2
@@ -76,6 +86,10 @@ class Kinematics:
                 for a in (0, 1)
             ]
         )
+        if not self.rest:
+            return E
+        G = ufl.as_matrix([[ufl.dot(e[a], e[b]) for b in (0, 1)] for a in (0, 1)])
+        return E + (G - ufl.Identity(2)) / 2
 
     def strain_variation(self, v: Any) -> Any:
         """First variation of E along v, (2, 2)."""

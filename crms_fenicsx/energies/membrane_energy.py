@@ -17,6 +17,7 @@ from crms_fenicsx.energies.integral import Integral, one_point
 from crms_fenicsx.energies.kinematics import (
     Kinematics,
     Stiffening,
+    dual_axes,
     tangent_basis,
     tensile_part,
     warp_field,
@@ -32,6 +33,7 @@ from crms_fenicsx.model.materials import (
     MembraneMaterial,
     law_terms,
 )
+from crms_fenicsx.model.membrane import own_areas
 from crms_fenicsx.model.ufl_material import UflMembrane
 from crms_fenicsx.runtime.arrays import EPSILON, Array, Indices
 from crms_fenicsx.runtime.compat import geometry_dofmap
@@ -44,7 +46,8 @@ class MembraneEnergy(EnergyTerm):
     """Strain energy of the cells whose `plain` indicator is 1, in total formulation.
 
     Attributes: `plain`: 1 in plain cells, 0 in folded cells, which leave this term without a new
-    form; `integral`: energy and nodal forces; `stiffening`: what is in the stiffness only.
+    form; `integral`: energy and nodal forces; `stiffening`: what is in the stiffness only;
+    `frames`: see `Membrane.frames`.
     """
 
     name = "membrane"
@@ -57,9 +60,10 @@ class MembraneEnergy(EnergyTerm):
         u: fem.Function,
         materials: Mapping[int, MembraneMaterial],
         cell_tags: Any = None,
+        frames: Array | None = None,
     ) -> None:
         V, mesh = u.function_space, u.function_space.mesh
-        self.u = u
+        self.u, self.frames = u, frames
         self.plain = fem.Function(fem.functionspace(mesh, ("DG", 0)))
         self.plain.x.array[:] = 1.0
         self.stiffening = Stiffening(mesh)
@@ -69,15 +73,18 @@ class MembraneEnergy(EnergyTerm):
         self.warps: dict[int, fem.Function | None] = {}
         for tag, material in materials.items():
             own = cells if cell_tags is None else cell_tags.find(tag)
-            warp = None if material.warp is None else warp_field(mesh, material, own)
-            self.warps[tag] = warp
+            free = material.warp is None or frames is not None
+            self.warps[tag] = None if free else warp_field(mesh, material, own)
         self.tension_field = self._tension_field(cells)
         areas = np.linalg.norm(area_vectors(mesh)[: len(cells)], axis=1)
         self._area = float(areas.sum())
+        self._rest = float(np.abs(self.rest_strains(cells)).max(initial=0.0))
+        weight, sewn_basis = self._sewn(frames)
         self._parameters: dict[int, fem.Constant] = {}
         self.terms: dict[int, tuple[LawTerms, Kinematics]] = {}
         for tag, material in materials.items():
-            kinematics = Kinematics(u, tangent_basis(mesh, self.warps[tag]))
+            basis = sewn_basis or tangent_basis(mesh, self.warps[tag])
+            kinematics = Kinematics(u, basis, rest=frames is not None)
             parameters = self._parameters[tag] = fem.Constant(mesh, material.parameters)
             if material.law == ORTHOTROPIC_TENSION_FIELD:
                 assert self.tension_field is not None
@@ -87,6 +94,7 @@ class MembraneEnergy(EnergyTerm):
             else:
                 law = law_terms(material.law, kinematics.strain(), parameters)
             self.terms[tag] = (law, kinematics)
+        self._part = self.plain if weight is None else self.plain * weight
         self.renew_materials()
         v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
         dx = one_point(mesh, subdomain_data=cell_tags)
@@ -121,7 +129,7 @@ class MembraneEnergy(EnergyTerm):
         variation: Any = 0
         for tag, (law, kinematics) in self.terms.items():
             work = ufl.inner(law.stress, kinematics.strain_variation(v))
-            variation += self.plain * (law.energy * q + work) * self._on(tag, dx)
+            variation += self._part * (law.energy * q + work) * self._on(tag, dx)
         return variation
 
     def _stiffness(self, v: Any, du: Any, dx: ufl.Measure) -> Any:
@@ -142,7 +150,7 @@ class MembraneEnergy(EnergyTerm):
             material_part = law.tangent(a, b)
             if not linear:
                 material_part += self.stiffening.floor * law.taut_tangent(a, b)
-            stiffness += self.plain * (material_part + geometric) * self._on(tag, dx)
+            stiffness += self._part * (material_part + geometric) * self._on(tag, dx)
         return stiffness
 
     def _tension_field(self, cells: npt.NDArray[np.int32]) -> TensionField | None:
@@ -158,7 +166,32 @@ class MembraneEnergy(EnergyTerm):
         own = np.isin(tags, wanted)
         parameters = self._of_tension_field()
         row = np.searchsorted(wanted, tags[own]).astype(np.int32)
-        return TensionField(self.u, cells[own], self.material_axes(cells[own]), parameters, row)
+        cells = cells[own]
+        duals, rest = self.material_axes(cells), self.rest_strains(cells)
+        axes = duals if self.frames is None else self.frames[cells]
+        return TensionField(self.u, cells, axes, duals, rest, parameters, row)
+
+    def _sewn(self, frames: Array | None) -> tuple[fem.Function | None, Any]:
+        """Parts that areas of cells' own shapes have of theirs in the mesh, and frames, as UFL."""
+        if frames is None:
+            return None, None
+        mesh = self.u.function_space.mesh
+        weight = fem.Function(self.plain.function_space)
+        weight.x.array[:] = own_areas(frames)
+        basis = []
+        for a in (0, 1):
+            axis = fem.Function(fem.functionspace(mesh, ("DG", 0, (3,))))
+            axis.x.array[:] = frames[:, a].ravel()
+            basis.append(axis)
+        return weight, tuple(basis)
+
+    def rest_strains(self, cells: Indices) -> Array:
+        """Strains (n, 3) of cells in the mesh: 0 where it is their stress-free shape."""
+        if self.frames is None:
+            return np.zeros((len(cells), 3))
+        g = self.frames[cells]
+        G = np.einsum("nai,nbi->nab", g, g)
+        return np.stack([(G[:, 0, 0] - 1) / 2, (G[:, 1, 1] - 1) / 2, G[:, 0, 1]], axis=1)
 
     def attach(self, unknowns: Unknowns) -> None:
         """Use this layout."""
@@ -180,7 +213,7 @@ class MembraneEnergy(EnergyTerm):
         displacement over a quarter of the membrane, that of the strain."""
         if self._area == 0.0:
             return 0.0
-        gradient = 4 * float(np.abs(self.u.x.array).max(initial=0.0)) / self._area**0.5
+        gradient = 4 * float(np.abs(self.u.x.array).max(initial=0.0)) / self._area**0.5 + self._rest
         force = self._prestress + self._modulus * gradient
         return self._area * (4 * EPSILON * force) ** 2
 
@@ -263,7 +296,10 @@ class MembraneEnergy(EnergyTerm):
         return laws[material], parameters[material]
 
     def material_axes(self, cells: npt.NDArray[np.int32]) -> Array:
-        """In-plane axes 1 and 2 of the cells' stress-free shape, (n, 2, 3)."""
+        """In-plane axes 1 and 2 of the cells' stress-free shape, (n, 2, 3): with which vectors in
+        the mesh are multiplied to have those of this shape."""
+        if self.frames is not None:
+            return dual_axes(self.frames[cells])
         mesh = self.u.function_space.mesh
         x = mesh.geometry.x[geometry_dofmap(mesh)[cells]]
         first: Array = np.asarray(x[:, 1] - x[:, 0], dtype=float)

@@ -22,10 +22,10 @@ from crms_fenicsx.runtime.compat import geometry_dofmap
 
 
 @numba.njit(cache=True)
-def cell_values(u, dofs, axes, shapes, row, p, cells, strains, values):  # type: ignore[no-untyped-def]
-    """Strains (n, 3); energy per area, section forces and state into `values` at the cells.
-    `shapes` (n, 2, 2) takes the differences of u along two sides to slopes along the axes, `row`
-    (n,) says which parameters a cell has."""
+def cell_values(u, dofs, axes, rest, shapes, row, p, cells, strains, values):  # type: ignore[no-untyped-def]
+    """Strains (n, 3); energy per area, section forces and state into `values` at the cells. `rest`
+    (n, 3) is the strain without u. `shapes` (n, 2, 2) takes the differences of u along two sides to
+    slopes along the axes, `row` (n,) says which parameters a cell has."""
     e, s = np.empty(3), np.empty(3)
     slopes = np.empty((2, 3))
     for c in range(len(cells)):
@@ -35,7 +35,7 @@ def cell_values(u, dofs, axes, shapes, row, p, cells, strains, values):  # type:
                 slopes[a, m] = shapes[c, a, 0] * (u[j, m] - u[i, m]) + shapes[c, a, 1] * (
                     u[k, m] - u[i, m]
                 )
-        e[:] = 0.0
+        e[:] = rest[c]
         for m in range(3):
             x, y = axes[c, 0, m], axes[c, 1, m]
             du, dv = slopes[0, m], slopes[1, m]
@@ -60,17 +60,19 @@ def cell_tangents(strains, row, p, cells, tangents):  # type: ignore[no-untyped-
 
 class TensionField:
     """Stress, energy and tangent of wrinkling orthotropic cells, as fields for UFL forms. Shapes:
-    cells (n,), axes (n, 2, 3), parameters (k, N_PARAMETERS), row (n,)."""
+    cells (n,), axes (n, 2, 3) and their duals, rest (n, 3) strain, parameters (k, N_PARAMETERS),
+    row (n,)."""
 
     def __init__(
-        self, u: fem.Function, cells: Indices, axes: Array, parameters: Array, row: Indices
-    ) -> None:
+        self, u: fem.Function, cells: Indices, axes: Array, duals: Array, rest: Array,
+        parameters: Array, row: Indices,
+    ) -> None:  # fmt: skip
         mesh = u.function_space.mesh
-        self.u, self.cells, self.axes = u, cells, axes
+        self.u, self.cells, self.axes, self.rest = u, cells, axes, rest
         self.parameters, self.row = parameters, row
         self.dofs = np.ascontiguousarray(u.function_space.dofmap.list[cells])
         x = mesh.geometry.x[geometry_dofmap(mesh)[cells]]
-        self.shapes = np.linalg.inv(np.einsum("nki,nai->nka", x[:, 1:] - x[:, :1], axes))
+        self.shapes = np.linalg.inv(np.einsum("nki,nai->nka", x[:, 1:] - x[:, :1], duals))
         self.strains = np.zeros((len(cells), 3))
         self.values = fem.Function(fem.functionspace(mesh, ("DG", 0, (5,))))
         """Energy per area, section forces (S11, S22, S12) and state of each cell."""
@@ -80,7 +82,7 @@ class TensionField:
     def update(self) -> None:
         """Evaluate the law at the current displacement."""
         cell_values(
-            self.u.x.array.reshape(-1, 3), self.dofs, self.axes, self.shapes, self.row,
+            self.u.x.array.reshape(-1, 3), self.dofs, self.axes, self.rest, self.shapes, self.row,
             self.parameters, self.cells, self.strains, self.values.x.array.reshape(-1, 5),
         )  # fmt: skip
 

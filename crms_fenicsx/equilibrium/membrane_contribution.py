@@ -42,7 +42,7 @@ class MembraneContribution(Contribution):
         self.stepwise: StepMembraneEnergy | None = None
         parts = scene.u, scene.materials, scene.membrane.cell_tags
         if scene.strain_law == "total":
-            self.energy = MembraneEnergy(*parts)
+            self.energy = MembraneEnergy(*parts, scene.membrane.frames)
         else:
             from crms_fenicsx.energies.paper.step_membrane import StepMembraneEnergy
 

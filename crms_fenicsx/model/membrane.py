@@ -16,8 +16,9 @@ from mpi4py import MPI
 from crms_fenicsx.dofs.layout import vertex_places
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids, cells_of, outer_first
-from crms_fenicsx.meshes.triangles import OpenEdges, area_vectors, open_edges
+from crms_fenicsx.meshes.triangles import OpenEdges, area_vectors, cell_normals, open_edges
 from crms_fenicsx.model.materials import LINEAR, UFL_LAW, MembraneMaterial, Strengths
+from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers, Rows
 from crms_fenicsx.runtime.compat import geometry_dofmap, require_real
@@ -74,6 +75,7 @@ class Membrane:
         mesh: MembraneMesh,
         material: MembraneMaterial | Mapping[str, MembraneMaterial],
         pressure_on: Sequence[str] | None = None,
+        frames: Array | None = None,
     ) -> None:
         require_real()
         self.mesh, self.comm = mesh, mesh.comm
@@ -91,6 +93,9 @@ class Membrane:
         self.held = np.zeros((len(self.u.x.array) // 3, 3), dtype=bool)
         edges = mesh.mesh.topology.index_map(1)
         self.held_edges = np.zeros(edges.size_local + edges.num_ghosts, dtype=bool)
+        # (n, 2, 3) what unit vectors along warp and weft of local cells' own stress-free shapes are
+        # in the mesh; None where the mesh is stress-free
+        self.frames = None if frames is None else _checked_frames(mesh, frames)
         self.strengths: dict[str, Strengths] = {}  # for results, and no part of the state
 
     @property
@@ -118,6 +123,13 @@ class Membrane:
         positions = vertex_places(self.V)
         positions.flags.writeable = False
         return positions
+
+    @cached_property
+    def cell_areas(self) -> Array:
+        """Stress-free areas (n,) (length squared) of this rank's own cells."""
+        own = self.mesh.mesh.topology.index_map(2).size_local
+        areas = np.linalg.norm(area_vectors(self.mesh.mesh)[:own], axis=1)
+        return areas if self.frames is None else areas * own_areas(self.frames[:own])
 
     @cached_property
     def nodal_values(self) -> fem.FunctionSpace:
@@ -208,7 +220,12 @@ class Membrane:
         return f"part {self.parts[number]!r}" if self.parts else "the membrane"
 
     def refuse_step_strain(self) -> None:
-        """Refuse materials that the paper's step-wise strain does not know."""
+        """Refuse what the paper's step-wise strain does not know."""
+        if self.frames is not None:
+            raise InputError(
+                'Scene: strain="step" starts from the mesh as the stress-free shape, but there are '
+                'frames of other shapes; use strain="total".'
+            )
         for number, own in self.materials.items():
             if own.law == UFL_LAW:
                 raise InputError(
@@ -257,6 +274,30 @@ class Membrane:
         for letter in directions:
             self.held[dofs, COMPONENTS[letter]] = True
         self.held_edges[edges] = True
+
+
+def own_areas(frames: Array) -> Array:
+    """What areas (n,) of cells' own stress-free shapes are to theirs in the mesh."""
+    return np.asarray(1.0 / np.linalg.norm(np.cross(frames[:, 0], frames[:, 1]), axis=1))
+
+
+def _checked_frames(mesh: MembraneMesh, frames: Array) -> Array:
+    """Frames of this rank's cells, right-handed with their normals. Collective."""
+    with raised_together(mesh.comm):
+        given, normals = np.asarray(frames, dtype=float), cell_normals(mesh.mesh)
+        if given.shape != (len(normals), 2, 3) or not np.isfinite(given).all():
+            raise InputError(
+                f"Scene: frames of shape {given.shape} for {len(normals)} cells; give finite ones "
+                "(n, 2, 3), as patterns.sew does."
+            )
+        sense = np.einsum("ni,ni->n", np.cross(given[:, 0], given[:, 1]), normals)
+        size = np.linalg.norm(given, axis=2)
+        tilt = np.abs(np.einsum("nai,ni->na", given, normals))
+        if (sense <= 0.0).any() or (tilt > SAME_PLACE * size).any():
+            raise InputError(
+                "Scene: frames turn a cell over, or do not lie in it; give those of patterns.sew."
+            )
+    return given
 
 
 def _assign_materials(

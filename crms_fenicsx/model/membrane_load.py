@@ -18,7 +18,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.dofs.layout import edge_ends
 from crms_fenicsx.meshes.membrane_mesh import outer_first
-from crms_fenicsx.meshes.triangles import area_vectors, double_areas, norm
+from crms_fenicsx.meshes.triangles import double_areas, norm
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Rows
@@ -91,7 +91,7 @@ class _Shape:
         """The areas that a load is counted by, (m,)."""
         if by == "plan":
             return np.abs(self.vectors[:, 2])
-        return norm(area_vectors(self.membrane.mesh.mesh)) if by == "material" else self.areas
+        return self.membrane.cell_areas if by == "material" else self.areas
 
     def nodal(self, loads: Array) -> Array:
         """Forces (n, 3) on the vertices, a third of each cell's to each of its corners."""

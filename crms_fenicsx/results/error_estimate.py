@@ -65,26 +65,29 @@ class ErrorEstimator:
         self._sums = fem.Function(fem.functionspace(mesh, ("Lagrange", 1, (WIDTH,))))
         self._dofs: Indices = self._sums.function_space.dofmap.list
         vectors = area_vectors(mesh)
-        self._areas: Array = np.linalg.norm(vectors, axis=1)
-        self._normals: Array = vectors / self._areas[:, None]
+        self._areas: Array = scene.membrane.cell_areas
+        self._normals: Array = vectors / np.linalg.norm(vectors, axis=1)[:, None]
         tags = scene.membrane.cell_tags
         self._tags = np.zeros(len(vectors)) if tags is None else tags.values.astype(float)
 
     def of(self, system: System) -> ErrorEstimate:
         """The error of the state that a scene is in. Collective."""
         tensors = cell_tensors(system)
-        axes, images, folded = tensors.axes, tensors.images, tensors.folded
+        frames, axes, images = tensors.frames, tensors.axes, tensors.images
+        folded = tensors.folded
         E = np.einsum("nab,nai,nbj->nij", tensors.strains, axes, axes)
-        S = np.einsum("nab,nai,nbj->nij", tensors.forces, axes, axes)
-        H = np.einsum("nai,naj->nij", images - axes, axes)
+        S = np.einsum("nab,nai,nbj->nij", tensors.forces, frames, frames)
+        H = np.einsum("nai,naj->nij", images - frames, axes)
         mean, good = self._averages(E, S, H, folded)
         dE, dS = (
             np.where(good[..., None, None], _full(mean[..., k : k + 6]) - own[:, None], 0.0)
             for k, own in ((0, E), (6, S))
         )
         dH = mean[..., 12:21].reshape(*mean.shape[:2], 3, 3) - H[:, None]
-        tilt = np.einsum("nvij,naj->nvia", np.where(good[..., None, None], dH, 0.0), axes)
-        tangent = [np.einsum("nvij,nai,nbj->nvab", d, axes, axes) for d in (dE, dS)]
+        tilt = np.einsum("nvij,naj->nvia", np.where(good[..., None, None], dH, 0.0), frames)
+        tangent = [
+            np.einsum("nvij,nai,nbj->nvab", d, own, own) for d, own in ((dE, frames), (dS, axes))
+        ]
         factor = np.einsum("nab,nvia->nvib", tensors.forces, tilt)
         known = np.maximum(good.sum(axis=1), 1) / 3  # what corners without an average leave out
         first = _integral(tangent[0], tangent[1]) * self._areas / known

@@ -284,7 +284,6 @@ def membrane_results(system: System) -> MembraneResults:
     """Evaluate the membrane at the scene's current state. Collective."""
     scene, cells = system.scene, cell_tensors(system)
     E, axes, images = cells.strains, cells.axes, cells.images
-    before = cells.sides
     S = cells.forces + added_forces(scene, axes)
     normal: Array = np.asarray(np.cross(images[:, 0], images[:, 1]), dtype=np.float64)
     normal /= np.linalg.norm(normal, axis=1)[:, None]
@@ -306,12 +305,13 @@ def membrane_results(system: System) -> MembraneResults:
     along = larger * cos**2 + smaller * sin**2
     across = larger * sin**2 + smaller * cos**2
 
-    stress_free = np.linalg.norm(np.cross(before[:, 0], before[:, 1]), axis=1) / 2
+    stress_free = scene.membrane.cell_areas
     second_piola, directions = _principal(S)
+    directions = np.einsum("nka,nai->nki", directions, cells.frames)
     return MembraneResults(
         strains=_principal(E)[0],
         second_piola=second_piola,
-        second_piola_directions=np.einsum("nka,nai->nki", directions, axes),
+        second_piola_directions=directions / np.linalg.norm(directions, axis=2)[..., None],
         true_forces=true_forces,
         true_directions=np.stack([first, np.cross(normal, first)], axis=1),
         warp=warp,

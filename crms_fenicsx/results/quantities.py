@@ -22,7 +22,10 @@ class CellTensors:
     # (force per length)
     strains: Array
     forces: Array
-    # axes, images: (n, 2, 3) the material axes, unit vectors, and what they have become
+    # frames, axes, images: (n, 2, 3) the unit vectors of the material axes in the mesh, the dual
+    # ones, with which vectors are multiplied, and what the first have become. Where the mesh is
+    # stress-free, frames and axes are the same.
+    frames: Array
     axes: Array
     images: Array
     sides: Array  # (n, 2, 3) two stress-free sides of each cell (length)
@@ -49,6 +52,7 @@ def cell_tensors(system: System) -> CellTensors:
     S = _symmetric(values[:, 3], values[:, 4], values[:, 5])
 
     axes = membrane.material_axes(np.arange(n, dtype=np.int32))
+    frames = axes if membrane.frames is None else membrane.frames[:n]
     x = scene.mesh.mesh.geometry.x[geometry_dofmap(scene.mesh.mesh)]
     u = scene.u.x.array.reshape(-1, 3)[scene.V.dofmap.list]
     before: Array = np.asarray(x[:, 1:] - x[:, :1], dtype=np.float64)
@@ -57,7 +61,7 @@ def cell_tensors(system: System) -> CellTensors:
     components = np.einsum("nki,nai->nka", before, axes)
     images = np.linalg.solve(components, after)
     state = np.rint(values[:, 6]).astype(np.int8)
-    return CellTensors(E, S, axes, images, before, state, folded)
+    return CellTensors(E, S, frames, axes, images, before, state, folded)
 
 
 def added_forces(scene: Scene, axes: Array) -> Array:

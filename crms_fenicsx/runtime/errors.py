@@ -63,6 +63,10 @@ class PenaltyWarning(UserWarning):
     """A penalty factor outside the range in which folded elements are stable and do not lock."""
 
 
+class PatternWarning(UserWarning):
+    """Too few cells across a piece of a cutting pattern to know its flat shape well."""
+
+
 class SnapThroughWarning(UserWarning):
     """No stable equilibria connect a load step's state to the one before.
 

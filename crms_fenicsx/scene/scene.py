@@ -85,6 +85,9 @@ class Scene:
         locking from 1e-3 to 1.
     literal_penalty
         The paper's coefficient mu = nu of (2.5-1) instead (force x length), the same everywhere.
+    frames : (n, 2, 3)
+        Of this rank's cells, where these have stress-free shapes of their own: what unit vectors
+        along their warp and weft have become in the mesh. `patterns.sew` makes them.
 
     Raises
     ------
@@ -181,6 +184,7 @@ class Scene:
         pressure_on: Sequence[str] | None = None,
         penalty: float = 0.1,
         literal_penalty: float | None = None,
+        frames: Array | None = None,
     ) -> None:
         checks.of_type("Scene: mesh", mesh, MembraneMesh)
         checks.same(
@@ -194,7 +198,7 @@ class Scene:
         if literal_penalty is not None:
             literal_penalty = checks.positive("Scene: literal_penalty", literal_penalty)
         self._literal_penalty = literal_penalty
-        self.membrane = Membrane(mesh, material, pressure_on)
+        self.membrane = Membrane(mesh, material, pressure_on, frames)
         if literal_penalty is None:
             warn_of_penalty(self.comm, self.penalty)
         if strain == "step":

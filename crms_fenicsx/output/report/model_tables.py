@@ -15,7 +15,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from crms_fenicsx.energies.residual_stress import ResidualStress
-from crms_fenicsx.meshes.triangles import area_vectors, cell_sides
+from crms_fenicsx.meshes.triangles import cell_sides
 from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable
@@ -44,7 +44,7 @@ class Model:
 
 def model_of_scene(scene: Scene, units: Units) -> Model:
     """Describe a scene. Collective."""
-    areas = np.linalg.norm(area_vectors(scene.mesh.mesh), axis=1)
+    areas = scene.membrane.cell_areas
     low, high = box(scene.comm, scene.membrane.stress_free)
     extents = [b - a for a, b in zip(low, high, strict=True)]
     strengths: list[Row] = [

@@ -23,6 +23,7 @@ from crms_fenicsx.output.report.case import (
     with_pictures,
 )
 from crms_fenicsx.output.report.model_tables import Model, merged, model_of_scene
+from crms_fenicsx.output.report.page import PageSection
 from crms_fenicsx.output.report.results_tables import ResultTables, Units
 from crms_fenicsx.output.report.sections import Report
 from crms_fenicsx.runtime import checks
@@ -64,6 +65,7 @@ class Plan:
     cable_strengths: Mapping[str, float] = field(default_factory=dict)  # by names (force)
     pictures: Sequence[str] | None = None  # what colours the membrane in them
     view: tuple[float, float] = (-60.0, 30.0)
+    sections: Sequence[PageSection] = ()  # further ones
 
     @property
     def units(self) -> Units:
@@ -91,6 +93,10 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
         scene.cable(name).name: checks.positive(f"report: strength of the cable {name!r}", value)
         for name, value in plan.cable_strengths.items()
     }
+    if not all(isinstance(one, PageSection) for one in plan.sections):
+        raise InputError(
+            f"report: sections = {plan.sections!r}; give what patterns.report_sections returned."
+        )
     pictures = _checked_pictures(scene, plan.pictures)
     check_view(plan.view)
     path = absolute(checks.file("report: filename", filename), comm)
@@ -214,7 +220,8 @@ def write_files(solver: Reported, plan: Plan, model: Model, cases: Sequence[Case
     with raised_together(solver.comm):
         if solver.comm.rank == 0:
             results = ResultTables(cases, plan.units, model.size, plan.cable_strengths)
-            report, path = Report(plan.title, [*plan.about.items()], model, results), plan.path
+            about, path = [*plan.about.items()], plan.path
+            report = Report(plan.title, about, model, results, plan.sections)
             texts = {path: report.html()}
             for table in report.tables():
                 texts[path.with_name(f"{path.stem}_{table.name}.csv")] = table.csv()

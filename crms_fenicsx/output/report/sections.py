@@ -57,6 +57,7 @@ class Report:
     about: Sequence[tuple[str, str]]
     model: Model  # what was computed, with its picture
     results: ResultTables
+    further: Sequence[PageSection] = ()  # about other things than equilibria
     left_out: int = 0  # how many pictures there is no room for
 
     @property
@@ -99,6 +100,7 @@ class Report:
             PageSection("Combinations", [paragraph(text), results.factors(), results.overview()]),
             *self._results(),
             *self._forces(),
+            *self.further,
             PageSection("Verification", [verdict, results.verdicts(), results.nearest_to_limits()]),
             PageSection("Notes", [*map(paragraph, NOTES)]),
         ]
@@ -113,7 +115,9 @@ class Report:
             found += [of.cables(), of.cable_envelope(), of.anchors()]
         if of.names("bars"):
             found += [of.bars(), of.bar_envelope()]
-        return found + [table for table in (of.joints(), of.ponds()) if table.rows]
+        more = [of.joints(), of.ponds()]
+        more += [part for one in self.further for part in one.body if isinstance(part, Table)]
+        return found + [table for table in more if table.rows]
 
     def _verdict(self) -> str:
         known = {case.name: case.verification for case in self.cases}

@@ -1,0 +1,91 @@
+"""Pieces laid on the roll, side by side in strips across it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from crms_fenicsx.patterns.pattern import Pattern
+from crms_fenicsx.patterns.sheet import Drawing, Sheet, drawings
+from crms_fenicsx.runtime.errors import InputError
+
+
+@dataclass(frozen=True)
+class Nesting:
+    """Pieces on the roll, x along it.
+
+    Attributes
+    ----------
+    roll
+        Width of the roll (length).
+    length
+        What is used of it (length).
+    waste
+        Part of that which is not of pieces, with their allowances.
+    drawings
+        The pieces where they lie.
+    rows
+        Where along the roll each row of pieces across it begins.
+    """
+
+    roll: float
+    length: float
+    waste: float
+    drawings: tuple[Drawing, ...] = field(repr=False)
+    rows: tuple[float, ...] = field(repr=False)
+
+
+def nest(pattern: Pattern, sheet: Sheet) -> Nesting:
+    """Lay pieces on the roll with their warp along it, the longest first.
+
+    Pieces lie side by side while the roll is wide enough; what follows lies beyond the longest.
+
+    Parameters
+    ----------
+    pattern
+        The pattern.
+    sheet
+        Roll and allowances.
+
+    Returns
+    -------
+    Nesting
+        Where pieces lie, and the waste.
+
+    Raises
+    ------
+    InputError
+        A piece that is wider than the roll, or allowances of edges that are not there.
+    """
+    if not isinstance(pattern, Pattern) or not isinstance(sheet, Sheet):
+        raise InputError("nest: give a pattern of patterns.flatten and a Sheet(roll=...).")
+    pieces = drawings(pattern, sheet)
+    wide = [one for one in pieces if one.extent[1] > sheet.roll * (1.0 + 1e-9)]
+    if wide:
+        told = ", ".join(f"{one.name} ({one.extent[1]:.5g})" for one in wide)
+        raise InputError(
+            f"nest: wider than the roll of {sheet.roll:.5g} with their allowances: {told}; lay "
+            "narrower strips, or take a wider roll."
+        )
+    placed: dict[str, Drawing] = {}
+    rows: list[list[float]] = []  # where each begins, and what of the width is taken
+    length = 0.0
+    for one in sorted(pieces, key=lambda one: -one.extent[0]):
+        along, across = map(float, one.extent)
+        row = next((row for row in rows if row[1] + across <= sheet.roll * (1.0 + 1e-9)), None)
+        if row is None:
+            row = [length + sheet.gap * bool(rows), 0.0]
+            rows.append(row)
+            length = row[0] + along
+        placed[one.name] = one.moved(np.array(row))
+        row[1] += across + sheet.gap
+    waste = 1.0 - sum(_area(one) for one in pieces) / (sheet.roll * length)
+    ordered = tuple(placed[one.name] for one in pieces)
+    return Nesting(sheet.roll, length, waste, ordered, tuple(row[0] for row in rows))
+
+
+def _area(one: Drawing) -> float:
+    """Area within the cut line (length squared)."""
+    x, y = one.cut_line.T
+    return float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))) / 2

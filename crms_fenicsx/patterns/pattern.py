@@ -1,0 +1,417 @@
+"""The cutting pattern: flat pieces of a roof."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx.meshes.membrane_mesh import outer_first
+from crms_fenicsx.meshes.triangles import arc_lengths, closest
+from crms_fenicsx.model.materials import MembraneMaterial, check_warp
+from crms_fenicsx.patterns.alignment import aligned
+from crms_fenicsx.patterns.compensation import EdgeShrink, Shrink, shrinks_of
+from crms_fenicsx.patterns.conformal import conformal, double_areas_in_plane
+from crms_fenicsx.patterns.flattening import FlatProblem, Sides, flat_shapes
+from crms_fenicsx.patterns.pieces import COLUMNS, Piece, PieceEdge, Pieces
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array, Integers
+from crms_fenicsx.runtime.errors import InputError, PatternWarning, collective, raised_together
+
+Warp = Literal["seams"] | tuple[float, float, float] | Callable[[Array], Array]
+Materials = MembraneMaterial | Mapping[str, MembraneMaterial]
+
+TURNS = 2
+"""How often a flat piece is turned back to its warp."""
+TOLD = 1e-3
+"""Strain of a flat piece, as estimated, from which on few columns of cells are told."""
+
+
+@dataclass(frozen=True)
+class FlatPiece:
+    """A piece as it is cut.
+
+    Attributes
+    ----------
+    piece
+        The piece in space.
+    shape
+        Flat places (n, 2) of its vertices (length): x along the warp, seen from outside.
+    shrink
+        Mean compensation (2,) along warp and weft.
+    strains
+        What the strains (E11, E22, 2 E12) of its cells (m, 3) have beside the wanted ones when it
+        takes the form: the distortion.
+    energy
+        Their energy per area of the form (force per length).
+    """
+
+    piece: Piece
+    shape: Array = field(repr=False)
+    shrink: Array
+    strains: Array = field(repr=False)
+    energy: float
+
+    @property
+    def name(self) -> str:
+        """Name of the piece."""
+        return self.piece.name
+
+    @property
+    def area(self) -> float:
+        """Area as it is cut (length squared)."""
+        return float(double_areas_in_plane(self.shape, self.piece.triangles).sum()) / 2
+
+    @property
+    def length(self) -> float:
+        """Extent along the warp (length)."""
+        return float(np.ptp(self.shape[:, 0]))
+
+    @property
+    def width(self) -> float:
+        """Extent across the warp (length): what it needs of the roll's width."""
+        return float(np.ptp(self.shape[:, 1]))
+
+    @property
+    def distortion(self) -> float:
+        """Largest strain beside the wanted ones."""
+        return float(np.abs(self.strains).max())
+
+    def edge_length(self, edge: PieceEdge) -> float:
+        """Length of one of its edges (length)."""
+        return float(arc_lengths(self.shape[edge.vertices])[-1])
+
+
+@dataclass(frozen=True)
+class CutOptions:
+    """How a pattern is made; see `flatten`."""
+
+    warp: Warp | None = None
+    shrink: Shrink | Mapping[str, Shrink] | None = None
+    edges: Mapping[str, EdgeShrink] = field(default_factory=dict)
+    equal: bool = True
+    limit: float | None = None
+    factors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Further stretches along warp and weft by pieces, as `adjust` finds them."""
+
+
+@dataclass(frozen=True, repr=False)
+class Pattern:
+    """The flat pieces of a roof, the same on all ranks.
+
+    Attributes
+    ----------
+    pieces
+        The pieces in space and how they are sewn together.
+    material
+        The fabric.
+    flat
+        The pieces as they are cut.
+    made
+        With which options.
+    """
+
+    pieces: Pieces
+    material: Materials
+    flat: tuple[FlatPiece, ...]
+    made: CutOptions
+
+    def __repr__(self) -> str:
+        """In a line; not collective."""
+        worst = max(self.flat, key=lambda one: one.distortion)
+        return (
+            f"Pattern({len(self.flat)} pieces, area {self.area:.6g}, strained up to "
+            f"{worst.distortion:.2g} in {worst.name})"
+        )
+
+    @property
+    def comm(self) -> MPI.Intracomm:
+        """Communicator of the mesh."""
+        return self.pieces.comm
+
+    @property
+    def area(self) -> float:
+        """Area of all pieces as they are cut (length squared)."""
+        return sum(one.area for one in self.flat)
+
+    def flat_piece(self, name: str) -> FlatPiece:
+        """The flat piece with a name."""
+        return checks.named("piece", {one.name: one for one in self.flat}, name)
+
+    def seam_lengths(self) -> dict[str, Array]:
+        """Lengths (k, 2) of the segments of each seam on both its sides (length)."""
+        joints = self.pieces.joints
+        lengths = np.zeros(joints.pieces.shape)
+        for k, one in enumerate(self.flat):
+            own = joints.pieces == k
+            sides = one.shape[joints.ends[own]]
+            lengths[own] = norm_rows(sides[:, 1] - sides[:, 0])
+        names = np.array(joints.seams)
+        return {seam: lengths[names == seam] for seam in dict.fromkeys(joints.seams)}
+
+    @collective
+    def adjusted(self, factors: Mapping[str, tuple[float, float]]) -> Pattern:
+        """The pattern with further stretches of pieces, cut anew. Collective.
+
+        Parameters
+        ----------
+        factors
+            Stretches along warp and weft by which pieces are stretched more, 1.01 for 1 %.
+
+        Returns
+        -------
+        Pattern
+            Another pattern of the same pieces.
+        """
+        both = {
+            one.name: tuple(np.multiply(self.made.factors.get(one.name, (1.0, 1.0)),
+                                        factors.get(one.name, (1.0, 1.0))).tolist())
+            for one in self.flat
+        }  # fmt: skip
+        return made_pattern(self.pieces, self.material, replace(self.made, factors=both))
+
+
+@collective
+def flatten(
+    pieces: Pieces,
+    material: Materials,
+    *,
+    warp: Warp | None = None,
+    shrink: Shrink | Mapping[str, Shrink] | None = None,
+    edges: Mapping[str, EdgeShrink] | None = None,
+    equal: bool = True,
+    limit: float | None = None,
+) -> Pattern:
+    """Lay pieces flat with the least strain energy, and compensate them. Collective.
+
+    Each piece gets the flat shape from which it takes the form with the strain that compensation
+    wants and, where the form is curved in two directions, as little energy beside it as there can
+    be (J. Linhard, R. Wuechner, K.-U. Bletzinger, Introducing cutting patterns in form finding and
+    structural analysis, 2008), started by a conformal map. The warp lies along x of all flat
+    pieces.
+
+    Parameters
+    ----------
+    pieces
+        What `cut` returned.
+    material
+        The fabric, or that of each part of the mesh.
+    warp
+        "seams": along the seams of each piece; or a direction in space (3,), or a function of
+        points (3, n) that gives directions (3, n), of which the mean over each piece counts. By
+        default an orthotropic material's own, and of others "seams".
+    shrink
+        Compensation of all pieces, or by names of pieces or parts of the mesh; by default none.
+    edges
+        De-compensation, by names of edge groups.
+    equal
+        Whether both sides of seams are equally long when cut; it costs .02 % of the energy.
+    limit
+        Largest strain beside the wanted ones that is accepted.
+
+    Returns
+    -------
+    Pattern
+        The flat pieces.
+
+    Raises
+    ------
+    InputError
+        On all ranks: an argument that cannot be used, or a piece that is strained beyond `limit`,
+        with the number of strips that would do.
+    ConvergenceError
+        On all ranks: a piece that does not lie flat.
+
+    Warns
+    -----
+    PatternWarning
+        Fewer than 8 columns of cells across a piece that is curved in two directions: its energy
+        and strains are far too large.
+
+    Notes
+    -----
+    A strip of width W on a surface of Gaussian curvature K is strained by |K| W**2 / 12 and has
+    the energy E t K**2 W**4 / 1440 per area, with E t along the warp. With 8 columns of cells
+    across a piece the energy is too large by 61 %, with 16 by 16 % and with 32 by 4 %: extrapolate.
+
+    Examples
+    --------
+    >>> pattern = patterns.flatten(pieces, fabric, shrink=patterns.shrink_for(fabric, 2.0))
+    """
+    if not isinstance(pieces, Pieces):
+        raise InputError(f"flatten: pieces = {pieces!r}; give what patterns.cut returned.")
+    checks.same(
+        pieces.comm, "flatten", material=material, warp=warp, shrink=shrink, edges=edges,
+        equal=equal, limit=limit,
+    )  # fmt: skip
+    if warp is not None and warp != "seams":
+        check_warp("flatten", warp)
+    limit = None if limit is None else checks.positive("flatten: limit", limit)
+    for name, one in (edges or {}).items():
+        checks.named("group of edges", pieces.surface.edges, name)
+        if not isinstance(one, EdgeShrink):
+            raise InputError(f"flatten: edges has {one!r}; give an EdgeShrink(part, band).")
+    known = [*dict.fromkeys([*(p.name for p in pieces.pieces), *pieces.surface.parts])]
+    shrinks_of("flatten", shrink, known)
+    return made_pattern(pieces, material, CutOptions(warp, shrink, edges or {}, bool(equal), limit))
+
+
+def made_pattern(pieces: Pieces, material: Materials, made: CutOptions) -> Pattern:
+    """A pattern with checked options. Collective."""
+    comm = pieces.comm
+    stiffness, warps = _of_cells(pieces, material, made)
+    mine = range(comm.rank, len(pieces.pieces), comm.size)
+    problems, starts, sides = {}, {}, {}
+    with raised_together(comm):
+        for k in mine:
+            piece = pieces.pieces[k]
+            own = None if warps is None else warps[piece.cells]
+            start = aligned(piece, conformal(piece.points, piece.triangles), own)
+            wanted = _wanted(pieces, piece, start, made)
+            start = start / np.sqrt(1.0 + 2.0 * _mean(piece, wanted)[:2])
+            first, last = int(start[:, 0].argmin()), int(start[:, 0].argmax())
+            problems[k] = FlatProblem(
+                piece.name, piece.points, piece.triangles, stiffness[piece.cells], wanted,
+                np.array([2 * first, 2 * first + 1, 2 * last + 1]),
+            )  # fmt: skip
+            for _ in range(TURNS):  # the conformal map turns its ends
+                start = aligned(piece, problems[k].solve(start), own)
+            starts[k], sides[k] = start, _sides(pieces, k)
+    joints = len(pieces.joints.seams) if made.equal else 0
+    shapes = flat_shapes(problems, starts, sides, joints, comm)
+    found = {
+        k: _flat_piece(problem, pieces.pieces[k], shapes[k]) for k, problem in problems.items()
+    }
+    every = {k: one for part in comm.allgather(found) for k, one in part.items()}
+    flat = tuple(every[k] for k in sorted(every))
+    _check(flat, made.limit)
+    _warn(comm, flat)
+    return Pattern(pieces, material, flat, made)
+
+
+def _of_cells(pieces: Pieces, material: Materials, made: CutOptions) -> tuple[Array, Array | None]:
+    """Stiffness (m, 3, 3) and warp (m, 3) of all cells; no warp where it goes along seams."""
+    surface = pieces.surface
+    m, centres = len(surface.cells), surface.points[surface.cells].mean(axis=1)
+    given: list[tuple[Integers, object]] = [(np.arange(m), material)]
+    if isinstance(material, Mapping):
+        named = outer_first(pieces.mesh, "flatten", "material", material)
+        given = [(surface.parts[part], material[part]) for part in named]
+    stiffness, warps = np.zeros((m, 3, 3)), np.zeros((m, 3))
+    along_seams = made.warp == "seams"
+    for cells, own in given:
+        if not isinstance(own, MembraneMaterial):
+            raise InputError(f"flatten: material = {own!r} is none; give one of the fabric.")
+        stiffness[cells] = own.stiffness
+        direction = own.warp if made.warp is None else made.warp
+        if made.warp is None and direction is None:
+            along_seams = True
+        elif not along_seams:
+            found = direction(centres[cells].T).T if callable(direction) else direction
+            warps[cells] = np.asarray(found, dtype=float)
+    if not stiffness.any(axis=(1, 2)).all():
+        raise InputError("flatten: there are cells without a material; give one for every part.")
+    return stiffness, None if along_seams else warps
+
+
+def norm_rows(vectors: Array) -> Array:
+    """Lengths of vectors in the plane, (n,)."""
+    return np.asarray(np.hypot(vectors[:, 0], vectors[:, 1]))
+
+
+def _wanted(pieces: Pieces, piece: Piece, start: Array, made: CutOptions) -> Array:
+    """Wanted strains (m, 3) of the cells of a piece, from its flat shape to the form."""
+    centres = start[piece.triangles].mean(axis=1)
+    along = (centres[:, 0] - start[:, 0].min()) / np.ptp(start[:, 0])
+    parts = np.zeros((len(along), 2))
+    known = [*dict.fromkeys([*(p.name for p in pieces.pieces), *pieces.surface.parts])]
+    given = shrinks_of("flatten", made.shrink, known)
+    for name in sorted(given, key=lambda name: (name != "", name == piece.name)):
+        own = pieces.surface.parts[name] if name else piece.cells
+        inside = np.isin(piece.cells, own)
+        parts[inside] = given[name].at(along)[inside]
+    stretches = np.array(made.factors.get(piece.name, (1.0, 1.0))) / (1.0 - parts)
+    wanted = np.column_stack([(stretches**2 - 1.0) / 2.0, np.zeros(len(along))])
+    for name, edge in made.edges.items():
+        for run in piece.edges:
+            if run.name == name:
+                wanted += _edge_strains(piece, run.vertices, start, wanted, edge)
+    return wanted
+
+
+def _edge_strains(
+    piece: Piece, run: Integers, start: Array, wanted: Array, edge: EdgeShrink
+) -> Array:
+    """What an edge changes of the wanted strains (m, 3) near it."""
+    a, b, places = piece.points[run[:-1]], piece.points[run[1:]], piece.points
+    segments = np.stack([a, b, b], axis=1)
+    gaps = np.stack([closest(np.broadcast_to(s, (len(places), 3, 3)), places)[2]
+                     for s in segments], axis=1)  # fmt: skip
+    away = gaps.min(axis=1)[piece.triangles]
+    corner = np.take_along_axis(piece.triangles, away.argmin(axis=1)[:, None], axis=1)[:, 0]
+    nearest, near = gaps.argmin(axis=1)[corner], np.maximum(1.0 - away.min(axis=1) / edge.band, 0.0)
+    t = np.diff(start[run], axis=0)[nearest]
+    t /= norm_rows(t)[:, None]
+    tt = np.stack([t[:, 0] ** 2, t[:, 1] ** 2, t[:, 0] * t[:, 1]], axis=1)
+    own = (1.0 / (1.0 - edge.part) ** 2 - 1.0) / 2.0
+    excess = near * (own - np.einsum("ni,ni->n", wanted, tt))
+    return np.asarray(excess[:, None] * tt * (1.0, 1.0, 2.0))
+
+
+def _mean(piece: Piece, values: Array) -> Array:
+    """Mean over a piece of numbers of its cells (m, k)."""
+    return np.asarray(piece.areas @ values / piece.area)
+
+
+def _sides(pieces: Pieces, k: int) -> Sides:
+    """The sides of seams that a piece has."""
+    row, side = np.nonzero(pieces.joints.pieces == k)
+    return Sides(row, pieces.joints.ends[row, side], np.where(side == 0, 1.0, -1.0))
+
+
+def _flat_piece(problem: FlatProblem, piece: Piece, shape: Array) -> FlatPiece:
+    """A piece laid flat."""
+    shape = shape - shape.min(axis=0)
+    strains = problem.strains(shape) - problem.wanted
+    stretches = np.sqrt(1.0 + 2.0 * _mean(piece, problem.wanted)[:2])
+    return FlatPiece(
+        piece, shape, 1.0 - 1.0 / stretches, strains, problem.energy(shape) / piece.area
+    )  # fmt: skip
+
+
+def _check(flat: tuple[FlatPiece, ...], limit: float | None) -> None:
+    """Refuse pieces that are strained too much."""
+    bad = [one for one in flat if limit is not None and one.distortion > limit]
+    if bad and limit is not None:
+        told = "; ".join(
+            f"{one.name} ({one.width:.4g} wide) by {one.distortion:.2g}: cut it into "
+            f"{math.ceil(math.sqrt(one.distortion / limit))} strips"
+            for one in bad
+        )
+        raise InputError(
+            f"flatten: pieces are strained by more than {limit:g} to lie flat: {told}."
+        )
+
+
+def _warn(comm: MPI.Intracomm, flat: tuple[FlatPiece, ...]) -> None:
+    """Warn on rank 0 of too few columns of cells in curved pieces."""
+    if comm.rank > 0:
+        return
+    few = {}
+    for one in flat:
+        columns = one.width / math.sqrt(2.0 * one.piece.area / len(one.piece.cells))
+        if columns < COLUMNS / 2 and abs(one.piece.curvature) * one.width**2 / 12 > TOLD:
+            few[one.name] = columns
+    if few:
+        name = min(few, key=lambda name: few[name])
+        warnings.warn(
+            f"flatten: there are {few[name]:.0f} columns of cells across {name}, which is curved "
+            f"in two directions; from {COLUMNS} on its energy is known to 16 %: refine the mesh.",
+            PatternWarning,
+            stacklevel=4,
+        )

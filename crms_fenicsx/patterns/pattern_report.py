@@ -1,0 +1,132 @@
+"""What a report says of a cutting pattern: tables, sheets, and what the cut does to the roof."""
+
+from __future__ import annotations
+
+import io
+
+from crms_fenicsx.output.report.page import PageSection, Table, figure, paragraph
+from crms_fenicsx.output.report.results_tables import Units
+from crms_fenicsx.patterns.nesting import Nesting, nest
+from crms_fenicsx.patterns.pattern import Pattern
+from crms_fenicsx.patterns.sewn import Comparison
+from crms_fenicsx.patterns.sheet import Sheet
+from crms_fenicsx.patterns.sheet_pictures import roll_figure
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.errors import InputError, collective
+
+TEXT = (
+    "Each piece is cut as the flat shape from which it takes the form with the wanted strain and "
+    "the least strain energy beside it; the distortion is the largest strain beside the wanted "
+    "one. Sizes are those of the seam lines, without allowances; widths on the roll are with them."
+)
+
+
+@collective
+def report_sections(
+    pattern: Pattern,
+    sheet: Sheet,
+    comparison: Comparison | None = None,
+    *,
+    unit: str = "",
+    force: str = "",
+) -> list[PageSection]:
+    """Sections on a cutting pattern for a report. Collective.
+
+    Parameters
+    ----------
+    pattern
+        The pattern.
+    sheet
+        Roll, allowances and marks.
+    comparison
+        What `compare` found on the sewn roof, which gets a section as well.
+    unit, force
+        Names of the units of length and force.
+
+    Returns
+    -------
+    list
+        For the option ``sections`` of `Solver.report`, which writes their tables as CSV files, too.
+
+    Raises
+    ------
+    InputError
+        On all ranks: arguments that cannot be used, or pieces wider than the roll.
+
+    Examples
+    --------
+    >>> solver.report("report.html", sections=patterns.report_sections(pattern, sheet))
+    """
+    if not isinstance(pattern, Pattern):
+        raise InputError(f"report_sections: pattern = {pattern!r}; give one of patterns.flatten.")
+    checks.same(pattern.comm, "report_sections", sheet=sheet, unit=unit, force=force)
+    nesting, units = nest(pattern, sheet), Units(unit, force)
+    picture = ""
+    if pattern.comm.rank == 0:
+        buffer = io.BytesIO()
+        roll_figure(nesting, unit).savefig(buffer, format="png", dpi=110, bbox_inches="tight")
+        picture = figure(buffer.getvalue(), "The pieces on the roll", "result")
+    picture = pattern.comm.bcast(picture)
+    waste = (
+        f"{nesting.length:.4g}{_plain(unit)} of the roll, {nesting.roll:.4g}{_plain(unit)} wide, "
+        f"{nesting.waste:.1%} of it waste."
+    )
+    body: list[str | Table] = [
+        paragraph(TEXT), piece_table(pattern, nesting, units), seam_table(pattern, units),
+        paragraph(waste), picture,
+    ]  # fmt: skip
+    found = [PageSection("Cutting pattern", body)]
+    if comparison is not None:
+        text = "Section forces per current length with the pieces sewn together, and how far the "
+        text += "roof is from its wanted form."
+        table = comparison_table(comparison, units)
+        found.append(PageSection("Sewn of its pieces", [paragraph(text), table], 3))
+    return found
+
+
+def _plain(unit: str) -> str:
+    return f" {unit}" if unit else ""
+
+
+def piece_table(pattern: Pattern, nesting: Nesting, units: Units) -> Table:
+    """Sizes, compensation and distortion of all pieces."""
+    m = units["length"]
+    rows = [
+        (one.name, one.area, one.length, one.width, float(drawing.extent[1]),
+         float(100 * one.shrink[0]), float(100 * one.shrink[1]), float(100 * one.distortion))
+        for one, drawing in zip(pattern.flat, nesting.drawings, strict=True)
+    ]  # fmt: skip
+    return Table(
+        "Pieces",
+        ("Piece", f"Area{units['area']}", f"Length{m}", f"Width{m}", f"Width on the roll{m}",
+         "Compensation, warp [%]", "weft [%]", "Distortion [%]"),
+        rows, "pieces",
+    )  # fmt: skip
+
+
+def seam_table(pattern: Pattern, units: Units) -> Table:
+    """Lengths of both sides of all seams."""
+    m, rows = units["length"], list[tuple[str | float, ...]]()
+    for seam, lengths in pattern.seam_lengths().items():
+        one, other = lengths.sum(axis=0).tolist()
+        rows.append((seam, one, other, abs(one - other)))
+    return Table(
+        "Seams", ("Seam", f"One side{m}", f"Other side{m}", f"Difference{m}"), rows, "seams"
+    )
+
+
+def comparison_table(comparison: Comparison, units: Units) -> Table:
+    """Section forces wanted and got, deviation and wrinkles of all pieces."""
+    s, rows = units["stress"], list[tuple[str | float, ...]]()
+    for one in (*comparison.pieces, comparison.whole):
+        forces = [float(value[k]) for k in (0, 1) for value in (one.mean, one.spread, one.least)]
+        rows.append((one.name, *forces, one.deviation, 100 * one.wrinkled))
+    wanted = "" if comparison.wanted is None else (
+        f"; wanted {comparison.wanted[0]:.4g} along warp and {comparison.wanted[1]:.4g} along weft"
+    )  # fmt: skip
+    return Table(
+        f"Section forces of the sewn roof{wanted}",
+        ("Piece", f"Warp, mean{s}", f"scatter{s}", f"least{s}", f"Weft, mean{s}", f"scatter{s}",
+         f"least{s}", f"Off the form{units['length']}", "Wrinkled [%]"),
+        rows, "sewn",
+    )  # fmt: skip

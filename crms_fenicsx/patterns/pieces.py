@@ -1,0 +1,332 @@
+"""The pieces that seams cut a surface into, and which edges of them are sewn together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx.meshes.edge_table import EdgeTable
+from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, shared_out
+from crms_fenicsx.meshes.orientation import connected_labels
+from crms_fenicsx.meshes.surface import BOUNDARY, EMPTY, CheckedSurface
+from crms_fenicsx.meshes.triangles import cross, double_areas, lists, norm
+from crms_fenicsx.patterns.cutting import CutSurface, cut_along
+from crms_fenicsx.patterns.pattern_surface import PatternSurface, edges_of, integers
+from crms_fenicsx.patterns.seams import Seam
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array, Integers
+from crms_fenicsx.runtime.checks import counted
+from crms_fenicsx.runtime.errors import InputError, PathError, as_text, collective, raised_together
+from crms_fenicsx.surface.points import Edge, edge_of
+
+COLUMNS = 16
+"""Columns of cells across a piece with which its energy is known to 16 %: the error falls with the
+square of their number."""
+
+
+@dataclass(frozen=True)
+class PieceEdge:
+    """An edge of a piece from corner to corner.
+
+    Attributes
+    ----------
+    name
+        The seam, or the group of boundary edges, along which it runs.
+    sewn
+        Whether it is a side of a seam.
+    vertices
+        Vertices of the piece (k,) along it, counter-clockwise seen from outside.
+    """
+
+    name: str
+    sewn: bool
+    vertices: Integers = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A piece of the surface in space.
+
+    Attributes
+    ----------
+    name
+        "piece 1", "piece 2" ...: also the name of a part of the cut mesh.
+    cells
+        Its cells (m,) of the cut surface.
+    triangles
+        Vertices of the piece at their corners, (m, 3).
+    vertices
+        Numbers (n,) of its vertices in the cut surface; where a seam runs inside of it, both its
+        sides have their own.
+    points
+        Places of its vertices (n, 3) (length).
+    edges
+        Its edges, counter-clockwise seen from outside.
+    """
+
+    name: str
+    cells: Integers = field(repr=False)
+    triangles: Integers = field(repr=False)
+    vertices: Integers = field(repr=False)
+    points: Array = field(repr=False)
+    edges: tuple[PieceEdge, ...]
+
+    @property
+    def areas(self) -> Array:
+        """Areas of its cells (m,) (length squared)."""
+        return np.asarray(norm(double_areas(self.points[self.triangles])) / 2)
+
+    @property
+    def area(self) -> float:
+        """Its area (length squared)."""
+        return float(self.areas.sum())
+
+    @property
+    def outline(self) -> Integers:
+        """Its vertices (k,) around it, counter-clockwise seen from outside."""
+        return np.concatenate([edge.vertices[:-1] for edge in self.edges])
+
+    @property
+    def curvature(self) -> float:
+        """Its mean Gaussian curvature (1 / length squared): angles missing at inner vertices."""
+        x, t = self.points[self.triangles], self.triangles
+        a, b = np.roll(x, -1, axis=1) - x, np.roll(x, -2, axis=1) - x
+        angles = np.arctan2(norm(cross(a, b)), np.einsum("nki,nki->nk", a, b))
+        missing = 2 * np.pi - np.bincount(t.ravel(), angles.ravel(), len(self.points))
+        around = np.bincount(t.ravel(), np.repeat(self.areas / 3, 3), len(self.points))
+        inner = np.setdiff1d(np.arange(len(self.points)), self.outline)
+        return float(missing[inner].sum() / around[inner].sum()) if len(inner) else 0.0
+
+
+@dataclass(frozen=True)
+class Joints:
+    """The segments at which pieces are sewn together: two sides each."""
+
+    seams: tuple[str, ...]  # of each segment
+    pieces: Integers  # (k, 2) pieces on both sides
+    ends: Integers  # (k, 2, 2) their vertices at both ends, which lie together
+
+
+@dataclass(frozen=True, repr=False)
+class Pieces:
+    """A surface that is cut into pieces.
+
+    Attributes
+    ----------
+    mesh
+        The surface with its cells divided along the seams, with all groups of the one that was
+        cut, the seams as groups of edges, and the pieces as parts.
+    seams
+        The seams.
+    pieces
+        The pieces, the same on all ranks.
+    joints
+        Which segments of their edges belong together.
+    surface
+        The cut surface with all groups, on all ranks.
+    lines
+        Vertices (k,) of the cut surface along each seam, by its name.
+    """
+
+    mesh: MembraneMesh
+    seams: tuple[Seam, ...]
+    pieces: tuple[Piece, ...]
+    joints: Joints
+    surface: CheckedSurface
+    lines: Mapping[str, Integers]
+
+    def __repr__(self) -> str:
+        """In a line; not collective."""
+        seams, pieces = counted(len(self.seams), "seam"), counted(len(self.pieces), "piece")
+        return f"Pieces({pieces}, {seams}, area {self.area:.6g})"
+
+    @property
+    def comm(self) -> MPI.Intracomm:
+        """Communicator of the mesh."""
+        return self.mesh.comm
+
+    @property
+    def area(self) -> float:
+        """Area of all pieces in space (length squared)."""
+        return sum(piece.area for piece in self.pieces)
+
+    def piece(self, name: str) -> Piece:
+        """The piece with a name."""
+        return checks.named("piece", {piece.name: piece for piece in self.pieces}, name)
+
+
+@collective
+def cut(mesh: MembraneMesh, seams: Sequence[Seam]) -> Pieces:
+    """Cut a surface along seams. Collective.
+
+    Cells that seams cross are divided. Vertices nearer to a crossing than a fifth of the edge are
+    moved to it, along the edge, so that no slivers are cut off: the pieces are those of a surface
+    that differs from the mesh by no more than the smooth one does.
+
+    Parameters
+    ----------
+    mesh
+        The surface, such as `FoundForm.mesh`.
+    seams
+        Seams on it. They may meet and cross at vertices of the mesh, and where they cross an edge
+        at the same point.
+
+    Returns
+    -------
+    Pieces
+        The pieces, named "piece 1", "piece 2" ... across the roof.
+
+    Raises
+    ------
+    InputError
+        On all ranks: no seams, or two of one name.
+    PathError
+        On all ranks: seams that end inside the surface, run along its boundary or along each
+        other, or cross inside of cells; a piece with a hole, or a closed one.
+
+    Examples
+    --------
+    >>> pieces = patterns.cut(found.mesh, patterns.strips(found.mesh, "front", "back", width=2.5))
+    """
+    surface = PatternSurface.of("cut", mesh, seams=seams)
+    with raised_together(mesh.comm):
+        whole = cut_along(surface, _checked(seams))
+        pieces, joints = _pieces(whole)
+    parts = {piece.name: piece.cells for piece in pieces} | whole.surface.parts
+    named = replace(whole.surface, parts=parts)
+    first = named if mesh.comm.rank == 0 else EMPTY
+    return Pieces(
+        shared_out(mesh.comm, first, None, None), tuple(seams), pieces, joints, named, whole.lines
+    )
+
+
+def _checked(seams: Sequence[Seam]) -> list[Seam]:
+    if isinstance(seams, Seam) or not isinstance(seams, Sequence) or not seams:
+        raise InputError(f"cut: seams = {seams!r}; give a list of one or more.")
+    for seam in seams:
+        if not isinstance(seam, Seam):
+            raise InputError(
+                f"cut: {seam!r} is no seam; give those of patterns.geodesic and the like."
+            )
+    names = [seam.name for seam in seams]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise InputError(f"cut: two seams have the name {twice[0]!r}; give each one its own.")
+    return list(seams)
+
+
+def _pieces(cut: CutSurface) -> tuple[tuple[Piece, ...], Joints]:
+    """The pieces of a surface, and where they are sewn together."""
+    points, cells, seam_of = cut.surface.points, cut.surface.cells, cut.seam_of
+    table = EdgeTable.of(cells)
+    edges = [(a, b) for a, b in lists(table.vertices)]
+    sewn = np.array([edge in seam_of for edge in edges])
+    for k in np.flatnonzero(sewn & (table.counts < 2)):
+        raise PathError(
+            f"the seam {seam_of[edges[k]]!r} does not cut the surface: it runs along its boundary "
+            f"at {as_text(points[edges[k][0]])}; lead it over the inside."
+        )
+    joined = (table.counts == 2) & ~sewn
+    s, t = table.linked_sides(joined)
+    labels = connected_labels(len(cells), s // 3, t // 3)
+    # corners that are one vertex of a piece: those at both ends of sides that are not cut
+    following = np.arange(cells.size).reshape(-1, 3)[:, [1, 2, 0]].ravel()
+    corner = connected_labels(
+        cells.size, np.concatenate([s, following[s]]), np.concatenate([following[t], t])
+    )
+    rim_sides = np.setdiff1d(np.arange(cells.size), np.concatenate([s, t]))
+    number = np.empty(cells.size, dtype=np.int64)  # of a corner's vertex in its piece
+    edge_of_side = np.empty(cells.size, dtype=np.int64)
+    edge_of_side[table.order] = np.repeat(np.arange(len(edges)), table.counts)
+    names = _names(cut)
+    found = []
+    for k, label in enumerate(_in_order(points, cells, labels)):
+        own = np.flatnonzero(labels == label)
+        corners = (3 * own[:, None] + np.arange(3)).ravel()
+        _, first, local = np.unique(corner[corners], return_index=True, return_inverse=True)
+        number[corners] = local
+        vertices = cells.ravel()[corners[first]]
+        sides = rim_sides[np.isin(rim_sides // 3, own)]
+        euler = len(vertices) - (len(corners) + len(sides)) // 2 + len(own)
+        rim = {int(number[side]): side for side in sides}
+        loop = _loop(rim, number[following])
+        if euler != 1 or len(loop) != len(sides):
+            raise PathError(
+                f"the piece around {as_text(points[vertices].mean(axis=0))} cannot lie flat: it "
+                f"{'is closed' if not len(sides) else 'has a hole'}; add a seam that cuts it open."
+            )
+        on = [edges[edge_of_side[side]] for side in loop]
+        piece_edges = _stretches(number[loop], [(names[e], e in seam_of) for e in on])
+        found.append(
+            Piece(f"piece {k + 1}", own, local.reshape(-1, 3), vertices, points[vertices],
+                  piece_edges)
+        )  # fmt: skip
+    place = {int(label): k for k, label in enumerate(_in_order(points, cells, labels))}
+    joints = _joints(table, sewn, cells, labels, number, following, place, seam_of)
+    return tuple(found), joints
+
+
+def _in_order(points: Array, cells: Integers, labels: Integers) -> Integers:
+    """The labels of pieces, in order across the surface."""
+    area = norm(double_areas(points[cells]))
+    centres = (
+        np.stack([np.bincount(labels, area * x) for x in points[cells].mean(axis=1).T], axis=1)
+        / np.bincount(labels, area)[:, None]
+    )
+    away = centres - centres.mean(axis=0)
+    _, _, axes = np.linalg.svd(away, full_matrices=False)
+    axis = axes[0] * np.sign(axes[0][np.argmax(np.abs(axes[0]) > 1e-6)])
+    size = np.abs(away).max() or 1.0
+    return np.lexsort((*np.round(centres.T / size, 6), np.round(away @ axis / size, 6)))
+
+
+def _names(cut: CutSurface) -> dict[Edge, str]:
+    """What each edge at the rim of a piece is called: seams before groups, the boundary last."""
+    found: dict[Edge, str] = dict.fromkeys(edges_of(cut.surface.edges[BOUNDARY]), BOUNDARY)
+    for name, keys in cut.surface.edges.items():
+        if name != BOUNDARY:
+            found |= dict.fromkeys(edges_of(keys), name)
+    return found | cut.seam_of
+
+
+def _loop(rim: dict[int, int], end_of: Integers) -> list[int]:
+    """The sides of a piece around it, from the first of them."""
+    if not rim:
+        return []
+    start = min(rim)
+    loop = [rim[start]]
+    while (vertex := int(end_of[loop[-1]])) != start and len(loop) <= len(rim):
+        loop.append(rim[vertex])
+    return loop
+
+
+def _stretches(starts: Integers, kinds: list[tuple[str, bool]]) -> tuple[PieceEdge, ...]:
+    """The edges of a piece: runs of sides, by the vertices where these start, of one kind."""
+    n = len(starts)
+    breaks = [k for k in range(n) if kinds[k] != kinds[k - 1]] or [0]
+    ring = np.concatenate([starts, starts, starts[:1]])
+    ends = [*breaks[1:], breaks[0] + n]
+    return tuple(PieceEdge(*kinds[a], ring[a : b + 1]) for a, b in zip(breaks, ends, strict=True))
+
+
+def _joints(
+    table: EdgeTable, sewn: Array, cells: Integers, labels: Integers, number: Integers,
+    following: Integers, place: dict[int, int], seam_of: dict[Edge, str],
+) -> Joints:  # fmt: skip
+    """The segments of seams with two sides."""
+    s, t = table.linked_sides(sewn & (table.counts == 2))
+    names, pieces, ends = [], [], []
+    for one, other in zip(integers(s), integers(t), strict=True):
+        a, b = integers(cells.ravel()[[one, following[one]]])
+        alike = cells.ravel()[other] == a
+        across = (other, following[other]) if alike else (following[other], other)
+        names.append(seam_of[edge_of(a, b)])
+        pieces.append([place[int(labels[side // 3])] for side in (one, other)])
+        ends.append([number[[one, following[one]]], number[list(across)]])
+    return Joints(
+        tuple(names), np.array(pieces, dtype=np.int64).reshape(-1, 2),
+        np.array(ends, dtype=np.int64).reshape(-1, 2, 2),
+    )  # fmt: skip

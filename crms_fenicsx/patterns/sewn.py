@@ -1,0 +1,228 @@
+"""The roof sewn of the pieces of a cutting pattern, and how it differs from the wanted form."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from crms_fenicsx.meshes.membrane_mesh import cell_vertex_ids
+from crms_fenicsx.model.materials import IsotropicMembrane, MembraneMaterial, OrthotropicMembrane
+from crms_fenicsx.patterns.conformal import cell_sides_in_plane
+from crms_fenicsx.patterns.pattern import Materials, Pattern
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.errors import InputError, collective, raised_together
+from crms_fenicsx.scene import Scene
+from crms_fenicsx.solver import Solver
+
+
+@collective
+def sew(pattern: Pattern, material: Materials | None = None, **options: Any) -> Scene:
+    """Make a scene of the pieces of a pattern, sewn together along the seams. Collective.
+
+    The stress-free shape of each cell is its flat one. The scene starts in the wanted form, where
+    the fabric has the strains that the cut gives it, without supports, loads and cables. Its mesh
+    is that of the form, with its groups, the seams as groups of edges and the pieces as parts.
+
+    Parameters
+    ----------
+    pattern
+        The pattern.
+    material
+        The fabric, or that of each part; by default the pattern's. Its warp is that of the pieces,
+        and its prestress is left out, as it comes from the cut.
+    **options
+        For `Scene`.
+
+    Returns
+    -------
+    Scene
+        The scene.
+
+    Raises
+    ------
+    InputError
+        On all ranks: what is no pattern, or a material with a step-wise strain.
+
+    Examples
+    --------
+    >>> scene = patterns.sew(pattern)
+    >>> scene.fix("boundary")
+    >>> Solver(scene).advance(pressure=0.3)
+    """
+    if not isinstance(pattern, Pattern):
+        raise InputError(f"sew: pattern = {pattern!r}; give what patterns.flatten returned.")
+    checks.same(pattern.comm, "sew", material=material)
+    given = pattern.material if material is None else material
+    fabric: Any = (
+        {part: relaxed(one) for part, one in given.items()}
+        if isinstance(given, Mapping)
+        else relaxed(given)
+    )
+    return Scene(pattern.pieces.mesh, fabric, frames=frames_of(pattern), **options)
+
+
+def relaxed(material: MembraneMaterial) -> MembraneMaterial:
+    """A material without prestress."""
+    if isinstance(material, IsotropicMembrane | OrthotropicMembrane):
+        return replace(material, prestress=0.0)
+    return material
+
+
+def frames_of(pattern: Pattern) -> Array:
+    """What unit vectors along warp and weft of the flat pieces are in this rank's cells, (n, 2, 3):
+    the columns of the gradient from the flat shape to the form."""
+    surface, mesh = pattern.pieces.surface, pattern.pieces.mesh.mesh
+    frames = np.zeros((len(surface.cells), 2, 3))
+    for one in pattern.flat:
+        x = one.piece.points[one.piece.triangles]
+        sides = np.stack([x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]], axis=-1)
+        gradient = sides @ np.linalg.inv(cell_sides_in_plane(one.shape, one.piece.triangles))
+        frames[one.piece.cells] = np.swapaxes(gradient, 1, 2)
+    own = np.asarray(mesh.topology.original_cell_index, dtype=np.int64)
+    with raised_together(pattern.comm):
+        assert (np.sort(surface.cells[own]) == np.sort(cell_vertex_ids(mesh))).all()
+    return frames[own]
+
+
+@dataclass(frozen=True)
+class SewnPiece:
+    """A piece of the roof as it stands.
+
+    Attributes
+    ----------
+    name
+        Name of the piece.
+    mean, spread, least, largest
+        Section forces (2,) along warp and weft: mean and standard deviation over the current area,
+        least and largest of a cell (force per length).
+    deviation
+        Largest distance of its vertices from the wanted form along its normal (length).
+    wrinkled
+        Part of its area that is wrinkled or slack.
+    stretch
+        Mean stretches (2,) along warp and weft from the wanted form, 1 where it has its lengths.
+    """
+
+    name: str
+    mean: Array
+    spread: Array
+    least: Array
+    largest: Array
+    deviation: float
+    wrinkled: float
+    stretch: Array
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What the cut does to the roof.
+
+    Attributes
+    ----------
+    wanted
+        Section forces (2,) along warp and weft that were wanted (force per length), or None.
+    pieces
+        What each piece has got.
+    whole
+        What all together have got.
+    """
+
+    wanted: Array | None
+    pieces: tuple[SewnPiece, ...] = field(repr=False)
+    whole: SewnPiece
+
+    def __str__(self) -> str:
+        """A table."""
+        head = f"{'':12} {'warp mean':>10} {'sd':>8} {'least':>8} {'weft mean':>10} {'sd':>8} "
+        head += f"{'least':>8} {'off form':>9} {'wrinkled':>9}"
+        rows = [head]
+        if self.wanted is not None:
+            warp, weft = self.wanted
+            rows.append(f"{'wanted':12} {warp:10.4g} {'':8} {'':8} {weft:10.4g}")
+        for one in (*self.pieces, self.whole):
+            a, b = (f"{one.mean[k]:10.4g} {one.spread[k]:8.3g} {one.least[k]:8.3g}" for k in (0, 1))
+            rows.append(f"{one.name:12} {a} {b} {one.deviation:9.3g} {one.wrinkled:9.1%}")
+        return "\n".join(rows)
+
+
+@collective
+def compare(
+    solver: Solver, pattern: Pattern, forces: float | tuple[float, float] | None = None
+) -> Comparison:
+    """Compare a sewn roof with the wanted form and forces. Collective.
+
+    Parameters
+    ----------
+    solver
+        Solver of the scene that `sew` made of the pattern, in the state to compare.
+    pattern
+        The pattern.
+    forces
+        Wanted section forces along warp and weft, or one for both (force per length).
+
+    Returns
+    -------
+    Comparison
+        Section forces, deviation from the form and wrinkles, by pieces and in all.
+
+    Raises
+    ------
+    InputError
+        On all ranks: a solver of another scene.
+    """
+    if not isinstance(solver, Solver) or not isinstance(pattern, Pattern):
+        raise InputError("compare: give the solver of a sewn roof and its pattern.")
+    checks.same(pattern.comm, "compare", forces=forces)
+    if solver.scene.mesh is not pattern.pieces.mesh:
+        raise InputError(
+            "compare: the solver's scene is not sewn of these pieces; give that of "
+            "patterns.sew(pattern), or of an adjusted one."
+        )
+    values = _cells(solver)
+    wanted = None if forces is None else np.broadcast_to(np.asarray(forces, float), (2,)).copy()
+    pieces = tuple(_got(one.name, values[one.piece.cells]) for one in pattern.flat)
+    return Comparison(wanted, pieces, _got("all", values))
+
+
+def _cells(solver: Solver) -> Array:
+    """Of all cells of the cut surface (m, 8) on all ranks: area, section forces, deviation, whether
+    it is wrinkled, stretches from the form, and the form's area. Collective."""
+    results, scene = solver.results(), solver.scene
+    membrane = scene.membrane
+    assert membrane.frames is not None
+    n = len(results.areas)
+    own = np.asarray(scene.mesh.mesh.topology.original_cell_index[:n], dtype=np.int64)
+    dofs = scene.V.dofmap.list[:n]
+    u = scene.u.x.array.reshape(-1, 3)[dofs]
+    X = membrane.stress_free[dofs]
+    normal = np.cross(X[:, 1] - X[:, 0], X[:, 2] - X[:, 0])
+    area = np.linalg.norm(normal, axis=1)
+    off = np.abs(np.einsum("nki,ni->nk", u, normal / area[:, None])).max(axis=1)
+    frames = membrane.frames[:n]
+    sides = np.stack([X[:, 1] - X[:, 0], X[:, 2] - X[:, 0]], axis=1)
+    moved = sides + np.stack([u[:, 1] - u[:, 0], u[:, 2] - u[:, 0]], axis=1)
+    G = np.einsum("nai,nbi->nab", frames, frames)
+    parts = np.einsum("nki,nai->nka", sides, np.linalg.solve(G, frames))
+    images = np.linalg.solve(parts, moved)
+    stretch = np.linalg.norm(images, axis=2) / np.linalg.norm(frames, axis=2)
+    found = np.column_stack(
+        [results.areas, results.warp_weft[:, :2], off, results.state < 2, stretch, area / 2]
+    )
+    values = np.zeros((scene.mesh.mesh.topology.index_map(2).size_global, found.shape[1]))
+    for rows, part in solver.comm.allgather((own, found)):
+        values[rows] = part
+    return values
+
+
+def _got(name: str, values: Array) -> SewnPiece:
+    """What a piece has got, of the numbers of its cells."""
+    share, forces, form = values[:, 0] / values[:, 0].sum(), values[:, 1:3], values[:, 7]
+    mean = share @ forces
+    return SewnPiece(
+        name, mean, np.sqrt(share @ (forces - mean) ** 2), forces.min(axis=0), forces.max(axis=0),
+        float(values[:, 3].max()), float(share @ values[:, 4]), form @ values[:, 5:7] / form.sum(),
+    )  # fmt: skip

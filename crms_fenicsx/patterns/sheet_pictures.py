@@ -1,0 +1,166 @@
+"""Cutting patterns as pictures for people: pieces on the roll, and each on a page of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from crms_fenicsx.output.figures.picture import checked_picture, finished, new_figure
+from crms_fenicsx.patterns.nesting import Nesting, nest
+from crms_fenicsx.patterns.pattern import FlatPiece, Pattern
+from crms_fenicsx.patterns.sheet import Drawing, Sheet
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import floats
+from crms_fenicsx.runtime.errors import InputError, collective, raised_together
+from crms_fenicsx.runtime.files import absolute, replaced
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+COLOURS = {"cut": "#b3261e", "seam": "#1f5a8c", "overlap": "#9aa5b1", "mark": "#2d7d46"}
+WIDTH, HIGHEST = 11.0, 7.5
+"""Size of a sheet, in inches."""
+
+
+@collective
+def draw_sheets(
+    pattern: Pattern, filename: str | Path | None, sheet: Sheet, *, unit: str = ""
+) -> Figure | None:
+    """Draw the pieces as they lie on the roll. Collective.
+
+    Red is the edge of the fabric with allowances, blue where pieces are sewn, grey where the other
+    piece's allowance ends, green the match marks. A PDF has a further page for each piece, with its
+    sizes.
+
+    Parameters
+    ----------
+    pattern
+        The pattern.
+    filename
+        Of the picture, in a format of matplotlib, such as .svg, .pdf or .png; None returns the
+        figure of the roll on the first rank.
+    sheet
+        Roll, allowances and marks.
+    unit
+        Name of the unit of length.
+
+    Returns
+    -------
+    matplotlib.figure.Figure or None
+        The figure, without `filename`.
+
+    Raises
+    ------
+    InputError
+        On all ranks, with nothing written: an argument that cannot be used, pieces wider than the
+        roll, or a file that cannot be written.
+    """
+    if not isinstance(pattern, Pattern):
+        raise InputError(f"draw_sheets: pattern = {pattern!r}; give one of patterns.flatten.")
+    comm = pattern.comm
+    checks.same(comm, "draw_sheets", filename=filename, sheet=sheet, unit=unit)
+    if filename is not None:
+        filename = absolute(checks.file("draw_sheets: filename", filename), comm)
+    nesting = nest(pattern, sheet)
+    with raised_together(comm):
+        if comm.rank > 0:
+            return None
+        path = checked_picture(filename)
+        whole = roll_figure(nesting, unit)
+        if path is None or path.suffix.lower() != ".pdf":
+            return finished(whole, path, 150)
+        pages = [whole, *(_page(*pair, unit) for pair in zip(nesting.drawings, pattern.flat,
+                                                            strict=True))]  # fmt: skip
+        _write_pages(path, pages)
+    return None
+
+
+def _write_pages(path: Path, pages: Sequence[Figure]) -> None:
+    from matplotlib.backends.backend_pdf import PdfPages
+
+    with replaced(path) as partial, PdfPages(partial) as file:
+        for page in pages:
+            file.savefig(page, bbox_inches="tight")
+
+
+def _axes(figure: Figure, length: float, width: float) -> Any:
+    """Axes for a drawing of a size, in its own scale."""
+    axes = figure.add_subplot()
+    axes.set_aspect("equal")
+    axes.set_xlim(-0.02 * length, 1.02 * length)
+    axes.set_ylim(-0.05 * width, 1.05 * width)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    return axes
+
+
+def roll_figure(nesting: Nesting, unit: str) -> Figure:
+    """Figure of the roll with all pieces, row by row from the top."""
+    starts = np.array([*nesting.rows, nesting.length])
+    x, y = float(np.diff(starts).max()), nesting.roll
+    step, last = 1.1 * y, len(nesting.rows) - 1
+    high = last * step + y
+    figure = new_figure(WIDTH, float(np.clip(WIDTH * high / x + 1.2, 2.0, HIGHEST)))
+    axes = _axes(figure, x, high)
+    for k, (start, end) in enumerate(pairwise(floats(starts))):
+        base = (last - k) * step
+        axes.plot([0, end - start, end - start, 0, 0], [base, base, base + y, base + y, base],
+                  color="#5b6876", linewidth=0.6, linestyle="--")  # fmt: skip
+    for one in nesting.drawings:
+        row = int(np.searchsorted(starts, one.cut_line[:, 0].min() + 1e-9 * x, side="right")) - 1
+        _draw(axes, one.moved(np.array([-starts[row], (last - row) * step])), names=False)
+    axes.set_yticks([])
+    bracket = f" {unit}" if unit else ""
+    axes.set_title(
+        f"{len(nesting.drawings)} pieces on {nesting.length:.4g}{bracket} of a roll {y:.4g}"
+        f"{bracket} wide, {nesting.waste:.0%} waste",
+        loc="left",
+        fontsize=10,
+    )
+    return figure
+
+
+def _page(one: Drawing, flat: FlatPiece, unit: str) -> Figure:
+    """Page of a piece with its sizes."""
+    one = one.moved(-one.cut_line.min(axis=0))
+    length, width = one.extent
+    figure = new_figure(WIDTH, float(np.clip(WIDTH * width / length + 1.6, 2.5, HIGHEST)))
+    axes = _axes(figure, length, width)
+    _draw(axes, one, names=True)
+    bracket = f" {unit}" if unit else ""
+    warp, weft = (f"{100 * part:.2f} %" for part in flat.shrink)
+    axes.set_title(
+        f"{one.name}: {flat.length:.4g} x {flat.width:.4g}{bracket} (fabric {length:.4g} x "
+        f"{width:.4g}), area {flat.area:.4g}; compensated {warp} along warp, {weft} along weft",
+        loc="left",
+        fontsize=9,
+    )
+    return figure
+
+
+def _draw(axes: Any, one: Drawing, names: bool) -> None:
+    """Put a piece into axes."""
+    for line, kind in ((one.cut_line, "cut"), (one.seam_line, "seam")):
+        axes.fill(*line.T, facecolor="#f3f6f9" if kind == "cut" else "none",
+                  edgecolor=COLOURS[kind], linewidth=0.8)  # fmt: skip
+    for line in one.overlaps:
+        axes.plot(*line.T, color=COLOURS["overlap"], linewidth=0.5)
+    for mark in one.marks:
+        axes.plot(*mark.line.T, color=COLOURS["mark"], linewidth=1.2)
+        if names:
+            inner = 3.0 * mark.line[0] - 2.0 * mark.line[1]
+            axes.text(*inner, mark.number, color=COLOURS["mark"], fontsize=6, ha="center",
+                      va="center")  # fmt: skip
+    tail, tip = one.warp
+    arrow = {"arrowstyle": "-|>", "linewidth": 0.8, "color": "#1b2733"}
+    axes.annotate("", tip, tail, arrowprops=arrow)
+    axes.annotate(one.name, (tail + tip) / 2, xytext=(0, 2), textcoords="offset points",
+                  fontsize=9 if names else 6, ha="center", va="bottom")  # fmt: skip
+    if names:
+        for name, place, angle in one.names:
+            axes.text(*place, name, rotation=angle, rotation_mode="anchor", fontsize=7,
+                      ha="center", va="center", color="#5b6876")  # fmt: skip

@@ -1,0 +1,111 @@
+"""Straight on over the surface: from cell to cell, each unfolded into the plane of the last one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from crms_fenicsx.patterns.pattern_surface import PatternSurface
+from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.errors import PathError, as_text
+from crms_fenicsx.surface.points import Edge, EdgePoint, Support, SurfacePoint, edge_of
+
+ASIDE = 1e-6
+"""Part of an edge by which a walk that comes to a vertex passes it instead."""
+
+
+def straight_walk(
+    surface: PatternSurface, start: SurfacePoint, direction: Array
+) -> tuple[SurfacePoint, ...]:
+    """The edges crossed from a point to the rim; none where the direction leaves the surface."""
+    at = surface.places((start,))[0]
+    first = _first_cell(surface, start, direction)
+    if first is None:
+        return ()
+    cell, along = first
+    points: list[SurfacePoint] = []
+    entered: Support = start.support if len(start.support) < 3 else ()
+    for _ in range(4 * len(surface.cells)):
+        edge, fraction = _exit(surface, cell, at, along, entered)
+        points.append(EdgePoint(edge, fraction))
+        at = surface.places((points[-1],))[0]
+        beyond = [v for v in surface.opposite_vertices(edge) if v not in cell]
+        if len(surface.opposite_vertices(edge)) != 2:
+            return tuple(points)
+        along = _unfolded(surface, cell, edge, beyond[0], along)
+        cell, entered = (*edge, beyond[0]), edge
+    raise PathError(
+        f"geodesic_along: the line from {as_text(surface.places((start,))[0])} does not come to a "
+        "rim; give another direction."
+    )
+
+
+def _normal(surface: PatternSurface, cell: Support) -> Array:
+    """Unit normal of a cell."""
+    a, b, c = surface.points[list(cell)]
+    normal = np.cross(b - a, c - a)
+    return np.asarray(normal / np.linalg.norm(normal))
+
+
+def _first_cell(
+    surface: PatternSurface, start: SurfacePoint, direction: Array
+) -> tuple[Support, Array] | None:
+    """The cell at a point into which a direction leads, and the direction in it."""
+    at = surface.places((start,))[0]
+    for row in sorted(surface.target.cells_at(start)):
+        cell = tuple(surface.cells[row].tolist())
+        normal = _normal(surface, cell)
+        along = direction - (direction @ normal) * normal
+        size = np.linalg.norm(along)
+        if size <= 1e-6 * np.linalg.norm(direction):
+            raise PathError(
+                f"geodesic_along: direction = {as_text(direction)} is normal to the surface at "
+                f"{as_text(at)}; give one that has a part in it."
+            )
+        along = along / size
+        # inside of the sides that the point lies on
+        sides = [(cell[k], cell[(k + 1) % 3]) for k in range(3)]
+        inward = [
+            np.cross(normal, surface.points[b] - surface.points[a]) @ along
+            for a, b in sides
+            if {*start.support} <= {a, b}
+        ]
+        if all(value >= 0.0 for value in inward):
+            return cell, along
+    return None
+
+
+def _exit(
+    surface: PatternSurface, cell: Support, at: Array, along: Array, entered: Support
+) -> tuple[Edge, float]:
+    """Where a straight line from a place in a cell leaves it."""
+    best: tuple[float, Edge, float] | None = None
+    normal = _normal(surface, cell)
+    for k in range(3):
+        a, b = edge_of(cell[k], cell[(k + 1) % 3])
+        if {*entered} & {a, b} == {*entered} != set():
+            continue  # the side, or those at the vertex, where the line comes from
+        side = surface.points[b] - surface.points[a]
+        across = np.cross(normal, side)
+        speed = along @ across
+        if speed == 0.0:
+            continue
+        s = (surface.points[a] - at) @ across / speed
+        t = (at + s * along - surface.points[a]) @ side / (side @ side)
+        outside = max(-t, t - 1.0, 0.0) + (s < 0.0)
+        if best is None or outside < best[0]:
+            best = outside, (a, b), t
+    assert best is not None
+    return best[1], float(np.clip(best[2], ASIDE, 1.0 - ASIDE))
+
+
+def _unfolded(
+    surface: PatternSurface, cell: Support, edge: Edge, beyond: int, along: Array
+) -> Array:
+    """A direction in a cell, turned about an edge into the next one."""
+    a, b = surface.points[list(edge)]
+    axis = (b - a) / np.linalg.norm(b - a)
+    (behind,) = set(cell) - set(edge)
+    out, on = a - surface.points[behind], surface.points[beyond] - a
+    out, on = out - (out @ axis) * axis, on - (on @ axis) * axis
+    ahead = along @ out / np.linalg.norm(out)
+    return np.asarray((along @ axis) * axis + ahead * on / np.linalg.norm(on))

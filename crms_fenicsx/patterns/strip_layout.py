@@ -1,0 +1,138 @@
+"""Automatic layout: strips between two lines, each at most as wide as the fabric allows."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+
+from crms_fenicsx.meshes.membrane_mesh import MembraneMesh
+from crms_fenicsx.patterns.pattern_surface import PatternSurface
+from crms_fenicsx.patterns.seams import Line, Seam, points_of, seam_of
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.errors import InputError, PathError, collective
+from crms_fenicsx.surface.flip_geodesic import shorten
+from crms_fenicsx.surface.points import SurfacePoint
+
+MOST_STRIPS = 1000
+"""More strips between two lines than these are none that anybody would sew."""
+
+Points = tuple[SurfacePoint, ...]
+
+
+@collective
+def strips(
+    mesh: MembraneMesh,
+    first: Line,
+    last: Line,
+    width: float,
+    *,
+    kind: Literal["geodesic", "parallel"] = "geodesic",
+    allowance: float = 0.0,
+    name: str = "seam",
+) -> list[Seam]:
+    """Seams between two lines that make the fewest strips of a largest width. Collective.
+
+    The seams divide the distance between the lines evenly. Geodesic ones are then pulled straight
+    between their ends, which saves fabric, as pieces have nearly straight edges. The number of
+    strips grows until all are narrow enough over the surface: the distance of each seam from the
+    one before. What pieces really need of the roll is told, and checked, when they lie flat.
+
+    Parameters
+    ----------
+    mesh
+        The surface, such as `FoundForm.mesh`.
+    first, last
+        Two lines, seams or names of groups of edges, such as two opposite sides of a hall.
+    width
+        Width of the roll (length).
+    kind
+        "geodesic", or "parallel": the lines of even distances themselves.
+    allowance
+        What seams take of the width on each side of a strip (length).
+    name
+        The seams are this with their numbers from `first` on: "seam 1", "seam 2" ...
+
+    Returns
+    -------
+    list of Seam
+        The seams in order, without `first` and `last`; none where one strip is enough.
+
+    Raises
+    ------
+    InputError
+        On all ranks: a roll narrower than both allowances, or an argument that cannot be used.
+    PathError
+        On all ranks: lines between which there are no such seams.
+
+    Examples
+    --------
+    >>> seams = patterns.strips(found.mesh, "front", "back", width=2.5, allowance=0.04)
+    """
+    surface = PatternSurface.of(
+        "strips", mesh, first=first, last=last, width=width, kind=kind, allowance=allowance,
+        name=name,
+    )  # fmt: skip
+    usable = usable_width("strips", width, allowance)
+    if kind not in ("geodesic", "parallel"):
+        raise InputError(f"strips: kind = {kind!r} is not known; use 'geodesic' or 'parallel'.")
+    ends = [points_of(surface, "strips", line) for line in (first, last)]
+    from_first, from_last = (surface.distances(points) for points in ends)
+    whole = from_first + from_last
+    if not np.isfinite(whole).all() or not whole.min() > 0.0:
+        raise PathError(
+            "strips: the lines first and last meet, or do not lie on one connected surface; give "
+            "two apart from each other."
+        )
+    count = math.ceil(float(whole.min()) / usable * (1.0 - 1e-9))
+    while count <= MOST_STRIPS:
+        lines = [
+            _line(surface, from_first / whole - k / count, whole, kind) for k in range(1, count)
+        ]
+        widest = _largest_width(surface, [ends[0], *lines, ends[1]])
+        if widest <= usable * (1.0 + 1e-9):
+            return [seam_of(surface, f"{name} {k}", line) for k, line in enumerate(lines, 1)]
+        count = max(count + 1, math.floor(count * widest / usable))
+    raise PathError(
+        f"strips: even {MOST_STRIPS} strips are wider than {usable:.6g}; give a wider roll."
+    )
+
+
+def usable_width(call: str, width: float, allowance: float) -> float:
+    """The width of a roll without the allowances of both sides (length)."""
+    roll = checks.positive(f"{call}: width", width)
+    taken = checks.finite(f"{call}: allowance", allowance)
+    if not 0.0 <= 2.0 * taken < roll:
+        raise InputError(
+            f"{call}: a roll {roll:.6g} wide with an allowance of {taken:.6g} on both sides leaves "
+            "no fabric; the width must be more than twice the allowance."
+        )
+    return roll - 2.0 * taken
+
+
+def _line(surface: PatternSurface, values: Array, whole: Array, kind: str) -> Points:
+    """The line on which values are zero, where the two lines are nearest to each other."""
+    lines = surface.crossings(values)
+    if not lines:
+        raise PathError("strips: no line between first and last divides the surface there.")
+
+    def apart(line: Points) -> float:
+        return float(np.mean([np.dot(p.weights, whole[list(p.support)]) for p in line]))
+
+    line = min(lines, key=apart)
+    if kind == "parallel" or line[0] == line[-1]:
+        return line
+    return shorten(line, surface).points
+
+
+def _largest_width(surface: PatternSurface, lines: list[Points]) -> float:
+    """Largest distance of a line's points from the line before."""
+    return max(
+        float(np.dot(p.weights, away[list(p.support)]))
+        for before, line in pairwise(lines)
+        for away in [surface.distances(before)]
+        for p in line
+    )

@@ -1,0 +1,164 @@
+"""Cutting patterns of an air hall
+================================
+
+From a form to sheets for the workshop, and back: the hall is sewn of its pieces and meets a storm.
+
+The air hall of 36 x 36 m under its net of sliding cables (`demos/air_hall.py`) is cut into strips
+along geodesics, which are laid flat with the least strain energy and compensated for the section
+forces of the form. Sewn together again the pieces are not quite the form, as it is curved in two
+directions: the last table shows what that does to the cables, with and without compensation.
+Units: m, kN.
+
+::
+
+    ./run python demos/patterns.py [SIZE]
+
+with the cells' size, 1.8 m by default. So there are three columns of cells to a strip, with which
+its strains are found too large by a half or so: take 0.6 m for real work.
+"""
+
+import importlib.util
+import sys
+import warnings
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx import Cable, OrthotropicMembrane, PatternWarning, Solver, meshes, patterns
+from crms_fenicsx.form_finding import find_form
+from crms_fenicsx.output import draw
+
+RESULTS = "results/patterns"
+HALF = 18.0  # of the plan's sides
+WANTED = 3.78  # kN/m, along warp and weft, at a pressure of 0.3 kPa
+CALM, STORM, GUST = 0.3, 0.4, 0.5  # kPa inside, and q_p of the wind
+size = float(sys.argv[1]) if len(sys.argv) > 1 else 1.8
+warnings.simplefilter("ignore", PatternWarning)  # of the coarse cells
+
+# %%
+# Form
+# ----
+plan = meshes.rectangle(MPI.COMM_WORLD, 2 * HALF, 2 * HALF, size, corner=(-HALF, -HALF))
+form = find_form(plan, stress=WANTED, fixed=["boundary"], pressure=CALM)
+fabric = OrthotropicMembrane(E1=900.0, E2=600.0, G12=30.0, nu21=0.2, thickness=1.0)
+
+# %%
+# Seams and pieces
+# ----------------
+# Strips from front to back, of a fabric 5 m wide, with welds of 80 mm, half of them on each side.
+seams = patterns.strips(form.mesh, "front", "back", width=5.0, allowance=0.04)
+pieces = patterns.cut(form.mesh, seams)
+
+# %%
+# Flat pieces
+# -----------
+# The warp runs along the seams. Compensation is what the fabric is stretched by in its form: .29 %
+# along the warp and .50 % along the weft.
+shrink = patterns.shrink_for(fabric, WANTED)
+bare = patterns.flatten(pieces, fabric, warp="seams")
+pattern = patterns.flatten(pieces, fabric, warp="seams", shrink=shrink)
+
+# %%
+# Sheets
+# ------
+# The pieces as they lie on the roll, with allowances, and match marks every 2 m.
+sheet = patterns.Sheet(roll=5.2, allowance=0.04, rim=0.15, marks=2.0, gap=0.05)
+patterns.draw_sheets(pattern, f"{RESULTS}/roll.png", sheet, unit="m")
+patterns.draw_sheets(pattern, f"{RESULTS}/sheets.pdf", sheet, unit="m")
+if importlib.util.find_spec("ezdxf"):
+    patterns.write_dxf(pattern, f"{RESULTS}/hall.dxf", sheet, unit="m")
+
+
+# %%
+# Sewn back
+# ---------
+# The roof as it will be built, inflated without cables: what forces it gets, and how far it is off
+# the form.
+def inflated(pattern):
+    """The hall sewn of a pattern, in operation."""
+    scene = patterns.sew(pattern)
+    scene.fix("boundary")
+    solver = Solver(scene)
+    solver.advance(pressure=CALM)
+    return solver
+
+
+built = inflated(pattern)
+got = patterns.compare(built, pattern, WANTED)
+draw(built, f"{RESULTS}/built.png", colour="warp", view=(-125.0, 30.0), unit="m", force="kN",
+     title="Sewn of its pieces: membrane force along the warp")  # fmt: skip
+
+
+# %%
+# Net and storm
+# -------------
+# The same net and the same storm on three halls: the ideal one, whose fabric has its prestress
+# everywhere, one sewn without compensation, and one with.
+def suction(points, normals):
+    """Pressure coefficients of a wind along x."""
+    away = [-0.9, -0.45, -0.2, 0.2, 0.5, 1.0]
+    return np.interp(normals[0], away, [0.7, 0.0, -1.0, -1.0, -0.4, -0.4])
+
+
+def netted(scene, **options):
+    """Solver and the cables' tensions in operation and in the storm."""
+    for family, side in (("A", 1.0), ("B", -1.0)):
+        for k, c in enumerate((-15.0, -9.0, -3.0, 3.0, 9.0, 15.0), start=1):
+            ends = (max(-HALF, -HALF - c), min(HALF, HALF - c))
+            path = [(side * x, x + c) for x in ends]
+            scene.lay_cable(Cable(EA=20e3), path, shortest=True, name=f"{family}{k}")
+    scene.put_load((0.0, 0.0, -0.0105), name="weight", per="material")
+    scene.put_wind(GUST, suction, name="wind")
+    solver = Solver(scene, **options)
+    net = {cable: 0.99 * cable.L0 for cable in scene.cables}
+    solver.advance(pressure=CALM, load={"weight": 1.0}, L0=net)
+    calm = np.array([cable.tension for cable in scene.cables])
+    solver.advance(pressure=STORM, load={"wind": 1.5})
+    return solver, calm, np.array([cable.tension for cable in scene.cables])
+
+
+scenes = {"ideal": form.scene(fabric)}
+for name, one in (("not compensated", bare), ("compensated", pattern)):
+    scenes[name] = patterns.sew(one)
+    scenes[name].fix("boundary")
+found = {
+    name: netted(scene, **({"results": RESULTS} if name == "compensated" else {}))
+    for name, scene in scenes.items()
+}
+
+# %%
+# Report
+# ------
+# With the pieces, their sheets and what they make of the form.
+solver = found["compensated"][0]
+sections = patterns.report_sections(pattern, sheet, got, unit="m", force="kN")
+solver.report(
+    f"{RESULTS}/report.html", title="Hall sewn of its pieces", sections=sections,
+    pictures=["warp"], unit="m", force="kN",
+)  # fmt: skip
+
+# %%
+# Headline figures
+# ----------------
+if form.comm.rank == 0:
+    print(f"{len(pattern.flat)} pieces, {pattern.area:.0f} m2, strained by up to"
+          f" {max(one.distortion for one in pattern.flat):.2%} to lie flat")  # fmt: skip
+    print(f"sewn and inflated: {got.whole.mean[0]:.2f} and {got.whole.mean[1]:.2f} kN/m on the mean"
+          f" of {WANTED} wanted, {got.whole.deviation:.2f} m off the form")  # fmt: skip
+    print(f"{'tensions [kN]':16} {'operation':>18} {'storm':>18}")
+    for name, (_, calm, storm) in found.items():
+        rows = " ".join(f"{t.mean():7.1f} to {t.max():6.1f}" for t in (calm, storm))
+        print(f"{name:16} {rows}")
+
+calm, storm = (
+    np.array([found[name][k].mean() for name in ("ideal", "not compensated", "compensated")])
+    for k in (1, 2)
+)
+# Measured by this program at 1.8 m, and at 0.9 m to 2 %: what is not compensated gives the cables
+# 6 % more in operation and 7 % in the storm, and with compensation they have what was planned.
+rtol = 0.02 if size < 2.0 else 0.1
+np.testing.assert_allclose(calm[1:] / calm[0], [1.06, 0.98], rtol=rtol)
+np.testing.assert_allclose(storm[1:] / storm[0], [1.07, 0.99], rtol=rtol)
+np.testing.assert_allclose(got.whole.mean, WANTED, rtol=0.05 if size < 2.0 else 0.2)
+for lengths in pattern.seam_lengths().values():
+    np.testing.assert_allclose(lengths[:, 0], lengths[:, 1], rtol=1e-9)
