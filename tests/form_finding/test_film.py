@@ -77,7 +77,7 @@ def test_stiffness_is_a_derivative(comm: MPI.Intracomm, forces: tuple[float, flo
     """With the elasticity that holds vertices, and a pressure."""
     film, membrane = film_on(comm, forces)
     way, start, h, p = noise(membrane.stress_free, 3), film.u.x.array.copy(), 1e-4, 0.07
-    film.assemble(exact=True, pressure=p, modulus=film.modulus)
+    film.assemble(film.matrix, exact=True, pressure=p, modulus=film.modulus)
     film.matrix.assemble()
     x, y = film.matrix.createVecs()
     n = len(film.growth())
