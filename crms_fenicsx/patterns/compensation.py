@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -193,7 +193,7 @@ def largest_width(material: MembraneMaterial, force: float, curvature: float) ->
 
 
 def shrinks_of(
-    call: str, given: Shrink | Mapping[str, Shrink] | None, known: Sequence[str]
+    call: str, given: Shrink | Mapping[str, Shrink] | None, known: Iterable[str]
 ) -> dict[str, Shrink]:
     """Compensations by names of pieces and parts; "" is that of all."""
     if given is None:

@@ -242,8 +242,8 @@ def _pieces(cut: CutSurface) -> tuple[tuple[Piece, ...], Joints]:
     edge_of_side = np.empty(cells.size, dtype=np.int64)
     edge_of_side[table.order] = np.repeat(np.arange(len(edges)), table.counts)
     names = _names(cut)
-    found = []
-    for k, label in enumerate(_in_order(points, cells, labels)):
+    found, order = [], integers(_in_order(points, cells, labels))
+    for k, label in enumerate(order):
         own = np.flatnonzero(labels == label)
         corners = (3 * own[:, None] + np.arange(3)).ravel()
         _, first, local = np.unique(corner[corners], return_index=True, return_inverse=True)
@@ -264,7 +264,7 @@ def _pieces(cut: CutSurface) -> tuple[tuple[Piece, ...], Joints]:
             Piece(f"piece {k + 1}", own, local.reshape(-1, 3), vertices, points[vertices],
                   piece_edges)
         )  # fmt: skip
-    place = {int(label): k for k, label in enumerate(_in_order(points, cells, labels))}
+    place = {label: k for k, label in enumerate(order)}
     joints = _joints(table, sewn, cells, labels, number, following, place, seam_of)
     return tuple(found), joints
 
