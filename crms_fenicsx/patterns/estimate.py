@@ -30,10 +30,10 @@ class Estimate:
     curvature
         Mean Gaussian curvature (1 / length squared).
     strain
-        Largest strain, |K| W**2 / 12.
+        Largest strain, ``|K| W**2 / 12``.
     energy
-        Energy per area, E t K**2 W**4 / 1440 with E t along the warp and the mean of W**4 over the
-        piece (force per length).
+        Energy per area, ``E t K**2 W**4 / 1440`` with E t along the warp and the mean of W**4 over
+        the piece (force per length).
     """
 
     width: float

@@ -235,8 +235,8 @@ def flatten(
 
     Notes
     -----
-    A strip of width W on a surface of Gaussian curvature K is strained by |K| W**2 / 12 and has
-    the energy E t K**2 W**4 / 1440 per area, with E t along the warp. With 8 columns of cells
+    A strip of width W on a surface of Gaussian curvature K is strained by ``|K| W**2 / 12`` and has
+    the energy ``E t K**2 W**4 / 1440`` per area, with E t along the warp. With 8 columns of cells
     across a piece the energy is too large by 61 %, with 16 by 16 % and with 32 by 4 %: extrapolate.
 
     Examples
