@@ -3,6 +3,7 @@
 from crms_fenicsx.patterns.adjusting import Adjusted, adjust
 from crms_fenicsx.patterns.compensation import EdgeShrink, Shrink, largest_width, shrink_for
 from crms_fenicsx.patterns.dxf import write_dxf
+from crms_fenicsx.patterns.estimate import Estimate, estimates
 from crms_fenicsx.patterns.nesting import Nesting, nest
 from crms_fenicsx.patterns.pattern import FlatPiece, Pattern, flatten
 from crms_fenicsx.patterns.pattern_report import report_sections
@@ -24,6 +25,7 @@ __all__ = [
     "Adjusted",
     "Comparison",
     "EdgeShrink",
+    "Estimate",
     "FlatPiece",
     "Nesting",
     "Pattern",
@@ -39,6 +41,7 @@ __all__ = [
     "cut",
     "draw_sheets",
     "edge_line",
+    "estimates",
     "flatten",
     "geodesic",
     "geodesic_along",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -169,8 +169,8 @@ def stretches_for(
 def largest_width(material: MembraneMaterial, force: float, curvature: float) -> float:
     """Width of strips up to which a double-curved roof has no compression along the warp.
 
-    A strip of width W lies flat with strains from -K W**2 / 24 in its middle to K W**2 / 12 at its
-    edges, or with the other sign; the section force must be more than what they take.
+    A strip of width W that takes the form is strained by ``-K W**2 / 24`` in its middle and by
+    ``K W**2 / 12`` at its edges. The section force must be more than what compression takes.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def largest_width(material: MembraneMaterial, force: float, curvature: float) ->
     Returns
     -------
     float
-        sqrt(12 n / (E t |K|)) (length), on the safe side; infinite without curvature.
+        ``sqrt(12 n / (E t |K|))`` (length), on the safe side; infinite without curvature.
     """
     n = checks.positive("largest_width: force", force)
     K = abs(checks.finite("largest_width: curvature", curvature))
@@ -193,7 +193,7 @@ def largest_width(material: MembraneMaterial, force: float, curvature: float) ->
 
 
 def shrinks_of(
-    call: str, given: Shrink | Mapping[str, Shrink] | None, known: Sequence[str]
+    call: str, given: Shrink | Mapping[str, Shrink] | None, known: Iterable[str]
 ) -> dict[str, Shrink]:
     """Compensations by names of pieces and parts; "" is that of all."""
     if given is None:

@@ -171,8 +171,8 @@ def cut(mesh: MembraneMesh, seams: Sequence[Seam]) -> Pieces:
     mesh
         The surface, such as `FoundForm.mesh`.
     seams
-        Seams on it. They may meet and cross at vertices of the mesh, and where they cross an edge
-        at the same point.
+        Seams on it; none where the surface is one piece. They may meet and cross at vertices of the
+        mesh, and where they cross an edge at the same point.
 
     Returns
     -------
@@ -182,7 +182,7 @@ def cut(mesh: MembraneMesh, seams: Sequence[Seam]) -> Pieces:
     Raises
     ------
     InputError
-        On all ranks: no seams, or two of one name.
+        On all ranks: what are no seams, or two of one name.
     PathError
         On all ranks: seams that end inside the surface, run along its boundary or along each
         other, or cross inside of cells; a piece with a hole, or a closed one.
@@ -195,7 +195,7 @@ def cut(mesh: MembraneMesh, seams: Sequence[Seam]) -> Pieces:
     with raised_together(mesh.comm):
         whole = cut_along(surface, _checked(seams))
         pieces, joints = _pieces(whole)
-    parts = {piece.name: piece.cells for piece in pieces} | whole.surface.parts
+    parts = whole.surface.parts | {piece.name: piece.cells for piece in pieces}
     named = replace(whole.surface, parts=parts)
     first = named if mesh.comm.rank == 0 else EMPTY
     return Pieces(
@@ -204,8 +204,8 @@ def cut(mesh: MembraneMesh, seams: Sequence[Seam]) -> Pieces:
 
 
 def _checked(seams: Sequence[Seam]) -> list[Seam]:
-    if isinstance(seams, Seam) or not isinstance(seams, Sequence) or not seams:
-        raise InputError(f"cut: seams = {seams!r}; give a list of one or more.")
+    if isinstance(seams, Seam) or not isinstance(seams, Sequence):
+        raise InputError(f"cut: seams = {seams!r}; give a list of them.")
     for seam in seams:
         if not isinstance(seam, Seam):
             raise InputError(
@@ -242,8 +242,8 @@ def _pieces(cut: CutSurface) -> tuple[tuple[Piece, ...], Joints]:
     edge_of_side = np.empty(cells.size, dtype=np.int64)
     edge_of_side[table.order] = np.repeat(np.arange(len(edges)), table.counts)
     names = _names(cut)
-    found = []
-    for k, label in enumerate(_in_order(points, cells, labels)):
+    found, order = [], integers(_in_order(points, cells, labels))
+    for k, label in enumerate(order):
         own = np.flatnonzero(labels == label)
         corners = (3 * own[:, None] + np.arange(3)).ravel()
         _, first, local = np.unique(corner[corners], return_index=True, return_inverse=True)
@@ -264,7 +264,7 @@ def _pieces(cut: CutSurface) -> tuple[tuple[Piece, ...], Joints]:
             Piece(f"piece {k + 1}", own, local.reshape(-1, 3), vertices, points[vertices],
                   piece_edges)
         )  # fmt: skip
-    place = {int(label): k for k, label in enumerate(_in_order(points, cells, labels))}
+    place = {label: k for k, label in enumerate(order)}
     joints = _joints(table, sewn, cells, labels, number, following, place, seam_of)
     return tuple(found), joints
 

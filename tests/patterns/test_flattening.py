@@ -84,6 +84,18 @@ def test_gores_of_a_sphere(comm: MPI.Intracomm, gores: int, energy: float) -> No
     assert limit == pytest.approx(8 / 15 * 800.0 * 1e-4 * width**4 / 1440, rel=0.03)
 
 
+@pytest.mark.ranks
+def test_estimates_tell_beforehand(comm: MPI.Intracomm) -> None:
+    """Strains and energies of gores, as the flattening finds them later."""
+    pieces = pieces_of(two_gores(comm, 32, 8, 64))
+    one = patterns.estimates(pieces, FILM)["piece 1"]
+    assert one.width == pytest.approx(2 * np.pi * 10.0 / 32, rel=0.01)
+    assert one.strain == pytest.approx(3.2e-3, rel=0.02)
+    assert one.energy == pytest.approx(4.404e-4, rel=0.03)
+    flat = patterns.estimates(pieces_of(half_cylinder(comm, 4, 3, 8)), FABRIC)["piece 2"]
+    assert flat.width == pytest.approx(30 * np.sin(np.pi / 24)) and abs(flat.strain) < 1e-10
+
+
 def test_few_columns_are_told(comm: MPI.Intracomm) -> None:
     with pytest.warns(PatternWarning, match="refine the mesh"):
         patterns.flatten(pieces_of(two_gores(comm, 8, 6, 12)), FILM)

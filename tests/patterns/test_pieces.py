@@ -111,6 +111,16 @@ def test_seams_may_cross_at_vertices(comm: MPI.Intracomm) -> None:
     assert all(len(piece.edges) == 3 for piece in pieces.pieces)
 
 
+def test_a_surface_may_be_one_piece_and_be_cut_again(comm: MPI.Intracomm) -> None:
+    mesh = meshes.rectangle(comm, 10.0, 6.0, 1.0)
+    whole = patterns.cut(mesh, patterns.strips(mesh, "front", "back", 7.0))
+    (piece,) = whole.pieces
+    assert piece.area == pytest.approx(60.0) and len(whole.joints.seams) == 0
+    again = patterns.cut(whole.mesh, patterns.strips(whole.mesh, "front", "back", 3.5))
+    assert [one.area for one in again.pieces] == pytest.approx([30.0, 30.0], rel=1e-3)
+    assert again.mesh.parts["piece 1"].size < len(again.surface.cells)
+
+
 def annulus(comm: MPI.Intracomm) -> meshes.MembraneMesh:
     """A flat ring with 24 cells around it."""
     a = np.linspace(0.0, 2 * np.pi, 13)[:-1]
@@ -147,7 +157,7 @@ def test_cuts_that_make_no_pieces_are_named(comm: MPI.Intracomm, case: str) -> N
         "boundary": ("'boundary' does not", [patterns.edge_line(square, "boundary")], PathError),
         "crossing": ("crosses another one", [line(0.11), line(0.13, 0.31, "b")], PathError),
         "twice": ("two seams have the name 'a'", [line(0.1), line(1.1)], InputError),
-        "none": ("give a list", [], InputError),
+        "none": ("give a list", line(0.1), InputError),
         "same": ("along one edge", [line(0.1), line(0.1, name="b")], PathError),
     }[case]  # fmt: skip
     with pytest.raises(error, match=text):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -123,6 +124,15 @@ def test_dxf_is_read_back(comm: MPI.Intracomm, tmp_path_factory: pytest.TempPath
         np.testing.assert_allclose(np.ptp(line, axis=0), [8.0, WIDTH], rtol=1e-6)
     texts = {entity.dxf.text for entity in space.query("TEXT")}
     assert {"piece 1", "seam 1", "boundary", "5"} <= texts
+
+
+def test_without_ezdxf_nothing_is_written(
+    pattern: patterns.Pattern, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "ezdxf", None)
+    with pytest.raises(ImportError, match="python3-ezdxf"):
+        patterns.write_dxf(pattern, tmp_path / "roof.dxf", patterns.Sheet(4.2))
+    assert not any(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("suffix", ["svg", "pdf", "png"])
