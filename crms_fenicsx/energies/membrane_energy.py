@@ -266,4 +266,4 @@ class MembraneEnergy(EnergyTerm):
                 own = self.material_tags(cells) == tag
                 first[own] = warp.x.array.reshape(-1, 3)[cells[own]]
         first /= np.linalg.norm(first, axis=1)[:, None]
-        return np.stack([first, np.cross(cell_normals(mesh)[cells], first)], axis=1)
+        return np.stack([first, np.cross(cell_normals(mesh, cells), first)], axis=1)

@@ -135,9 +135,9 @@ def cell_sides(mesh: Any, cells: Indices) -> Array:
     return np.roll(x, -1, axis=1) - x
 
 
-def cell_normals(mesh: Any) -> Array:
-    """Unit normals of the stress-free cells, (n, 3), ghosts included."""
-    normal = area_vectors(mesh)
+def cell_normals(mesh: Any, cells: Any = slice(None)) -> Array:
+    """Unit normals of the stress-free cells, (n, 3); of all, with ghosts."""
+    normal = area_vectors(mesh, cells)
     return normal / np.linalg.norm(normal, axis=1)[:, None]
 
 
