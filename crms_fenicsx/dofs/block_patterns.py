@@ -140,24 +140,20 @@ class ElementPattern(BlockPattern):
     """Dense blocks of elements whose blocks are listed in CSR form (pointers, blocks)."""
 
     def __init__(self, pointers: Indices, blocks: Indices) -> None:
-        sizes = np.diff(pointers)
-        self.offsets = np.append(0, np.cumsum(sizes**2)).astype(np.int64)
-        self.entries = _entries(pointers, self.offsets)
-        """Rows of `blocks` that each of the values belongs to, (2, n)."""
-        super().__init__(*blocks[self.entries])
+        self.offsets = np.append(0, np.cumsum(np.diff(pointers) ** 2)).astype(np.int64)
+        super().__init__(*_pairs(pointers, blocks, self.offsets[-1]))
 
 
 @numba.njit(cache=True)
-def _entries(pointers, offsets):  # type: ignore[no-untyped-def]
-    """Rows and columns of the dense blocks of elements in CSR form, (2, n)."""
-    entries = np.empty((2, offsets[-1]), dtype=np.int64)
-    n = 0
+def _pairs(pointers, blocks, size):  # type: ignore[no-untyped-def]
+    """Rows and columns of the dense blocks of elements in CSR form, by rows."""
+    rows, cols, n = np.empty(size, np.int32), np.empty(size, np.int32), 0
     for e in range(len(pointers) - 1):
         for i in range(pointers[e], pointers[e + 1]):
             for j in range(pointers[e], pointers[e + 1]):
-                entries[0, n], entries[1, n] = i, j
+                rows[n], cols[n] = blocks[i], blocks[j]
                 n += 1
-    return entries
+    return rows, cols
 
 
 class ColumnPattern:

@@ -39,12 +39,14 @@ class ClusterLayout:
         self.number[self.blocks] = np.arange(len(blocks))
         self.groups: Integers = np.append(self.cluster, -1)[self.number]
         self.groups[whole.tied_points] = self.groups[whole.interpolation].max(axis=1)
-        P = np.eye(3) * ~whole.held[self.blocks, None]
         edge_sliders = self.number[whole.edge_sliders]
         lines = whole.directions[edge_sliders >= 0]
-        P[edge_sliders[edge_sliders >= 0]] = lines[:, :, None] * lines[:, None, :]
-        bound = np.flatnonzero((P != np.eye(3)).any(axis=(1, 2)))
-        self.projectors = bound, P[bound]
+        edge_sliders = edge_sliders[edge_sliders >= 0]
+        held = whole.held[self.blocks]
+        bound = np.union1d(edge_sliders, np.nonzero(held)[0])
+        P = np.eye(3) * ~held[bound, None]
+        P[np.searchsorted(bound, edge_sliders)] = lines[:, :, None] * lines[:, None, :]
+        self.projectors = bound, P
 
     def _moved(self) -> Integers:
         """Free blocks that each block moves with, by number: (n_local, 1), with tied points 3."""

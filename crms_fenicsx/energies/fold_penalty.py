@@ -19,7 +19,7 @@ import numba
 import numpy as np
 
 from crms_fenicsx.dofs.block_patterns import BlockPattern, BlockSink, rows_of
-from crms_fenicsx.dofs.layout import ElementTable
+from crms_fenicsx.dofs.layout import ElementTable, Unknowns
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.runtime.arrays import EPSILON, Array, Booleans, Indices
 
@@ -65,10 +65,18 @@ def _angle(a, b):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def residual(X, x, points, weighted, r, dr):  # type: ignore[no-untyped-def]
-    """Weighted residuals w r (n,) and their derivatives by the four points, (n, 4, 3)."""
+def residual(X, x, points, weighted, last, r, dr):  # type: ignore[no-untyped-def]
+    """Weighted residuals w r (n,) and their derivatives by the four points, (n, 4, 3). Those of
+    places whose points have the displacements `last` (n, 4, 3) stay as they are."""
     ra, rb, rq = np.empty(3), np.empty(3), np.empty(3)
     for k in range(points.shape[0]):
+        moved = False
+        for m in range(4):
+            for i in range(3):
+                moved |= last[k, m, i] != x[points[k, m], i]
+                last[k, m, i] = x[points[k, m], i]
+        if not moved:
+            continue
         previous, p, following, q = points[k, 0], points[k, 1], points[k, 2], points[k, 3]
         a = _unit(X, x, p, previous, ra)
         b = _unit(X, x, p, following, rb)
@@ -210,16 +218,21 @@ class FoldPenalty(EnergyTerm):
     def __init__(self, table: FoldAngles) -> None:
         self.table = table
         n = len(table.points)
-        self.residuals, self._dr = np.zeros(n), np.zeros((n, 4, 3))
+        self.residuals, self._dr, self._last = np.zeros(n), np.zeros((n, 4, 3)), np.empty((n, 4, 3))
         """``w r`` of each place at the last sums (rad)."""
         rows, cols = np.repeat(table.points, 4, axis=1), np.tile(table.points, 4)
         self.pattern = BlockPattern(rows.ravel(), cols.ravel())
         self.patterns = (self.pattern,)
 
+    def attach(self, unknowns: Unknowns) -> None:
+        """Use the positions of this layout."""
+        super().attach(unknowns)
+        self._last[:] = np.nan
+
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the penalty; keeps residuals for the gradient."""
         t = self.table
-        residual(self.unknowns.X, x, t.points, t.weighted, self.residuals, self._dr)
+        residual(self.unknowns.X, x, t.points, t.weighted, self._last, self.residuals, self._dr)
         out[0] = np.dot(t.coefficients, self.residuals * self.residuals)
 
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:

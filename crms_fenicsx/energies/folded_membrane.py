@@ -87,15 +87,28 @@ class FoldedCells(ElementTable):
     @cached_property
     def element_blocks(self) -> tuple[Indices, Indices]:
         """Distinct blocks of each cell in CSR form: pointers, blocks."""
-        first, counts = self.side_pointers[:-1][self.sides], np.diff(self.side_pointers)[self.sides]
-        cells = np.repeat(np.arange(len(self.sides)), counts.sum(axis=1))
-        skipped = first.ravel() - (np.cumsum(counts) - counts.ravel())
-        rows = np.arange(len(cells)) + np.repeat(skipped, counts.ravel())
-        ends = self.segments[self.side_segments[rows]].astype(np.int64)
-        stride = int(ends.max(initial=0)) + 1
-        cells, blocks = np.divmod(np.unique(cells[:, None] * stride + ends), stride)
-        pointers = np.searchsorted(cells, np.arange(len(self.sides) + 1))
-        return pointers.astype(np.int32), blocks.astype(np.int32)
+        found: tuple[Indices, Indices] = _distinct_blocks(
+            self.segments, self.side_pointers, self.side_segments, self.sides
+        )
+        return found
+
+
+@numba.njit(cache=True)
+def _distinct_blocks(segments, side_pointers, side_segments, sides):  # type: ignore[no-untyped-def]
+    """Distinct blocks of each cell, of each side's segments in turn, in CSR form."""
+    most = 0
+    for side in sides.ravel():
+        most += 2 * (side_pointers[side + 1] - side_pointers[side])
+    blocks, pointers, n = np.empty(most, np.int32), np.zeros(len(sides) + 1, np.int32), 0
+    for c in range(len(sides)):
+        for side in sides[c]:
+            for segment in side_segments[side_pointers[side] : side_pointers[side + 1]]:
+                for block in segments[segment]:
+                    if not np.any(blocks[pointers[c] : n] == block):
+                        blocks[n] = block
+                        n += 1
+        pointers[c + 1] = n
+    return pointers, blocks[:n].copy()
 
 
 @numba.njit(cache=True)

@@ -36,41 +36,45 @@ class Facets(ElementTable):
         return rows_of(self.corners)
 
 
+@numba.njit(cache=True, inline="always")
+def _place(X, x, block, origin):  # type: ignore[no-untyped-def]
+    """Current position of a block from the origin."""
+    return (
+        X[block, 0] - origin[0] + x[block, 0],
+        X[block, 1] - origin[1] + x[block, 1],
+        X[block, 2] - origin[2] + x[block, 2],
+    )
+
+
+@numba.njit(cache=True, inline="always")
+def _cross(a, b):  # type: ignore[no-untyped-def]
+    """Cross product."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
 @numba.njit(cache=True)
 def _volume(X, x, corners, weights, origin, volumes):  # type: ignore[no-untyped-def]
     """Volume under all facets, and under each into `volumes` (n,)."""
     total = 0.0
-    p = np.empty((3, 3))
     for f in range(corners.shape[0]):
-        for m in range(3):
-            for i in range(3):
-                p[m, i] = X[corners[f, m], i] - origin[i] + x[corners[f, m], i]
-        volumes[f] = (
-            weights[f]
-            / 6.0
-            * (
-                p[0, 0] * (p[1, 1] * p[2, 2] - p[1, 2] * p[2, 1])
-                + p[0, 1] * (p[1, 2] * p[2, 0] - p[1, 0] * p[2, 2])
-                + p[0, 2] * (p[1, 0] * p[2, 1] - p[1, 1] * p[2, 0])
-            )
-        )
+        a = _place(X, x, corners[f, 0], origin)
+        b, c = _place(X, x, corners[f, 1], origin), _place(X, x, corners[f, 2], origin)
+        n = _cross(b, c)
+        volumes[f] = weights[f] / 6.0 * (a[0] * n[0] + a[1] * n[1] + a[2] * n[2])
         total += volumes[f]
     return total
 
 
 @numba.njit(cache=True)
 def _add_volume_gradient(X, x, corners, weights, origin, factor, g):  # type: ignore[no-untyped-def]
-    p = np.empty((3, 3))
     for f in range(corners.shape[0]):
-        for m in range(3):
-            for i in range(3):
-                p[m, i] = X[corners[f, m], i] - origin[i] + x[corners[f, m], i]
+        i, j, k = corners[f, 0], corners[f, 1], corners[f, 2]
+        a, b, c = _place(X, x, i, origin), _place(X, x, j, origin), _place(X, x, k, origin)
         scale = factor * weights[f] / 6.0
-        for m in range(3):
-            a, b, node = p[(m + 1) % 3], p[(m + 2) % 3], corners[f, m]
-            g[node, 0] += scale * (a[1] * b[2] - a[2] * b[1])
-            g[node, 1] += scale * (a[2] * b[0] - a[0] * b[2])
-            g[node, 2] += scale * (a[0] * b[1] - a[1] * b[0])
+        for node, n in ((i, _cross(b, c)), (j, _cross(c, a)), (k, _cross(a, b))):
+            g[node, 0] += scale * n[0]
+            g[node, 1] += scale * n[1]
+            g[node, 2] += scale * n[2]
 
 
 ROWS, COLUMNS = [1, 2, 2, 0, 0, 1], [2, 1, 0, 2, 1, 0]

@@ -5,8 +5,6 @@ DOLFINx's forms know all cells at once; what relaxes vertices next to a cable ne
 
 from __future__ import annotations
 
-from functools import cached_property
-
 import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
@@ -30,7 +28,7 @@ from crms_fenicsx.meshes.triangles import cell_sides
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.model.cable_state import NodeId
 from crms_fenicsx.model.materials import UFL_LAW
-from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.scene import Scene
 
 
@@ -55,30 +53,25 @@ class PlainCells:
         stiffening = self._energy.stiffening
         return CompiledCells(self._cells, lambda table: FoldedMembraneEnergy(table, stiffening))
 
-    @cached_property
-    def _properties(self) -> tuple[Array, Indices, Array]:
-        """Stress-free sides of all the cells in their material axes, laws and parameters."""
-        sides = cell_sides(self._energy.u.function_space.mesh, self.cells)
-        vectors = np.einsum("nki,nai->nka", sides, self._energy.material_axes(self.cells))
-        return vectors, *self._energy.laws(self.cells)
-
     def _cells(self, chosen: Booleans) -> FoldedCells | None:
         """The cells with chosen vertices, (n_local,)."""
-        rows = self._around(chosen)
+        rows, membrane = self._around(chosen), self._energy
         if len(rows) == 0:
             return None
-        ends, n = self.blocks[rows], 3 * len(rows)
-        vectors, laws, parameters = self._properties
+        cells, n = self.cells[rows], 3 * len(rows)
+        sides = cell_sides(membrane.u.function_space.mesh, cells)
+        laws, parameters = membrane.laws(cells)
+        ends = self.blocks[rows]
         return FoldedCells(
-            cells=self.cells[rows],
+            cells=cells,
             segments=np.stack([ends, np.roll(ends, -1, axis=1)], axis=2).reshape(-1, 2),
             eps=np.zeros(n),
             side_pointers=np.arange(n + 1, dtype=np.int32),
             side_segments=np.arange(n, dtype=np.int32),
             sides=np.arange(n, dtype=np.int32).reshape(-1, 3),
-            side_vectors=vectors[rows],
-            laws=laws[rows],
-            parameters=parameters[rows],
+            side_vectors=np.einsum("nki,nai->nka", sides, membrane.material_axes(cells)),
+            laws=laws,
+            parameters=parameters,
         )
 
     def pressure(

@@ -54,25 +54,20 @@ class ClusterMatrix:
         self.at, self.values = offsets[:-1] - self.first, np.zeros(offsets[-1])
         self._columns = (self.at[column] + row[at])[:, None] + np.arange(3)
         self._places = {
-            pattern: (sources, weights, self.at[row[i]] + row[j], row[i] + 3 - row[nearest[i]])
+            pattern: (sources, weights, *_places(i, j, row, nearest, self.at))
             for pattern, (i, j, sources, weights) in places.items()
         }
 
     def _find(self, pattern: BlockPattern) -> tuple[Integers, Integers, Indices, Array]:
         """Rows and columns of blocks in the lower half that a pattern adds to, what it adds there
         and what part of that."""
-        number, whole, rows, cols = (
-            self.layout.number,
-            self.layout.whole,
-            pattern.rows,
-            pattern.cols,
-        )
+        whole, number = self.layout.whole, self.layout.number
         if whole.n_tied_points == 0:
-            kept = _lower_half(rows, cols, number)
-            return number[rows[kept]], number[cols[kept]], kept, np.ones(len(kept))
-        (rows, cols), sources, weights = whole.spread(rows, cols)
-        kept = _lower_half(rows, cols, number)
-        return number[rows[kept]], number[cols[kept]], sources[kept], weights[kept]
+            i, j, kept = _lower_half(pattern.rows, pattern.cols, number)
+            return i, j, kept, np.ones(len(kept))
+        (rows, cols), sources, weights = whole.spread(pattern.rows, pattern.cols)
+        i, j, kept = _lower_half(rows, cols, number)
+        return i, j, sources[kept], weights[kept]
 
     def _find_columns(self, of: ColumnPattern | None) -> tuple[Integers, Integers, Integers, Array]:
         """Columns and blocks of the entries where blocks move, as `_find`."""
@@ -116,13 +111,25 @@ class ClusterMatrix:
 
 @numba.njit(cache=True)
 def _lower_half(rows, cols, number):  # type: ignore[no-untyped-def]
-    """Which pairs (n,) have numbers of which that of the row is not lower, and none is negative."""
-    kept, m = np.empty(len(rows), dtype=np.int32), 0
+    """Numbers of pairs (n,), where that of the row is not lower and none is negative, and which
+    pairs these are."""
+    found, kept, m = np.empty((2, len(rows)), np.int64), np.empty(len(rows), np.int32), 0
     for k in range(len(rows)):
-        if number[rows[k]] >= number[cols[k]] >= 0:
-            kept[m] = k
+        i, j = number[rows[k]], number[cols[k]]
+        if i >= j >= 0:
+            found[0, m], found[1, m], kept[m] = i, j, k
             m += 1
-    return kept[:m]
+    return found[0, :m], found[1, :m], kept[:m]
+
+
+@numba.njit(cache=True)
+def _places(i, j, row, nearest, at):  # type: ignore[no-untyped-def]
+    """Where in the values blocks (n,) begin, and how far apart their rows are."""
+    starts, strides = np.empty((2, len(i)), np.int64)
+    for k in range(len(i)):
+        starts[k] = at[row[i[k]]] + row[j[k]]
+        strides[k] = row[i[k]] + 3 - row[nearest[i[k]]]
+    return starts, strides
 
 
 @numba.njit(cache=True)
