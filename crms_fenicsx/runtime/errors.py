@@ -51,6 +51,10 @@ class PathWarning(UserWarning):
     """
 
 
+class NetWarning(UserWarning):
+    """A net that ends before the membrane does, as its meshes would fold."""
+
+
 class FrictionWarning(UserWarning):
     """Friction forces that are crude.
 

@@ -19,6 +19,7 @@ from crms_fenicsx.model.changed_materials import checked_materials
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import MembraneMaterial, Strengths, checked_strengths
 from crms_fenicsx.model.membrane import Marker, Membrane, StepHistory, warn_of_penalty
+from crms_fenicsx.model.net import Net
 from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.model.versions import UNBALANCED, StateWarning, Versions, changes_model
 from crms_fenicsx.runtime import checks
@@ -429,6 +430,53 @@ class Scene:
         given["layer"] = checks.whole("lay_cable: layer", layer, 0)
         route, joints = self.frame.path_of(path)
         return lay(self.net, cable, route, **given, joints=joints)
+
+    @collective
+    @changes_model
+    def lay_net(
+        self, net: Net, cable: Cable, *, tension: float | None = None, sleeve: bool = False
+    ) -> tuple[LaidCable, ...]:
+        """Lay a cable on each line of a net, under the line's name. Collective.
+
+        Families that come later lie on top.
+
+        Parameters
+        ----------
+        net
+            A layout from `crms_fenicsx.nets`.
+        cable, tension, sleeve
+            As for `lay_cable`, the same for all lines.
+
+        Returns
+        -------
+        tuple of LaidCable
+            The cables, in the order of ``net.lines``.
+
+        Raises
+        ------
+        PathError, InputError
+            As for `lay_cable`; no cable has been laid then.
+
+        Examples
+        --------
+        >>> net = nets.sections(scene, angles=(0.8, -0.8), offsets=[-9, -3, 3, 9])
+        >>> scene.lay_net(net, Cable(EA=20e3), tension=5.0)
+        >>> scene.cable("A1").tension
+        """
+        if not isinstance(net, Net):
+            raise InputError(
+                f"lay_net: {net!r} is no net; give one of crms_fenicsx.nets, such as "
+                "nets.equidistant(...)."
+            )
+        before = self.net.state
+        try:
+            return tuple(
+                self.lay_cable(cable, line.path, tension=tension, sleeve=sleeve, name=line.name)
+                for line in net.lines
+            )
+        except InputError:
+            self.net.state = before
+            raise
 
     @collective
     @changes_model
