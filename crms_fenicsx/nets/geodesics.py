@@ -66,13 +66,13 @@ def geodesics_between(
             f"{call}: n = {n!r} has {len(counts)} numbers for {len(pairs)} families; give one each."
         )
     surface = WholeSurface.of(scene.membrane)
-    families = []
+    families: list[list[Array]] = []
     for names, count in zip(pairs, counts, strict=True):
         starts, stops = [_divided(_chain(surface, name), count) for name in names]
         ends, others = (np.array([line[0], line[-1]]) for line in (starts, stops))
         if np.sum(norm(ends - others[::-1])) < np.sum(norm(ends - others)):
             stops = stops[::-1]
-        families.append(list(np.stack([starts, stops], axis=1)[:, :, :2]))
+        families.append([*np.stack([starts, stops], axis=1)[:, :, :2]])
     return assembled(call, surface, families, taut=True)
 
 
