@@ -22,6 +22,7 @@ from crms_fenicsx.model.sealed_air import FanControl
 from crms_fenicsx.output.history import History
 from crms_fenicsx.output.recorder import Recorder
 from crms_fenicsx.results.cable_and_bar_results import CableResults, cable_results
+from crms_fenicsx.results.clamp_results import ClampResults, clamp_results
 from crms_fenicsx.results.error_estimate import ErrorEstimate, ErrorEstimator
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.results.quantities import fields_of
@@ -549,6 +550,21 @@ class Solver:
         ...     print(f"{name}: {cable.least:.3g} to {cable.largest:.3g}")
         """
         return cable_results(self.scene)
+
+    @collective
+    def clamp_forces(self) -> dict[str, ClampResults]:
+        """Forces of the clamps between cables, in the current state. Collective.
+
+        Returns
+        -------
+        dict
+            By the clamps' names, the same on all ranks.
+
+        Examples
+        --------
+        >>> max(clamp.size for clamp in solver.clamp_forces().values())
+        """
+        return clamp_results(self.scene)
 
     @collective
     def summary(self) -> Summary:

@@ -224,7 +224,7 @@ def _inherited(crossing: Crossing, left: list[Crossing], cables: Sequence[LaidCa
     old = left.pop(away.index(min(away)))
     # if they cross other edges before and after it, it would draw them aside where it was
     place = old.place if old.between == crossing.between else crossing.place
-    return replace(crossing, separated=old.separated, place=place)
+    return replace(crossing, separated=old.separated, place=place, clamp=old.clamp)
 
 
 def _is_fold_point(

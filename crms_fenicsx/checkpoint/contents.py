@@ -85,7 +85,12 @@ def _check_cables(net: CableNetState) -> None:
     numbers = range(len(net.cables))
     if any(k.lower not in numbers or k.upper not in numbers for k in net.crossings):
         raise ValueError("a crossing of cables that are not there")
+    names = {cable.name for cable in net.cables}
+    if any(not names >= {*clamp.cables} for clamp in net.clamps):
+        raise ValueError("a clamp of cables that are not there")
     for state in net.cables.values():
+        if state.parts is not None and len(state.parts.tensions) != len(state.parts.at) + 1:
+            raise ValueError("a cable whose tensions are not those of its parts between clamps")
         for node in state.nodes:
             if (node.point is None) != (node.kind == "anchor"):
                 raise ValueError(f"a node of kind {node.kind!r} with the point {node.point!r}")

@@ -29,7 +29,7 @@ def parting(
     """Numbers of the crossings at which the upper cable pulls the lower one up."""
     by_upper: dict[int, list[int]] = defaultdict(list)
     for number, crossing in enumerate(crossings):
-        if not crossing.separated:
+        if not crossing.separated and crossing.clamp is None:
             by_upper[crossing.upper].append(number)
     found = []
     for c, own in by_upper.items():
@@ -142,7 +142,7 @@ class ActiveSet:
         untried = cable.name not in self._tried and not self._rested(cable)
         judged = solved and cable.taut
         taut = tight = cable.is_tight(nearly=untried and not judged)
-        if judged and tight and untried and cable.slides_freely and cable.axial is None:
+        if judged and tight and untried and cable.slides_freely and not cable.is_divided:
             taut = contact.flat_length(cable, shape) > cable.L0
         if taut == cable.taut:
             return []

@@ -158,9 +158,9 @@ Segments = tuple[Array, Integers, dict[str, NDArray[Any]], dict[str, NDArray[Any
 
 def cable_lines(net: CableNet) -> list[Line]:
     """Return the cables as lines, the same on all ranks. Collective. Their data are "tension", of
-    each segment where friction along the cable makes it vary, "lifted" segments off the membrane,
-    and "contact force" at their points: the normal force per length of cable, zero where they do
-    not touch the membrane."""
+    each segment where friction along the cable or clamps make it vary, "lifted" segments off the
+    membrane, and "contact force" at their points: the normal force per length of cable, zero where
+    they do not touch the membrane; with clamps also "clamp", 1 where one is."""
     if not net.cables:
         return []
     shape = net.strip_shape()
@@ -168,11 +168,12 @@ def cable_lines(net: CableNet) -> list[Line]:
         Line(
             cable.line,
             {
-                "tension": cable.tension if cable.axial is None else cable.tensions,
+                "tension": cable.tensions if cable.is_divided else cable.tension,
                 "lifted": cable.free_spans,
                 "contact force": np.nan_to_num(
                     contact_forces(cable, shape).line[cable.line_nodes()]
                 ),
+                **({"clamp": cable.at_clamps} if net.clamps else {}),
             },
             cable.name,
         )

@@ -201,6 +201,20 @@ def cable_envelope(cases: Sequence[Case], units: Units, strengths: Mapping[str, 
     return Table("Envelope of the cables' tensions", columns, rows, "cable_envelope")
 
 
+def clamps(cases: Sequence[Case], units: Units) -> Table:
+    """Tensions on both sides of all clamps, and what they must hold, in all cases."""
+    rows: list[Row] = [
+        (name, case, one.before[0], one.after[0], one.before[1], one.after[1], one.size)
+        for name, case, one in _each(cases, "clamps")
+    ]
+    kN = units["force"]
+    columns = (
+        "Clamp", "Combination", *(f"Cable {k}, {side}{kN}" for k in (1, 2)
+        for side in ("before", "after")), f"Force{kN}",
+    )  # fmt: skip
+    return Table("Clamps", columns, rows, "clamps", headings=2)
+
+
 FAMILY = 10
 """So many bars or more whose names differ in a number at their end share rows of a page."""
 

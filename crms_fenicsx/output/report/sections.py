@@ -135,7 +135,11 @@ class Report:
                 tabulate.forces_of_bars(cases, units),
                 tabulate.bar_envelope(cases, units),
             ]
-        more = [tabulate.joints(cases, units), tabulate.ponds(cases, units)]
+        more = [
+            tabulate.clamps(cases, units),
+            tabulate.joints(cases, units),
+            tabulate.ponds(cases, units),
+        ]
         return found + [table for table in more if table.rows]
 
     def _verdict(self) -> str:
@@ -253,6 +257,8 @@ class Report:
             tables: list[str | Table] = [tabulate.cables(cases, units)]
             if len(cases) > 1 or self.cable_strengths:
                 tables.insert(0, tabulate.cable_envelope(cases, units, self.cable_strengths))
+            clamps = tabulate.clamps(cases, units)
+            tables += [clamps] if clamps.rows else []
             found.append(PageSection("Cables", [self._tensions(), *tables]))
         if tabulate.names_of(cases, "bars"):
             tables = [tabulate.bar_envelope(cases, units, every=False)] if len(cases) > 1 else []
