@@ -710,7 +710,9 @@ class Solver:
             combination, as for `draw`, or "tension", that of cables and bars; by default these,
             displacement, membrane forces (of fabrics with a warp along warp and weft) and, with
             strengths, utilisation. Where the page would be too large, the last ones are left out.
-            ``view``: where the viewer stands, as for `draw`.
+            ``view``: where the viewer stands, as for `draw`. ``order``: lengths of the cables to
+            be made, from `nets.lengths_to_order`. ``foundations``: what each of them carries, ends
+            of cables and joints, as ``{"F1": ["A1 start", "mast foot"]}``, for their sums.
 
         Raises
         ------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -18,7 +19,8 @@ from crms_fenicsx.model.clamp import Clamp
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.errors import InputError, as_text
+from crms_fenicsx.runtime.checks import counted
+from crms_fenicsx.runtime.errors import InputError, NetWarning, as_text
 
 
 @dataclass(frozen=True)
@@ -142,6 +144,7 @@ class CableNet:
                     "clamp to clamp; lay it without."
                 )
         new: list[Clamp] = []
+        apart: list[str] = []
         known = {number: clamp.cables for number, clamp in enumerate(self.clamps)}
         for a, b in combinations(own, 2):
             for one in meetings(a, b):
@@ -158,15 +161,22 @@ class CableNet:
                     for k in self.crossings
                 )
                 if parted or one.gap > TOUCHING * one.reach:
-                    raise InputError(
-                        f"clamp: {a.name!r} and {b.name!r} lie {one.gap:.3g} apart where they "
-                        f"cross, at {as_text(one.place)}; bring them into contact first, or clamp "
-                        "them elsewhere with near=."
+                    apart.append(
+                        f"{a.name!r} and {b.name!r} lie {one.gap:.3g} apart where they cross, at "
+                        f"{as_text(one.place)}"
                     )
+                    continue
                 name = named([*self.clamps, *new], (a.name, b.name))
                 new.append(Clamp(name, (a.name, b.name), one.at, one.place))
+        if apart and len(own) == 2:
+            raise InputError(
+                f"clamp: {apart[0]}; bring them into contact first, or clamp other cables."
+            )
         if near is not None:
             new = _nearest("clamp", new, near)
+        elif apart and self.membrane.comm.rank == 0:
+            text = f"clamp: {counted(len(apart), 'crossing')} left open: {apart[0]}."
+            warnings.warn(text, NetWarning, stacklevel=5)
         if not new and len(own) == 2 and not self._between(own):
             raise InputError(
                 f"clamp: {own[0].name!r} and {own[1].name!r} do not cross; lay them across each "

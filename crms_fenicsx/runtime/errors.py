@@ -52,7 +52,8 @@ class PathWarning(UserWarning):
 
 
 class NetWarning(UserWarning):
-    """A net that ends before the membrane does, as its meshes would fold."""
+    """A net that ends before the membrane does, as its meshes would fold, or crossings without a
+    clamp, as cables lie apart there."""
 
 
 class FrictionWarning(UserWarning):

@@ -524,6 +524,11 @@ class Scene:
             On all ranks: cables that do not cross, lie apart where they do, have the step-wise law
             or friction along their axis.
 
+        Warns
+        -----
+        NetWarning
+            Some of more than two cables lie apart where they cross; these crossings stay open.
+
         Examples
         --------
         >>> scene.clamp("A1", "B2")

@@ -57,7 +57,7 @@ def names_of(cases: Sequence[Case], kind: str) -> list[str]:
     return list(dict.fromkeys(name for case in cases for name in getattr(case.summary, kind)))
 
 
-def _each(cases: Sequence[Case], kind: str) -> Iterator[tuple[str, str, Any]]:
+def each(cases: Sequence[Case], kind: str) -> Iterator[tuple[str, str, Any]]:
     """Name, case and results of all of a kind, where a case has them."""
     for name in names_of(cases, kind):
         for case in cases:
@@ -172,7 +172,7 @@ def cables(cases: Sequence[Case], units: Units) -> Table:
             name, case, one.least, one.mean, one.largest, "slack" if one.slack else "taut",
             one.length, one.L0, one.free, one.contact_mean, one.contact_largest,
         )
-        for name, case, one in _each(cases, "cables")
+        for name, case, one in each(cases, "cables")
     ]  # fmt: skip
     kN, m, line = units["force"], units["length"], units["stress"]
     columns = (
@@ -199,20 +199,6 @@ def cable_envelope(cases: Sequence[Case], units: Units, strengths: Mapping[str, 
         "Governs largest", *last,
     )  # fmt: skip
     return Table("Envelope of the cables' tensions", columns, rows, "cable_envelope")
-
-
-def clamps(cases: Sequence[Case], units: Units) -> Table:
-    """Tensions on both sides of all clamps, and what they must hold, in all cases."""
-    rows: list[Row] = [
-        (name, case, one.before[0], one.after[0], one.before[1], one.after[1], one.size)
-        for name, case, one in _each(cases, "clamps")
-    ]
-    kN = units["force"]
-    columns = (
-        "Clamp", "Combination", *(f"Cable {k}, {side}{kN}" for k in (1, 2)
-        for side in ("before", "after")), f"Force{kN}",
-    )  # fmt: skip
-    return Table("Clamps", columns, rows, "clamps", headings=2)
 
 
 FAMILY = 10
@@ -274,7 +260,7 @@ def ponds(cases: Sequence[Case], units: Units) -> Table:
     """Levels and volumes of ponds; their weights with the factors."""
     rows: list[Row] = [
         (name, case, x.factor, x.level, x.volume, x.factor * x.weight * x.volume)
-        for name, case, x in _each(cases, "ponds")
+        for name, case, x in each(cases, "ponds")
     ]
     columns = (
         "Pond", "Combination", "Factor", f"Level z{units['length']}", f"Volume{units['volume']}",
@@ -317,29 +303,17 @@ def supports(cases: Sequence[Case], units: Units, *, every: bool = True) -> Tabl
     return Table("Reactions: forces of the supports", columns, rows, "supports", headings=3)
 
 
-def anchors(cases: Sequence[Case], units: Units) -> Table:
-    """Forces of the anchors on the cables' ends."""
-    rows: list[Row] = [
-        (name, which, case.name, *_with_size(force))
-        for name in names_of(cases, "cables") for which in ("start", "end") for case in cases
-        if (force := getattr(case.summary.cables.get(name), which, None)) is not None
-    ]  # fmt: skip
-    kN = units["force"]
-    columns = ("Cable", "End", "Combination", *(f"R{x}{kN}" for x in "xyz"), f"Size{kN}")
-    return Table("Anchors: forces on the cables' ends", columns, rows, "anchors", headings=3)
-
-
 def joints(cases: Sequence[Case], units: Units) -> Table:
     """Forces of what holds joints, anchors of bars among them."""
     rows: list[Row] = [
-        (name, case, *_with_size(force)) for name, case, force in _each(cases, "joints")
+        (name, case, *with_size(force)) for name, case, force in each(cases, "joints")
     ]
     kN = units["force"]
     columns = ("Joint", "Combination", *(f"R{x}{kN}" for x in "xyz"), f"Size{kN}")
     return Table("Held joints: forces on them", columns, rows, "joints", headings=2)
 
 
-def _with_size(force: Sequence[float]) -> list[float]:
+def with_size(force: Sequence[float]) -> list[float]:
     size = sum(x * x for x in force) ** 0.5
     return [*clean(force, size), size]
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from crms_fenicsx.output.figures.draw_scene import COLOURS
+from crms_fenicsx.output.report import net_tables
 from crms_fenicsx.output.report import results_tables as tabulate
 from crms_fenicsx.output.report.case import TENSION, Case
 from crms_fenicsx.output.report.model_tables import Model, in_families, versions
@@ -23,6 +24,7 @@ from crms_fenicsx.output.report.page import (
     per_cent,
 )
 from crms_fenicsx.output.report.results_tables import Units
+from crms_fenicsx.results.cable_order import Order
 
 NOTES = (
     "Membrane forces are true (Cauchy) forces per current length, positive in tension. The larger "
@@ -66,6 +68,9 @@ class Report:
     # by the cables' names (force)
     cable_strengths: Mapping[str, float] = field(default_factory=dict)
     left_out: int = 0  # how many pictures there is no room for
+    order: Order | None = None  # lengths of the cables to be made
+    # ends of cables and joints that foundations carry, by the names of these
+    foundations: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def html(self) -> str:
         """The page, with as many pictures as there is room for."""
@@ -128,7 +133,7 @@ class Report:
             found += [
                 tabulate.cables(cases, units),
                 tabulate.cable_envelope(cases, units, self.cable_strengths),
-                tabulate.anchors(cases, units),
+                net_tables.anchors(cases, units),
             ]
         if tabulate.names_of(cases, "bars"):
             found += [
@@ -136,10 +141,13 @@ class Report:
                 tabulate.bar_envelope(cases, units),
             ]
         more = [
-            tabulate.clamps(cases, units),
+            net_tables.clamps(cases, units),
             tabulate.joints(cases, units),
             tabulate.ponds(cases, units),
         ]
+        if self.order is not None:
+            more.append(net_tables.order(self.order, units))
+        more.append(net_tables.foundations(cases, units, self.foundations))
         return found + [table for table in more if table.rows]
 
     def _verdict(self) -> str:
@@ -257,7 +265,7 @@ class Report:
             tables: list[str | Table] = [tabulate.cables(cases, units)]
             if len(cases) > 1 or self.cable_strengths:
                 tables.insert(0, tabulate.cable_envelope(cases, units, self.cable_strengths))
-            clamps = tabulate.clamps(cases, units)
+            clamps = net_tables.clamps(cases, units)
             tables += [clamps] if clamps.rows else []
             found.append(PageSection("Cables", [self._tensions(), *tables]))
         if tabulate.names_of(cases, "bars"):
@@ -267,10 +275,16 @@ class Report:
         ponds = tabulate.ponds(cases, units)
         if ponds.rows:
             found.append(PageSection("Ponds", [ponds]))
-        more = [tabulate.anchors(cases, units), tabulate.joints(cases, units)]
+        more = [
+            net_tables.anchors(cases, units),
+            tabulate.joints(cases, units),
+            net_tables.foundations(cases, units, self.foundations),
+        ]
         held = [
             tabulate.supports(cases, units, every=False),
             *(table for table in more if table.rows),
         ]
         found.append(PageSection("Supports and anchors", held))
+        if self.order is not None:
+            found.append(PageSection("Cables to order", [net_tables.order(self.order, units)]))
         return found
