@@ -23,7 +23,7 @@ from accuracy.references import reference
 from mpi4py import MPI
 from scipy.spatial import ConvexHull
 
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes, nets
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.runtime.compat import geometry_dofmap
 from crms_fenicsx.study import adapt, marked_cells
@@ -44,7 +44,7 @@ def dome(mesh: MembraneMesh, angles: tuple[float, ...], offsets: tuple[float, ..
     scene.fix("boundary")
     for angle in np.radians(angles):
         for offset in offsets:
-            scene.lay_cable(Cable(EA=30e3), meshes.great_circle(RIM, HEIGHT, angle, offset))
+            scene.lay_cable(Cable(EA=30e3), nets.great_circle(RIM, HEIGHT, angle, offset))
     solver = Solver(scene, rtol=RTOL)
     solver.advance(pressure=PRESSURE)
     return solver

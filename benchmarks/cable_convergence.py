@@ -19,7 +19,7 @@ from accuracy.axisymmetric import Revolution
 from accuracy.curved_meshes import cap, half_cylinder
 from mpi4py import MPI
 
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes, nets
 from crms_fenicsx.meshes import MembraneMesh, Refinement
 from crms_fenicsx.runtime.arrays import Array
 
@@ -188,7 +188,7 @@ def factor_table() -> None:
 def cap_table() -> None:
     """A great circle over the cap of the demo, on lines and across cells, and a finer mesh."""
     arc = (RIM**2 + HEIGHT**2) / HEIGHT * np.arcsin(RIM / R)
-    case = Case(meshes.great_circle(RIM, HEIGHT, 0.0, 0.0), arc, 800.0, lambda s: s.fix("boundary"))
+    case = Case(nets.great_circle(RIM, HEIGHT, 0.0, 0.0), arc, 800.0, lambda s: s.fix("boundary"))
     coarse, fine = (case.tension(cap(n, RIM, HEIGHT), "true") for n in (32, 64))
     exact = fine + (fine - coarse) / 3
     show(f"\ngreat circle over a cap, L0 = {arc:.5f} m; lines under it, extrapolated: {exact:.4f}")

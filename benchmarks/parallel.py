@@ -103,7 +103,7 @@ def roof(unknowns: float, cables: int, slide: bool):
     import numpy as np
     from mpi4py import MPI
 
-    from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+    from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes, nets
 
     radius, height, spacing = 100.0, 28.0, 8.5
     area = np.pi * (radius**2 + height**2)
@@ -113,7 +113,7 @@ def roof(unknowns: float, cables: int, slide: bool):
     scene.fix("boundary")
     for angle in np.radians([45.0, -45.0]):
         for offset in spacing * (np.arange(cables) - (cables - 1) / 2):
-            path = meshes.great_circle(radius, height, angle, offset)
+            path = nets.great_circle(radius, height, angle, offset)
             # as long as on the facets, so that tensions compare with those of earlier versions
             scene.lay_cable(Cable(EA=600e3), path=path, measured_on="facets")
     return scene, Solver(scene, slide=slide)

@@ -48,7 +48,7 @@ from fuzzing.runs import HangError, kind_of, limited
 from fuzzing.scenes import WIDTH, Seeded
 from mpi4py import MPI
 
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes, nets
 from crms_fenicsx.runtime import errors
 from crms_fenicsx.runtime.arrays import Array
 
@@ -185,7 +185,7 @@ def _path(
     """A path across the membrane, and its direction."""
     if kind in ("polar", "cap"):
         offset = 0.0 if on_lines else draws.real(-22.0, 22.0)
-        path = meshes.great_circle(HALF, height, 0.0 if on_lines else angle, offset)
+        path = nets.great_circle(HALF, height, 0.0 if on_lines else angle, offset)
     elif kind == "hall":
         path = np.array([(-30.0, draws.real(-40, 40)), (30.0, draws.real(-40, 40))])
     elif kind == "turned" and on_lines:  # along a row of the lattice
@@ -215,7 +215,7 @@ def _other(draws: Seeded, kind: str, on_lines: bool, n: int, angle: float, heigh
     """A path that crosses the first one."""
     if kind in ("polar", "cap"):
         turned = draws.real(1.1, 2.0) + (0.0 if on_lines else angle)
-        return meshes.great_circle(HALF, height, turned, draws.real(-15.0, 15.0))
+        return nets.great_circle(HALF, height, turned, draws.real(-15.0, 15.0))
     a, b = draws.real(-0.7, 0.7), draws.real(-0.7, 0.7)
     if on_lines and kind in GRIDS:
         a = b = 2 * round((a + 1) / 2 * n) / n - 1

@@ -22,6 +22,7 @@ from crms_fenicsx.model.sealed_air import FanControl
 from crms_fenicsx.output.history import History
 from crms_fenicsx.output.recorder import Recorder
 from crms_fenicsx.results.cable_and_bar_results import CableResults, cable_results
+from crms_fenicsx.results.clamp_results import ClampResults, clamp_results
 from crms_fenicsx.results.error_estimate import ErrorEstimate, ErrorEstimator
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.results.quantities import fields_of
@@ -542,6 +543,21 @@ class Solver:
         return cable_results(self.scene)
 
     @collective
+    def clamp_forces(self) -> dict[str, ClampResults]:
+        """Forces of the clamps between cables, in the current state. Collective.
+
+        Returns
+        -------
+        dict
+            By the clamps' names, the same on all ranks.
+
+        Examples
+        --------
+        >>> max(clamp.size for clamp in solver.clamp_forces().values())
+        """
+        return clamp_results(self.scene)
+
+    @collective
     def summary(self) -> Summary:
         """The current state by its extremes: plain numbers for tables and envelopes. Collective.
 
@@ -683,7 +699,9 @@ class Solver:
             the membrane in pictures of each combination, as for `draw`, or "tension" of cables and
             bars; by default tension, displacement, membrane forces and utilisation. The last ones
             are left out of too large a page. ``view``: where the viewer stands, as for `draw`.
-            ``sections``: further ones, as of `crms_fenicsx.patterns.report_sections`.
+            ``sections``: further ones, as of `crms_fenicsx.patterns.report_sections`. ``order``:
+            lengths of the cables to be made, from `nets.lengths_to_order`. ``foundations``: what
+            each carries, ends of cables and joints, as ``{"F1": ["A1 start", "mast foot"]}``.
 
         Raises
         ------

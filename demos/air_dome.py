@@ -23,7 +23,7 @@ import sys
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes, nets
 from crms_fenicsx.output import draw, join_pictures
 
 RESULTS = "results/air_dome"
@@ -44,7 +44,7 @@ scene.fix("boundary")
 solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)
 for angle in np.radians([45.0, -45.0]):
     for offset in SPACING * (np.arange(CABLES) - (CABLES - 1) / 2):
-        scene.lay_cable(Cable(EA=600e3), path=meshes.great_circle(RADIUS, HEIGHT, angle, offset))
+        scene.lay_cable(Cable(EA=600e3), path=nets.great_circle(RADIUS, HEIGHT, angle, offset))
 
 # %%
 # Calm and storm

@@ -23,7 +23,7 @@ import sys
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes, nets
 from crms_fenicsx.output import Line, draw, draw_paths, join_pictures
 
 RESULTS = "results/cable_net"
@@ -75,7 +75,7 @@ def farthest(lines, others):
 # %%
 # The net
 # -------
-# ``meshes.great_circle`` returns a route in space. The length of each cable makes it just taut on
+# ``nets.great_circle`` returns a route in space. The length of each cable makes it just taut on
 # the smooth surface behind the facets of the mesh.
 size = float(next((word for word in sys.argv[1:] if word != "--resume"), 1.6))
 mesh = meshes.spherical_cap(MPI.COMM_WORLD, radius=RADIUS, height=HEIGHT, size=size)
@@ -84,7 +84,7 @@ scene.fix("boundary")
 solver = Solver(scene, results=RESULTS, resume="--resume" in sys.argv)
 for angle in np.radians([30.0, -30.0]):
     for offset in 4.5 * np.arange(-3, 4):
-        scene.lay_cable(Cable(EA=30e3), path=meshes.great_circle(RADIUS, HEIGHT, angle, offset))
+        scene.lay_cable(Cable(EA=30e3), path=nets.great_circle(RADIUS, HEIGHT, angle, offset))
 
 # %%
 # Calm

@@ -12,7 +12,8 @@ import pytest
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = [
-    "mesh", "form_finding", "loads", "bars", "patterns", "results", "error", "pictures", "own_term",
+    "mesh", "form_finding", "loads", "bars", "nets", "patterns", "results", "error", "pictures",
+    "own_term",
     "coupling",
 ]  # fmt: skip
 NEEDED = ("precice", "dolfinx.io.gmsh")

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx import Cable, IsotropicMembrane, OrthotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Cable, IsotropicMembrane, OrthotropicMembrane, Scene, Solver, meshes, nets
 from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.model.laid_cable import LaidCable
 
@@ -190,7 +190,7 @@ def net(mesh: MembraneMesh, laws: Laws) -> tuple[Solver, dict[str, float]]:
     solver = Solver(scene, rtol=laws.rtol)
     for angle in np.radians([30.0, -30.0]):
         for offset in (-9.0, 0.0, 9.0):
-            path = meshes.great_circle(20.0, 10.0, angle, offset)
+            path = nets.great_circle(20.0, 10.0, angle, offset)
             ends = np.column_stack([path[[0, -1]], [15.0, 15.0]])  # from the sphere's centre
             length = 25.0 * np.arccos(ends[0] @ ends[1] / 25.0**2)
             # As long as on the sphere: laid taut on its facets, cables are too short by an error

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
+import numpy as np
 import numpy.typing as npt
 
+from crms_fenicsx.cables.clamping import TOUCHING, divide, meetings, named, with_clamps
 from crms_fenicsx.cables.crossings import arrange
 from crms_fenicsx.cables.points_on_edges import NodeTable
 from crms_fenicsx.cables.strip import EMPTY, Strip, StripShape, cells_at, grown
+from crms_fenicsx.meshes.triangles import norm
 from crms_fenicsx.model.cable_state import CableState, Crossing
+from crms_fenicsx.model.clamp import Clamp
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.runtime import checks
-from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.runtime.checks import counted
+from crms_fenicsx.runtime.errors import InputError, NetWarning, as_text
 
 
 @dataclass(frozen=True)
@@ -27,6 +34,7 @@ class CableNetState:
     arranged: tuple[LaidCable, ...]
     laid: int
     removed_dissipation: float
+    clamps: tuple[Clamp, ...]
 
 
 class CableNet:
@@ -39,6 +47,7 @@ class CableNet:
         self.crossings: tuple[Crossing, ...] = ()  # of cables in tension
         self.arranged: tuple[LaidCable, ...] = ()  # the cables whose crossings were arranged
         self.laid = 0  # how many cables have been laid, those since removed included
+        self.clamps: tuple[Clamp, ...] = ()  # that hold cables to each other
         self.removed_dissipation = 0.0  # by friction of removed cables (force x length)
         self._nodes: NodeTable | None = None
 
@@ -53,8 +62,9 @@ class CableNet:
         """What can change of them."""
         cables = {cable: cable.state for cable in self.cables}
         return CableNetState(
-            cables, self.strip, self.crossings, self.arranged, self.laid, self.removed_dissipation
-        )
+            cables, self.strip, self.crossings, self.arranged, self.laid, self.removed_dissipation,
+            self.clamps,
+        )  # fmt: skip
 
     @state.setter
     def state(self, state: CableNetState) -> None:
@@ -65,6 +75,7 @@ class CableNet:
             cable.state = was
         self.crossings, self.arranged = state.crossings, state.arranged
         self.laid, self.removed_dissipation = state.laid, state.removed_dissipation
+        self.clamps = state.clamps
 
     @property
     def dissipated(self) -> float:
@@ -91,10 +102,14 @@ class CableNet:
 
     def arrange_crossings(self) -> None:
         """Find the crossings of the cables in tension, and insert their points into the cables."""
-        self.arranged, known = self.cables, self.crossings
-        self.crossings = ()
-        if self.strip is not None:
-            self.crossings, self._nodes = arrange(self.nodes, self.cables, self.strip, known)
+        self.arranged = self.cables
+        if self.strip is None:
+            self.crossings = ()
+            return
+        known = with_clamps(self.crossings, self.clamps, self.cables)
+        self.crossings, self._nodes = arrange(self.nodes, self.cables, self.strip, known)
+        if self.clamps or any(cable.parts is not None for cable in self.cables):
+            self.clamps = divide(self.cables, self.crossings, self.clamps)
 
     def add(self, cable: LaidCable, strip: Strip) -> None:
         """Add a cable that has been laid over the cells of `strip`."""
@@ -120,7 +135,112 @@ class CableNet:
         )
         self.removed_dissipation += gone.dissipated
         self.cables = tuple(own for own in self.cables if own is not gone)
+        self.clamps = tuple(clamp for clamp in self.clamps if gone.name not in clamp.cables)
         points = (node.point for own in self.cables for node in own.nodes)
         vertices = [vertex for point in points if point is not None for vertex in point.support]
         self.strip = cells_at(self.membrane, vertices) if vertices else None
         self.arrange_crossings()
+
+    def clamp(self, cables: Sequence[LaidCable | str], near: object) -> tuple[Clamp, ...]:
+        """Clamp cables where they cross, see `Scene.clamp`. Collective."""
+        own = self._cables("clamp", cables)
+        for cable in own:
+            if cable.cable.law == "step" or cable.axial is not None:
+                what = 'law="step"' if cable.cable.law == "step" else "friction along its axis"
+                raise InputError(
+                    f"clamp: {cable.name!r} has {what}, with which its tension cannot differ from "
+                    "clamp to clamp; lay it without."
+                )
+        new: list[Clamp] = []
+        apart: list[str] = []
+        known = {number: clamp.cables for number, clamp in enumerate(self.clamps)}
+        for a, b in combinations(own, 2):
+            for one in meetings(a, b):
+                if any(
+                    {a.name, b.name} == set(names)
+                    and norm(self.clamps[n].place - one.place) < one.reach
+                    for n, names in known.items()
+                ):
+                    continue
+                parted = any(
+                    {self.cables[k.lower], self.cables[k.upper]} == {a, b}
+                    and k.separated
+                    and norm(k.place - one.place) < 2 * one.reach
+                    for k in self.crossings
+                )
+                if parted or one.gap > TOUCHING * one.reach:
+                    apart.append(
+                        f"{a.name!r} and {b.name!r} lie {one.gap:.3g} apart where they cross, at "
+                        f"{as_text(one.place)}"
+                    )
+                    continue
+                name = named([*self.clamps, *new], (a.name, b.name))
+                new.append(Clamp(name, (a.name, b.name), one.at, one.place))
+        if apart and len(own) == 2:
+            raise InputError(
+                f"clamp: {apart[0]}; bring them into contact first, or clamp other cables."
+            )
+        if near is not None:
+            new = _nearest("clamp", new, near)
+        elif apart and self.membrane.comm.rank == 0:
+            text = f"clamp: {counted(len(apart), 'crossing')} left open: {apart[0]}."
+            warnings.warn(text, NetWarning, stacklevel=5)
+        if not new and len(own) == 2 and not self._between(own):
+            raise InputError(
+                f"clamp: {own[0].name!r} and {own[1].name!r} do not cross; lay them across each "
+                "other, or clamp others."
+            )
+        self.clamps = (*self.clamps, *new)
+        self._divide_again()
+        return tuple(new)
+
+    def unclamp(self, cables: Sequence[LaidCable | str], near: object) -> None:
+        """Open clamps, see `Scene.unclamp`. Collective."""
+        gone = self._between(self._cables("unclamp", cables))
+        if near is not None:
+            gone = _nearest("unclamp", gone, near)
+        if not gone:
+            names = ", ".join(clamp.name for clamp in self.clamps) or "none"
+            raise InputError(f"unclamp: there is no such clamp; the scene has {names}.")
+        self.clamps = tuple(clamp for clamp in self.clamps if clamp not in gone)
+        self._divide_again()
+
+    def _divide_again(self) -> None:
+        """Arrange the crossings for other clamps; as they are where all are in their cables."""
+        if any(cable.taut for cable in self.cables):
+            self.arrange_crossings()
+
+    def _cables(self, call: str, cables: Sequence[LaidCable | str]) -> list[LaidCable]:
+        """Two or more different cables."""
+        own = [self.cable(one) if isinstance(one, str) else one for one in cables]
+        for one in own:
+            if one not in self.cables:
+                raise InputError(
+                    f"{call}: {one!r} is not a cable of this scene; give some of scene.cables, or "
+                    "their names."
+                )
+        if len(own) < 2 or len(set(own)) < len(own):
+            names = ", ".join(one.name for one in own)
+            raise InputError(
+                f"{call}: the cables are {names or '(none)'}; give two or more different ones."
+            )
+        return own
+
+    def _between(self, cables: Sequence[LaidCable]) -> list[Clamp]:
+        """The clamps that hold some of the cables to each other."""
+        names = {cable.name for cable in cables}
+        return [clamp for clamp in self.clamps if names >= set(clamp.cables)]
+
+
+def _nearest(call: str, clamps: Sequence[Clamp], near: object) -> list[Clamp]:
+    """Of each point in space the nearest of some clamps."""
+    try:
+        points = np.asarray(near, dtype=np.float64).reshape(-1, 3)
+    except (TypeError, ValueError, OverflowError):
+        points = np.zeros((0, 3))
+    if not len(points) or not np.isfinite(points).all():
+        raise InputError(f"{call}: near = {near!r}; give points in space, (k, 3).")
+    if not clamps:
+        return []
+    away = norm(np.array([clamp.place for clamp in clamps])[:, None] - points)
+    return [clamps[k] for k in sorted(set(away.argmin(axis=0).tolist()))]

@@ -229,14 +229,14 @@ def _gone_on(
         left[one.lower, one.upper].append((one, at))
     crossings = []
     for (lower, upper), support, links, place, between, separated in found:
-        before = left[lower, upper]
+        before, clamp = left[lower, upper], None
         if before:
             away = [float(np.linalg.norm(at - place)) for _, at in before]
             old, at = before.pop(away.index(min(away)))
-            separated = old.separated
+            separated, clamp = old.separated, old.clamp
             # if they cross other edges before and after it, it would draw them aside where it was
             place = at if old.between == between else place
-        crossings.append(Crossing(lower, upper, support, links, place, between, separated))
+        crossings.append(Crossing(lower, upper, support, links, place, between, separated, clamp))
     return crossings
 
 

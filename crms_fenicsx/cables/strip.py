@@ -266,6 +266,12 @@ def cells_near(membrane: Membrane, route: Array, along_legs: bool) -> Strip:
     return _gathered(membrane, _own_cells(membrane), outer[near])
 
 
+def whole(membrane: Membrane) -> Strip:
+    """All cells. Collective."""
+    ids = _own_cells(membrane)
+    return _gathered(membrane, ids, np.arange(len(ids)))
+
+
 def own_surface(membrane: Membrane) -> tuple[Array, Integers]:
     """Current positions (k, 3), and rows of them for the corners of this rank's cells, (n, 3)."""
     mesh = membrane.mesh.mesh

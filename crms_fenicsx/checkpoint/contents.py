@@ -80,13 +80,18 @@ def check(state: SceneState, parts: Collection[str], n_vertices: int) -> None:
     numbers = range(len(net.cables))
     if any(k.lower not in numbers or k.upper not in numbers for k in net.crossings):
         raise ValueError("a crossing of cables that are not there")
+    names = {cable.name for cable in net.cables}
+    if any(not names >= {*clamp.cables} for clamp in net.clamps):
+        raise ValueError("a clamp of cables that are not there")
     for node in nodes:
         if (node.point is None) != (node.kind == "anchor"):
             raise ValueError(f"a node of kind {node.kind!r} with the point {node.point!r}")
         if node.crossing is not None and node.crossing not in range(len(net.crossings)):
             raise ValueError(f"a node of the crossing {node.crossing}, which is not there")
-    for axial in (one.axial for one in net.cables.values()):
-        if axial is not None and len(axial.rest) != len(axial.curve.arc):
+    for one in net.cables.values():
+        if one.parts is not None and len(one.parts.tensions) != len(one.parts.at) + 1:
+            raise ValueError("a cable whose tensions are not those of its parts between clamps")
+        if one.axial is not None and len(one.axial.rest) != len(one.axial.curve.arc):
             raise ValueError("a cable whose unstressed arcs are not those of its curve")
 
 

@@ -40,7 +40,8 @@ def parting(crossings: Sequence[Crossing], lines: Polylines, shape: StripShape) 
     nodes = lines.nodes
     at = np.flatnonzero((nodes.crossing >= 0) & ~nodes.lifted)
     upper = np.array([crossing.upper for crossing in crossings], dtype=np.int64)
-    together = np.array([not crossing.separated for crossing in crossings], dtype=bool)
+    free = [not one.separated and one.clamp is None for one in crossings]
+    together = np.array(free, dtype=bool)
     number = nodes.crossing[at]
     at = at[together[number] & (nodes.cable[at] == upper[number])]
     pulls = lines.pulls(at, *shape.around(nodes.on(shape.strip.simplices)[at]))
@@ -146,11 +147,11 @@ class ActiveSet:
                 contact.drape(cable, shape)
             untried = cable.name not in self._tried and not self._rested(cable)
             judged = solved and cable.taut
-            if judged:
+            if judged and cable.parts is None:
                 taut = tight = lengths[c] > cable.L0 * (1 + ROUNDED)
             else:
-                taut = tight = cable.is_tight(nearly=untried)
-            if judged and tight and untried and cable.slides_freely and cable.axial is None:
+                taut = tight = cable.is_tight(nearly=untried and not judged)
+            if judged and tight and untried and cable.slides_freely and not cable.is_divided:
                 if flat is None:
                     flat = floats(lines.flat_lengths(shape, fractions_of(self.net.cables)))
                 taut = flat[c] > cable.L0

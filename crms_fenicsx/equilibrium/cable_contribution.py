@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,9 +20,11 @@ from crms_fenicsx.equilibrium.membrane_contribution import (
     MembraneContribution,
     PressureContribution,
 )
+from crms_fenicsx.meshes.triangles import norm
 from crms_fenicsx.minimization.damping import Damping
 from crms_fenicsx.minimization.potential import Potential
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
+from crms_fenicsx.runtime.arrays import Array, pointers
 from crms_fenicsx.scene import Scene
 
 if TYPE_CHECKING:
@@ -61,6 +64,10 @@ class CableContribution(Contribution):
         self.taut = [cable for cable in scene.cables if cable.taut]
         self.sliding = [cable for cable in self.taut if cable.axial is None]
         self.gripped = [cable for cable in self.taut if cable.axial is not None]
+        # where the parts of each sliding cable begin among all parts, and their number
+        self.first_parts = pointers(
+            np.array([len(c.part_lengths) for c in self.sliding], dtype=int)
+        )
         self.tension: CableTension | None = None
         self.capstan: CapstanTension | None = None
         self.tables: CableTables | None = None
@@ -97,12 +104,18 @@ class CableContribution(Contribution):
         return terms
 
     def _tension_term(self, tables: CableTables) -> CableTension:
-        EA = np.array([cable.cable.EA for cable in self.sliding])
-        L0 = np.array([cable.L0 for cable in self.sliding])
+        EA = np.repeat([cable.cable.EA for cable in self.sliding], np.diff(self.first_parts))
+        L0 = np.concatenate([cable.part_lengths for cable in self.sliding])
         starts = [cable.step_start for cable in self.sliding]
         one = np.array([cable.axial is None for cable in self.taut])
-        mine, number = one[tables.cable], np.cumsum(one, dtype=np.int32) - np.int32(1)
-        links = (tables.segments[mine], tables.eps[mine], number[tables.cable[mine]])
+        mine, number = one[tables.cable], np.cumsum(one) - 1
+        cable = number[tables.cable[mine]]
+        part = self.first_parts[cable]
+        node = self.numbering.nodes.place[tables.links[mine, 0]]
+        for c, own in enumerate(self.sliding):
+            if own.parts is not None:
+                part[cable == c] += own.parts_of(node[cable == c])
+        links = (tables.segments[mine], tables.eps[mine], part.astype(np.int32))
         if any(starts):
             from crms_fenicsx.energies.paper.cable_elements import StepCableTension
 
@@ -118,8 +131,10 @@ class CableContribution(Contribution):
         unknowns.update_ghosts(potential.x_vector)  # far vertices, with edge sliders on them
         numbering.edge_sliders.place(unknowns, potential.x)
         if self.tension is not None:
-            self.tension.L0[:] = [cable.L0 for cable in self.sliding]
-            self.tension.smoothing_length[:] = [cable.smoothing_length for cable in self.sliding]
+            self.tension.L0[:] = np.concatenate([cable.part_lengths for cable in self.sliding])
+            self.tension.smoothing_length[:] = np.concatenate(
+                [_smoothing(cable) for cable in self.sliding]
+            )
         if self.capstan is not None:
             self.capstan.L0[:] = [cable.L0 + cable.smoothing_length for cable in self.gripped]
 
@@ -128,25 +143,37 @@ class CableContribution(Contribution):
 
     def write_scene(self, potential: Potential) -> None:
         self.locate(potential)
-        tensions = dict.fromkeys(self.scene.cables, 0.0)
+        own: dict[LaidCable, Array] = {}
         if self.tension is not None:
             forces = self.tension.tensions(potential.sums_of(self.tension))
-            tensions.update(zip(self.sliding, map(float, forces), strict=True))
-        for cable, tension in tensions.items():
+            own.update(zip(self.sliding, np.split(forces, self.first_parts[1:-1]), strict=True))
+        for cable in self.scene.cables:
+            tensions = own.get(cable, 0.0 * cable.part_lengths)
             length = polyline_length(cable.positions[cable.contacts()])
-            cable.update(length=length, tension=tension)
+            if cable.parts is None:
+                cable.update(length=length, tension=float(tensions[0]))
+                continue
+            mean = float(tensions @ cable.part_lengths) / cable.L0
+            parts = replace(cable.parts, tensions=tensions.copy())
+            cable.update(length=length, tension=mean, parts=parts)
 
     def renew_smoothing_length(self, potential: Potential) -> bool:
         lengths: list[tuple[LaidCable, float]] = []
+        changed = False
         if self.tension is not None:
-            sums = potential.sums_of(self.tension)
-            lengths += [(c, float(length)) for c, length in zip(self.sliding, sums, strict=True)]
+            parts_of = np.split(potential.sums_of(self.tension), self.first_parts[1:-1])
+            for cable, own in zip(self.sliding, parts_of, strict=True):
+                lengths.append((cable, float(own.sum())))
+                if cable.parts is not None:
+                    added = own - _current_lengths(cable)
+                    parts = replace(cable.parts, smoothing=cable.parts.smoothing + added)
+                    changed |= bool(np.any(np.abs(added) > UNSMOOTHED * cable.L0))
+                    cable.update(parts=parts)
         if self.capstan is not None:
             sums = potential.sums_of(self.capstan)
             for c, cable in enumerate(self.gripped):
                 spans = sums[self.capstan.spans_of(c)]
                 lengths.append((cable, float(spans.sum()) - cable.smoothing_length))
-        changed = False
         for cable, length in lengths:
             more = length - cable.length
             if abs(more) > UNSMOOTHED * cable.L0:
@@ -161,3 +188,17 @@ class CableContribution(Contribution):
                 cable.update(step_start=start)
         for cable in self.scene.cables:
             cable.update(ends_before=cable.positions[[0, -1]])
+
+
+def _smoothing(cable: LaidCable) -> Array:
+    """What smoothing adds to the lengths of a cable's parts between clamps (length)."""
+    return np.array([cable.smoothing_length]) if cable.parts is None else cable.parts.smoothing
+
+
+def _current_lengths(cable: LaidCable) -> Array:
+    """Current lengths of a cable's parts between clamps (length)."""
+    contacts = cable.contacts()
+    sizes = norm(np.diff(cable.positions[contacts], axis=0))
+    return np.bincount(cable.parts_of(contacts[:-1]), sizes, len(cable.part_lengths)).astype(
+        np.float64
+    )

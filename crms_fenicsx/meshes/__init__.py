@@ -2,7 +2,7 @@
 
 from crms_fenicsx.meshes.cell_division import refine
 from crms_fenicsx.meshes.dolfinx_mesh import from_dolfinx, mesh_tags
-from crms_fenicsx.meshes.domes import air_hall, great_circle, spherical_cap
+from crms_fenicsx.meshes.domes import air_hall, spherical_cap
 from crms_fenicsx.meshes.membrane_mesh import MembraneMesh, from_arrays
 from crms_fenicsx.meshes.mesh_files import from_file, from_gmsh
 from crms_fenicsx.meshes.orientation import AwayFrom
@@ -20,7 +20,6 @@ __all__ = [
     "from_dolfinx",
     "from_file",
     "from_gmsh",
-    "great_circle",
     "mesh_tags",
     "polygon",
     "rectangle",

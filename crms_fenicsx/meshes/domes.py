@@ -26,9 +26,7 @@ from crms_fenicsx.meshes.refinement import (
     check_size,
 )
 from crms_fenicsx.meshes.surface import SurfaceArrays
-from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array, Booleans
-from crms_fenicsx.runtime.errors import InputError
 
 
 @mesh_generator
@@ -102,48 +100,6 @@ def _onto_sphere(
     middle = foot + np.where(on_rim, 0.0, [[0.0], [0.0], [below]])
     reach = np.where(on_rim, radius, (radius**2 + height**2) / (2 * height))
     return np.asarray(middle + reach * (points - middle) / np.linalg.norm(points - middle, axis=0))
-
-
-def great_circle(radius: float, height: float, angle: float, offset: float) -> Array:
-    """Make a cable's path over a spherical cap: the shortest one between two points of its rim.
-
-    Parameters
-    ----------
-    radius, height
-        As for `spherical_cap`; the cap is less than a hemisphere. Its centre is the origin.
-    angle
-        Direction in plan of the line between the two points of the rim, from the x axis (rad).
-    offset
-        Distance of that line from the rim's centre, to its left (length).
-
-    Returns
-    -------
-    ndarray
-        Points in plan, shape (33, 2).
-
-    Raises
-    ------
-    InputError
-        If an argument is not finite, a length not positive, the cap too high or the line beyond it.
-    """
-    check_positive("the great circle", radius=radius, height=height)
-    angle, offset = (
-        checks.finite(f"the great circle: {name}", value)
-        for name, value in (("angle", angle), ("offset", offset))
-    )
-    for name, value in (("height", height), ("offset", abs(offset))):
-        if value >= radius:
-            raise InputError(f"the great circle has {name} = {value}: give less than {radius}")
-    sphere = (radius**2 + height**2) / (2 * height)
-    along = np.array([np.cos(angle), np.sin(angle)])
-    across = np.array([-along[1], along[0]])
-    half = np.sqrt(radius**2 - offset**2)
-    ends = [offset * across + side * half * along for side in (-1, 1)]
-    start, end = (np.append(point, sphere - height) / sphere for point in ends)
-    turn = np.arccos(start @ end)
-    s = np.linspace(0.0, turn, 33)[:, None]
-    way = sphere * (np.sin(turn - s) * start + np.sin(s) * end)[:, :2] / np.sin(turn)
-    return np.asarray(way)
 
 
 @mesh_generator

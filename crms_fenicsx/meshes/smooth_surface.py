@@ -60,13 +60,14 @@ class SmoothSurface:
         return height[:, None] * unit, unit
 
 
-def curve_length(points: Array, normals: Array, straight: Booleans) -> float:
-    """Length of a curve on a surface through points with normals (k, 3), with `straight` parts."""
+def arc_lengths_on(points: Array, normals: Array, straight: Booleans) -> Array:
+    """Lengths of the k - 1 parts of a curve on a surface through points with normals (k, 3), of
+    which some are `straight`."""
     steps = np.diff(points, axis=0)
     chords = norm(steps)
     turns = _turns(normals[:-1], normals[1:], steps) / np.where(chords > 0, chords, 1.0)
     turns = np.where(straight, 0.0, turns)
-    return float((chords * (1 + turns**2 / 24)).sum())
+    return np.asarray(chords * (1 + turns**2 / 24))
 
 
 def _turns(start: Array, end: Array, steps: Array) -> Array:

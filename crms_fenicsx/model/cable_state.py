@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 
 from crms_fenicsx.model.cable import Cable
+from crms_fenicsx.model.clamp import ClampedParts
 from crms_fenicsx.model.friction import AxialFrictionState, LateralFrictionState
 from crms_fenicsx.runtime.arrays import Array, Booleans
 from crms_fenicsx.surface.points import EdgePoint, SurfacePoint
@@ -24,6 +25,7 @@ class Crossing:
     place: Annotated[Array, 3]  # (3,) where they cross, or would (length)
     between: tuple[tuple[int, ...], ...]  # supports of the ends of the links, the lower one first
     separated: bool = False  # whether the upper cable has lifted off, so that they share no point
+    clamp: str | None = None  # name of the clamp that holds them to each other
 
 
 NodeId = tuple[int, int]
@@ -108,6 +110,7 @@ class CableState:
     layer: int = 0
     in_edge: bool = False
     joints: tuple[str | None, str | None] = (None, None)
+    parts: ClampedParts | None = None
 
     def __post_init__(self) -> None:
         for value in vars(self).values():

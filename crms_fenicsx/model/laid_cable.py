@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.cable_state import CableNode, CableState, End, StepStart
+from crms_fenicsx.model.clamp import ClampedParts
 from crms_fenicsx.model.friction import AxialFrictionState, LateralFrictionState
 from crms_fenicsx.model.tolerances import SAME_PLACE
-from crms_fenicsx.runtime.arrays import Array, Booleans, flags, floats
+from crms_fenicsx.runtime.arrays import Array, Booleans, Integers, flags, floats
 from crms_fenicsx.runtime.errors import InputError
 from crms_fenicsx.runtime.handle import Handle, ReadOnly
 from crms_fenicsx.surface.path import Path
@@ -104,6 +105,8 @@ class LaidCable(Handle[CableState]):
         laid later.
     joints
         Names of the joints of bars to which its first and last end are fixed; None elsewhere.
+    parts
+        Internal: its parts between clamps; None without any.
     path_is_geodesic
         Whether its path has been pulled taut once: it has been in tension, free to slide.
     ends_before : (2, 3)
@@ -141,6 +144,7 @@ class LaidCable(Handle[CableState]):
     blocked: ReadOnly[tuple[int, ...]] = ReadOnly("state.blocked", FOUND)
     lateral: ReadOnly[LateralFrictionState | None] = ReadOnly("state.lateral", FOUND)
     axial: ReadOnly[AxialFrictionState | None] = ReadOnly("state.axial", FOUND)
+    parts: ReadOnly[ClampedParts | None] = ReadOnly("state.parts", "call scene.clamp(...)")
     smoothing_length: ReadOnly[float] = ReadOnly("state.smoothing_length", FOUND)
 
     @property
@@ -186,7 +190,31 @@ class LaidCable(Handle[CableState]):
         parts = int(np.count_nonzero(~self.lifted)) - 1
         if self.axial is not None and self.taut and len(self.axial.tensions) == parts:
             return self.axial.tensions
+        if self.parts is not None and self.parts.nodes and self.taut:
+            return np.asarray(self.parts.tensions[self.parts_of(self.contacts()[:-1])])
         return np.full(parts, self.tension)
+
+    def parts_of(self, nodes: Sequence[int]) -> Integers:
+        """Internal: numbers of the parts between clamps in which the cable goes on from nodes."""
+        clamps = () if self.parts is None else self.parts.nodes
+        return np.searchsorted(np.array(clamps, dtype=np.int64), nodes, side="right")
+
+    @property
+    def is_divided(self) -> bool:
+        """Internal: whether its tension may vary along it, by friction or clamps."""
+        return self.axial is not None or self.parts is not None
+
+    @property
+    def at_clamps(self) -> Array:
+        """Internal: 1 at the points of its `line` that clamps hold, 0 elsewhere."""
+        nodes = () if self.parts is None else self.parts.nodes
+        return np.isin(self.line_nodes(), nodes).astype(float)
+
+    @property
+    def part_lengths(self) -> Array:
+        """Internal: unstressed lengths of its parts between clamps, or its own (length)."""
+        at = () if self.parts is None else self.parts.at
+        return self.L0 * np.diff([0.0, *at, 1.0])
 
     @property
     def start(self) -> CableEnd:
@@ -231,6 +259,7 @@ class LaidCable(Handle[CableState]):
         self.update(
             nodes=tuple(nodes), positions=positions, fractions=fractions, lifted=lifted,
             reference_positions=np.full_like(positions, np.nan), blocked=(),
+            parts=None if self.parts is None else replace(self.parts, nodes=()),
         )  # fmt: skip
 
     @property
@@ -283,7 +312,11 @@ class LaidCable(Handle[CableState]):
             turns = np.linalg.norm(ways[some:] - ways[:-some], axis=1) / some if some else [0.0]
             bulge = BULGE * float(np.median(turns)) ** 2
             too_long = max(NEARLY_TAUT, min(bulge, MOST_BULGE))
-        return self.cable.law == "step" or float(sizes.sum()) > self.L0 * (1 - too_long)
+        part = self.parts_of(self.contacts()[:-1])
+        lengths = np.bincount(part, sizes, len(self.part_lengths))
+        return self.cable.law == "step" or bool(
+            np.any(lengths > self.part_lengths * (1 - too_long))
+        )
 
     def node_of(self, which: Literal["start", "end"]) -> int:
         """Index of an end among the nodes."""

@@ -167,7 +167,7 @@ class Recorder:
             row["volume"] = self._volume()
         for cable in scene.cables:
             row[f"tension {cable.name}"] = cable.tension
-            if cable.axial is not None:
+            if cable.is_divided:
                 row[f"tension {cable.name} start"] = float(cable.tensions[0])
                 row[f"tension {cable.name} end"] = float(cable.tensions[-1])
             row[f"length {cable.name}"] = cable.length

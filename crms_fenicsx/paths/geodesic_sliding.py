@@ -11,8 +11,12 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence, Set
 
+import numpy as np
+
+from crms_fenicsx.cables.strip import StripShape
 from crms_fenicsx.contact.lift_off import drape
 from crms_fenicsx.contact.span_projection import with_span_projections
+from crms_fenicsx.meshes.triangles import closest
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.tolerances import BEYOND
 from crms_fenicsx.paths.creased_surface import CreasedSurface, FoldPoints, NodesOnEdges
@@ -24,10 +28,14 @@ from crms_fenicsx.paths.path_change import (
     vertices_near,
 )
 from crms_fenicsx.paths.tried_paths import TriedPaths
+from crms_fenicsx.runtime.arrays import Array
 from crms_fenicsx.surface.corridor import Corridor, corridor, why_invalid
 from crms_fenicsx.surface.flip_geodesic import shorten
 from crms_fenicsx.surface.intrinsic import MissingCells
-from crms_fenicsx.surface.points import SurfacePoint, VertexPoint
+from crms_fenicsx.surface.points import CellPoint, SurfacePoint, VertexPoint
+
+CLAMP_INSIDE = 1e-6
+"""Least weight of a corner of the cell in which a clamp is."""
 
 GRIP = 0.05
 """Angle (rad) by which a path along mesh lines must bend at a vertex to leave it before the cable
@@ -50,6 +58,7 @@ class GeodesicSliding:
             cable
             for cable in self.net.cables
             if cable.taut and not cable.path_is_geodesic and _leaves_cells(cable)
+            if cable.parts is None  # else clamps may well hold it in bends
         ]
         if not fresh:
             return False
@@ -163,11 +172,12 @@ class GeodesicSliding:
         points: list[SurfacePoint] = []
         lifted: list[bool] = []
         passed = 0
-        for is_off, run in lifted_runs(cable):
+        for is_off, run, clamps in _between_clamps(cable, surface.shape):
             new = path[run.start : run.stop]
             if not is_off:
-                # Pulled between the places under the spans at its ends, or the anchors beyond.
+                # Pulled between clamps, the places under spans at its ends, or anchors beyond.
                 before, after = self.change.beyond(cable, surface, path, run)
+                before, after = clamps[0] or before, clamps[1] or after
                 joined = self.change.with_anchors(cable, surface)
                 string = [*before, *new, *after]
                 fits = self._may_lie(string, joined)
@@ -204,3 +214,37 @@ class GeodesicSliding:
 def _leaves_cells(cable: LaidCable) -> bool:
     """Whether a cable may slide to other cells with nothing but the membrane's shape to say so."""
     return cable.slides_freely and not cable.in_edge
+
+
+Ends = tuple[list[SurfacePoint], list[SurfacePoint]]
+"""Clamps at the two ends of a part of a path, if there are any."""
+
+
+def _between_clamps(cable: LaidCable, shape: StripShape) -> list[tuple[bool, range, Ends]]:
+    """The parts of a path between clamps that are lifted, and those that are not."""
+    if cable.parts is None:
+        return [(is_off, run, ([], [])) for is_off, run in lifted_runs(cable)]
+    on_path = cable.path_nodes()
+    at: dict[int, SurfacePoint] = {}  # clamps by the number of the path's first point after them
+    for k in cable.parts.nodes:
+        point = cable.nodes[k].point
+        if cable.nodes[k].kind == "crossing" and isinstance(point, CellPoint):
+            at[int(np.searchsorted(on_path, k))] = _place_in_cell(point, cable.positions[k], shape)
+        else:
+            at[int(np.searchsorted(on_path, k)) + 1] = cable.point(k)
+    found: list[tuple[bool, range, Ends]] = []
+    for is_off, run in lifted_runs(cable):
+        cuts = [run.start, *sorted(i for i in at if run.start < i < run.stop), run.stop]
+        for a, b in itertools.pairwise(cuts):
+            before = [at[a]] if a in at else []
+            after = [at[b]] if b in at and isinstance(at[b], CellPoint) else []
+            found.append((is_off, range(a, b), (before, after)))
+    return found
+
+
+def _place_in_cell(point: CellPoint, position: Array, shape: StripShape) -> CellPoint:
+    """The place of a cell that is nearest to a position (3,)."""
+    corners = np.array([shape.at(vertex) for vertex in point.cell])
+    weights = np.maximum(closest(corners[None], position)[0][0], CLAMP_INSIDE)
+    a, b, c = (weights / weights.sum()).tolist()
+    return CellPoint(point.cell, (a, b, c))

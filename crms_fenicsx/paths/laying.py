@@ -15,7 +15,7 @@ from crms_fenicsx.cables.cable_net import CableNet
 from crms_fenicsx.cables.strip import Strip, StripShape, cells_at, cells_near, grown
 from crms_fenicsx.contact.lift_off import drape
 from crms_fenicsx.meshes.edge_table import EdgeTable, edge_keys
-from crms_fenicsx.meshes.smooth_surface import SmoothSurface, curve_length
+from crms_fenicsx.meshes.smooth_surface import SmoothSurface, arc_lengths_on
 from crms_fenicsx.meshes.triangles import mix, norm, vectors
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.cable_state import CableNode, CableState, End, StepStart
@@ -97,24 +97,24 @@ def lay(
         raise InputError(f"lay_cable: {cable!r} is no Cable; write Cable(EA=...).")
     name = _checked_name(net, name)
     _check_length(name, L0, tension, measured_on)
-    route, known, folds = unfolded(net, _route(path))
+    route, known, folds = unfolded(net, route_points(path))
     refuse_places_behind(net.membrane, route, name)
     try:
-        traced = _traced(net.membrane, route, known)
+        way = traced(net.membrane, route, known)
         if shortest:
-            traced = _shortened(net.membrane, traced)
+            way = shortened(net.membrane, way)
     except PathError as error:
         raise PathError(f"lay_cable: {name!r}: {error}") from None
-    _refuse_joints_on_the_membrane(name, joints, traced)
-    strip = cells_at(net.membrane, [v for point in traced.points for v in point.support])
+    _refuse_joints_on_the_membrane(name, joints, way)
+    strip = cells_at(net.membrane, [v for point in way.points for v in point.support])
     shape = StripShape.of(net.membrane, strip)
-    refuse_forks(traced, shape, name)
-    nodes = nodes_of(traced.points, strip, _ends(net.membrane, strip, traced))
-    positions = _positions(nodes, traced, shape)
+    refuse_forks(way, shape, name)
+    nodes = nodes_of(way.points, strip, _ends(net.membrane, strip, way))
+    positions = _positions(nodes, way, shape)
     in_fold = dict(zip(known.values(), folds, strict=False))
     folded = _put_in_folds(nodes, positions, in_fold, SAME_PLACE * net.membrane.size)
     off, nowhere = np.zeros(len(nodes), dtype=bool), np.full_like(positions, np.nan)
-    in_edge = _follows_free_edge(traced, strip)
+    in_edge = _follows_free_edge(way, strip)
     state = CableState(
         cable, nodes, positions, fractions_of(nodes), off, nowhere, L0=1.0, length=0.0, tension=0.0,
         sleeve=bool(sleeve) or in_edge, layer=layer, in_edge=in_edge, joints=joints,
@@ -232,10 +232,10 @@ def _smooth_length(cable: LaidCable, shape: StripShape, folded: Set[SurfacePoint
         points[on] += offsets
     ends_on = on | np.array([cable.nodes[k].kind == "edge slider" for k in nodes])
     straight = (np.diff(nodes) > 1) | ~ends_on[:-1] | ~ends_on[1:]
-    return curve_length(points, normals, straight)
+    return float(arc_lengths_on(points, normals, straight).sum())
 
 
-def _traced(membrane: Membrane, route: Array, known: Mapping[int, SurfacePoint]) -> Path:
+def traced(membrane: Membrane, route: Array, known: Mapping[int, SurfacePoint]) -> Path:
     """Trace a route on the cells along it, or if they are not enough across the whole mesh."""
     for along_legs in (True, False):
         near = cells_near(membrane, route, along_legs)
@@ -248,7 +248,7 @@ def _traced(membrane: Membrane, route: Array, known: Mapping[int, SurfacePoint])
     raise AssertionError("the whole mesh is enough")
 
 
-def _shortened(membrane: Membrane, path: Path) -> Path:
+def shortened(membrane: Membrane, path: Path) -> Path:
     """The shortest path nearby between the same ends, pulled taut over vertices. Collective."""
     strip = cells_at(membrane, [v for point in path.points for v in point.support])
     for rings in count(1):
@@ -268,7 +268,8 @@ def _refuse_folds(membrane: Membrane, strip: Strip, cable: LaidCable) -> None:
     membrane.refuse_folds(strip.local[mine].astype(np.int32), f"lay_cable: {cable.name!r}")
 
 
-def _route(path: Sequence[Sequence[float]] | Array) -> Array:
+def route_points(path: object) -> Array:
+    """The points of a path, (k, 2) or (k, 3)."""
     try:
         route = np.array(path, dtype=float)
     except (TypeError, ValueError, OverflowError):

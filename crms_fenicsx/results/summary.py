@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from dolfinx import fem
@@ -25,6 +25,7 @@ from crms_fenicsx.results.cable_and_bar_results import (
     joint_reactions,
     triple,
 )
+from crms_fenicsx.results.clamp_results import ClampResults, clamp_results
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.results.reactions import (
     HeldEnd,
@@ -115,6 +116,8 @@ class Summary:
         energy may be those of before, and nothing is in balance.
     warnings
         What load steps have warned of in this state, and of snap-throughs before it.
+    clamps
+        By their names.
     """
 
     pressure: float
@@ -131,6 +134,7 @@ class Summary:
     ponds: Mapping[str, Pond]
     in_equilibrium: bool
     warnings: tuple[StateWarning, ...] = ()
+    clamps: Mapping[str, ClampResults] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         """A table: a row for each load, part, cable, bar and support."""
@@ -152,6 +156,7 @@ class Summary:
             tension = "slack" if cable.slack else f"tension {span([cable.least, cable.largest])}"
             rows.append(("cable", name, f"{tension}, length {cable.length:.6g}"))
         rows += [("bar", name, f"force {bar.force:.4g}") for name, bar in self.bars.items()]
+        rows += [("clamp", name, f"force {one.size:.4g}") for name, one in self.clamps.items()]
         for name, support in self.supports.items():
             rows.append(("support", name, f"total {as_text(support.total)}"))
         rows += [("warning", one.kind, one.text) for one in self.warnings]
@@ -196,6 +201,7 @@ def summary(system: System) -> Summary:
         {pond.name: pond for pond in scene.ponds},
         results.in_equilibrium,
         scene.warnings,
+        clamp_results(scene),
     )
 
 

@@ -51,6 +51,11 @@ class PathWarning(UserWarning):
     """
 
 
+class NetWarning(UserWarning):
+    """A net that ends before the membrane does, as its meshes would fold, or crossings without a
+    clamp, as cables lie apart there."""
+
+
 class FrictionWarning(UserWarning):
     """Friction forces that are crude.
 

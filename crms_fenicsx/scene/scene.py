@@ -16,9 +16,11 @@ from crms_fenicsx.meshes import MembraneMesh
 from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.cable import Cable
 from crms_fenicsx.model.changed_materials import checked_materials
+from crms_fenicsx.model.clamp import Clamp
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import MembraneMaterial, Strengths, checked_strengths
 from crms_fenicsx.model.membrane import Marker, Membrane, StepHistory, warn_of_penalty
+from crms_fenicsx.model.net import Net
 from crms_fenicsx.model.pond import Pond
 from crms_fenicsx.model.versions import UNBALANCED, StateWarning, Versions, changes_model
 from crms_fenicsx.runtime import checks
@@ -126,6 +128,8 @@ class Scene:
         "net.cables", "call scene.lay_cable(...) or scene.remove(...)"
     )
     """The laid cables, in their order."""
+    clamps: ReadOnly[tuple[Clamp, ...]] = ReadOnly("net.clamps", "call scene.clamp(...)")
+    """The clamps that hold cables to each other."""
     joints: ReadOnly[tuple[Joint, ...]] = ReadOnly("frame.joints", "call scene.add_joint(...)")
     """The joints of bars, those of anchors included, in the order in which they were added."""
     bars: ReadOnly[tuple[PlacedBar, ...]] = ReadOnly("frame.bars", "call scene.add_bar(...)")
@@ -424,6 +428,131 @@ class Scene:
         given["layer"] = checks.whole("lay_cable: layer", layer, 0)
         route, joints = self.frame.path_of(path)
         return lay(self.net, cable, route, **given, joints=joints)
+
+    @collective
+    @changes_model
+    def lay_net(
+        self,
+        net: Net,
+        cable: Cable,
+        *,
+        tension: float | None = None,
+        sleeve: bool = False,
+        clamped: bool = False,
+    ) -> tuple[LaidCable, ...]:
+        """Lay a cable on each line of a net, under the line's name. Collective.
+
+        Families that come later lie on top.
+
+        Parameters
+        ----------
+        net
+            A layout from `crms_fenicsx.nets`.
+        cable, tension, sleeve
+            As for `lay_cable`, the same for all lines.
+        clamped
+            Whether to clamp all crossings, as `clamp` does.
+
+        Returns
+        -------
+        tuple of LaidCable
+            The cables, in the order of ``net.lines``.
+
+        Raises
+        ------
+        PathError, InputError
+            As for `lay_cable`; no cable has been laid then.
+
+        Examples
+        --------
+        >>> net = nets.sections(scene, angles=(0.8, -0.8), offsets=[-9, -3, 3, 9])
+        >>> scene.lay_net(net, Cable(EA=20e3), tension=5.0)
+        >>> scene.cable("A1").tension
+        """
+        if not isinstance(net, Net):
+            raise InputError(
+                f"lay_net: {net!r} is no net; give one of crms_fenicsx.nets, such as "
+                "nets.equidistant(...)."
+            )
+        before = self.net.state
+        try:
+            laid = tuple(
+                self.lay_cable(cable, line.path, tension=tension, sleeve=sleeve, name=line.name)
+                for line in net.lines
+            )
+            if clamped:
+                self.clamp(*laid)
+            return laid
+        except InputError:
+            self.net.state = before
+            raise
+
+    @collective
+    @changes_model
+    def clamp(
+        self, *cables: LaidCable | str, near: Sequence[Sequence[float]] | Array | None = None
+    ) -> tuple[Clamp, ...]:
+        """Clamp cables to each other where they cross. Collective.
+
+        At a clamp the same points of both cables stay together. They slide over the membrane, lift
+        off and touch down together, and each cable has one tension from clamp to clamp,
+        `LaidCable.tensions`. The unstressed lengths between clamps are those at clamping; a load
+        step that changes a cable's L0 changes those of its parts alike. In an equilibrium clamping
+        changes nothing until the loads do.
+
+        Parameters
+        ----------
+        *cables
+            Two or more cables of this scene, or their names: all crossings between them.
+        near
+            Points in space near which to clamp, (k, 3) (length): of each the nearest crossing; by
+            default all crossings.
+
+        Returns
+        -------
+        tuple of Clamp
+            The new clamps; crossings that have one keep it.
+
+        Raises
+        ------
+        InputError
+            On all ranks: cables that do not cross, lie apart where they do, have the step-wise law
+            or friction along their axis.
+
+        Warns
+        -----
+        NetWarning
+            Some of more than two cables lie apart where they cross; these crossings stay open.
+
+        Examples
+        --------
+        >>> scene.clamp("A1", "B2")
+        >>> scene.clamp(*scene.cables)
+        """
+        checks.same(self.comm, "clamp", cables=cables, near=near)
+        return self.net.clamp(cables, near)
+
+    @collective
+    @changes_model
+    def unclamp(
+        self, *cables: LaidCable | str, near: Sequence[Sequence[float]] | Array | None = None
+    ) -> None:
+        """Open clamps; the next load step finds the equilibrium of the cables that slide.
+
+        Collective.
+
+        Parameters
+        ----------
+        *cables, near
+            As for `clamp`: all clamps between the cables, or those nearest to points.
+
+        Raises
+        ------
+        InputError
+            On all ranks: there is no such clamp.
+        """
+        checks.same(self.comm, "unclamp", cables=cables, near=near)
+        self.net.unclamp(cables, near)
 
     @collective
     @changes_model

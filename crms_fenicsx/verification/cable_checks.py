@@ -260,7 +260,16 @@ def _tensions(cable: LaidCable, parts: Array) -> dict[str, float]:
         error = max(abs(cable.tension - force) / EA - rounding, 0.0)
         strain = max(abs(cable.tension), abs(force)) / EA
         return {"tension against length": error / max(strain, 1e-300)}
-    errors = [abs(cable.tension / EA - max(length / L0 - 1, 0.0)), abs(cable.length - length) / L0]
+    errors = [abs(cable.length - length) / L0]
+    if cable.parts is not None:
+        of_part = cable.parts_of(cable.contacts()[:-1]).astype(np.int64)
+        own = np.bincount(of_part, parts, len(cable.part_lengths)) - cable.parts.smoothing
+        longer = np.maximum(own - cable.part_lengths, 0.0)
+        errors.append(
+            float(np.abs(cable.parts.tensions / EA * cable.part_lengths - longer).max()) / L0
+        )
+    else:
+        errors.append(abs(cable.tension / EA - max(length / L0 - 1, 0.0)))
     if cable.axial is not None and len(spans):
         unstressed = np.diff([0.0, *cable.axial.arcs, L0 + cable.smoothing_length])
         # By elongations, as the strain of a short span is rounded.

@@ -88,9 +88,9 @@ def _own_forces(scene: Scene) -> Array:
             forces[k] += abs(bar.force)
             least[k] = max(least[k], NO_STRAIN * bar.bar.EA)
     for cable in scene.cables:
-        for name in cable.joints:
+        for tension, name in zip(cable.part_tensions[[0, -1]], cable.joints, strict=True):
             for k, point in enumerate(points):
                 if cable.taut and isinstance(point, Joint) and point.name == name:
-                    forces[k] += cable.tension
+                    forces[k] += tension
                     least[k] = max(least[k], NO_STRAIN * cable.cable.EA)
     return np.where(forces > least, forces, 0.0)

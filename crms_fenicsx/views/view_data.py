@@ -159,7 +159,8 @@ Segments = tuple[Array, Integers, dict[str, NDArray[Any]], dict[str, NDArray[Any
 
 
 def cable_lines(net: CableNet) -> list[Line]:
-    """Cables with "tension", "lifted" and "contact force" (force per length). Collective."""
+    """Cables with "tension", "lifted" and "contact force" (force per length); with clamps also
+    "clamp", 1 where one is. Collective."""
     if not net.cables:
         return []
     shape = net.strip_shape()
@@ -167,11 +168,12 @@ def cable_lines(net: CableNet) -> list[Line]:
         Line(
             cable.line,
             {
-                "tension": cable.tension if cable.axial is None else cable.tensions,
+                "tension": cable.tensions if cable.is_divided else cable.tension,
                 "lifted": cable.free_spans,
                 "contact force": np.nan_to_num(
                     contact_forces(cable, shape).line[cable.line_nodes()]
                 ),
+                **({"clamp": cable.at_clamps} if net.clamps else {}),
             },
             cable.name,
         )

@@ -18,7 +18,7 @@ from mesh_measures import (
 from scipy.integrate import dblquad
 from scipy.special import ellipe
 
-from crms_fenicsx import meshes
+from crms_fenicsx import meshes, nets
 from crms_fenicsx.meshes import Refinement
 from crms_fenicsx.meshes.refinement import TargetSize
 from crms_fenicsx.runtime.errors import InputError, MeshError
@@ -218,7 +218,7 @@ def test_great_circle_is_the_shortest_way_over_the_cap() -> None:
     """It runs from rim to rim on the sphere, in a plane through the sphere's centre."""
     radius, height, angle, offset = 20.0, 10.0, 0.4, 7.0
     sphere = (radius**2 + height**2) / (2 * height)
-    plan = meshes.great_circle(radius, height, angle, offset)
+    plan = nets.great_circle(radius, height, angle, offset)
     np.testing.assert_allclose(np.linalg.norm(plan[[0, -1]], axis=1), radius)
     np.testing.assert_allclose(plan[[0, -1]] @ [-np.sin(angle), np.cos(angle)], offset)
     assert (plan[-1] - plan[0]) @ [np.cos(angle), np.sin(angle)] > radius
@@ -286,9 +286,9 @@ def test_refinement_refines_near_its_line_only(comm, shape):
         (lambda c: meshes.circle(c, -1.0, 0.1), "radius = -1.0"),
         (lambda c: meshes.circle(c, 1.0, 0.1, center=(np.nan, 0.0)), "centre is"),
         (lambda c: meshes.spherical_cap(c, 1.0, 0.0, 0.1), "height = 0.0"),
-        (lambda c: meshes.great_circle(1.0, 1.0, 0.0, 0.0), "height = 1.0: give less than 1"),
-        (lambda c: meshes.great_circle(1.0, 0.5, 0.0, -2.0), "offset = 2.0: give less than 1"),
-        (lambda c: meshes.great_circle(1.0, 0.5, np.nan, 0.0), "angle = nan"),
+        (lambda c: nets.great_circle(1.0, 1.0, 0.0, 0.0), "height = 1.0: give less than 1"),
+        (lambda c: nets.great_circle(1.0, 0.5, 0.0, -2.0), "offset = 2.0: give less than 1"),
+        (lambda c: nets.great_circle(1.0, 0.5, np.nan, 0.0), "angle = nan"),
         (lambda c: meshes.air_hall(c, 1.0, 1.0, None, 0.1), "height = None"),  # type: ignore[arg-type]
         (lambda c: meshes.air_hall(c, 4.0, 1.0, 1.0, 2.0), "smallest extent 1"),
         (lambda c: meshes.polygon(c, [(0, 0), (1, 0)], 0.1), "three or more points"),

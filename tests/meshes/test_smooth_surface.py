@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crms_fenicsx.meshes.smooth_surface import SmoothSurface, curve_length
+from crms_fenicsx.meshes.smooth_surface import SmoothSurface, arc_lengths_on
 
 RADIUS = 5.0
 
@@ -108,9 +108,9 @@ def test_length_of_an_arc() -> None:
         t = np.linspace(0.0, 1.0, n + 1)
         normals = np.column_stack([np.cos(t), np.sin(t), 0 * t])
         points, flags = RADIUS * normals, np.zeros(n, dtype=bool)
-        errors.append(abs(curve_length(points, normals, flags) - RADIUS))
+        errors.append(abs(arc_lengths_on(points, normals, flags).sum() - RADIUS))
         chords = 2 * RADIUS * n * np.sin(0.5 / n)
-        assert curve_length(points, normals, ~flags) == pytest.approx(chords, rel=1e-14)
+        assert arc_lengths_on(points, normals, ~flags).sum() == pytest.approx(chords, rel=1e-14)
         normals[[0, -1]] = 0.0  # ends at a boundary
-        assert curve_length(points, normals, flags) == pytest.approx(RADIUS, rel=1e-4)
+        assert arc_lengths_on(points, normals, flags).sum() == pytest.approx(RADIUS, rel=1e-4)
     assert errors[1] < errors[0] / 12 and errors[0] < 1e-4 * RADIUS

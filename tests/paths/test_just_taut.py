@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Cable, InputError, IsotropicMembrane, Scene, Solver, meshes, nets
 
 RIM, HEIGHT, EA = 20.0, 10.0, 30e3
 TENSION = 13.743
@@ -23,7 +23,7 @@ def dome(comm, size: float) -> Scene:
 
 def over(scene: Scene, **how):
     """A cable over the crown, or beside it."""
-    return scene.lay_cable(Cable(EA), meshes.great_circle(RIM, HEIGHT, 0.3, 0.0), **how)
+    return scene.lay_cable(Cable(EA), nets.great_circle(RIM, HEIGHT, 0.3, 0.0), **how)
 
 
 def arc_between(start: np.ndarray, end: np.ndarray) -> float:
@@ -105,7 +105,7 @@ def test_laid_again_before_there_is_a_fold(comm) -> None:
 def test_the_papers_law_knows_the_facets(comm) -> None:
     scene = dome(comm, 3.0)
     cable = scene.lay_cable(
-        Cable(EA, law="step"), meshes.great_circle(RIM, HEIGHT, 0.3, 0.0), tension=5.0
+        Cable(EA, law="step"), nets.great_circle(RIM, HEIGHT, 0.3, 0.0), tension=5.0
     )
     assert cable.tension == pytest.approx(5.0, rel=1e-9)
     assert cable.L0 * (1 + 5.0 / EA) == pytest.approx(cable.length, rel=1e-13)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes, nets
 
 pytestmark = pytest.mark.usefixtures("comm")
 RADIUS, HEIGHT, SPHERE = 20.0, 10.0, 25.0
-CIRCLE = meshes.great_circle(RADIUS, HEIGHT, 0.3, 9.0)
+CIRCLE = nets.great_circle(RADIUS, HEIGHT, 0.3, 9.0)
 
 
 def dome(comm, size: float) -> Scene:

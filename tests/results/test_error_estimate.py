@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes
+from crms_fenicsx import Cable, IsotropicMembrane, Scene, Solver, meshes, nets
 
 pytestmark = pytest.mark.usefixtures("comm")
 
@@ -60,7 +60,7 @@ def test_cap_with_a_cable(comm):
     material = IsotropicMembrane(E=800e3, nu=0.3, thickness=1e-3)
     scene = Scene(meshes.spherical_cap(comm, 20.0, 10.0, 3.0), material)
     scene.fix("boundary")
-    scene.lay_cable(Cable(EA=30e3), meshes.great_circle(20.0, 10.0, 0.3, 0.0))
+    scene.lay_cable(Cable(EA=30e3), nets.great_circle(20.0, 10.0, 0.3, 0.0))
     solver = Solver(scene)
     solver.advance(pressure=0.4)
     assert 0.3 < effectivity(solver, -31.102) < 3.0

@@ -170,6 +170,12 @@ def paint_lines(
                 capstyle="butt" if dashes is styles and any(run_off) else "round", zorder=zorder,
             )
         )  # fmt: skip
+    for line in lines:
+        held = np.asarray(line.data.get("clamp", 0.0)) > 0.0
+        if held.any():
+            at = axes3d.camera.project(np.asarray(line.points)[held])
+            at = at[visible(at, triangles, tolerance)]
+            axes3d.axes.scatter(at[:, 0], at[:, 1], s=12.0, c="white", edgecolors=RIM, zorder=5)
 
 
 def _seen(

@@ -177,7 +177,7 @@ def _signed_colours(scene: Scene) -> dict[str, Any]:
     forces = [bar.force for bar in scene.bars]
     if min(forces, default=0.0) >= 0.0:
         return {}
-    most = max(map(abs, [*forces, *(cable.tension for cable in scene.cables)]))
+    most = max(map(abs, [*forces, *(float(cable.tensions.max()) for cable in scene.cables)]))
     return {"line_limits": (-most, most), "line_colours": SIGNED}
 
 

@@ -26,6 +26,7 @@ from crms_fenicsx.output.report.model_tables import Model, merged, model_of_scen
 from crms_fenicsx.output.report.page import PageSection
 from crms_fenicsx.output.report.results_tables import ResultTables, Units
 from crms_fenicsx.output.report.sections import Report
+from crms_fenicsx.results.cable_order import Order
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.errors import InputError, raised_together
 from crms_fenicsx.runtime.files import absolute, make_writable, replaced
@@ -66,6 +67,9 @@ class Plan:
     pictures: Sequence[str] | None = None  # what colours the membrane in them
     view: tuple[float, float] = (-60.0, 30.0)
     sections: Sequence[PageSection] = ()  # further ones
+    order: Order | None = None  # lengths of the cables to be made
+    # names of joints, or of cables with "start" or "end", by the names of foundations
+    foundations: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     @property
     def units(self) -> Units:
@@ -97,6 +101,11 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
         raise InputError(
             f"report: sections = {plan.sections!r}; give what patterns.report_sections returned."
         )
+    if plan.order is not None and not isinstance(plan.order, Order):
+        raise InputError(
+            f"report: order = {plan.order!r}; give what nets.lengths_to_order(...) returned."
+        )
+    foundations = _checked_foundations(scene, plan.foundations)
     pictures = _checked_pictures(scene, plan.pictures)
     check_view(plan.view)
     path = absolute(checks.file("report: filename", filename), comm)
@@ -109,7 +118,31 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
             if path.is_dir():
                 raise InputError(f"report: {path} is a folder; give the name of a file in it.")
             make_writable(path.parent)
-    return replace(plan, path=path, cable_strengths=strengths, pictures=pictures)
+    return replace(
+        plan, path=path, cable_strengths=strengths, pictures=pictures, foundations=foundations
+    )
+
+
+def _checked_foundations(
+    scene: Scene, foundations: Mapping[str, Sequence[str]] | None
+) -> dict[str, Sequence[str]]:
+    """What foundations carry, by their names."""
+    known = {f"{cable.name} {end}" for cable in scene.cables for end in ("start", "end")}
+    known |= {joint.name for joint in scene.joints}
+    foundations = {} if foundations is None else foundations
+    if not isinstance(foundations, Mapping):
+        raise InputError(
+            f"report: foundations = {foundations!r}; write names of cables' ends and of joints by "
+            'foundation, {"F1": ["A1 start", "B1 end"]}.'
+        )
+    for name, members in foundations.items():
+        unknown = [one for one in members if one not in known]
+        if unknown or isinstance(members, str):
+            raise InputError(
+                f"report: the foundation {name!r} carries {unknown or members!r}; give a list of "
+                'ends of cables, such as "A1 start", and of names of joints.'
+            )
+    return {str(name): tuple(members) for name, members in foundations.items()}
 
 
 def checked_states(
@@ -221,7 +254,10 @@ def write_files(solver: Reported, plan: Plan, model: Model, cases: Sequence[Case
         if solver.comm.rank == 0:
             results = ResultTables(cases, plan.units, model.size, plan.cable_strengths)
             about, path = [*plan.about.items()], plan.path
-            report = Report(plan.title, about, model, results, plan.sections)
+            report = Report(
+                plan.title, about, model, results, plan.sections,
+                order=plan.order, foundations=plan.foundations,
+            )  # fmt: skip
             texts = {path: report.html()}
             for table in report.tables():
                 texts[path.with_name(f"{path.stem}_{table.name}.csv")] = table.csv()

@@ -57,7 +57,7 @@ class ResultTables:
         every = (name for case in self.cases for name in getattr(case.summary, kind))
         return list(dict.fromkeys(every))
 
-    def _each(self, kind: str) -> Iterator[tuple[str, str, Any]]:
+    def each(self, kind: str) -> Iterator[tuple[str, str, Any]]:
         """Name, case and results of all of a kind, where a case has them."""
         for name in self.names(kind):
             for case in self.cases:
@@ -146,7 +146,7 @@ class ResultTables:
                 name, case, one.least, one.mean, one.largest, "slack" if one.slack else "taut",
                 one.length, one.L0, one.free, one.contact_mean, one.contact_largest,
             )
-            for name, case, one in self._each("cables")
+            for name, case, one in self.each("cables")
         ]  # fmt: skip
         columns = self.units.headings(
             "Cable|Combination|Least tension{force}|Mean{force}|Largest{force}|State|"
@@ -159,7 +159,7 @@ class ResultTables:
         """Least and largest tension of each cable over all cases."""
         rows: list[Row] = []
         for name in self.names("cables"):
-            found = [(case, one) for own, case, one in self._each("cables") if own == name]
+            found = [(case, one) for own, case, one in self.each("cables") if own == name]
             least, low = min(found, key=lambda one: one[1].least)
             largest, high = max(found, key=lambda one: one[1].largest)
             used = [high.largest / self.strengths[name] if name in self.strengths else None]
@@ -209,7 +209,7 @@ class ResultTables:
         """Levels and volumes of ponds; their weights with the factors."""
         rows: list[Row] = [
             (name, case, x.factor, x.level, x.volume, x.factor * x.weight * x.volume)
-            for name, case, x in self._each("ponds")
+            for name, case, x in self.each("ponds")
         ]
         columns = self.units.headings(
             "Pond|Combination|Factor|Level z{length}|Volume{volume}|Weight with the factor{force}"
@@ -225,7 +225,7 @@ class ResultTables:
             set(one[names[0]].parts) == set(one[ALL_SUPPORTS].parts) for one in lists
         ):
             names = names[:1]
-        for name, case, one in self._each("supports"):
+        for name, case, one in self.each("supports"):
             if name not in names:
                 continue
             whole = name == ALL_SUPPORTS
@@ -244,22 +244,10 @@ class ResultTables:
         )
         return Table("Reactions: forces of the supports", columns, rows, "supports", headings=3)
 
-    def anchors(self) -> Table:
-        """Forces of the anchors on the cables' ends."""
-        rows: list[Row] = [
-            (name, which, case.name, *_with_size(force))
-            for name in self.names("cables") for which in ("start", "end") for case in self.cases
-            if (force := getattr(case.summary.cables.get(name), which, None)) is not None
-        ]  # fmt: skip
-        columns = self.units.headings(
-            "Cable|End|Combination|Rx{force}|Ry{force}|Rz{force}|Size{force}"
-        )
-        return Table("Anchors: forces on the cables' ends", columns, rows, "anchors", headings=3)
-
     def joints(self) -> Table:
         """Forces of what holds joints, anchors of bars among them."""
         rows: list[Row] = [
-            (name, case, *_with_size(force)) for name, case, force in self._each("joints")
+            (name, case, *with_size(force)) for name, case, force in self.each("joints")
         ]
         columns = "Joint|Combination|Rx{force}|Ry{force}|Rz{force}|Size{force}"
         headings = self.units.headings(columns)
@@ -336,7 +324,7 @@ def _value(one: tuple[str, Extreme]) -> float:
     return one[1].value
 
 
-def _with_size(force: Sequence[float]) -> list[float]:
+def with_size(force: Sequence[float]) -> list[float]:
     size = sum(x * x for x in force) ** 0.5
     return [*clean(force, size), size]
 

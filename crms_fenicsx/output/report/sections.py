@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from crms_fenicsx.output.report import net_tables
 from crms_fenicsx.output.report.case import Case
 from crms_fenicsx.output.report.model_tables import Model, in_families, versions
 from crms_fenicsx.output.report.page import (
@@ -23,6 +24,7 @@ from crms_fenicsx.output.report.page import (
     per_cent,
 )
 from crms_fenicsx.output.report.results_tables import ResultTables
+from crms_fenicsx.results.cable_order import Order
 
 NOTES = (
     "Membrane forces are true (Cauchy) forces per current length, positive in tension. The larger "
@@ -59,6 +61,9 @@ class Report:
     results: ResultTables
     further: Sequence[PageSection] = ()  # about other things than equilibria
     left_out: int = 0  # how many pictures there is no room for
+    order: Order | None = None  # lengths of the cables to be made
+    # ends of cables and joints that foundations carry, by the names of these
+    foundations: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     @property
     def cases(self) -> Sequence[Case]:
@@ -112,10 +117,13 @@ class Report:
         found = [of.factors(), of.overview(), of.membrane(), of.envelope(), of.supports()]
         found.append(of.verification())
         if of.names("cables"):
-            found += [of.cables(), of.cable_envelope(), of.anchors()]
+            found += [of.cables(), of.cable_envelope(), net_tables.anchors(of)]
         if of.names("bars"):
             found += [of.bars(), of.bar_envelope()]
-        more = [of.joints(), of.ponds()]
+        more = [net_tables.clamps(of), of.joints(), of.ponds()]
+        more += [net_tables.foundations(of, self.foundations)]
+        if self.order is not None:
+            more.append(net_tables.order(self.order, of.units))
         more += [part for one in self.further for part in one.body if isinstance(part, Table)]
         return found + [table for table in more if table.rows]
 
@@ -217,12 +225,17 @@ class Report:
         of, several, found = self.results, len(self.cases) > 1, []
         if of.names("cables"):
             envelopes = [of.cable_envelope()] if several or of.strengths else []
-            found.append(PageSection("Cables", [self._tensions(), *envelopes, of.cables()]))
+            tables = [*envelopes, of.cables(), net_tables.clamps(of)]
+            used = [table for table in tables if table.rows]
+            found.append(PageSection("Cables", [self._tensions(), *used]))
         if of.names("bars"):
             envelopes = [of.bar_envelope(every=False)] if several else []
             found.append(PageSection("Bars", [*envelopes, of.bars(every=False)]))
         if of.names("ponds"):
             found.append(PageSection("Ponds", [of.ponds()]))
-        held = [table for table in (of.anchors(), of.joints()) if table.rows]
+        more = [net_tables.anchors(of), of.joints(), net_tables.foundations(of, self.foundations)]
+        held = [table for table in more if table.rows]
         found.append(PageSection("Supports and anchors", [of.supports(every=False), *held]))
+        if self.order is not None:
+            found.append(PageSection("Cables to order", [net_tables.order(self.order, of.units)]))
         return found

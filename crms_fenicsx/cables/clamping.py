@@ -1,0 +1,169 @@
+"""Clamps: where two cables meet, and the nodes at which clamps divide their tension."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from crms_fenicsx.meshes.triangles import cross, dot, norm
+from crms_fenicsx.model.cable_state import Crossing
+from crms_fenicsx.model.clamp import Clamp, ClampedParts
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.runtime.arrays import Array, floats
+
+TOUCHING = 0.05
+"""Gap between crossing cables, relative to their straight parts there, up to which a clamp brings
+them together: cables that have not been in equilibrium lie on cells that the others will fold."""
+
+OBLIQUE = 0.1
+"""Sine of the angle from which on two cables cross: others run side by side."""
+
+
+@dataclass(frozen=True)
+class CablesMeeting:
+    """A place where two cables cross each other."""
+
+    place: Array  # (3,) between both (length)
+    gap: float  # distance of the cables (length)
+    reach: float  # mean length of the straight parts that cross (length)
+    at: tuple[float, float]  # shares of the unstressed lengths up to there
+
+
+def meetings(a: LaidCable, b: LaidCable) -> list[CablesMeeting]:
+    """Where two cables cross, in the order of the first one."""
+    (x, u), (y, v) = (_straight_parts(cable) for cable in (a, b))
+    across = cross(u[:, None], v[None])
+    square = dot(across, across)
+    sizes = dot(u, u)[:, None] * dot(v, v)[None]
+    apart = y[None] - x[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s = dot(cross(apart, v[None]), across) / square
+        t = dot(cross(apart, u[:, None]), across) / square
+    low, high = -1e-9, 1 + 1e-9
+    inside = (low <= s) & (s <= high) & (low <= t) & (t <= high)
+    found: list[CablesMeeting] = []
+    for i, j in np.argwhere(inside & (square > OBLIQUE**2 * sizes)):
+        first, second = x[i] + s[i, j] * u[i], y[j] + t[i, j] * v[j]
+        place, reach = (first + second) / 2, float(norm(u[i]) + norm(v[j])) / 2
+        gap = float(norm(second - first))
+        same = [k for k, one in enumerate(found) if norm(one.place - place) < 1e-6 * one.reach]
+        if not same and gap < reach:
+            at = _share(a, int(i), float(s[i, j])), _share(b, int(j), float(t[i, j]))
+            found.append(CablesMeeting(place, gap, reach, at))
+    return sorted(found, key=lambda one: one.at)
+
+
+def _straight_parts(cable: LaidCable) -> tuple[Array, Array]:
+    """Starts of a cable's parts between contacts, and the vectors to their ends, (n, 3)."""
+    x = cable.positions[cable.contacts()]
+    return x[:-1], np.diff(x, axis=0)
+
+
+def _share(cable: LaidCable, i: int, t: float) -> float:
+    """Unstressed length up to a place on part i between contacts, as a share of the whole."""
+    sizes = norm(_straight_parts(cable)[1])
+    of = cable.parts_of(cable.contacts()[:-1])
+    own = of == of[i]
+    passed = float(sizes[:i][own[:i]].sum() + t * sizes[i]) / float(sizes[own].sum())
+    clamps = floats(cable.parts.at) if cable.parts is not None and cable.parts.nodes else []
+    start, end = [0.0, *clamps, 1.0][int(of[i]) :][:2]
+    return start + passed * (end - start)
+
+
+def named(clamps: Sequence[Clamp], cables: tuple[str, str]) -> str:
+    """A name for a new clamp of two cables."""
+    taken, name = {clamp.name for clamp in clamps}, " x ".join(cables)
+    numbers = (f" ({k})" if k else "" for k in [0, *range(2, len(taken) + 3)])
+    return next(name + number for number in numbers if name + number not in taken)
+
+
+def with_clamps(
+    crossings: Sequence[Crossing], clamps: Sequence[Clamp], cables: Sequence[LaidCable]
+) -> list[Crossing]:
+    """The crossings that are known, each clamp at that of its cables that is nearest; where there
+    is none, one at its place."""
+    number = {cable.name: c for c, cable in enumerate(cables)}
+    held = {clamp.name for clamp in clamps}
+    found = [
+        one if one.clamp is None or one.clamp in held else replace(one, clamp=None)
+        for one in crossings
+    ]
+    marked = {one.clamp for one in found}
+    for clamp in clamps:
+        if clamp.name in marked:
+            continue
+        c, d = (number[name] for name in clamp.cables)
+        lower, upper = sorted((c, d), key=lambda k: (cables[k].layer, k))
+        free = [
+            (float(norm(one.place - clamp.place)), k)
+            for k, one in enumerate(found)
+            if one.clamp is None and (one.lower, one.upper) == (lower, upper)
+        ]
+        if free:
+            k = min(free)[1]
+            found[k] = replace(found[k], clamp=clamp.name, separated=False)
+        else:
+            new = Crossing(lower, upper, (), (0, 0), clamp.place, (), clamp=clamp.name)
+            found.append(new)
+    return found
+
+
+def divide(
+    cables: Sequence[LaidCable], crossings: Sequence[Crossing], clamps: Sequence[Clamp]
+) -> tuple[Clamp, ...]:
+    """Divide the cables in tension at the nodes of their clamps; return these at their places now.
+    A clamp of a slack cable holds nothing."""
+    nodes: dict[str, dict[str, int]] = defaultdict(dict)
+    for cable in cables:
+        for k, node in enumerate(cable.nodes):
+            name = None if node.crossing is None else crossings[node.crossing].clamp
+            if name is not None:
+                nodes[name][cable.name] = k
+    by_name = {cable.name: cable for cable in cables}
+    for clamp in clamps:
+        if len(nodes[clamp.name]) < 2:
+            nodes[clamp.name] = _at_vertex(clamp, by_name)
+    for cable in cables:
+        own = sorted(
+            (nodes[clamp.name][cable.name], clamp.at[clamp.cables.index(cable.name)])
+            for clamp in clamps
+            if cable.name in nodes[clamp.name]
+        )
+        cable.update(parts=_parts(cable, own) if own else None)
+    return tuple(
+        replace(clamp, place=by_name[clamp.cables[0]].positions[at[clamp.cables[0]]].copy())
+        if (at := nodes[clamp.name])
+        else clamp
+        for clamp in clamps
+    )
+
+
+def _at_vertex(clamp: Clamp, cables: dict[str, LaidCable]) -> dict[str, int]:
+    """Nodes of two cables in tension at the vertex on which both lie that is nearest to a clamp."""
+    a, b = (cables[name] for name in clamp.cables)
+    if not (a.taut and b.taut):
+        return {}
+    of_a, of_b = (
+        {c.nodes[k].point: k for k in c.contacts() if c.nodes[k].kind == "vertex"} for c in (a, b)
+    )
+    away = [
+        (float(norm(a.positions[k] - clamp.place)), k, of_b[point])
+        for point, k in of_a.items()
+        if point in of_b
+    ]
+    return {a.name: min(away)[1], b.name: min(away)[2]} if away else {}
+
+
+def _parts(cable: LaidCable, own: Sequence[tuple[int, float]]) -> ClampedParts:
+    """The parts of a cable between clamps, given by nodes and shares of the unstressed length."""
+    nodes, at = zip(*own, strict=True)
+    shares, count = np.maximum.accumulate(np.array(at)), len(own) + 1
+    old = cable.parts
+    if old is not None and np.array_equal(old.at, shares):
+        return replace(old, nodes=nodes)
+    force = np.full(count, cable.tension)
+    smoothing = cable.smoothing_length * np.diff([0.0, *shares, 1.0])
+    return ClampedParts(shares, nodes, force, smoothing)

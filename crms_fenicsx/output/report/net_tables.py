@@ -1,0 +1,83 @@
+"""Tables of clamps, anchors and foundations, and of the lengths to which cables are made."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from crms_fenicsx.output.report.page import Table
+from crms_fenicsx.output.report.results_tables import ResultTables, Row, Units, with_size
+from crms_fenicsx.results.cable_order import Order
+
+DIRECTION = "Horizontal{force}|Direction in plan [deg]|Inclination [deg]"
+"""Headings of a force's horizontal part and of its angles."""
+
+
+def clamps(results: ResultTables) -> Table:
+    """Tensions on both sides of all clamps, and what they must hold, in all cases."""
+    rows: list[Row] = [
+        (name, case, one.before[0], one.after[0], one.before[1], one.after[1], one.size)
+        for name, case, one in results.each("clamps")
+    ]
+    columns = results.units.headings(
+        "Clamp|Combination|Cable 1, before{force}|Cable 1, after{force}|Cable 2, before{force}|"
+        "Cable 2, after{force}|Force{force}"
+    )
+    return Table("Clamps", columns, rows, "clamps", headings=2)
+
+
+def anchors(results: ResultTables) -> Table:
+    """Forces of the anchors on the cables' ends."""
+    cases = results.cases
+    rows: list[Row] = [
+        (name, which, case.name, *with_size(force), *_inclined(force))
+        for name in results.names("cables") for which in ("start", "end") for case in cases
+        if (force := getattr(case.summary.cables.get(name), which, None)) is not None
+    ]  # fmt: skip
+    columns = results.units.headings(
+        "Cable|End|Combination|Rx{force}|Ry{force}|Rz{force}|Size{force}|" + DIRECTION
+    )
+    return Table("Anchors: forces on the cables' ends", columns, rows, "anchors", headings=3)
+
+
+def foundations(results: ResultTables, carried: Mapping[str, Sequence[str]]) -> Table:
+    """Sums of what cables' ends and joints exert on each foundation: reactions with other signs."""
+    rows: list[Row] = []
+    for name, members in carried.items():
+        for case in results.cases:
+            ends = {
+                f"{cable.name} {which}": force
+                for cable in case.summary.cables.values()
+                for which in ("start", "end")
+                if (force := getattr(cable, which)) is not None
+            }
+            known = {**case.summary.joints, **ends}
+            forces = [known[member] for member in members if member in known]
+            total = [-sum(force[i] for force in forces) for i in range(3)]
+            rows.append((name, case.name, *with_size(total), *_inclined(total)))
+    columns = results.units.headings(
+        "Foundation|Combination|Fx{force}|Fy{force}|Fz{force}|Size{force}|" + DIRECTION
+    )
+    return Table("Foundations: forces on them", columns, rows, "foundations", headings=2)
+
+
+def _inclined(force: Sequence[float]) -> tuple[float, float, float]:
+    """Horizontal part of a force, its direction in plan from the x axis, and its angle with the
+    plan (degrees)."""
+    x, y, z = force
+    flat = math.hypot(x, y)
+    return flat, math.degrees(math.atan2(y, x)), math.degrees(math.atan2(z, flat))
+
+
+def order(cables: Order, units: Units) -> Table:
+    """Lengths to which cables are made and marked."""
+    m, kN = units["length"], units["force"]
+    of = (kN, m, kN, m, "", "", m, m, m)
+    first, *others = cables.COLUMNS
+    columns = (first, *(f"{name}{unit}" for name, unit in zip(others, of, strict=True)))
+    start, end = cables.allowance
+    caption = (
+        f"Cables to order, measured at {cables.temperature:g} K above the model's temperature; cut "
+        f"with allowances of {start:g} and {end:g}"
+    )
+    return Table(caption, columns, cables.rows(), "order")

@@ -1,0 +1,208 @@
+"""Lengths to which cables are ordered and marked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from mpi4py import MPI
+
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import floats
+from crms_fenicsx.runtime.errors import InputError, collective, raised_together
+from crms_fenicsx.runtime.files import absolute, replaced
+from crms_fenicsx.scene import Scene
+
+STEEL = 1.2e-5
+"""Thermal expansion of steel (per kelvin)."""
+
+
+@dataclass(frozen=True)
+class CableOrder:
+    """A cable to be ordered.
+
+    Attributes
+    ----------
+    name
+        Of the cable.
+    EA
+        Axial stiffness (force).
+    L0
+        Unstressed length between its ends, at the temperature of the model (length).
+    tension
+        Tension at which it is measured (force).
+    length
+        Length between its ends at that tension, and at the temperature at which it is measured
+        (length).
+    clamps
+        Names of the clamps on it, from its start to its end.
+    spacings
+        Distances from its start to the first clamp, from clamp to clamp, and to its end, measured
+        as `length` (length).
+    cut
+        `length` with the allowances at both ends (length).
+    """
+
+    name: str
+    EA: float
+    L0: float
+    tension: float
+    length: float
+    clamps: tuple[str, ...]
+    spacings: tuple[float, ...]
+    cut: float
+
+
+@dataclass(frozen=True)
+class Order:
+    """Cables to be ordered, and at what they are measured.
+
+    Attributes
+    ----------
+    cables
+        By their names.
+    temperature
+        By how much it is warmer where they are measured than in the model (kelvin).
+    expansion
+        Thermal expansion (per kelvin).
+    allowance
+        What is added at the start and at the end of each (length).
+    comm
+        Communicator of the scene.
+    """
+
+    cables: Mapping[str, CableOrder]
+    temperature: float
+    expansion: float
+    allowance: tuple[float, float]
+    comm: MPI.Intracomm
+
+    COLUMNS = (
+        "Cable", "EA", "Unstressed length", "Measured at tension", "Length there", "From", "To",
+        "Spacing", "From the start", "Cut length",
+    )  # fmt: skip
+
+    def rows(self) -> list[tuple[str | float, ...]]:
+        """A row for each part between clamps, with the columns `COLUMNS`."""
+        found: list[tuple[str | float, ...]] = []
+        for one in self.cables.values():
+            marks = ["start", *one.clamps, "end"]
+            passed = floats(np.cumsum(one.spacings))
+            head = (one.name, one.EA, one.L0, one.tension, one.length)
+            found += [
+                (*head, *marks[k : k + 2], spacing, passed[k], one.cut)
+                for k, spacing in enumerate(one.spacings)
+            ]
+        return found
+
+    @collective
+    def write(self, filename: str | Path) -> None:
+        """Write a CSV file, with all digits. Collective.
+
+        Parameters
+        ----------
+        filename
+            Of the file; one that is there is replaced.
+
+        Raises
+        ------
+        InputError
+            On all ranks: a file that cannot be written.
+        """
+        path = absolute(checks.file("write: filename", filename), self.comm)
+        with raised_together(self.comm):
+            if self.comm.rank == 0:
+                lines = [",".join(map(str, row)) for row in (self.COLUMNS, *self.rows())]
+                try:
+                    with replaced(path) as file:
+                        file.write_text("\n".join(lines) + "\n", encoding="utf-8")
+                except OSError as error:
+                    raise InputError(
+                        f"write: {path} cannot be written ({error}); give another file."
+                    ) from None
+
+
+@collective
+def lengths_to_order(
+    scene: Scene,
+    *,
+    tension: float | Mapping[str, float] = 0.0,
+    temperature: float = 0.0,
+    expansion: float = STEEL,
+    allowance: float | tuple[float, float] = 0.0,
+) -> Order:
+    """Lengths to which the cables of a scene are made and marked. Collective.
+
+    Parameters
+    ----------
+    scene
+        A scene with cables.
+    tension
+        Tension at which they are measured, for all or by their names (force).
+    temperature
+        By how much it is warmer there than in the model (kelvin).
+    expansion
+        Thermal expansion, by default that of steel (per kelvin).
+    allowance
+        What is added at each end, or at the start and at the end (length).
+
+    Returns
+    -------
+    Order
+        The lengths: `Order.write` writes them to a CSV file, and `Solver.report` takes them.
+
+    Raises
+    ------
+    InputError
+        On all ranks: a scene without cables, or a number that is none.
+
+    Examples
+    --------
+    >>> order = nets.lengths_to_order(scene, tension=5.0, temperature=-15.0, allowance=0.4)
+    >>> order.cables["A1"].spacings
+    >>> order.write("cables.csv")
+    """
+    call = "lengths_to_order"
+    if not isinstance(scene, Scene):
+        raise InputError(f"{call}: scene is of type {type(scene).__name__}; give a Scene.")
+    checks.same(
+        scene.comm, call, tension=tension, temperature=temperature, expansion=expansion,
+        allowance=allowance,
+    )  # fmt: skip
+    if not scene.cables:
+        raise InputError(f"{call}: the scene has no cables; lay some with scene.lay_cable(...).")
+    given = tension if isinstance(tension, Mapping) else {c.name: tension for c in scene.cables}
+    forces = {
+        scene.cable(name).name: checks.finite(f"{call}: tension of {name!r}", force)
+        for name, force in given.items()
+    }
+    temperature = checks.finite(f"{call}: temperature", temperature)
+    expansion = checks.finite(f"{call}: expansion", expansion)
+    both = allowance if isinstance(allowance, tuple) else (allowance, allowance)
+    if len(both) != 2:
+        raise InputError(f"{call}: allowance = {allowance!r}; give one, or (start, end).")
+    ends = [checks.finite(f"{call}: allowance", one) for one in both]
+    warm = 1 + expansion * temperature
+    found = {
+        cable.name: _order(scene, cable, forces.get(cable.name, 0.0), warm, sum(ends))
+        for cable in scene.cables
+    }
+    return Order(found, temperature, expansion, (ends[0], ends[1]), scene.comm)
+
+
+def _order(scene: Scene, cable: LaidCable, tension: float, warm: float, more: float) -> CableOrder:
+    """A cable to be ordered."""
+    own = sorted(
+        (clamp.at[clamp.cables.index(cable.name)], clamp.name)
+        for clamp in scene.clamps
+        if cable.name in clamp.cables
+    )
+    length = cable.L0 * (1 + tension / cable.cable.EA) * warm
+    spacings = length * np.diff([0.0, *(at for at, _ in own), 1.0])
+    return CableOrder(
+        cable.name, cable.cable.EA, cable.L0, tension, length, tuple(name for _, name in own),
+        tuple(floats(spacings)), length + more,
+    )  # fmt: skip

@@ -1,0 +1,81 @@
+"""Forces of clamps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from crms_fenicsx.meshes.triangles import cross, norm
+from crms_fenicsx.model.clamp import Clamp
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.results.cable_and_bar_results import Force
+from crms_fenicsx.runtime.arrays import Array, floats
+from crms_fenicsx.scene import Scene
+
+Pair = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class ClampResults:
+    """A clamp in an equilibrium, by plain numbers.
+
+    Attributes
+    ----------
+    name
+        Of the clamp.
+    place
+        Where it is, (3,) (length).
+    before, after
+        Tensions of its two cables before and after it, in their directions (force).
+    force
+        Force along the membrane that it hands on from the first cable to the second, (3,) (force).
+    """
+
+    name: str
+    place: Force
+    before: Pair
+    after: Pair
+    force: Force
+
+    @property
+    def differences(self) -> Pair:
+        """By how much the tensions of its cables rise at it (force)."""
+        return self.after[0] - self.before[0], self.after[1] - self.before[1]
+
+    @property
+    def size(self) -> float:
+        """Size of the force that it must hold along the membrane (force)."""
+        return float(np.linalg.norm(self.force))
+
+
+def clamp_results(scene: Scene) -> dict[str, ClampResults]:
+    """Forces of a scene's clamps by their names; zero where a cable is slack."""
+    return {clamp.name: _results(scene, clamp) for clamp in scene.clamps}
+
+
+def _results(scene: Scene, clamp: Clamp) -> ClampResults:
+    sides = [_side(scene.cable(name), at) for name, at in zip(clamp.cables, clamp.at, strict=True)]
+    (first, ways), (second, others) = sides
+    # Each cable pulls with T2 t2 - T1 t1; what is normal to both is carried by air and membrane.
+    pulls = [side[1] * way[1] - side[0] * way[0] for side, way in sides]
+    across = cross(ways.sum(axis=0), others.sum(axis=0))
+    normal = across / max(float(norm(across)), 1e-300)
+    force = (pulls[0] - pulls[1]) / 2
+    force = force - (force @ normal) * normal
+    x, y, z = floats(clamp.place)
+    u, v, w = floats(force)
+    before, after = (first[0], second[0]), (first[1], second[1])
+    return ClampResults(clamp.name, (x, y, z), before, after, (u, v, w))
+
+
+def _side(cable: LaidCable, at: float) -> tuple[Pair, Array]:
+    """Tensions of a cable before and after a clamp, and its directions there, (2, 3)."""
+    if cable.parts is None or not cable.parts.nodes:
+        return (0.0, 0.0), np.zeros((2, 3))
+    i = int(np.argmin(np.abs(cable.parts.at - at)))
+    contacts = cable.contacts()
+    k = contacts.index(cable.parts.nodes[i])
+    ways = np.diff(cable.positions[contacts[k - 1 : k + 2]], axis=0)
+    before, after = floats(cable.parts.tensions[i : i + 2])
+    return (before, after), np.asarray(ways / np.maximum(norm(ways), 1e-300)[:, None])

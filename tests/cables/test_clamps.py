@@ -1,0 +1,260 @@
+"""Clamps: one tension from clamp to clamp, points that stay together, on or off the membrane."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from crms_fenicsx import (
+    Bar,
+    Cable,
+    Friction,
+    InputError,
+    IsotropicMembrane,
+    NetWarning,
+    Scene,
+    Solver,
+    meshes,
+    nets,
+)
+
+FABRIC = IsotropicMembrane(E=300.0, nu=0.25, thickness=1.0, prestress=1.0)
+EA = 1e3
+
+
+def square(comm, size=1.3, structured=False) -> Scene:
+    scene = Scene(meshes.rectangle(comm, 10.0, 10.0, size, structured=structured), FABRIC)
+    scene.fix("boundary")
+    return scene
+
+
+def crossed(comm, **options) -> tuple[Scene, Solver]:
+    """A square with two cables that cross in its middle, and a load on its left half."""
+    scene = square(comm, **options)
+    for name, path in (("a", [(0.0, 5.0), (10.0, 5.0)]), ("b", [(5.0, 0.0), (5.0, 10.0)])):
+        scene.lay_cable(Cable(EA), path, tension=5.0, name=name)
+    scene.put_load(lambda x, n: np.stack([0 * x[0], 0 * x[0], -1.0 * (x[0] < 5.0)]), name="half")
+    return scene, Solver(scene, rtol=1e-11)
+
+
+@pytest.mark.parametrize(("n", "rtol"), [(8, 1e-9), (7, 5e-9)])
+def test_clamped_or_not_is_the_same_under_symmetric_load(comm, n, rtol) -> None:
+    """On a mesh that is its own image under half a turn: about a vertex where both cables cross, or
+    the middle of an edge, beside which the crossing is in one of two cells."""
+    found = {}
+    for clamped in (False, True):
+        scene, solver = crossed(comm, size=10 / n, structured=True)
+        if clamped:
+            (clamp,) = scene.clamp("a", "b")
+            assert clamp.at == pytest.approx((0.5, 0.5), abs=1e-12)
+        solver.advance(pressure=2.0)
+        found[clamped] = [scene.energy, scene.cable("a").tension, scene.cable("b").tension]
+    np.testing.assert_allclose(found[True], found[False], rtol=rtol)
+
+
+@pytest.mark.ranks
+def test_tensions_balance_at_a_clamp(comm) -> None:
+    """Under load on one half; unclamped and unloaded it is the sliding net again."""
+    scene, solver = crossed(comm)
+    solver.advance(pressure=2.0)
+    before = [scene.energy, *(cable.tension for cable in scene.cables)]
+    solver.advance(load={"half": 1.0})
+    slid = [scene.energy, *(cable.tension for cable in scene.cables)]
+    solver.advance(load={"half": 0.0})
+    (clamp,) = scene.clamp("a", "b")
+    solver.advance(load={"half": 1.0})
+    assert solver.steps[-1].verification.passed
+    assert scene.energy > slid[0] + 1e-3  # it holds what would slide
+    a, b = scene.cables
+    force = solver.clamp_forces()["a x b"]
+    assert len(set(np.round(a.tensions, 9))) == 2 and len(set(np.round(b.tensions, 9))) == 2
+    assert force.before == (a.tensions[0], b.tensions[0])
+    assert force.after == (a.tensions[-1], b.tensions[-1])
+    assert abs(force.differences[0]) > 0.2
+    # what the one hands on the other takes, but for the pressure on the facets around
+    assert force.size == pytest.approx(float(np.hypot(*force.differences)), rel=0.05)
+    assert a.tension == pytest.approx(
+        a.tensions[0] * clamp.at[0] + a.tensions[-1] * (1 - clamp.at[0]), rel=1e-12
+    )
+    held = [scene.energy, a.tensions[0], a.tensions[-1], b.tensions[0], b.tensions[-1]]
+    np.testing.assert_allclose(
+        held, [-46.222487, 23.4434, 23.899002, 22.764657, 22.742118], rtol=1e-6
+    )  # the same on any number of processes
+    scene.unclamp("a", "b")
+    solver.advance(load={"half": 0.0})
+    after = [scene.energy, *(cable.tension for cable in scene.cables)]
+    np.testing.assert_allclose(after, before, rtol=3e-5)  # paths on other sides of vertices
+    assert not scene.clamps and a.parts is None
+
+
+def test_clamping_changes_nothing_in_an_equilibrium(comm) -> None:
+    scene, solver = crossed(comm)
+    solver.advance(pressure=2.0, load={"half": 1.0})
+    before = [scene.energy, *(cable.tension for cable in scene.cables)]
+    scene.clamp("a", "b")
+    solver.advance()
+    after = [scene.energy, *(cable.tension for cable in scene.cables)]
+    np.testing.assert_allclose(after, before, rtol=1e-9)
+    for cable in scene.cables:
+        np.testing.assert_allclose(cable.tensions, cable.tension, rtol=1e-8)
+
+
+def test_clamped_cables_off_the_membrane_are_four_that_share_a_joint(comm) -> None:
+    """Lifted off together they are straight from the clamp to their anchors."""
+    scene = square(comm)
+    a = scene.lay_cable(Cable(1e6), [(-1.0, 5.0, 0.0), (11.0, 5.0, 0.0)], tension=9e3, name="a")
+    b = scene.lay_cable(Cable(2e6), [(4.0, -1.0, 0.0), (4.0, 11.0, 0.0)], tension=5e3, name="b")
+    (clamp,) = scene.clamp(a, b)
+    solver = Solver(scene)
+    moves = {a.start: (-0.1, 0.0, 1.0), a.end: (0.05, 0.3, 1.5), b.start: (0.2, 0.0, 1.3)}
+    solver.advance(move={**moves, b.end: (0.0, 0.0, 1.2)})
+    assert solver.steps[-1].verification.passed
+    assert len(a.line) == len(b.line) == 3 and a.free_spans.all() and b.free_spans.all()
+
+    other = square(comm)
+    joint = other.add_joint((4.0, 5.0, 1.2))
+    bars = []
+    for cable, at in zip((a, b), clamp.at, strict=True):
+        for end, share in ((cable.line[0], at), (cable.line[-1], 1 - at)):
+            one = Bar(cable.cable.EA, tension_only=True)
+            bars.append(other.add_bar(one, tuple(end), joint, L0=share * cable.L0))
+    Solver(other).advance()
+    np.testing.assert_allclose(scene.clamps[0].place, joint.position, atol=1e-8)
+    forces = [*a.tensions, *b.tensions]
+    np.testing.assert_allclose(forces, [bar.force for bar in bars], rtol=1e-8)
+    assert np.ptp(forces[:2]) > 100.0
+
+
+@pytest.mark.ranks
+def test_clamps_survive_checkpoints_branches_and_lengths(comm, tmp_path) -> None:
+    folder = Path(comm.bcast(str(tmp_path)))
+    scene, solver = crossed(comm)
+    scene.clamp("a", "b")
+    solver.advance(pressure=2.0)
+    cases = solver.combine({"half": {"half": 1.0}, "short": {"half": 0.5}})
+    assert set(cases["half"].snapshot.net.clamps[0].cables) == {"a", "b"}
+    solver.restore(cases["half"].snapshot)
+    loaded = solver.clamp_forces()["a x b"]
+    solver.save(folder / "state")
+    a = scene.cable("a")
+    part = a.part_lengths
+    solver.advance(L0={a: 0.99 * a.L0})
+    np.testing.assert_allclose(a.part_lengths, 0.99 * part, rtol=1e-12)
+    again, solver = crossed(comm)
+    again.clamp("a", "b")
+    solver.load(folder / "state")
+    assert again.clamps[0].at == scene.clamps[0].at
+    found = solver.clamp_forces()["a x b"]
+    np.testing.assert_allclose(
+        [*found.before, *found.after, *found.force],
+        [*loaded.before, *loaded.after, *loaded.force],
+        rtol=1e-12,
+    )
+    solver.advance()
+    np.testing.assert_allclose(solver.clamp_forces()["a x b"].before, loaded.before, rtol=1e-7)
+
+
+def test_clamps_near_places_and_of_removed_cables(comm) -> None:
+    scene, solver = crossed(comm)
+    scene.lay_cable(Cable(EA), [(0.0, 2.0), (10.0, 2.5)], tension=5.0, name="c")
+    (clamp,) = scene.clamp("a", "b", "c", near=[(5.0, 2.0, 0.0)])
+    assert clamp.name == "b x c"
+    (more,) = scene.clamp(*scene.cables)
+    assert more.name == "a x b" and scene.clamp(*scene.cables) == ()
+    solver.advance(pressure=1.0)
+    assert len(scene.cable("b").parts.at) == 2 and len(scene.cable("a").parts.at) == 1
+    assert "clamp" in repr(solver.summary()) and set(solver.summary().clamps) == {"b x c", "a x b"}
+    scene.unclamp("b", "c", near=[(5.0, 2.2, 0.0)])
+    scene.remove("a")
+    assert scene.clamps == ()
+    solver.advance()
+    assert scene.cable("b").parts is None
+
+
+@pytest.mark.ranks
+def test_lengths_to_order(comm, tmp_path) -> None:
+    """At a tension and a temperature, with the clamps' spacings and allowances; also in reports."""
+    folder = Path(comm.bcast(str(tmp_path)))
+    scene, solver = crossed(comm)
+    scene.clamp("a", "b")
+    solver.advance(pressure=1.0)
+    order = nets.lengths_to_order(
+        scene, tension={"a": 4.0}, temperature=-20.0, allowance=(0.3, 0.2)
+    )
+    a, b = scene.cables
+    warm = 1 - 20 * 1.2e-5
+    assert order.cables["a"].length == pytest.approx(a.L0 * (1 + 4.0 / EA) * warm, rel=1e-14)
+    assert order.cables["b"].length == pytest.approx(b.L0 * warm, rel=1e-14)
+    assert order.cables["a"].cut == pytest.approx(order.cables["a"].length + 0.5)
+    assert sum(order.cables["a"].spacings) == pytest.approx(order.cables["a"].length)
+    assert order.cables["a"].spacings[0] / order.cables["a"].length == pytest.approx(
+        scene.clamps[0].at[0]
+    )
+    solver.report(
+        folder / "net.html",
+        order=order,
+        foundations={"west": ["a start"], "all": ["a start", "a end"]},
+    )
+    order.write(folder / "cables.csv")
+    comm.barrier()
+    rows = (folder / "cables.csv").read_text().splitlines()
+    assert len(rows) == 5 and rows[1].split(",")[5:7] == ["start", "a x b"]
+    text = (folder / "net.html").read_text()
+    assert "Cables to order" in text and "Foundations" in text and "a x b" in text
+    sums = (folder / "net_foundations.csv").read_text().splitlines()
+    pull = -a.start.reaction
+    found = [float(x) for x in sums[1].split(",")[2:]]
+    flat = np.hypot(*pull[:2])
+    np.testing.assert_allclose(found[:3], pull, atol=1e-9)
+    np.testing.assert_allclose(found[3:5], [np.linalg.norm(pull), flat])
+    assert found[6] == pytest.approx(np.degrees(np.arctan2(pull[2], flat)))
+    both = [float(x) for x in sums[2].split(",")[2:5]]
+    np.testing.assert_allclose(both, pull - a.end.reaction, atol=1e-9)
+    assert "a x b" in (folder / "net_clamps.csv").read_text()
+    for options, message in (
+        ({"order": 3}, "order = 3; give what nets.lengths_to_order"),
+        ({"foundations": {"F": ["z end"]}}, "foundation 'F' carries .'z end'."),
+        ({"foundations": ["a start"]}, "write names of cables"),
+    ):
+        with pytest.raises(InputError, match=message):
+            solver.report(folder / "other.html", **options)
+    with pytest.raises(InputError, match="the scene has no cables"):
+        nets.lengths_to_order(square(comm))
+    with pytest.raises(InputError, match="tension of 'a' = 'much'"):
+        nets.lengths_to_order(scene, tension={"a": "much"})
+
+
+@pytest.mark.ranks
+def test_bad_clamps_are_refused(comm) -> None:
+    scene, _ = crossed(comm)
+    scene.lay_cable(Cable(EA), [(0.0, 2.0), (10.0, 2.5)], tension=5.0, name="c")
+    rubs = Cable(EA, friction=Friction(0.3, along=0.2))
+    scene.lay_cable(rubs, [(0.0, 8.0), (10.0, 8.0)], tension=5.0, name="d")
+    scene.lay_cable(Cable(EA), [(3.0, 0.0, 0.0), (3.0, 5.0, 2.0)], tension=5.0, name="e")
+    bad = [
+        (lambda: scene.clamp("a", "a"), "the cables are a, a; give two or more different ones"),
+        (lambda: scene.clamp("a"), "two or more different"),
+        (lambda: scene.clamp("a", "x"), "no cable 'x'"),
+        (lambda: scene.clamp("a", 3), "3 is not a cable of this scene"),
+        (lambda: scene.clamp("a", "c"), "'a' and 'c' do not cross"),
+        (lambda: scene.clamp("b", "d"), "'d' has friction along its axis"),
+        (lambda: scene.clamp("c", "e"), "'c' and 'e' lie 0.798 apart where they cross"),
+        (lambda: scene.clamp("a", "b", near="here"), "near = 'here'"),
+        (lambda: scene.unclamp("a", "b"), "there is no such clamp; the scene has none"),
+    ]
+    first = comm.rank == 0
+    with (
+        pytest.warns(NetWarning, match="3 crossings left open: 'a' and 'e'")
+        if first
+        else (nullcontext())
+    ):
+        assert len(scene.clamp("a", "b", "c", "e")) == 2
+    scene.unclamp("a", "b", "c")
+    before = scene.net.state
+    for call, message in bad:
+        with pytest.raises(InputError, match=message):
+            call()
+        assert scene.clamps == () and scene.net.state.clamps == before.clamps
