@@ -78,10 +78,10 @@ def _add_volume_gradient(X, x, corners, weights, origin, factor, g):  # type: ig
 
 
 @numba.njit(cache=True)
-def _volume_hessian(X, x, corners, weights, origin, factor, blocks):  # type: ignore[no-untyped-def]
-    """Second derivatives of ``factor x volume``, blocks (n, 3, 3, 3, 3) of the facets' corners."""
+def _volume_hessian(X, x, corners, weights, origin, factor, active, blocks):  # type: ignore[no-untyped-def]
+    """Second derivatives of ``factor x volume``, blocks (n, 3, 3, 3, 3) of active facets."""
     p = np.empty(3)
-    for f in range(corners.shape[0]):
+    for f in np.flatnonzero(active):
         blocks[f] = 0.0
         scale = factor * weights[f] / 6.0
         for m in range(3):
@@ -104,12 +104,13 @@ class FoldedFollowerPressure(EnergyTerm):
     name = "pressure"
     exact_hessian = True
     of_cables = True
+    active: Booleans
 
     def __init__(self, table: Facets, pressure: fem.Constant, origin: Array) -> None:
         self.table, self.pressure, self.origin = table, pressure, origin
         self.pattern = ElementPattern(*table.element_blocks)
         self.patterns = (self.pattern,)
-        self._volumes = np.zeros(len(table.corners))
+        self._volumes, self.active = np.zeros(len(table.corners)), np.ones(len(table.corners), bool)
 
     def attach(self, unknowns: Unknowns) -> None:
         """Use the positions of this layout."""
@@ -141,7 +142,7 @@ class FoldedFollowerPressure(EnergyTerm):
         t, blocks = self.table, self.pattern.values.reshape(-1, 3, 3, 3, 3)
         _volume_hessian(
             self.unknowns.X, x, t.corners, t.weights, self.origin, -float(self.pressure.value),
-            blocks,
+            self.active, blocks,
         )  # fmt: skip
         self.pattern.add(A)
 
