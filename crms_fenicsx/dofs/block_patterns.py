@@ -131,8 +131,9 @@ class SegmentPattern(BlockPattern):
 
     def add(self, A: BlockSink) -> None:
         """Add what `own_values` holds."""
-        v = self.own_values
-        np.concatenate([v, v, -v, -v], out=self.values)
+        values = self.values.reshape(4, *self.own_values.shape)
+        values[:2] = self.own_values
+        np.negative(self.own_values, out=values[2:])
         super().add(A)
 
 

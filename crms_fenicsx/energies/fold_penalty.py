@@ -137,14 +137,14 @@ def _add_angle(ru, rc, u, c, w, out, i, eu, ec):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def add_curvature(X, x, points, coefficients, weighted, r, blocks):  # type: ignore[no-untyped-def]
-    """Add ``2 mu w r Hessian(w r)`` to blocks (n, 4, 4, 3, 3) of the places' four points. The
+def add_curvature(X, x, points, coefficients, weighted, r, active, blocks):  # type: ignore[no-untyped-def]
+    """Add ``2 mu w r Hessian(w r)`` to blocks (n, 4, 4, 3, 3) of active places' four points. The
     residual depends on three vectors from p: to the previous point on the side, to the next one,
     and along the chord, numbers 0, 1 and 2 here."""
     at = (0, 2, 3)
     unit, H = np.empty((3, 3)), np.empty((3, 3, 3, 3))
     sides, chords = np.empty((2, 3)), np.empty((2, 3))  # gradients of both angles by their vectors
-    for k in range(points.shape[0]):
+    for k in np.flatnonzero(active):
         p = points[k, 1]
         a = _unit(X, x, p, points[k, 0], unit[0])
         b = _unit(X, x, p, points[k, 2], unit[1])
@@ -189,9 +189,9 @@ def add_curvature(X, x, points, coefficients, weighted, r, blocks):  # type: ign
 
 
 @numba.njit(cache=True)
-def _square_slopes(coefficients, dr, blocks):  # type: ignore[no-untyped-def]
-    """Put ``2 mu grad(w r) grad(w r)^T`` into blocks (n, 4, 4, 3, 3)."""
-    for k in range(len(coefficients)):
+def _square_slopes(coefficients, dr, active, blocks):  # type: ignore[no-untyped-def]
+    """Put ``2 mu grad(w r) grad(w r)^T`` into blocks (n, 4, 4, 3, 3) of active places."""
+    for k in np.flatnonzero(active):
         for m in range(4):
             for n in range(4):
                 for i in range(3):
@@ -214,10 +214,12 @@ class FoldPenalty(EnergyTerm):
     name = "penalty"
     exact_hessian = True
     of_cables = True
+    active: Booleans
 
     def __init__(self, table: FoldAngles) -> None:
         self.table = table
         n = len(table.points)
+        self.active = np.ones(n, dtype=bool)
         self.residuals, self._dr, self._last = np.zeros(n), np.zeros((n, 4, 3)), np.empty((n, 4, 3))
         """``w r`` of each place at the last sums (rad)."""
         rows, cols = np.repeat(table.points, 4, axis=1), np.tile(table.points, 4)
@@ -253,14 +255,15 @@ class FoldPenalty(EnergyTerm):
         """Add the second derivatives, the Gauss-Newton stiffness and ``2 mu w r Hessian(w r)``."""
         t, blocks = self.table, self._slopes_squared()
         add_curvature(
-            self.unknowns.X, x, t.points, t.coefficients, t.weighted, self.residuals, blocks
-        )
+            self.unknowns.X, x, t.points, t.coefficients, t.weighted, self.residuals, self.active,
+            blocks,
+        )  # fmt: skip
         self.pattern.add(A)
 
     def _slopes_squared(self) -> Array:
         """Make the Gauss-Newton stiffness, (n, 4, 4, 3, 3), in the pattern's values."""
         blocks = self.pattern.values.reshape(-1, 4, 4, 3, 3)
-        _square_slopes(self.table.coefficients, self._dr, blocks)
+        _square_slopes(self.table.coefficients, self._dr, self.active, blocks)
         return blocks
 
     def elements_on(self, chosen: Booleans) -> FoldAngles | None:

@@ -149,7 +149,8 @@ def cell_forces(  # type: ignore[no-untyped-def]
 @numba.njit(cache=True)
 def cell_stiffness(  # type: ignore[no-untyped-def]
     X, x, segments, eps, lengths, pointers, side_segments, sides, maps, areas, law, p, out, floor,
-    prestress, exact, element_pointers, element_blocks, offsets, values, tension, orthotropic,
+    prestress, exact, element_pointers, element_blocks, offsets, values, tension, active,
+    orthotropic,
 ):  # fmt: skip
     """Stiffness ``sum K_kl grad(r_k) grad(r_l)^T`` per cell, r its sides. K = 4 r_k r_l A
     (M^T C M)_kl, and on the diagonal force / side where that is tensile, or `exact`. Into `tension`
@@ -161,6 +162,8 @@ def cell_stiffness(  # type: ignore[no-untyped-def]
         most = max(most, element_pointers[c + 1] - element_pointers[c])
     B, KB = np.empty((most, 3, 3)), np.empty((most, 3, 3))
     for c in range(sides.shape[0]):
+        if not active[c]:
+            continue
         start = element_pointers[c]
         size = element_pointers[c + 1] - start
         own = element_blocks[start : start + size]
@@ -220,6 +223,7 @@ class FoldedMembraneEnergy(EnergyTerm):
     exact_hessian = True
     of_cables = True
     stiffening: Stiffening
+    active: Booleans
 
     def __init__(self, table: FoldedCells, stiffening: Stiffening) -> None:
         self.table, self.stiffening = table, stiffening
@@ -228,7 +232,7 @@ class FoldedMembraneEnergy(EnergyTerm):
         self.lengths = np.zeros(len(table.segments))
         self.forces = np.zeros(len(table.segments))
         self._tension = np.zeros(len(table.segments))
-        self._energies = np.zeros(len(table.cells))
+        self._energies, self.active = np.zeros(len(table.cells)), np.ones(len(table.cells), bool)
         self.results = np.zeros((len(table.cells), 7))
         """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state of each cell."""
         self._orthotropic = laws.orthotropic_flag(table.laws)
@@ -273,7 +277,7 @@ class FoldedMembraneEnergy(EnergyTerm):
             X, x, t.segments, t.eps, self.lengths, t.side_pointers, t.side_segments, t.sides,
             self.maps, self.areas, t.laws, t.parameters, self.results, floor, prestress, exact,
             self._element_pointers, self._element_blocks, self.elements.offsets,
-            self.elements.values, self._tension, self._orthotropic,
+            self.elements.values, self._tension, self.active, self._orthotropic,
         )  # fmt: skip
         self.elements.add(A)
         segment_stiffness(X, x, t.segments, t.eps, self._tension, self.edges.own_values)

@@ -82,11 +82,12 @@ ROWS, COLUMNS = [1, 2, 2, 0, 0, 1], [2, 1, 0, 2, 1, 0]
 
 
 @numba.njit(cache=True)
-def _volume_hessian(X, x, corners, weights, origin, factor, blocks):  # type: ignore[no-untyped-def]
-    """Second derivatives of ``factor x volume``, blocks (n, 3, 2, 3, 3) at `ROWS`, `COLUMNS`."""
+def _volume_hessian(X, x, corners, weights, origin, factor, active, blocks):  # type: ignore[no-untyped-def]
+    """Second derivatives of ``factor x volume`` of active facets, blocks (n, 3, 2, 3, 3) at `ROWS`,
+    `COLUMNS`."""
     p = np.empty(3)
-    blocks[:] = 0.0
-    for f in range(corners.shape[0]):
+    for f in np.flatnonzero(active):
+        blocks[f] = 0.0
         scale = factor * weights[f] / 6.0
         for m in range(3):
             # the derivative by corner m + 1 and, then, m + 2 is the cross product with corner m
@@ -105,13 +106,14 @@ class FoldedFollowerPressure(EnergyTerm):
     name = "pressure"
     exact_hessian = True
     of_cables = True
+    active: Booleans
 
     def __init__(self, table: Facets, pressure: fem.Constant, origin: Array) -> None:
         self.table, self.pressure, self.origin = table, pressure, origin
         rows, cols = (table.corners[:, own].ravel() for own in (ROWS, COLUMNS))
         self.pattern = BlockPattern(rows, cols)
         self.patterns = (self.pattern,)
-        self._volumes = np.zeros(len(table.corners))
+        self._volumes, self.active = np.zeros(len(table.corners)), np.ones(len(table.corners), bool)
 
     def attach(self, unknowns: Unknowns) -> None:
         """Use the positions of this layout."""
@@ -143,7 +145,7 @@ class FoldedFollowerPressure(EnergyTerm):
         t, blocks = self.table, self.pattern.values.reshape(-1, 3, 2, 3, 3)
         _volume_hessian(
             self.unknowns.X, x, t.corners, t.weights, self.origin, -float(self.pressure.value),
-            blocks,
+            self.active, blocks,
         )  # fmt: skip
         self.pattern.add(A)
 

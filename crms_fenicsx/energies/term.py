@@ -80,6 +80,9 @@ class EnergyTerm(ABC):
         materials, tensors in space (force per length): results add them. None without any.
     patterns
         Where its stiffness has blocks, see `crms_fenicsx.dofs.block_patterns`; from `attach` on.
+    active : (n,)
+        Elements of which stiffness is wanted, where a term can leave out others; they have blocks
+        of no use then.
     columns
         Where the columns of the dyads of a term that was `split` have entries; None without dyads.
     twin
@@ -119,6 +122,7 @@ class EnergyTerm(ABC):
     section_forces: Array | None = None
     patterns: Sequence[BlockPattern] = ()
     columns: ColumnPattern | None = None
+    active: Booleans | None = None
     twin: CompiledCells | None = None
     unknowns: Unknowns
 

@@ -23,6 +23,9 @@ from crms_fenicsx.dofs.cluster_layout import ClusterLayout
 from crms_fenicsx.minimization.membrane_multigrid import EXACT_SHIFT, SHIFT
 from crms_fenicsx.runtime.arrays import Array, Booleans, Indices, Integers, pointers
 
+NO_COLUMNS = ColumnPattern(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int32))
+"""Of clusters without dyads."""
+
 
 class ClusterMatrix:
     """Stiffness of clusters, which terms add to as to a PETSc matrix.
@@ -32,24 +35,27 @@ class ClusterMatrix:
     """
 
     def __init__(
-        self, layout: ClusterLayout, patterns: Sequence[BlockPattern], columns: ColumnPattern | None
+        self,
+        layout: ClusterLayout,
+        patterns: Sequence[BlockPattern],
+        columns: ColumnPattern = NO_COLUMNS,
     ) -> None:
         self.layout, n = layout, len(layout.blocks)
         places = {pattern: self._find(pattern) for pattern in patterns}
         column, at, self._sources, self._weights = self._find_columns(columns)
-        owners = np.zeros(int(column.max(initial=-1)) + 1, dtype=np.int64)
-        owners[column] = layout.cluster[at]
+        owners = np.zeros(int(columns.columns.max(initial=-1)) + 1, dtype=np.int64)
+        np.maximum.at(owners, columns.columns, layout.groups[columns.blocks])
         before = np.searchsorted(owners, np.arange(layout.n_clusters + 1))
         self.rows = 3 * layout.starts + before
         row, nearest = 3 * np.arange(n) + before[layout.cluster], np.arange(n)
         for i, j, _, _ in places.values():
-            _take_least(i, j, nearest)
+            np.minimum.at(nearest, i, j)
         self.first = np.arange(self.rows[-1])
         ends = self.first + 1
         for k in range(3):  # all three rows of a block have the same columns
             self.first[row + k], ends[row + k] = row[nearest], row + 3
         column += 3 * layout.starts[owners[column] + 1]
-        _take_least(column, row[at], self.first)
+        np.minimum.at(self.first, column, row[at])
         offsets = pointers(ends - self.first)
         self.at, self.values = offsets[:-1] - self.first, np.zeros(offsets[-1])
         self._columns = (self.at[column] + row[at])[:, None] + np.arange(3)
@@ -69,11 +75,8 @@ class ClusterMatrix:
         i, j, kept = _lower_half(rows, cols, number)
         return i, j, sources[kept], weights[kept]
 
-    def _find_columns(self, of: ColumnPattern | None) -> tuple[Integers, Integers, Integers, Array]:
+    def _find_columns(self, of: ColumnPattern) -> tuple[Integers, Integers, Integers, Array]:
         """Columns and blocks of the entries where blocks move, as `_find`."""
-        if of is None:
-            none = np.zeros(0, dtype=np.int64)
-            return none, none, none, np.zeros(0)
         carriers, shares = self.layout.whole.carriers()
         number, weights = self.layout.number[carriers[of.blocks]], shares[of.blocks]
         sources, k = np.nonzero((number >= 0) & (weights != 0.0))
@@ -130,13 +133,6 @@ def _places(i, j, row, nearest, at):  # type: ignore[no-untyped-def]
         starts[k] = at[row[i[k]]] + row[j[k]]
         strides[k] = row[i[k]] + 3 - row[nearest[i[k]]]
     return starts, strides
-
-
-@numba.njit(cache=True)
-def _take_least(rows, values, least):  # type: ignore[no-untyped-def]
-    """Bring some of `least` down to values (n,)."""
-    for k in range(len(rows)):
-        least[rows[k]] = min(least[rows[k]], values[k])
 
 
 @numba.njit(cache=True)

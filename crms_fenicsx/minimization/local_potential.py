@@ -77,8 +77,8 @@ class LocalPotential:
         self._sizes = self._by_cluster(np.abs)
         patterns = [pattern for term in self.terms for pattern in term.patterns]
         patterns += [pattern for damping in self._damping for pattern in damping.patterns]
-        columns = next((term.columns for term in self.terms if term.columns is not None), None)
-        self._matrix = ClusterMatrix(self.layout, patterns, columns)
+        columns = [term.columns for term in self.terms if term.columns is not None]
+        self._matrix = ClusterMatrix(self.layout, patterns, *columns)
 
     def _by_cluster(self, function: Callable[[Array], Array]) -> Array:
         """Sum of a function of the elements' energies over each cluster."""
@@ -169,14 +169,17 @@ class LocalPotential:
         for kind in (True, False):
             wanted = left & exact if kind else left
             if wanted.any():
-                self._assemble(kind)
+                self._assemble(wanted, kind)
                 left &= ~self._matrix.solve(wanted, -self.g, d)
         return d
 
-    def _assemble(self, exact: bool) -> None:
-        """Assemble second derivatives, or H0, at the current state."""
+    def _assemble(self, wanted: Booleans, exact: bool) -> None:
+        """Assemble second derivatives, or H0, of some clusters at the current state."""
         A = self._matrix
         A.clear()
+        for term, cluster in zip(self.terms, self._clusters, strict=True):
+            if term.active is not None:
+                np.take(np.append(wanted, False), cluster, out=term.active)
         if not exact:
             self._forces[:] = 0.0  # what is held needs no damping
             self._forces[self.blocks] = self.g
