@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -28,6 +28,7 @@ from crms_fenicsx.results.membrane_results import MembraneResults, membrane_resu
 from crms_fenicsx.results.quantities import fields_of
 from crms_fenicsx.results.reactions import Reactions, reactions
 from crms_fenicsx.results.residual import Residual, Tangent, residual, tangent
+from crms_fenicsx.results.sensitivities import Sensitivities, sensitivities
 from crms_fenicsx.results.summary import Summary, summary
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.checks import counted
@@ -638,6 +639,40 @@ class Solver:
         >>> scene.u.x.scatter_forward()
         """
         return tangent(self.system)
+
+    @collective
+    def sensitivities(self, of: Sequence[object], by: Sequence[object]) -> Sensitivities:
+        """Derivatives of results by lengths, loads and stiffnesses in the current equilibrium.
+
+        Collective. They come from the exact tangent, on the paths and contacts that there are.
+
+        Parameters
+        ----------
+        of
+            Results: cables and bars (tension, axial force), ends of cables (size of the reaction),
+            "energy", "volume", and coordinates of vertices, as ``(scene.vertex_at(p), "z")``.
+        by
+            Parameters: cables and bars (unstressed length), "pressure", names of loads (factor),
+            and stiffnesses of cables, ``("EA", cable)``.
+
+        Returns
+        -------
+        Sensitivities
+            The same on all ranks.
+
+        Raises
+        ------
+        InputError
+            On all ranks: what is none of these, a scene that is not in equilibrium, friction or
+            step-wise laws, or a state with a singular tangent.
+
+        Examples
+        --------
+        >>> found = solver.sensitivities([ridge, "energy"], [ridge, "pressure", "snow"])
+        >>> found[ridge, "pressure"]
+        """
+        self.scene.require_equilibrium("sensitivities")
+        return sensitivities(self.system, of, by)
 
     def draw(self, filename: str | Path | None = None, **options: Any) -> Figure | None:
         """Draw the scene in its current state, as `crms_fenicsx.output.draw`. Collective.

@@ -15,6 +15,8 @@ TUTORIALS = [
     "cable_net",
     "tent",
     "air_hall",
+    "clamped_net",
+    "net_tuning",
     "patterns",
     "wind_coupling",
     "friction_experiment",

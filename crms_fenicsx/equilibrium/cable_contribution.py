@@ -104,7 +104,7 @@ class CableContribution(Contribution):
         return terms
 
     def _tension_term(self, tables: CableTables) -> CableTension:
-        EA = np.repeat([cable.cable.EA for cable in self.sliding], np.diff(self.first_parts))
+        EA = self._stiffnesses()
         L0 = np.concatenate([cable.part_lengths for cable in self.sliding])
         starts = [cable.step_start for cable in self.sliding]
         one = np.array([cable.axial is None for cable in self.taut])
@@ -122,6 +122,11 @@ class CableContribution(Contribution):
             return StepCableTension(*links, EA, L0, starts)
         return CableTension(*links, EA, L0)
 
+    def _stiffnesses(self) -> Array:
+        """Axial stiffnesses of the parts of the sliding cables (force)."""
+        EA = np.array([cable.cable.EA for cable in self.sliding], dtype=np.float64)
+        return np.repeat(EA, np.diff(self.first_parts))
+
     def read_scene(self, potential: Potential) -> None:
         numbering, unknowns = self.numbering, self.unknowns
         own = numbering.blocks[numbering.blocks >= 0]
@@ -131,6 +136,7 @@ class CableContribution(Contribution):
         unknowns.update_ghosts(potential.x_vector)  # far vertices, with edge sliders on them
         numbering.edge_sliders.place(unknowns, potential.x)
         if self.tension is not None:
+            self.tension.EA[:] = self._stiffnesses()
             self.tension.L0[:] = np.concatenate([cable.part_lengths for cable in self.sliding])
             self.tension.smoothing_length[:] = np.concatenate(
                 [_smoothing(cable) for cable in self.sliding]

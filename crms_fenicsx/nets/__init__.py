@@ -8,6 +8,7 @@ from crms_fenicsx.model.net import Net, NetCrossing, NetLine
 from crms_fenicsx.nets.equidistant import equidistant
 from crms_fenicsx.nets.geodesics import geodesics_across, geodesics_between
 from crms_fenicsx.nets.plane_routes import from_paths, great_circle, sections
+from crms_fenicsx.nets.tuning import tune
 from crms_fenicsx.results.cable_order import CableOrder, Order, lengths_to_order
 
 __all__ = [
@@ -23,4 +24,5 @@ __all__ = [
     "great_circle",
     "lengths_to_order",
     "sections",
+    "tune",
 ]

@@ -1,0 +1,119 @@
+"""Lengths of cables for prescribed tensions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.results.sensitivities import Sensitivities
+from crms_fenicsx.runtime import checks
+from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.errors import ConvergenceError, InputError
+from crms_fenicsx.runtime.handle import ReadOnly
+from crms_fenicsx.scene import Scene
+from crms_fenicsx.scene.state import SceneState
+
+
+class _Reached(Exception):  # noqa: N818 - no error: the end of a search
+    """The tensions are those that are wanted."""
+
+
+class Tuned(Protocol):
+    """A `Solver`, which lies above this module."""
+
+    scene: ReadOnly[Scene]
+
+    def advance(self, *, L0: Mapping[object, float] | None = None) -> Any:
+        """Go to other lengths."""
+
+    def sensitivities(self, of: Sequence[object], by: Sequence[object]) -> Sensitivities:
+        """Derivatives of tensions."""
+
+    def snapshot(self) -> SceneState:
+        """The current state."""
+
+    def restore(self, snapshot: SceneState) -> None:
+        """Bring the scene back to a state."""
+
+
+def tune(
+    solver: Tuned, tensions: Mapping[LaidCable, float], *, rtol: float = 1e-4, most: int = 20
+) -> dict[LaidCable, float]:
+    """Find the unstressed lengths of cables for prescribed tensions under the present loads.
+
+    Collective. `scipy.optimize.least_squares` with the derivatives of `Solver.sensitivities`: each
+    of its evaluations is a load step of the solver, whose last one has the tensions.
+
+    Parameters
+    ----------
+    solver
+        A `Solver` at an equilibrium in which the cables are in tension.
+    tensions
+        Tensions by cables (force); of a cable with clamps its mean tension.
+    rtol
+        Largest difference from them, relative.
+    most
+        Largest number of load steps.
+
+    Returns
+    -------
+    dict
+        The unstressed lengths by cables (length), which these have now.
+
+    Raises
+    ------
+    InputError
+        On all ranks: what is no cable of the scene, a tension that is not positive, a slack cable,
+        or tensions that no lengths give; the scene is as it was.
+
+    Examples
+    --------
+    >>> nets.tune(solver, {cable: 40.0 for cable in scene.cables})
+    """
+    scene = solver.scene
+    if not isinstance(tensions, Mapping) or not tensions:
+        raise InputError(f"tune: tensions = {tensions!r}; write {{cable: force, ...}}.")
+    for cable, force in tensions.items():
+        if not isinstance(cable, LaidCable) or cable not in scene.cables:
+            raise InputError(f"tune: {cable!r} is not a cable of this scene.")
+        checks.positive(f"tune: tension of {cable.name!r}", force)
+        if not cable.taut:
+            raise InputError(f"tune: {cable.name!r} is slack; shorten it before.")
+    cables = sorted(tensions, key=scene.cables.index)
+    wanted = np.array([float(tensions[cable]) for cable in cables])
+    first = np.array([cable.L0 for cable in cables])
+    before = solver.snapshot()
+    count = 0
+
+    def errors(shares: Array) -> Array:
+        nonlocal count
+        if not np.allclose([cable.L0 for cable in cables], shares * first, rtol=1e-14, atol=0.0):
+            count += 1
+            solver.advance(L0=dict(zip(cables, shares * first, strict=True)))
+        found = np.array([cable.tension for cable in cables]) / wanted - 1
+        if np.abs(found).max() <= rtol:
+            raise _Reached
+        return found
+
+    def slopes(shares: Array) -> Array:
+        errors(shares)  # where the last step was none to keep
+        return solver.sensitivities(cables, cables).values * first / wanted[:, None]
+
+    try:
+        least_squares(errors, np.ones(len(cables)), slopes, method="lm", max_nfev=most)
+    except _Reached:
+        return {cable: cable.L0 for cable in cables}
+    except (ConvergenceError, InputError):
+        solver.restore(before)
+        raise
+    reached = np.array([cable.tension for cable in cables])
+    k = int(np.abs(reached / wanted - 1).argmax())
+    solver.restore(before)
+    raise InputError(
+        f"tune: no lengths give {cables[k].name!r} a tension of {wanted[k]:g}; after {count} load "
+        f"steps it has {reached[k]:.6g}. Give tensions that balance the loads, or fewer."
+    )

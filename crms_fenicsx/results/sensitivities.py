@@ -1,0 +1,190 @@
+"""Derivatives of results by lengths, loads and stiffnesses, from the exact tangent.
+
+With g the slope of the potential energy and K the tangent, a parameter p moves the equilibrium by
+du/dp = -K^-1 dg/dp, one solve each with the factors of K. Results change by p itself and by du.
+Contacts and the cells that cables cross stay: where a cable is about to change them derivatives
+hold on one side only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from petsc4py import PETSc
+
+from crms_fenicsx.equilibrium.system import System
+from crms_fenicsx.model.bar import PlacedBar
+from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
+from crms_fenicsx.results.residual import tangent
+from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.errors import InputError
+from crms_fenicsx.scene import Scene
+
+STEP = 1e-5
+"""Change of a length or a stiffness, relative to it, for differences of slopes and results."""
+MOVE = 1e-6
+"""Most that a point is moved, relative to the membrane's size, for differences of results."""
+SOLVED = 1e-12
+"""Relative residual to which the tangent is solved: dyads of cables need an iteration each."""
+NEAR_VERTEX = 0.02
+"""Part of an edge within which a cable is about to pass a vertex."""
+
+
+@dataclass(frozen=True)
+class Sensitivities:
+    """Derivatives of results by parameters.
+
+    Attributes
+    ----------
+    values : (n, m)
+        Derivatives of the n results by the m parameters, the same on all ranks.
+    of, by
+        The results and the parameters, as they were given.
+    inexact
+        Names of loads and terms of which the tangent is not exact, and with it the derivatives.
+    one_sided
+        Names of cables that touch a vertex of the mesh or nearly so, which they are about to pass.
+    """
+
+    values: Array
+    of: tuple[object, ...]
+    by: tuple[object, ...]
+    inexact: tuple[str, ...]
+    one_sided: tuple[str, ...]
+
+    def __getitem__(self, pair: tuple[object, object]) -> float:
+        """The derivative of a result by a parameter."""
+        result, parameter = pair
+        return float(self.values[self.of.index(result), self.by.index(parameter)])
+
+
+def sensitivities(system: System, of: Sequence[object], by: Sequence[object]) -> Sensitivities:
+    """Derivatives at a scene's equilibrium; see `Solver.sensitivities`. Collective."""
+    scene = system.scene
+    read = [_result(scene, one) for one in of]
+    setters = [_parameter(scene, one) for one in by]
+    K = tangent(system)
+    rubs = scene.net.has_friction or any(cable.axial is not None for cable in scene.cables)
+    if rubs or system.has_history:
+        K.destroy()
+        what = "friction" if rubs else "a step-wise law"
+        raise InputError(
+            f"sensitivities: {what} depends on the way here, so that there are no derivatives; "
+            "compare load steps instead."
+        )
+    state, ksp = scene.state, _factorised(K.matrix, K.sparse)
+    start = system.potential.x.copy()
+    values = np.zeros((len(of), len(by)))
+    slope, way = K.matrix.createVecs()
+    place = system.potential.x_vector.duplicate()
+    try:
+        for j, (setter, step) in enumerate(setters):
+            slopes = []
+            for sign in (1.0, -1.0):
+                setter(sign * step)
+                system.read_scene()
+                system.potential.evaluate()
+                system.potential.free_gradient(slope)
+                slopes.append(slope.array.copy())
+                scene.state = state
+            slope.array[:] = (slopes[1] - slopes[0]) / (2 * step)
+            ksp.solve(slope, way)
+            if ksp.getConvergedReason() < 0:
+                raise InputError(
+                    "sensitivities: the tangent is singular here, as where something is about to "
+                    "snap through; go to another state."
+                )
+            far = max(float(way.norm(PETSc.NormType.INFINITY)), 1e-300)
+            size = min(step, MOVE * scene.membrane.size / far)
+            found = []
+            for sign in (1.0, -1.0):
+                setter(sign * size)
+                system.read_scene()
+                place.array[:] = start[: system.unknowns.n_owned].ravel() + sign * size * way.array
+                system.potential.place(place)
+                system.potential.sum_up()
+                system.write_scene()
+                found.append([one() for one in read])
+                scene.state = state
+            values[:, j] = (np.array(found[0]) - np.array(found[1])) / (2 * size)
+    finally:
+        scene.state = state
+        system.read_scene()
+        for one in (slope, way, place, ksp):
+            one.destroy()
+        K.destroy()
+    return Sensitivities(values, tuple(of), tuple(by), K.inexact, _near_vertices(scene))
+
+
+def _factorised(whole: PETSc.Mat, sparse: PETSc.Mat) -> PETSc.KSP:
+    """A solver of the tangent, with factors of its sparse part. Collective."""
+    ksp = PETSc.KSP().create(whole.comm)
+    ksp.setOperators(whole, sparse)
+    ksp.setType("gmres")
+    ksp.setGMRESRestart(400)
+    ksp.setTolerances(rtol=SOLVED, max_it=2000)
+    ksp.pc.setType("lu")
+    ksp.pc.setFactorSolverType("mumps")
+    return ksp
+
+
+def _result(scene: Scene, one: object) -> Callable[[], float]:
+    """What reads a result from the scene."""
+    if isinstance(one, LaidCable) and one in scene.cables:
+        return lambda: one.tension
+    if isinstance(one, PlacedBar) and one in scene.bars:
+        return lambda: one.force
+    if isinstance(one, CableEnd) and one.cable in scene.cables:
+        return lambda: float(np.linalg.norm(one.reaction))
+    if isinstance(one, str) and one in ("energy", "volume"):
+        return lambda: float(getattr(scene, one))
+    if isinstance(one, tuple) and len(one) == 2 and one[1] in ("x", "y", "z"):
+        vertex, axis = one
+        return lambda: float(scene.frame.place_of(vertex)["xyz".index(axis)])
+    raise InputError(
+        f"sensitivities: of has {one!r}; give cables and bars (their forces), ends of cables (the "
+        'size of their reactions), "energy", "volume", or (vertex, "z") of scene.vertex_at(...).'
+    )
+
+
+def _parameter(scene: Scene, one: object) -> tuple[Callable[[float], None], float]:
+    """What changes a parameter of the scene by a number, and a step for that."""
+    if isinstance(one, LaidCable) and one in scene.cables:
+        return (lambda change: one.update(L0=one.L0 + change)), STEP * one.L0
+    if isinstance(one, PlacedBar) and one in scene.bars:
+        return (lambda change: one.update(L0=one.L0 + change)), STEP * one.L0
+    if one == "pressure" and scene.air.sealed is None:
+        return (lambda change: scene.air.update(pressure=scene.pressure + change)), max(
+            STEP, STEP * abs(scene.pressure)
+        )
+    if isinstance(one, str) and one in [load.name for load in scene.loads]:
+
+        def change_load(change: float) -> None:
+            scene.loads.replace_each(
+                lambda load: replace(load, factor=load.factor + change * (load.name == one))
+            )
+
+        return change_load, STEP
+    if isinstance(one, tuple) and len(one) == 2 and one[0] == "EA":
+        cable = one[1]
+        if isinstance(cable, LaidCable) and cable in scene.cables:
+            EA = cable.cable.EA
+            return (
+                lambda change: cable.update(cable=replace(cable.cable, EA=cable.cable.EA + change))
+            ), STEP * EA
+    raise InputError(
+        f"sensitivities: by has {one!r}; give cables and bars (their unstressed lengths), "
+        '"pressure" where the air is not sealed, names of loads, or ("EA", cable).'
+    )
+
+
+def _near_vertices(scene: Scene) -> tuple[str, ...]:
+    """Names of cables in tension that touch a vertex inside of the membrane, or nearly so."""
+    found = []
+    for cable in scene.cables:
+        s = cable.fractions[~cable.lifted]
+        if cable.taut and np.any(np.minimum(s, 1 - s) < NEAR_VERTEX):
+            found.append(cable.name)
+    return tuple(found)

@@ -1,0 +1,152 @@
+"""Derivatives by the tangent against central differences of load steps, and lengths tuned."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from crms_fenicsx import (
+    Bar,
+    Cable,
+    InputError,
+    IsotropicMembrane,
+    Scene,
+    Solver,
+    meshes,
+    nets,
+)
+
+FABRIC = IsotropicMembrane(E=300.0, nu=0.25, thickness=1.0, prestress=1.0)
+
+
+def crossed(comm: MPI.Intracomm, *, friction: float = 0.0, slide: bool = False) -> Solver:
+    """An inflated square under two crossing cables and snow; paths stay."""
+    scene = Scene(meshes.rectangle(comm, 10.0, 10.0, 1.3), FABRIC)
+    scene.fix("boundary")
+    for name, path in (("a", [(0.0, 5.0), (10.0, 5.3)]), ("b", [(4.9, 0.0), (5.3, 10.0)])):
+        scene.lay_cable(Cable(1e3, friction=friction), path, tension=5.0, name=name)
+    scene.put_load((0.0, 0.0, -1.0), name="snow", per="plan")
+    return Solver(scene, rtol=1e-11, slide=slide)
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("clamped", [False, True])
+def test_against_central_differences(comm, clamped) -> None:
+    """Of membrane, folded cells, sliding and clamped cables: by all parameters."""
+    solver = crossed(comm)
+    scene = solver.scene
+    if clamped:
+        scene.clamp("a", "b")
+    solver.advance(pressure=2.0, load=0.1)
+    a, b = scene.cables
+    state, L0 = solver.snapshot(), a.L0
+    vertex = scene.vertex_at((0.0, 0.0, 0.0))
+    of = [a, b, "energy", a.start, "volume", (vertex, "z")]
+    found = solver.sensitivities(of, [a, "pressure", "snow", ("EA", b)])
+    assert found[a, "pressure"] == found.values[0, 1] > 0.0 > found[a, a]
+    assert found.inexact == () and np.all(found.values[5] == 0.0)
+
+    def change_stiffness(h: float) -> None:
+        scene.set_stiffness({b: 1e3 + h})
+        solver.advance()
+
+    changes = [
+        (lambda h: solver.advance(L0={a: L0 + h}), 1e-4),
+        (lambda h: solver.advance(pressure=2.0 + h), 1e-3),
+        (lambda h: solver.advance(load=0.1 + h), 1e-3),
+        (change_stiffness, 1.0),
+    ]
+    for j, (change, h) in enumerate(changes):
+        results = []
+        for sign in (1.0, -1.0):
+            solver.restore(state)
+            if j == 3:
+                scene.set_stiffness({b: 1e3})
+            change(sign * h)
+            reaction = np.linalg.norm(a.start.reaction)
+            results.append([a.tension, b.tension, scene.energy, reaction, scene.volume])
+        differences = (np.array(results[0]) - results[1]) / (2 * h)
+        np.testing.assert_allclose(found.values[:5, j], differences, rtol=1e-6)
+
+
+def test_straight_cable_in_closed_form(comm) -> None:
+    """Along a ruling of a stiff, held cylinder nothing gives way: dT/dL0 = -EA L / L0^2."""
+    t, y = np.meshgrid(np.linspace(-1.0, 1.0, 9), np.linspace(0.0, 6.0, 9), indexing="ij")
+    x = np.column_stack([5 * np.sin(t.ravel()), y.ravel(), 5 * np.cos(t.ravel())])
+    first = (9 * np.arange(8)[:, None] + np.arange(8)).ravel()
+    cells = np.concatenate([
+        np.stack([first, first + 9, first + 10], axis=1),
+        np.stack([first, first + 10, first + 1], axis=1),
+    ])  # fmt: skip
+    scene = Scene(meshes.from_arrays(comm, x, cells), FABRIC)
+    scene.fix("boundary")
+    cable = scene.lay_cable(Cable(2e3), [(0.3, 0.0, 4.99), (0.3, 6.0, 4.99)], tension=30.0)
+    solver = Solver(scene, slide=False)
+    solver.advance()
+    exact = -2e3 * cable.length / cable.L0**2
+    found = solver.sensitivities([cable, cable.start], [cable])
+    assert found[cable, cable] == pytest.approx(exact, rel=1e-6)
+    assert found[cable.start, cable] == pytest.approx(exact, rel=1e-6)
+
+
+def test_bars_and_their_lengths(comm) -> None:
+    """Four bars that tighten each other at a joint."""
+    scene = Scene(meshes.rectangle(comm, 2.0, 2.0, 1.0), FABRIC)
+    scene.fix("boundary")
+    top = scene.add_joint((5.0, 0.0, 3.0))
+    one = scene.add_bar(Bar(EA=1e4), (4.0, 0.0, 0.0), top, L0=3.1)
+    two = scene.add_bar(Bar(EA=1e4), (8.0, 1.0, 0.0), top, L0=4.2)
+    scene.add_bar(Bar(EA=1e4), (8.0, -1.0, 0.0), top, L0=4.2)
+    scene.add_bar(Bar(EA=1e4), (5.0, 0.5, 7.0), top, L0=3.9)
+    solver = Solver(scene, rtol=1e-12)
+    solver.advance()
+    state, h = solver.snapshot(), 1e-4
+    found = solver.sensitivities([one, two], [one])
+    forces = []
+    for sign in (1.0, -1.0):
+        solver.restore(state)
+        solver.advance(L0={one: 3.1 + sign * h})
+        forces.append([one.force, two.force])
+    differences = (np.array(forces[0]) - forces[1]) / (2 * h)
+    np.testing.assert_allclose(found.values[:, 0], differences, rtol=1e-5)
+
+
+@pytest.mark.ranks
+def test_lengths_for_tensions(comm) -> None:
+    solver = crossed(comm, slide=True)
+    solver.advance(pressure=2.0)
+    scene = solver.scene
+    a, b = scene.cables
+    steps = len(solver.steps)
+    found = nets.tune(solver, {a: 20.0, b: 35.0})
+    assert len(solver.steps) - steps <= 6
+    np.testing.assert_allclose([a.tension, b.tension], [20.0, 35.0], rtol=1e-4)
+    assert found == {a: a.L0, b: b.L0} and a.L0 > b.L0
+    before = [a.L0, b.L0, scene.energy]
+    with pytest.raises(InputError, match="'c' is slack"):
+        solver.scene.lay_cable(Cable(1e3), [(0.0, 2.0), (10.0, 2.0)], L0=14.0, name="c")
+        nets.tune(solver, {a: 20.0, scene.cable("c"): 1.0})
+    with pytest.raises(InputError, match=r"tension of 'a' = -1\.0"):
+        nets.tune(solver, {a: -1.0})
+    with pytest.raises(InputError, match="'x' is not a cable"):
+        nets.tune(solver, {"x": 1.0})
+    assert [a.L0, b.L0, scene.energy] == before
+
+
+@pytest.mark.ranks
+def test_bad_sensitivities_are_refused(comm) -> None:
+    solver = crossed(comm)
+    with pytest.raises(InputError, match=r"sensitivities: .*advance"):
+        solver.sensitivities(["energy"], ["pressure"])
+    solver.advance(pressure=1.0)
+    for of, by, message in (
+        (["stress"], ["pressure"], "of has 'stress'; give cables"),
+        (["energy"], ["wind"], "by has 'wind'; give cables"),
+    ):
+        with pytest.raises(InputError, match=message):
+            solver.sensitivities(of, by)
+    rubbed = crossed(comm, friction=0.3)
+    rubbed.advance(pressure=1.0)
+    with pytest.raises(InputError, match="friction depends on the way here"):
+        rubbed.sensitivities(["energy"], ["pressure"])
