@@ -48,8 +48,11 @@ before = np.array([cable.tension for cable in cables])
 found = solver.sensitivities([*cables, "energy"], cables)
 own, others = np.diag(found.values), found.values[:-1] - np.diag(np.diag(found.values))
 if scene.comm.rank == 0:
-    print(f"tensions from {before.min():.1f} to {before.max():.1f} kN; 1 cm shorter, a cable has"
-          f" up to {-own.min() / 100:.2f} kN more, another {others.max() / 100:.2f} less")  # fmt: skip
+    print(f"tensions from {before.min():.1f} to {before.max():.1f} kN")
+    print(
+        f"1 cm shorter, a cable has up to {-own.min() / 100:.2f} kN more, another "
+        f"{others.max() / 100:.2f} less"
+    )
 
 # %%
 # Tuning
