@@ -81,7 +81,9 @@ def _add_volume_gradient(X, x, corners, weights, origin, factor, g):  # type: ig
 def _volume_hessian(X, x, corners, weights, origin, factor, active, blocks):  # type: ignore[no-untyped-def]
     """Second derivatives of ``factor x volume``, blocks (n, 3, 3, 3, 3) of active facets."""
     p = np.empty(3)
-    for f in np.flatnonzero(active):
+    for f in range(len(active)):
+        if not active[f]:
+            continue
         blocks[f] = 0.0
         scale = factor * weights[f] / 6.0
         for m in range(3):
