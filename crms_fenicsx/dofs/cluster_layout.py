@@ -87,15 +87,16 @@ def _sweep(pointers, members, moved, n):  # type: ignore[no-untyped-def]
     """Order n blocks cluster by cluster, as Cuthill and McKee do, and number the clusters. Elements
     are in CSR form; `moved` (n_local, k) are the blocks that a member moves with, or -1."""
     starts = np.zeros(n + 1, dtype=np.int64)
-    for member in members:
-        for b in moved[member]:
-            starts[b + 1] += b >= 0
+    for q in range(len(members)):
+        for m in range(moved.shape[1]):
+            starts[moved[members[q], m] + 1] += moved[members[q], m] >= 0
     for b in range(n):
         starts[b + 1] += starts[b]
-    own, filled = np.empty(starts[n], dtype=np.int64), starts[:-1].copy()
+    own, filled = np.empty(starts[n], dtype=np.int64), starts.copy()
     for e in range(len(pointers) - 1):
-        for member in members[pointers[e] : pointers[e + 1]]:
-            for b in moved[member]:
+        for q in range(pointers[e], pointers[e + 1]):
+            for m in range(moved.shape[1]):
+                b = moved[members[q], m]
                 if b >= 0:
                     own[filled[b]] = e
                     filled[b] += 1
@@ -110,18 +111,22 @@ def _sweep(pointers, members, moved, n):  # type: ignore[no-untyped-def]
             order[begin] = order[max(begin, end - 1)]  # from the far end of the first one
             found[order[begin]], at, end = sweep, begin, begin + 1
             while at < end:
-                block = order[at]
-                at += 1
-                for e in own[starts[block] : starts[block + 1]]:
+                for k in range(starts[order[at]], starts[order[at] + 1]):
+                    e = own[k]
                     if used[e] == sweep:
                         continue
                     used[e] = sweep
-                    for member in members[pointers[e] : pointers[e + 1]]:
-                        for b in moved[member]:
+                    for q in range(pointers[e], pointers[e + 1]):
+                        for m in range(moved.shape[1]):
+                            b = moved[members[q], m]
                             if b >= 0 and found[b] != sweep:
                                 found[b], order[end] = sweep, b
                                 end += 1
-        order[begin:end] = order[begin:end][::-1].copy()  # envelopes are narrower this way round
-        cluster[begin:end] = count
+                at += 1
+        for k in range((end - begin) // 2):  # envelopes are narrower the other way round
+            a, b = begin + k, end - 1 - k
+            order[a], order[b] = order[b], order[a]
+        for k in range(begin, end):
+            cluster[k] = count
         begin, count = end, count + 1
     return order, cluster

@@ -144,7 +144,9 @@ def add_curvature(X, x, points, coefficients, weighted, r, active, blocks):  # t
     at = (0, 2, 3)
     unit, H = np.empty((3, 3)), np.empty((3, 3, 3, 3))
     sides, chords = np.empty((2, 3)), np.empty((2, 3))  # gradients of both angles by their vectors
-    for k in np.flatnonzero(active):
+    for k in range(len(active)):
+        if not active[k]:
+            continue
         p = points[k, 1]
         a = _unit(X, x, p, points[k, 0], unit[0])
         b = _unit(X, x, p, points[k, 2], unit[1])
@@ -191,8 +193,8 @@ def add_curvature(X, x, points, coefficients, weighted, r, active, blocks):  # t
 @numba.njit(cache=True)
 def _square_slopes(coefficients, dr, active, blocks):  # type: ignore[no-untyped-def]
     """Put ``2 mu grad(w r) grad(w r)^T`` into blocks (n, 4, 4, 3, 3) of active places."""
-    for k in np.flatnonzero(active):
-        for m in range(4):
+    for k in range(len(active)):
+        for m in range(4 if active[k] else 0):
             for n in range(4):
                 for i in range(3):
                     for j in range(3):

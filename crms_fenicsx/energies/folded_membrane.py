@@ -96,19 +96,22 @@ class FoldedCells(ElementTable):
 @numba.njit(cache=True)
 def _distinct_blocks(segments, side_pointers, side_segments, sides):  # type: ignore[no-untyped-def]
     """Distinct blocks of each cell, of each side's segments in turn, in CSR form."""
-    most = 0
-    for side in sides.ravel():
-        most += 2 * (side_pointers[side + 1] - side_pointers[side])
-    blocks, pointers, n = np.empty(most, np.int32), np.zeros(len(sides) + 1, np.int32), 0
+    most, n = 0, 0
     for c in range(len(sides)):
-        for side in sides[c]:
-            for segment in side_segments[side_pointers[side] : side_pointers[side + 1]]:
-                for block in segments[segment]:
-                    if not np.any(blocks[pointers[c] : n] == block):
-                        blocks[n] = block
-                        n += 1
+        for k in range(3):
+            most += 2 * (side_pointers[sides[c, k] + 1] - side_pointers[sides[c, k]])
+    blocks, pointers = np.empty(most, np.int32), np.zeros(len(sides) + 1, np.int32)
+    for c in range(len(sides)):
+        for k in range(3):
+            for q in range(side_pointers[sides[c, k]], side_pointers[sides[c, k] + 1]):
+                for m in range(2):
+                    blocks[n] = segments[side_segments[q], m]
+                    i = pointers[c]
+                    while blocks[i] != blocks[n]:
+                        i += 1
+                    n += i == n
         pointers[c + 1] = n
-    return pointers, blocks[:n].copy()
+    return pointers, blocks[:n]
 
 
 @numba.njit(cache=True)

@@ -86,7 +86,9 @@ def _volume_hessian(X, x, corners, weights, origin, factor, active, blocks):  # 
     """Second derivatives of ``factor x volume`` of active facets, blocks (n, 3, 2, 3, 3) at `ROWS`,
     `COLUMNS`."""
     p = np.empty(3)
-    for f in np.flatnonzero(active):
+    for f in range(len(active)):
+        if not active[f]:
+            continue
         blocks[f] = 0.0
         scale = factor * weights[f] / 6.0
         for m in range(3):

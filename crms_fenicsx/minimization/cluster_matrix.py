@@ -104,10 +104,11 @@ class ClusterMatrix:
 
     def solve(self, wanted: Booleans, b: Array, y: Array) -> Booleans:
         """Solve ``K y = b`` in some clusters, and leave factors there. Shapes: wanted
-        (n_clusters,), b, y (n, 3). Returns in which of these K is definite; the others keep y."""
+        (n_clusters,), b, y (n, 3), y in one piece. Returns in which of these K is definite; the
+        others keep y."""
         layout = self.layout
         definite: Booleans = _solve(
-            self.values, self.first, self.at, self.rows, layout.starts, wanted, b, y
+            self.values, self.first, self.at, self.rows, layout.starts, wanted, b.ravel(), y.ravel()
         )
         return definite
 
@@ -183,9 +184,11 @@ def _project(values, first, at, row, end, P):  # type: ignore[no-untyped-def]
 def _solve(values, first, at, rows, starts, wanted, b, y):  # type: ignore[no-untyped-def]
     """As `ClusterMatrix.solve`: factors L D L^T, and solutions."""
     definite = np.zeros(len(wanted), dtype=np.bool_)
-    for c in np.flatnonzero(wanted):
-        start, end, blocks = rows[c], rows[c + 1], starts[c + 1] - starts[c]
-        to_come = end - start - 3 * blocks  # pivots that are negative
+    for c in range(len(wanted)):
+        if not wanted[c]:
+            continue
+        start, end, before = rows[c], rows[c + 1], rows[c] - 3 * starts[c]
+        to_come = end - before - 3 * starts[c + 1]  # pivots that are negative
         for row in range(start, end):
             own = at[row]
             pivot = values[own + row]
@@ -207,7 +210,8 @@ def _solve(values, first, at, rows, starts, wanted, b, y):  # type: ignore[no-un
         if not definite[c]:
             continue
         z = np.zeros(end - start)
-        z[: 3 * blocks] = b[starts[c] : starts[c + 1]].copy().reshape(-1)
+        for k in range(3 * starts[c], 3 * starts[c + 1]):
+            z[k + before - start] = b[k]
         for row in range(start, end):
             for col in range(first[row], row):
                 z[row - start] -= values[at[row] + col] * z[col - start]
@@ -216,5 +220,6 @@ def _solve(values, first, at, rows, starts, wanted, b, y):  # type: ignore[no-un
         for row in range(end - 1, start - 1, -1):
             for col in range(first[row], row):
                 z[col - start] -= values[at[row] + col] * z[row - start]
-        y[starts[c] : starts[c + 1]] = z[: 3 * blocks].copy().reshape(-1, 3)
+        for k in range(3 * starts[c], 3 * starts[c + 1]):
+            y[k] = z[k + before - start]
     return definite
