@@ -47,12 +47,10 @@ before = np.array([cable.tension for cable in cables])
 # It tightens itself, and slackens those beside it.
 found = solver.sensitivities([*cables, "energy"], cables)
 own, others = np.diag(found.values), found.values[:-1] - np.diag(np.diag(found.values))
+more, less = -own.min() / 100, others.max() / 100
 if scene.comm.rank == 0:
     print(f"tensions from {before.min():.1f} to {before.max():.1f} kN")
-    print(
-        f"1 cm shorter, a cable has up to {-own.min() / 100:.2f} kN more, another "
-        f"{others.max() / 100:.2f} less"
-    )
+    print(f"1 cm shorter, a cable has up to {more:.2f} kN more, another one {less:.2f} kN less")
 
 # %%
 # Tuning
