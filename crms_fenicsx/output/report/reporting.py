@@ -93,7 +93,8 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
             f"report: about = {plan.about!r}; write texts by names, as in "
             '{"Project": "Tent", "Author": "..."}.'
         )
-    if not all(isinstance(one, PageSection) for one in plan.sections):
+    further = plan.sections
+    if not isinstance(further, Sequence) or not all(isinstance(x, PageSection) for x in further):
         raise InputError(
             f"report: sections = {plan.sections!r}; give what patterns.report_sections returned."
         )
