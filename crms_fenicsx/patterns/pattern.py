@@ -249,7 +249,7 @@ def flatten(
         pieces.comm, "flatten", material=material, warp=warp, shrink=shrink, edges=edges,
         equal=equal, limit=limit,
     )  # fmt: skip
-    if warp is not None and warp != "seams":
+    if warp is not None and not (isinstance(warp, str) and warp == "seams"):
         check_warp("flatten", warp)
     limit = None if limit is None else checks.positive("flatten: limit", limit)
     for name, one in (edges or {}).items():
@@ -302,7 +302,7 @@ def of_cells(pieces: Pieces, material: Materials, made: CutOptions) -> tuple[Arr
         named = outer_first(pieces.mesh, "flatten", "material", material)
         given = [(surface.parts[part], material[part]) for part in named]
     stiffness, warps = np.zeros((m, 3, 3)), np.zeros((m, 3))
-    along_seams = made.warp == "seams"
+    along_seams = isinstance(made.warp, str)
     for cells, own in given:
         if not isinstance(own, MembraneMaterial):
             raise InputError(f"flatten: material = {own!r} is none; give one of the fabric.")
@@ -311,8 +311,14 @@ def of_cells(pieces: Pieces, material: Materials, made: CutOptions) -> tuple[Arr
         if made.warp is None and direction is None:
             along_seams = True
         elif not along_seams:
-            found = direction(centres[cells].T).T if callable(direction) else direction
-            warps[cells] = np.asarray(found, dtype=float)
+            found = direction(centres[cells].T) if callable(direction) else direction
+            given_warps = np.asarray(found, dtype=float).T
+            if given_warps.shape not in ((3,), (len(cells), 3)):
+                raise InputError(
+                    f"flatten: the function of the warp returned an array of shape "
+                    f"{given_warps.T.shape}; it must return directions of shape (3, {len(cells)})."
+                )
+            warps[cells] = given_warps
     if not stiffness.any(axis=(1, 2)).all():
         raise InputError("flatten: there are cells without a material; give one for every part.")
     return stiffness, None if along_seams else warps

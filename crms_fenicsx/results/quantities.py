@@ -28,7 +28,6 @@ class CellTensors:
     frames: Array
     axes: Array
     images: Array
-    sides: Array  # (n, 2, 3) two stress-free sides of each cell (length)
     state: npt.NDArray[np.int8]  # (n,) 2 taut, 1 wrinkled, 0 slack
     # (n,) whether a cable in tension folds the cell; its images are those of its three corners
     folded: Booleans
@@ -61,7 +60,7 @@ def cell_tensors(system: System) -> CellTensors:
     components = np.einsum("nki,nai->nka", before, axes)
     images = np.linalg.solve(components, after)
     state = np.rint(values[:, 6]).astype(np.int8)
-    return CellTensors(E, S, frames, axes, images, before, state, folded)
+    return CellTensors(E, S, frames, axes, images, state, folded)
 
 
 def added_forces(scene: Scene, axes: Array) -> Array:

@@ -184,6 +184,7 @@ def test_warp_lies_along_x(comm: MPI.Intracomm) -> None:
         ({"edges": {"nowhere": patterns.EdgeShrink()}}, "nowhere"),
         ({"edges": {"boundary": 0.0}}, "EdgeShrink"),
         ({"warp": (0.0, 0.0, 0.0)}, "warp"),
+        ({"warp": lambda x: x[:2]}, "must return directions"),
         ({"limit": -1.0}, "limit"),
     ],
 )

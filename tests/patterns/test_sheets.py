@@ -163,6 +163,8 @@ def test_report_has_the_pattern(
     sections = patterns.report_sections(
         pattern, patterns.Sheet(3.0, allowance=0.05), found, unit="m", force="kN"
     )
+    with pytest.raises(InputError, match="sections"):
+        solver.report(folder / "roof.html", sections=["text"])
     solver.report(folder / "roof.html", pictures=[], sections=sections, unit="m", force="kN")
     comm.barrier()
     page = (folder / "roof.html").read_text()

@@ -97,7 +97,8 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
         scene.cable(name).name: checks.positive(f"report: strength of the cable {name!r}", value)
         for name, value in plan.cable_strengths.items()
     }
-    if not all(isinstance(one, PageSection) for one in plan.sections):
+    further = plan.sections
+    if not isinstance(further, Sequence) or not all(isinstance(x, PageSection) for x in further):
         raise InputError(
             f"report: sections = {plan.sections!r}; give what patterns.report_sections returned."
         )
