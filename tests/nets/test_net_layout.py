@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -41,12 +42,11 @@ def sheet(comm: MPI.Intracomm, size: float = 0.9) -> Scene:
     return scene_of(meshes.rectangle(comm, 20.0, 10.0, size))
 
 
-@cache
-def sphere(size: float) -> Scene:
+def sphere(comm: MPI.Intracomm, size: float) -> Scene:
     """Four fifths of a sphere of radius 10, its top at the origin's plan."""
     height = 16.0
     radius = (2 * R * height - height**2) ** 0.5
-    return scene_of(meshes.spherical_cap(MPI.COMM_WORLD, radius, height, size))
+    return scene_of(meshes.spherical_cap(comm, radius, height, size))
 
 
 def angles(nodes: np.ndarray, i: int, j: int) -> float:
@@ -113,19 +113,24 @@ def test_equidistant_net_on_a_cylinder_is_the_rolled_one(comm) -> None:
     assert worst[1] < 0.6 * worst[0] and worst[1] < 0.015
 
 
-@cache
-def nodes_on_sphere(width: float) -> np.ndarray:
-    """Nodes of the net from the top, without its many lines."""
-    surface = WholeSurface.of(sphere(0.25).membrane)
-    chart = Chart(surface, width, 30.0)
+@pytest.fixture(scope="module")
+def nodes_on_sphere(comm) -> Callable[[float], np.ndarray]:
+    """Nodes of the net from the top for widths, without its many lines."""
+    surface = WholeSurface.of(sphere(comm, 0.25).membrane)
     place, ways = surface.place(np.zeros(2)), np.array([[1.0, 0, 0], [0, 1, 0]])
     u, v = (surface.tangent(place, way) for way in ways)
-    chart.grow(place, (u, -u, v, -v))
-    assert chart.folds
-    return chart.table()
+
+    @cache
+    def nodes(width: float) -> np.ndarray:
+        chart = Chart(surface, width, 30.0)
+        chart.grow(place, (u, -u, v, -v))
+        assert chart.folds
+        return chart.table()
+
+    return nodes
 
 
-def test_equidistant_net_on_a_sphere(comm) -> None:
+def test_equidistant_net_on_a_sphere(nodes_on_sphere) -> None:
     """The angle w between lines that start as orthogonal great circles: z = u v / R^2,
     z w'' + w' = -sin w; 30 degrees at u = v = 10.577. Order 2 in the width."""
     exact = solve_ivp(
@@ -152,7 +157,7 @@ def test_equidistant_net_on_a_sphere(comm) -> None:
     assert abs(last * 0.5 - reach) < 0.5  # where it ends
 
 
-def test_hazzidakis_formula(comm) -> None:
+def test_hazzidakis_formula(nodes_on_sphere) -> None:
     """A block of a net on a sphere has the area R^2 (2 pi - sum of its four inner angles)."""
     nodes = nodes_on_sphere(0.5)
     k, a, b = nodes.shape[0] // 2, 4, 16
@@ -175,7 +180,7 @@ def test_hazzidakis_formula(comm) -> None:
 
 def test_net_ends_where_it_would_fold(comm) -> None:
     with pytest.warns(NetWarning, match="angles below 40 degrees"):
-        net = nets.equidistant(sphere(1.0), 2.0, (0.0, 0.0), least_angle=40.0)
+        net = nets.equidistant(sphere(comm, 1.0), 2.0, (0.0, 0.0), least_angle=40.0)
     nodes = net.nodes
     k = nodes.shape[0] // 2
     last = max(i for i in range(k) if np.isfinite(nodes[k + i, k + i, 0]))
