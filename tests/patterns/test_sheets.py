@@ -21,8 +21,8 @@ WIDTH = 30.0 * np.sin(np.pi / 24)
 
 
 @pytest.fixture(scope="module")
-def pattern() -> patterns.Pattern:
-    return patterned(MPI.COMM_WORLD)
+def pattern(comm: MPI.Intracomm) -> patterns.Pattern:
+    return patterned(comm)
 
 
 def patterned(comm: MPI.Intracomm) -> patterns.Pattern:
