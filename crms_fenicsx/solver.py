@@ -671,6 +671,7 @@ class Solver:
         >>> found = solver.sensitivities([ridge, "energy"], [ridge, "pressure", "snow"])
         >>> found[ridge, "pressure"]
         """
+        checks.same(self.comm, "sensitivities", of=of, by=by)
         self.scene.require_equilibrium("sensitivities")
         return sensitivities(self.system, of, by)
 

@@ -6,13 +6,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
+from mpi4py import MPI
 from scipy.optimize import least_squares
 
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.results.sensitivities import Sensitivities
 from crms_fenicsx.runtime import checks
 from crms_fenicsx.runtime.arrays import Array
-from crms_fenicsx.runtime.errors import ConvergenceError, InputError
+from crms_fenicsx.runtime.errors import ConvergenceError, InputError, collective
 from crms_fenicsx.runtime.handle import ReadOnly
 from crms_fenicsx.scene import Scene
 from crms_fenicsx.scene.state import SceneState
@@ -26,6 +27,7 @@ class Tuned(Protocol):
     """A `Solver`, which lies above this module."""
 
     scene: ReadOnly[Scene]
+    comm: MPI.Intracomm
 
     def advance(self, *, L0: Mapping[object, float] | None = None) -> Any:
         """Go to other lengths."""
@@ -40,6 +42,7 @@ class Tuned(Protocol):
         """Bring the scene back to a state."""
 
 
+@collective
 def tune(
     solver: Tuned, tensions: Mapping[LaidCable, float], *, rtol: float = 1e-4, most: int = 20
 ) -> dict[LaidCable, float]:
@@ -75,6 +78,7 @@ def tune(
     >>> nets.tune(solver, {cable: 40.0 for cable in scene.cables})
     """
     scene = solver.scene
+    checks.same(scene.comm, "tune", tensions=tensions, rtol=rtol, most=most)
     if not isinstance(tensions, Mapping) or not tensions:
         raise InputError(f"tune: tensions = {tensions!r}; write {{cable: force, ...}}.")
     for cable, force in tensions.items():
