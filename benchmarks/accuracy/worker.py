@@ -41,15 +41,15 @@ class Watch:
         self.first: float | None = None
         evaluate, sum_up = Potential.evaluate, Potential.sum_up
 
-        def watched(potential: Potential) -> float:
+        def watched(potential: Potential, vertices: bool = True) -> float:
             self.evaluations += 1
             self.work += 3 * potential.unknowns.n_global
-            self.energy = evaluate(potential)
+            self.energy = evaluate(potential, vertices)
             return self.energy
 
-        def noted(potential: Potential) -> None:
+        def noted(potential: Potential, vertices: bool = True) -> None:
             self.first = time.process_time() if self.first is None else self.first
-            sum_up(potential)
+            sum_up(potential, vertices)
 
         Potential.evaluate = watched  # type: ignore[method-assign]
         Potential.sum_up = noted  # type: ignore[method-assign]

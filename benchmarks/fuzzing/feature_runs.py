@@ -327,12 +327,12 @@ def stopped(data: FeatureScene, comm: MPI.Intracomm, result: Found) -> None:
     for count in (1, 5, 30):
         left = count
 
-        def counted(self: Potential) -> None:
+        def counted(self: Potential, vertices: bool = True) -> None:
             nonlocal left
             left -= 1
             if left == 0:
                 raise Killed
-            whole(self)
+            whole(self, vertices)
 
         Potential.sum_up = counted  # type: ignore[method-assign]
         try:

@@ -248,7 +248,7 @@ class InitialHessian:
         ksp.setType(PETSc.KSP.Type.PREONLY)
         pc = ksp.getPC()
         pc.setType(PETSc.PC.Type.PYTHON)
-        pc.setPythonContext(_Apply(self.solve))
+        pc.setPythonContext(Preconditioner(self.solve))
 
     def solve(self, b: PETSc.Vec, y: PETSc.Vec) -> None:
         """Solve ``H0 y = b``."""
@@ -299,11 +299,11 @@ class InitialHessian:
         ksp.setTolerances(rtol=ACCURACY)
         ksp.setFromOptions()
         ksp.getPC().setType(PETSc.PC.Type.PYTHON)
-        ksp.getPC().setPythonContext(_Apply(self.precondition))
+        ksp.getPC().setPythonContext(Preconditioner(self.precondition))
         return ksp
 
 
-class _Apply:
+class Preconditioner:
     """What PETSc calls as a preconditioner; it would also call a `destroy`."""
 
     def __init__(self, solve: Callable[[PETSc.Vec, PETSc.Vec], None]) -> None:

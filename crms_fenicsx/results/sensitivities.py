@@ -15,6 +15,8 @@ import numpy as np
 from petsc4py import PETSc
 
 from crms_fenicsx.equilibrium.system import System
+from crms_fenicsx.minimization.augmented_stiffness import AugmentedStiffness
+from crms_fenicsx.minimization.initial_hessian import Preconditioner
 from crms_fenicsx.model.bar import PlacedBar
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
 from crms_fenicsx.results.residual import tangent
@@ -26,8 +28,9 @@ STEP = 1e-5
 """Change of a length or a stiffness, relative to it, for differences of slopes and results."""
 MOVE = 1e-6
 """Most that a point is moved, relative to the membrane's size, for differences of results."""
-SOLVED = 1e-12
-"""Relative residual to which the tangent is solved: dyads of cables need an iteration each."""
+SOLVED, ITERATIONS = 1e-11, 50
+"""Relative residual to which the tangent is solved, and how often what rounding leaves is solved
+again."""
 NEAR_VERTEX = 0.02
 """Part of an edge within which a cable is about to pass a vertex."""
 
@@ -74,7 +77,7 @@ def sensitivities(system: System, of: Sequence[object], by: Sequence[object]) ->
             f"sensitivities: {what} depends on the way here, so that there are no derivatives; "
             "compare load steps instead."
         )
-    state, ksp = scene.state, _factorised(K.matrix, K.sparse)
+    state, solver = scene.state, _TangentSolver(K.matrix, K.sparse)
     start = system.potential.x.copy()
     values = np.zeros((len(of), len(by)))
     slope, way = K.matrix.createVecs()
@@ -90,12 +93,7 @@ def sensitivities(system: System, of: Sequence[object], by: Sequence[object]) ->
                 slopes.append(slope.array.copy())
                 scene.state = state
             slope.array[:] = (slopes[1] - slopes[0]) / (2 * step)
-            ksp.solve(slope, way)
-            if ksp.getConvergedReason() < 0:
-                raise InputError(
-                    "sensitivities: the tangent is singular here, as where something is about to "
-                    "snap through; go to another state."
-                )
+            solver.solve(slope, way)
             far = max(float(way.norm(PETSc.NormType.INFINITY)), 1e-300)
             size = min(step, MOVE * scene.membrane.size / far)
             found = []
@@ -112,22 +110,46 @@ def sensitivities(system: System, of: Sequence[object], by: Sequence[object]) ->
     finally:
         scene.state = state
         system.read_scene()
-        for one in (slope, way, place, ksp):
+        for one in (slope, way, place, solver):
             one.destroy()
         K.destroy()
     return Sensitivities(values, tuple(of), tuple(by), K.inexact, _near_vertices(scene))
 
 
-def _factorised(whole: PETSc.Mat, sparse: PETSc.Mat) -> PETSc.KSP:
-    """A solver of the tangent, with factors of its sparse part. Collective."""
-    ksp = PETSc.KSP().create(whole.comm)
-    ksp.setOperators(whole, sparse)
-    ksp.setType("gmres")
-    ksp.setGMRESRestart(400)
-    ksp.setTolerances(rtol=SOLVED, max_it=2000)
-    ksp.pc.setType("lu")
-    ksp.pc.setFactorSolverType("mumps")
-    return ksp
+class _TangentSolver:
+    """A solver of the tangent, which is factorised with the tensions of the cables' parts as
+    unknowns. Collective."""
+
+    def __init__(self, whole: PETSc.Mat, sparse: PETSc.Mat) -> None:
+        self._ksp, self._factors = PETSc.KSP().create(whole.comm), None
+        self._ksp.setOperators(whole, sparse)
+        self._ksp.setType(PETSc.KSP.Type.GMRES)
+        self._ksp.setTolerances(rtol=SOLVED, max_it=ITERATIONS)
+        pc = self._ksp.getPC()
+        if whole.getType() != PETSc.Mat.Type.LRC:
+            pc.setType(PETSc.PC.Type.LU)
+            pc.setFactorSolverType("mumps")
+            return
+        _, columns, values, _ = whole.getLRCMats()
+        self._factors = AugmentedStiffness(sparse, "crms_tangent_")
+        self._factors.factorize(columns.getDenseArray() * np.sqrt(values.array_r))
+        pc.setType(PETSc.PC.Type.PYTHON)
+        pc.setPythonContext(Preconditioner(self._factors.solve))
+
+    def solve(self, b: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Solve ``K y = b``, or raise `InputError`."""
+        self._ksp.solve(b, y)
+        if self._ksp.getConvergedReason() < 0:
+            raise InputError(
+                "sensitivities: the tangent is singular here, as where something is about to "
+                "snap through; go to another state."
+            )
+
+    def destroy(self) -> None:
+        """Free the PETSc objects."""
+        self._ksp.destroy()
+        if self._factors is not None:
+            self._factors.destroy()
 
 
 def _result(scene: Scene, one: object) -> Callable[[], float]:
