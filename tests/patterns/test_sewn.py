@@ -105,7 +105,8 @@ def test_adjusted_compensation_gives_the_wanted_forces(
 
 @pytest.mark.ranks
 def test_a_cable_may_fold_cells_across_seams(comm: MPI.Intracomm) -> None:
-    """One that hardly pulls leaves the roof as it is."""
+    """One that hardly pulls leaves the roof as it is, but for where it ends up next to vertices:
+    there edges are longer by the smoothing of short lengths."""
     pattern = patterns.flatten(
         pieces_of(hypar(comm, 6)), FABRIC, shrink=patterns.shrink_for(FABRIC, 2.0)
     )
@@ -115,13 +116,13 @@ def test_a_cable_may_fold_cells_across_seams(comm: MPI.Intracomm) -> None:
         scene.fix("boundary")
         if cable:
             ends = [(-3.0, 0.37, -0.37 / 3), (3.0, 0.37, 0.37 / 3)]
-            scene.lay_cable(Cable(EA=1e-6), ends, tension=1e-6, sleeve=True, measured_on="facets")
+            scene.lay_cable(Cable(EA=1e-3), ends, tension=1e-5, sleeve=True, measured_on="facets")
         solver = Solver(scene)
         solver.advance()
         places.append(scene.positions())
         if cable:
             assert comm.allreduce(int(solver.results().folded.sum())) > 10
-    np.testing.assert_allclose(*places, atol=1e-6)
+    np.testing.assert_allclose(*places, atol=3e-4)
 
 
 SPHERES = [
