@@ -139,7 +139,7 @@ class InitialHessian:
             self._membrane.assemble(held)
         elif not self._exact:
             tell_rigid_motions(self.matrix, self.potential)
-        columns = self._dyad_columns(held)
+        self._dyads, columns = self.potential.dyad_columns(held)
         augmentable = self._augmented is not None and len(self._dyads) > 0
         self._is_augmented = augmentable and self.pc.getFactorSolverType() == "mumps"
         if not self._is_augmented and self._set_up():
@@ -189,18 +189,6 @@ class InitialHessian:
         A.zeroRowsColumns(rows.astype(PETSc.IntType), diag=largest)
         A.setOption(PETSc.Mat.Option.SPD, True)
         return held
-
-    def _dyad_columns(self, held: npt.NDArray[np.bool_]) -> Array:
-        """This rank's rows of G, (3 n_owned, n_dyads)."""
-        potential, dyads = self.potential, list(self.potential.dyads())
-        n = potential.unknowns.n_owned
-        self._dyads = np.array([value for _, _, value in dyads])
-        columns = np.empty((3 * n, len(dyads)), order="F")
-        for column, (term, k, _) in zip(columns.T, dyads, strict=True):
-            potential.dyad_column(term, k)
-            potential.g[:n][held] = 0.0
-            column[:] = potential.g[:n].ravel()
-        return columns
 
     def _add_dyads(self, columns: Array) -> None:
         """This rank's rows of Z = K^-1 G, and (C^-1 + G^T Z)^-1."""

@@ -61,19 +61,12 @@ def exact_matrix(potential: Potential) -> tuple[PETSc.Mat, PETSc.Mat]:
     diagonal.destroy()
     rows = np.flatnonzero(held | idle[:, None]) + 3 * unknowns.start
     A.zeroRowsColumns(rows.astype(PETSc.IntType), diag=1.0)
-    dyads = list(potential.dyads())
-    if not dyads:
+    stiffnesses, columns = potential.dyad_columns(held)
+    if not len(stiffnesses):
         return A, A
-    columns = np.empty((3 * n, len(dyads)), order="F")
-    for column, (term, k, _) in zip(columns.T, dyads, strict=True):
-        potential.dyad_column(term, k)
-        potential.g[:n][held] = 0.0
-        column[:] = potential.g[:n].ravel()
-    size = ((3 * n, 3 * unknowns.n_global), (None, len(dyads)))
+    size = ((3 * n, 3 * unknowns.n_global), (None, len(stiffnesses)))
     U = PETSc.Mat().createDense(size, array=columns, comm=unknowns.comm)
-    values = PETSc.Vec().createWithArray(
-        np.array([value for _, _, value in dyads]), comm=PETSc.COMM_SELF
-    )
+    values = PETSc.Vec().createWithArray(stiffnesses, comm=PETSc.COMM_SELF)
     whole = PETSc.Mat().createLRC(A, U, values, U)
     U.destroy()
     values.destroy()

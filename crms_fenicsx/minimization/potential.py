@@ -20,7 +20,7 @@ from crms_fenicsx.energies.integral import FusedAssembly
 from crms_fenicsx.energies.term import EnergyTerm
 from crms_fenicsx.minimization.damping import Damping
 from crms_fenicsx.runtime import interrupt
-from crms_fenicsx.runtime.arrays import Array
+from crms_fenicsx.runtime.arrays import Array, Booleans
 
 
 class Potential:
@@ -164,6 +164,17 @@ class Potential:
             for k, value in enumerate(term.dyads(self._sums[part])):
                 if value > 0.0:
                     yield term, k, float(value)
+
+    def dyad_columns(self, held: Booleans) -> tuple[Array, Array]:
+        """Values (m,) of all dyads, and this rank's rows of their columns, (3 n_owned, m), without
+        components (n_owned, 3) that are `held`. Collective."""
+        dyads, n = list(self.dyads()), self.unknowns.n_owned
+        columns = np.empty((3 * n, len(dyads)), order="F")
+        for column, (term, k, _) in zip(columns.T, dyads, strict=True):
+            self.dyad_column(term, k)
+            self.g[:n][held] = 0.0
+            column[:] = self.g[:n].ravel()
+        return np.array([value for _, _, value in dyads]), columns
 
     def dyad_column(self, term: EnergyTerm, k: int) -> None:
         """Leave the column of a term's dyad at the current state in `g`."""

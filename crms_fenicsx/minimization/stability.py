@@ -85,19 +85,13 @@ class ExactTangent:
         self._pc.setUp()
         self._pc.setReusePreconditioner(True)  # the matrix may become another one
         negative = int(self._pc.getFactorMatrix().getMumpsInfog(NEGATIVE_PIVOTS))
-        values = [(term, number, value) for term, number, value in potential.dyads()]
-        n = potential.unknowns.n_owned
-        self._columns = np.zeros((len(values), 3 * n))
-        for column, (term, number, _) in zip(self._columns, values, strict=True):
-            potential.dyad_column(term, number)
-            potential.g[:n][self._held] = 0.0
-            column[:] = potential.g[:n].ravel()
+        self._stiffness, columns = potential.dyad_columns(self._held)
+        self._columns = columns.T
         self._solved = self._apply(self._columns)
         products = self._products(self._columns, self._solved)
-        self._stiffness = np.array([value for _, _, value in values])
         self._inner = np.diag(1 / self._stiffness) + (products + products.T) / 2
         positive = int(np.sum(np.linalg.eigvalsh(self._inner) > 0.0))
-        self.negative = negative + positive - len(values)
+        self.negative = negative + positive - len(self._stiffness)
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
